@@ -1,0 +1,240 @@
+"""The one table of what a drive can telemeter and which parameters it has.
+
+From it come the simulated drives' descriptors and the tables in SPEC.md. A physical drive may have other channels and
+other scales: a host reads the descriptor of the drive it talks to and assumes nothing from this table except the
+meaning of names, units and flags.
+
+This module never touches bytes; `protocol.descriptor` packs it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+
+class RawType(IntEnum):
+    """Type of a value on the wire, little-endian."""
+
+    U8 = 1
+    I8 = 2
+    U16 = 3
+    I16 = 4
+    U32 = 5
+    I32 = 6
+    F32 = 7
+
+    @property
+    def dtype(self) -> str:
+        """Numpy's name of the type, for example `<i2`."""
+        return _DTYPES[self]
+
+
+_DTYPES = {
+    RawType.U8: "|u1",
+    RawType.I8: "|i1",
+    RawType.U16: "<u2",
+    RawType.I16: "<i2",
+    RawType.U32: "<u4",
+    RawType.I32: "<i4",
+    RawType.F32: "<f4",
+}
+
+
+class Unit(IntEnum):
+    """SI units, by their number on the wire."""
+
+    NONE = 0
+    RAD = 1
+    RAD_PER_S = 2
+    A = 3
+    V = 4
+    NM = 5
+    S = 6
+    HZ = 7
+    OHM = 8
+    H = 9
+    VS = 10
+    KGM2 = 11
+    COUNT = 12
+    PER_S = 13
+    RAD_PER_S2 = 14
+    RAD_PER_A = 15
+    RAD_PER_AS = 16
+    A_S_PER_RAD = 17
+    A_PER_RAD = 18
+
+    @property
+    def symbol(self) -> str:
+        """How the unit is written for people; empty for a pure number."""
+        return _SYMBOLS[self]
+
+
+_SYMBOLS = {
+    Unit.NONE: "",
+    Unit.RAD: "rad",
+    Unit.RAD_PER_S: "rad/s",
+    Unit.A: "A",
+    Unit.V: "V",
+    Unit.NM: "N·m",
+    Unit.S: "s",
+    Unit.HZ: "Hz",
+    Unit.OHM: "Ω",
+    Unit.H: "H",
+    Unit.VS: "V·s",
+    Unit.KGM2: "kg·m²",
+    Unit.COUNT: "counts",
+    Unit.PER_S: "1/s",
+    Unit.RAD_PER_S2: "rad/s²",
+    Unit.RAD_PER_A: "rad/A",
+    Unit.RAD_PER_AS: "rad/(A·s)",
+    Unit.A_S_PER_RAD: "A·s/rad",
+    Unit.A_PER_RAD: "A/rad",
+}
+
+
+class Flag(IntFlag):
+    """What a descriptor record is, and how a host may use it."""
+
+    CHANNEL = 1  # can be streamed
+    PARAMETER = 2  # can be read with PARAM_GET
+    TRUTH = 4  # the simulated plant's own state: no physical drive has it
+    ESTIMATE = 8  # a position or speed estimate, to be compared with the reference
+    REFERENCE = 16  # the position or speed that estimates are compared with (the encoder)
+    WRAPS = 32  # an angle in [-pi, pi)
+    READ_ONLY = 64  # a parameter that cannot be set
+    IDLE_ONLY = 128  # a parameter that can be set only while the outputs are off
+    WHOLE = 256  # a parameter that takes whole numbers only
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One channel: physical value = raw * scale + offset, in `unit`."""
+
+    id: int
+    name: str
+    unit: Unit
+    raw: RawType
+    scale: float
+    flags: Flag
+    about: str
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter: a float32 in `unit`, allowed from `lo` to `hi` inclusive."""
+
+    id: int
+    name: str
+    unit: Unit
+    lo: float
+    hi: float
+    flags: Flag
+    about: str
+
+
+class Status(IntFlag):
+    """Bits of the channel `status`; bits 0-2 hold the `DriveState`, bits 5-6 the `AngleSource`."""
+
+    OBSERVERS_RESET = 1 << 3  # the observers were initialised in this period
+    CORRECTION_ON = 1 << 4  # the vector-tracking observer's back-EMF correction is at work
+
+
+STATUS_STATE_MASK = 0x07
+STATUS_SOURCE_SHIFT = 5
+
+
+class AngleSource(IntEnum):
+    """Values of the parameter `observer`: whose angle and speed the control uses."""
+
+    ENCODER = 0
+    AVERAGE_SPEED = 1
+    VECTOR_TRACKING = 2
+
+
+ANGLE = math.pi / 32768  # rad a count: an i16 covers [-pi, pi)
+SPEED = 0.125  # electrical rad/s a count
+MILLI = 1.0 / 1024  # A or V a count
+
+_C = Flag.CHANNEL
+_I16 = RawType.I16
+
+
+def _channel(id: int, name: str, unit: Unit, scale: float, about: str, flags: Flag = Flag(0), raw: RawType = _I16) -> Signal:
+    return Signal(id, name, unit, raw, scale, _C | flags, about)
+
+
+DRIVE_CHANNELS: tuple[Signal, ...] = (
+    _channel(1, "hall", Unit.NONE, 1.0, "raw Hall code: bit 0 = sensor a, bit 1 = b, bit 2 = c", raw=RawType.U8),
+    _channel(2, "status", Unit.NONE, 1.0, "drive state, angle source and observer events (see Status)", raw=RawType.U8),
+    _channel(3, "theta_enc", Unit.RAD, ANGLE, "electrical angle by the encoder", Flag.REFERENCE | Flag.WRAPS),
+    _channel(4, "omega_enc", Unit.RAD_PER_S, SPEED, "electrical speed by the encoder, filtered", Flag.REFERENCE),
+    _channel(5, "i_a", Unit.A, MILLI, "phase current a, into the motor"),
+    _channel(6, "i_b", Unit.A, MILLI, "phase current b"),
+    _channel(7, "i_c", Unit.A, MILLI, "phase current c"),
+    _channel(8, "u_alpha", Unit.V, MILLI, "reference voltage in force over the period that ends at this sample"),
+    _channel(9, "u_beta", Unit.V, MILLI, "the same, beta"),
+    _channel(10, "u_dc", Unit.V, MILLI, "DC link voltage", raw=RawType.U16),
+    _channel(11, "i_d", Unit.A, MILLI, "d current in the controller's frame"),
+    _channel(12, "i_q", Unit.A, MILLI, "q current in the controller's frame"),
+    _channel(13, "i_d_ref", Unit.A, MILLI, "reference of i_d in force over the period that ends at this sample"),
+    _channel(14, "i_q_ref", Unit.A, MILLI, "reference of i_q in force over the period that ends at this sample"),
+    _channel(15, "omega_ref", Unit.RAD_PER_S, SPEED, "electrical speed reference after the ramp"),
+    _channel(16, "theta_avg", Unit.RAD, ANGLE, "average-speed estimate, (1)-(2)", Flag.ESTIMATE | Flag.WRAPS),
+    _channel(17, "omega_avg", Unit.RAD_PER_S, SPEED, "Hall average speed omega_h, (1)", Flag.ESTIMATE),
+    _channel(18, "theta_vt", Unit.RAD, ANGLE, "vector-tracking estimate, (3)-(10)", Flag.ESTIMATE | Flag.WRAPS),
+    _channel(19, "omega_vt", Unit.RAD_PER_S, SPEED, "vector-tracking speed, low-pass filtered", Flag.ESTIMATE),
+    _channel(20, "delta_hat", Unit.RAD, ANGLE, "load-angle estimate, (18)"),
+    _channel(21, "e_alpha", Unit.V, MILLI, "filtered back-EMF of the vector-tracking observer, (6)"),
+    _channel(22, "e_beta", Unit.V, MILLI, "the same, beta"),
+    _channel(23, "theta_true", Unit.RAD, ANGLE, "the plant's electrical angle", Flag.TRUTH | Flag.WRAPS),
+    _channel(24, "omega_true", Unit.RAD_PER_S, SPEED, "the plant's electrical speed", Flag.TRUTH),
+    _channel(25, "tau_e_true", Unit.NM, 1 / 16384, "the plant's electromagnetic torque", Flag.TRUTH),
+    _channel(26, "tau_load_true", Unit.NM, 1 / 16384, "torque of the load machine on the shaft", Flag.TRUTH),
+)
+
+LOAD_CHANNELS: tuple[Signal, ...] = (
+    _channel(1, "omega_m", Unit.RAD_PER_S, 1.0, "mechanical speed of the shaft", raw=RawType.F32),
+    _channel(2, "tau_load", Unit.NM, 1.0, "torque against the drive's positive direction", raw=RawType.F32),
+    _channel(3, "status", Unit.NONE, 1.0, "state of the load machine, bits 0-2", raw=RawType.U8),
+)
+
+_P = Flag.PARAMETER
+_PI = Flag.PARAMETER | Flag.IDLE_ONLY
+_PW = Flag.PARAMETER | Flag.WHOLE
+
+DRIVE_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(101, "n_p", Unit.NONE, 1, 64, _PI | Flag.WHOLE, "pole pairs"),
+    Parameter(102, "R_s_hat", Unit.OHM, 1e-4, 1e2, _P, "stator resistance that the firmware assumes"),
+    Parameter(103, "L_s_hat", Unit.H, 1e-6, 1.0, _P, "stator inductance that the firmware assumes"),
+    Parameter(104, "psi_f_hat", Unit.VS, 1e-5, 10.0, _P, "rotor flux linkage that the firmware assumes"),
+    Parameter(105, "i_max", Unit.A, 0.0, 30.0, _PI, "largest current reference"),
+    Parameter(106, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest mechanical speed reference"),
+    Parameter(107, "alpha_m_max", Unit.RAD_PER_S2, 1.0, 1e5, _P, "largest slope of the mechanical speed reference"),
+    Parameter(108, "observer", Unit.NONE, 0, 2, _PW, "angle source: 0 encoder, 1 average speed, 2 vector tracking"),
+    Parameter(109, "load_angle_comp", Unit.NONE, 0, 1, _PW, "load-angle compensation (18)-(19): 0 off, 1 on"),
+    Parameter(110, "k_p_vt", Unit.PER_S, 0.0, 1e5, _P, "vector tracking: proportional gain k_p of (9)"),
+    Parameter(111, "k_i_vt", Unit.NONE, 0.0, 1e9, _P, "vector tracking: integral gain k_i of (9), 1/s²"),
+    Parameter(112, "tau_max", Unit.S, 0.0, 0.1, _P, "vector tracking: largest tau of the back-EMF filter (6)"),
+    Parameter(113, "omega_on", Unit.RAD_PER_S, 0.0, 1e4, _P, "electrical Hall speed above which the correction starts"),
+    Parameter(114, "omega_off", Unit.RAD_PER_S, 0.0, 1e4, _P, "electrical Hall speed below which the correction stops"),
+    Parameter(115, "k_pc", Unit.RAD_PER_A, -10.0, 10.0, _P, "load angle: proportional gain k_pc of (18)"),
+    Parameter(116, "k_ic", Unit.RAD_PER_AS, -1e3, 1e3, _P, "load angle: integral gain k_ic of (18)"),
+    Parameter(117, "literal_sgn", Unit.NONE, 0, 1, _PW, "1 = sgn() of (9) sees the corrected speed, as printed"),
+    Parameter(118, "hall_timeout", Unit.S, 1e-3, 10.0, _P, "time without an edge after which omega_h is zero"),
+    Parameter(119, "bw_omega_lpf", Unit.HZ, 1.0, 8e3, _P, "cut-off of the filter on the estimated speed"),
+    Parameter(120, "bw_current", Unit.HZ, 1.0, 4e3, _P, "bandwidth of the current loop"),
+    Parameter(121, "k_p_speed", Unit.A_S_PER_RAD, 0.0, 1e3, _P, "speed loop: proportional gain, by mechanical speed"),
+    Parameter(122, "k_i_speed", Unit.A_PER_RAD, 0.0, 1e5, _P, "speed loop: integral gain"),
+    Parameter(123, "dead_time_hat", Unit.S, 0.0, 1e-5, _P, "dead time that the compensation assumes"),
+    Parameter(124, "dead_time_comp", Unit.NONE, 0.0, 1.5, _P, "share of the dead-time error that is compensated"),
+    Parameter(125, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT after which the outputs go off"),
+)
+
+LOAD_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(101, "tau_max", Unit.NM, 0.0, 100.0, _PI, "largest torque"),
+    Parameter(102, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest forced speed"),
+    Parameter(103, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT after which the torque goes off"),
+)
