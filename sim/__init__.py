@@ -1,0 +1,1 @@
+"""The simulated bench: plant, sensors, firmware, and the observers that firmware and host share."""

@@ -1,0 +1,123 @@
+"""Where compiled kernels are kept, and the decorator that compiles them.
+
+Numba's own disk cache watches only the file of the cached function: an edited helper in another file leaves a
+stale caller. So the kernels live in a directory whose name holds a hash of every source that kernels are made
+of, together with the versions of Python and numba: any edit starts a fresh directory, and old ones are
+pruned.
+
+`$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory. Other packages' numba caches are
+never touched. Importing this module does not import numba; `jit` does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+__all__ = ["cache_dir", "is_warm", "jit", "source_hash"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
+_HERE = Path(__file__).parent
+
+# Sources without kernels and without constants that kernels take in: an edit there keeps the cache.
+_NO_KERNELS = frozenset(
+    {"params.py", "drive/machine.py", "drive/device.py", "drive/virtual.py", "drive/server.py"}
+)
+
+
+def _kernel_sources() -> list[Path]:
+    sources = [p for p in _HERE.rglob("*.py") if p.relative_to(_HERE).as_posix() not in _NO_KERNELS]
+    return [*sorted(sources), _HERE.parent / "protocol" / "signals.py"]
+
+
+@cache
+def source_hash() -> str:
+    """Hash of all kernel sources and of the versions of Python and numba: 16 hex digits."""
+    digest = hashlib.sha256()
+    for package in ("numba", "llvmlite", "numpy"):
+        try:
+            digest.update(f"{package} {version(package)}\n".encode())
+        except PackageNotFoundError:
+            digest.update(f"{package} none\n".encode())
+    digest.update(f"{sys.implementation.cache_tag} {sys.platform}\n".encode())
+    for path in _kernel_sources():
+        content = path.read_bytes() if path.exists() else b""
+        digest.update(f"{path.relative_to(_HERE.parent).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]
+
+
+def _user_cache_dir() -> Path:
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = str(Path.home() / "Library" / "Caches")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base)
+
+
+@cache
+def cache_dir() -> Path:
+    """The directory for the kernels of the present sources; it may not exist yet."""
+    return _user_cache_dir() / "hallbench" / f"numba-{source_hash()}"
+
+
+def is_warm(module: str = "tick", function: str = "advance") -> bool:
+    """Whether a kernel is compiled and kept for the present sources (default: the drive's control tick).
+
+    Cheap: it looks for a file and imports nothing. False means that the first use compiles, for some ten
+    seconds.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return True
+    return any(cache_dir().glob(f"*/{module}.{function}-*.nbc"))
+
+
+@cache
+def _prepare() -> str:
+    """Make the cache directory, mark it as used now, drop the oldest others; "" if it cannot be written."""
+    own = cache_dir()
+    try:
+        own.mkdir(parents=True, exist_ok=True)
+        os.utime(own)
+        others = sorted((p for p in own.parent.glob("numba-*") if p != own), key=lambda p: p.stat().st_mtime)
+    except OSError:
+        return ""
+    for old in others[: max(0, len(others) - KEPT)]:
+        shutil.rmtree(old, ignore_errors=True)
+    return str(own)
+
+
+def jit(function: F) -> F:
+    """Compile a kernel: `numba.njit(cache=True, nogil=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
+
+    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the
+    plain function agree bit for bit. Division by zero raises, as in Python. Where no cache can be written, it
+    compiles in every process.
+    """
+    import numba
+    import numba.core.config
+
+    config: Any = numba.core.config
+    directory = _prepare()
+    before = config.CACHE_DIR
+    config.CACHE_DIR = directory or before
+    try:
+        compiled = numba.njit(cache=bool(directory), nogil=True, fastmath=False)(function)
+    except RuntimeError:  # numba: "no locator available", the directory became unwritable
+        compiled = numba.njit(nogil=True, fastmath=False)(function)
+    finally:
+        config.CACHE_DIR = before
+    return cast("F", compiled)

@@ -1,0 +1,60 @@
+"""The cache of compiled kernels: keyed to the sources, importable without numba."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sim import numba_cache
+from sim.numba_cache import jit
+
+
+@jit
+def double(x: float) -> float:
+    return 2.0 * x
+
+
+def test_module_imports_without_numba() -> None:
+    code = "import sys, sim.numba_cache as c; c.is_warm(); sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_hash_changes_with_a_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "sim"
+    package.mkdir()
+    source = package / "kernel.py"
+    source.write_text("x = 1\n")
+    monkeypatch.setattr(numba_cache, "_HERE", package)
+    first = numba_cache.source_hash.__wrapped__()
+    assert numba_cache.source_hash.__wrapped__() == first
+    source.write_text("x = 2\n")
+    assert numba_cache.source_hash.__wrapped__() != first
+
+
+def test_edit_outside_kernels_keeps_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "sim"
+    (package / "drive").mkdir(parents=True)
+    monkeypatch.setattr(numba_cache, "_HERE", package)
+    first = numba_cache.source_hash.__wrapped__()
+    (package / "drive" / "server.py").write_text("x = 1\n")
+    assert numba_cache.source_hash.__wrapped__() == first
+
+
+def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for k in range(10):
+        (tmp_path / f"numba-{k:016x}").mkdir()
+    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
+    assert numba_cache._prepare.__wrapped__() == str(tmp_path / "numba-now")
+    assert len(list(tmp_path.iterdir())) == numba_cache.KEPT + 1
+
+
+def test_compiled_kernel_lands_in_the_cache() -> None:
+    assert double(1.5) == 3.0
+    assert numba_cache.is_warm("test_numba_cache", "double") or not hasattr(double, "py_func")
+    assert not numba_cache.is_warm("test_numba_cache", "no_such_kernel")
+
+
+def test_unwritable_cache_still_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba_cache, "_prepare", lambda: "")
+    assert jit(lambda x: x + 1.0)(1.0) == 2.0
