@@ -1,0 +1,153 @@
+"""What a link is, and the part that every link over a file descriptor shares.
+
+A link moves bytes and nothing else: it knows no frames, retries nothing, starts no thread and never waits
+longer than it was told to. A failure is a named error (`protocol.errors`), never silence.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from abc import ABC, abstractmethod
+from typing import Protocol
+
+from protocol.errors import LinkClosed, LinkError
+
+MAX_READ = 65536
+"""Most bytes that one `read` returns."""
+
+WRITE_TIMEOUT = 0.5
+"""Seconds that `write` may take; a link that takes nothing for so long has failed."""
+
+
+class Link(Protocol):
+    """A byte link to a device, with the clock that its time-outs are counted on."""
+
+    @property
+    def name(self) -> str:
+        """The link as errors show it, for example `/dev/ttyACM0`."""
+        ...
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        """Bytes that have arrived, at most `MAX_READ`; b"" when none came within `timeout` seconds.
+
+        `settle` is the time in seconds to go on collecting after the first byte: a reader of a stream that
+        trickles in wakes once every `settle` seconds instead of at every packet.
+
+        Raises:
+            LinkClosed: the link is gone. Bytes that came before are returned first.
+        """
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Hand all of `data` to the link, within `WRITE_TIMEOUT`.
+
+        Raises:
+            LinkClosed: the link is gone.
+            LinkError: the link took only a part of it in time.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the link. Closing a closed link does nothing."""
+        ...
+
+    def reopen(self) -> None:
+        """Close, then open the same target again, once: after an unplug the caller tries until it is back.
+
+        Raises:
+            LinkNotFound: it is not there (yet).
+            LinkBusy: another program holds it.
+        """
+        ...
+
+    def clock(self) -> float:
+        """Seconds of a monotonic clock: real time, or virtual time on a link to a simulation."""
+        ...
+
+
+class DescriptorLink(ABC):
+    """Read and write of a link over a non-blocking file descriptor: select, then take what is there."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    @property
+    def name(self) -> str:
+        """The link as errors show it."""
+        return self._name
+
+    def clock(self) -> float:
+        """Seconds of the machine's monotonic clock."""
+        return time.monotonic()
+
+    @abstractmethod
+    def _fileno(self) -> int:
+        """The open file descriptor, or -1 when closed."""
+
+    @abstractmethod
+    def _receive(self, limit: int) -> bytes:
+        """Up to `limit` bytes; BlockingIOError when there are none, b"" or another OSError when gone."""
+
+    @abstractmethod
+    def _send(self, data: memoryview) -> int:
+        """Number of bytes taken; BlockingIOError when none."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the link."""
+
+    @abstractmethod
+    def _gone(self, cause: OSError | None) -> LinkClosed:
+        """The error that says how this kind of link is lost; `cause` is None at an end of file."""
+
+    def _require_open(self) -> int:
+        fd = self._fileno()
+        if fd < 0:
+            raise LinkClosed(f"{self.name} is closed")
+        return fd
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        """See `Link.read`."""
+        fd = self._require_open()
+        if not select.select([fd], [], [], max(0.0, timeout))[0]:
+            return b""
+        if settle > 0.0:
+            time.sleep(settle)
+        parts: list[bytes] = []
+        free = MAX_READ
+        while free:
+            try:
+                part = self._receive(free)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if parts:  # the caller gets the tail now and the error at the next read
+                    break
+                raise self._gone(error) from None
+            if not part:
+                if parts:
+                    break
+                raise self._gone(None)
+            parts.append(part)
+            free -= len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def write(self, data: bytes) -> None:
+        """See `Link.write`."""
+        fd = self._require_open()
+        rest = memoryview(data)
+        deadline = time.monotonic() + WRITE_TIMEOUT
+        while rest:
+            try:
+                rest = rest[self._send(rest) :]
+            except BlockingIOError:
+                left = deadline - time.monotonic()
+                if left <= 0.0 or not select.select([], [fd], [], left)[1]:
+                    sent = len(data) - len(rest)
+                    raise LinkError(
+                        f"{self.name} took {sent} of {len(data)} bytes in {WRITE_TIMEOUT:g} s: "
+                        "nothing at the other end reads"
+                    ) from None
+            except OSError as error:
+                raise self._gone(error) from None

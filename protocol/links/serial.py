@@ -1,0 +1,128 @@
+"""Link over a serial port: a UART adapter, a microcontroller's USB port, or a pty.
+
+pyserial opens and locks the port; reading and writing go to the descriptor directly, because pyserial's read
+throws away the bytes that it holds when the port vanishes, and polls with calls that fail on a pty.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import struct
+import sys
+import termios
+
+import serial
+from serial.tools import list_ports
+
+from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
+from protocol.links.base import DescriptorLink
+from protocol.links.target import SerialTarget
+
+_TCGETS2 = 0x802C542A
+_TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_ispeed, c_ospeed
+_GONE = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
+_RATE_TOLERANCE = 0.03
+
+
+class SerialLink(DescriptorLink):
+    """A serial port, 8N1, no flow control, locked against other programs that lock.
+
+    Raises:
+        LinkNotFound: no such port; the message lists those that are there.
+        LinkBusy: another program holds it.
+        TargetError: the port cannot run at that rate.
+        LinkError: it is no serial port, or may not be opened by this user.
+    """
+
+    def __init__(self, target: SerialTarget) -> None:
+        super().__init__(target.port)
+        self.target = target
+        self._port: serial.Serial | None = None
+        self._open()
+
+    def _open(self) -> None:
+        port, baud = self.target.port, self.target.baud
+        try:
+            opened = serial.Serial(port, baud, exclusive=True)
+        except serial.SerialException as error:
+            raise self._cannot_open(error) from None
+        except (ValueError, OverflowError):
+            raise self._bad_rate() from None
+        except OSError as error:
+            raise self._cannot_open(error) from None
+        try:
+            self._set_minimum(opened.fileno())
+            actual = line_rate(opened.fileno())
+        except (OSError, termios.error) as error:
+            opened.close()
+            raise LinkNotFound(f"{port} went away while it was opened: {error}") from None
+        if actual is not None and abs(actual - baud) > _RATE_TOLERANCE * baud:
+            opened.close()
+            raise self._bad_rate(actual)
+        self._port = opened
+
+    @staticmethod
+    def _set_minimum(fd: int) -> None:
+        """VMIN = 1: an empty read then means that the port is gone, never that there is nothing to read."""
+        attributes = termios.tcgetattr(fd)
+        attributes[6][termios.VMIN] = 1
+        attributes[6][termios.VTIME] = 0
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+    def _bad_rate(self, actual: int | None = None) -> TargetError:
+        port, baud = self.target.port, self.target.baud
+        instead = f" (its driver would run at {actual})" if actual else ""
+        return TargetError(f"{port} cannot run at {baud} baud{instead}: choose another rate")
+
+    def _cannot_open(self, error: OSError) -> LinkError:
+        port = self.target.port
+        if error.errno in (errno.EAGAIN, errno.EBUSY):
+            return LinkBusy(f"{port} is held by another program: close it and try again")
+        if error.errno in (errno.EACCES, errno.EPERM):
+            return LinkError(f"no permission for {port}: add your user to its group (often dialout)")
+        if error.errno in _GONE:
+            ports = [info.device for info in list_ports.comports()]
+            there = f"ports here: {', '.join(ports)}" if ports else "there is no serial port here"
+            return LinkNotFound(f"no port {port}; {there}")
+        if error.errno == errno.EISDIR or "Could not configure port" in str(error):
+            return LinkError(f"{port} is not a serial port")
+        return LinkError(f"cannot open {port}: {error}")
+
+    def reopen(self) -> None:
+        """See `Link.reopen`."""
+        self.close()
+        self._open()
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _fileno(self) -> int:
+        return -1 if self._port is None else int(self._port.fileno())
+
+    def _receive(self, limit: int) -> bytes:
+        return os.read(self._fileno(), limit)
+
+    def _send(self, data: memoryview) -> int:
+        return os.write(self._fileno(), data)
+
+    def _gone(self, cause: OSError | None) -> LinkClosed:
+        self.close()
+        why = "" if cause is None else f" ({cause.strerror})"
+        return LinkClosed(f"{self.name} is gone{why}: unplugged, or the device was reset")
+
+
+def line_rate(fd: int) -> int | None:
+    """The rate in baud at which a terminal's driver says it sends; None where this system does not tell."""
+    if sys.platform != "linux":
+        return None
+    state = bytearray(_TERMIOS2.size)
+    try:
+        fcntl.ioctl(fd, _TCGETS2, state)
+    except OSError:
+        return None
+    return int(_TERMIOS2.unpack(state)[5])

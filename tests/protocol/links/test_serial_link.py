@@ -1,0 +1,195 @@
+"""The serial link over a real pty: lock, noise, unplug and replug, a full line, rates."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
+from protocol.links import SerialTarget, open_link
+from protocol.links.base import MAX_READ
+from protocol.links.serial import SerialLink, line_rate
+
+
+class Port:
+    """A pty that can be pulled out and put back under the same name."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.plug()
+
+    def plug(self) -> None:
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        self.path.unlink(missing_ok=True)
+        self.path.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self) -> None:
+        os.close(self.slave)
+        os.close(self.master)
+        self.path.unlink()
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[Port]:
+    port = Port(tmp_path / "ttyBENCH")
+    yield port
+    if port.path.is_symlink():
+        port.unplug()
+
+
+@pytest.fixture
+def link(port: Port) -> Iterator[SerialLink]:
+    link = SerialLink(SerialTarget(str(port.path)))
+    yield link
+    link.close()
+
+
+def read_all(link: SerialLink, size: int) -> bytes:
+    data = b""
+    while len(data) < size and (part := link.read(2.0)):
+        data += part
+    return data
+
+
+def test_every_byte_value_passes_both_ways(port: Port, link: SerialLink) -> None:
+    every = bytes(range(256))
+    os.write(port.master, every)
+    assert read_all(link, 256) == every
+    link.write(every)
+    assert os.read(port.master, 1000) == every
+
+
+def test_read_takes_all_that_has_come(port: Port, link: SerialLink) -> None:
+    sent = os.urandom(9000)  # more than one read of the line discipline
+    written = os.write(port.master, sent)
+    assert link.read(2.0, settle=0.001)[:4000] == sent[:4000]
+    assert written <= MAX_READ
+
+
+def test_nothing_there_is_empty_not_an_error(link: SerialLink) -> None:
+    assert link.read(0.0) == b""
+    assert link.read(0.001) == b""
+
+
+def test_bytes_stolen_by_another_reader_are_no_unplug(port: Port, link: SerialLink) -> None:
+    os.write(port.master, b"abc")
+    os.set_blocking(port.slave, False)
+    assert os.read(port.slave, 10) == b"abc"
+    assert link.read(0.0) == b""
+
+
+def test_unplug_delivers_the_tail_then_names_the_port(port: Port, link: SerialLink) -> None:
+    os.write(port.master, b"last words")
+    assert link.read(2.0) == b"last words"
+    port.unplug()
+    with pytest.raises(LinkClosed, match="ttyBENCH is gone"):
+        link.read(2.0)
+    with pytest.raises(LinkClosed, match="ttyBENCH is closed"):
+        link.read(2.0)
+    with pytest.raises(LinkClosed, match="ttyBENCH"):
+        link.write(b"x")
+
+
+def test_write_to_an_unplugged_port(port: Port, link: SerialLink) -> None:
+    port.unplug()
+    with pytest.raises(LinkClosed, match="ttyBENCH is gone"):
+        link.write(b"x")
+
+
+def test_replug_under_the_same_name(port: Port, link: SerialLink) -> None:
+    port.unplug()
+    with pytest.raises(LinkClosed):
+        link.read(0.0)
+    with pytest.raises(LinkNotFound, match=r"no port .*ttyBENCH"):
+        link.reopen()
+    port.plug()
+    link.reopen()
+    os.write(port.master, b"back")
+    assert link.read(2.0) == b"back"
+
+
+def test_old_bytes_are_not_delivered_after_reopen(port: Port, link: SerialLink) -> None:
+    link.close()
+    os.write(port.master, b"nobody was there")
+    link.reopen()
+    assert link.read(0.0) == b""
+
+
+def test_second_opener_is_told_that_the_port_is_held(port: Port, link: SerialLink) -> None:
+    with pytest.raises(LinkBusy, match=r"ttyBENCH is held by another program"):
+        SerialLink(SerialTarget(str(port.path)))
+    link.close()
+    SerialLink(SerialTarget(str(port.path))).close()
+
+
+def test_port_held_by_another_process(port: Port) -> None:
+    code = (
+        "import sys; from protocol.links import open_link; link = open_link(sys.argv[1]);"
+        "print('open', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, f"serial:{port.path}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"open\n"
+        with pytest.raises(LinkBusy):
+            open_link(f"serial:{port.path}")
+        holder.communicate(timeout=10)
+    open_link(f"serial:{port.path}").close()
+
+
+def test_a_line_that_takes_nothing_fails_within_the_limit(
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
+    start = time.monotonic()
+    with pytest.raises(LinkError, match=r"took \d+ of 1000000 bytes in 0.02 s"):
+        link.write(bytes(1_000_000))
+    assert time.monotonic() - start < 5.0
+
+
+def test_missing_port_lists_the_ones_that_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Info:
+        def __init__(self, device: str) -> None:
+            self.device = device
+
+    path = tmp_path / "ttyNONE"
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [Info("/dev/ttyS7"), Info("/dev/ttyS9")])
+    with pytest.raises(LinkNotFound, match=r"no port .*ttyNONE; ports here: /dev/ttyS7, /dev/ttyS9"):
+        open_link(f"serial:{path}")
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    with pytest.raises(LinkNotFound, match="there is no serial port here"):
+        open_link(f"serial:{path}")
+
+
+def test_a_file_is_not_a_port(tmp_path: Path) -> None:
+    plain = tmp_path / "notes.txt"
+    plain.write_text("x")
+    for path in (plain, tmp_path):
+        with pytest.raises(LinkError, match="is not a serial port"):
+            open_link(f"serial:{path}")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells the rate of a port")
+@pytest.mark.parametrize("baud", [300, 115200, 3_000_000, 1_234_567])
+def test_rate_reaches_the_port(port: Port, baud: int) -> None:
+    link = open_link(f"serial:{port.path}?baud={baud}")
+    assert line_rate(port.master) == baud
+    link.close()
+
+
+def test_a_rate_that_the_driver_changes_is_refused(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("protocol.links.serial.line_rate", lambda fd: 9600)
+    with pytest.raises(TargetError, match=r"cannot run at 3000000 baud \(its driver would run at 9600\)"):
+        open_link(f"serial:{port.path}?baud=3000000")
+    monkeypatch.undo()
+    open_link(f"serial:{port.path}").close()  # and the port was let go

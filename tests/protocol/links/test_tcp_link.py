@@ -1,0 +1,104 @@
+"""The TCP link over loopback."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from protocol.errors import LinkClosed, LinkError, LinkNotFound
+from protocol.links import TcpTarget, open_link
+from protocol.links.tcp import TcpLink
+
+
+@pytest.fixture
+def server() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        yield server
+
+
+def connect(server: socket.socket) -> tuple[TcpLink, socket.socket]:
+    link = TcpLink(TcpTarget("127.0.0.1", server.getsockname()[1]))
+    peer, _ = server.accept()
+    peer.settimeout(5.0)
+    return link, peer
+
+
+def test_bytes_pass_both_ways_without_delay(server: socket.socket) -> None:
+    link, peer = connect(server)
+    link.write(b"to the drive")
+    assert peer.recv(100) == b"to the drive"
+    peer.sendall(b"to the host")
+    assert link.read(5.0) == b"to the host"
+    assert link.read(0.0) == b""
+    assert link._opened.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    link.close()
+    peer.close()
+
+
+def test_peer_closes(server: socket.socket) -> None:
+    link, peer = connect(server)
+    peer.sendall(b"tail")
+    peer.close()
+    assert link.read(5.0) == b"tail"
+    with pytest.raises(LinkClosed, match=r"tcp:127.0.0.1:\d+ was closed by the other end"):
+        link.read(5.0)
+
+
+def test_peer_resets(server: socket.socket) -> None:
+    link, peer = connect(server)
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    peer.close()
+    with pytest.raises(LinkClosed, match="was lost"):
+        link.read(5.0)
+
+
+def test_reopen_reaches_the_same_server(server: socket.socket) -> None:
+    link, peer = connect(server)
+    peer.close()
+    with pytest.raises(LinkClosed):
+        link.read(5.0)
+    link.reopen()
+    again, _ = server.accept()
+    again.sendall(b"again")
+    assert link.read(5.0) == b"again"
+    again.close()
+    link.close()
+
+
+def test_nobody_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(LinkNotFound, match=f"nothing listens on port {port} of 127.0.0.1"):
+        open_link(f"tcp:127.0.0.1:{port}")
+
+
+def test_no_answer_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> socket.socket:
+        raise TimeoutError
+
+    monkeypatch.setattr(socket, "create_connection", never)
+    with pytest.raises(LinkNotFound, match="no answer within 3 s"):
+        open_link("tcp:127.0.0.1:7000")
+
+
+def test_unknown_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object) -> socket.socket:
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "create_connection", unknown)
+    with pytest.raises(LinkNotFound, match="no host 'nowhere'"):
+        open_link("tcp:nowhere:7000")
+
+
+def test_a_peer_that_reads_nothing_fails_the_write(
+    server: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
+    link, peer = connect(server)
+    with pytest.raises(LinkError, match=r"took \d+ of 50000000 bytes"):
+        link.write(bytes(50_000_000))
+    link.close()
+    peer.close()
