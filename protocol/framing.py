@@ -1,0 +1,177 @@
+"""Frames on a byte link: `00 | COBS(header, payload, crc32) | 00`.
+
+`encode_frame` makes one, `Deframer` finds them in a stream that may hold noise, halves and damage. A damaged
+frame is dropped and counted; a frame that comes out is byte for byte what was sent. This module never looks into
+a payload, does no I/O and keeps at most one frame's length of bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+from zlib import crc32
+
+from cobs import cobs
+
+from protocol.errors import LocalProtocolError
+
+MAJOR = 1  # of the protocol; in bits 0-3 of every frame's flags
+MINOR = 0
+REPLY = 0x10  # flag: answers the request with the same tid
+ERROR = 0x20  # flag, with REPLY: the answer is an ErrorReply
+MORE = 0x40  # flag: reserved for a later minor; sent as 0
+
+HEADER_BYTES = 8
+CRC_BYTES = 4
+MAX_PAYLOAD = 1024
+CONNECT_PREAMBLE = bytes(16)  # ends whatever half frame the device may hold
+
+_HEADER = struct.Struct("<BBHHBB")
+_CRC_RESIDUE = 0x2144DF1C  # CRC-32 of any message followed by its own CRC-32, little-endian
+
+
+class Frame(NamedTuple):
+    """One frame: `type` (a MessageType where known), `flags`, request id `tid`, `node`, `payload`."""
+
+    type: int
+    flags: int
+    tid: int
+    node: int
+    payload: bytes
+
+    @property
+    def major(self) -> int:
+        """Protocol major version of the sender."""
+        return self.flags & 0x0F
+
+    @property
+    def is_reply(self) -> bool:
+        """Whether it answers a request."""
+        return bool(self.flags & REPLY)
+
+    @property
+    def is_error(self) -> bool:
+        """Whether it is a refusal."""
+        return bool(self.flags & ERROR)
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """Return the wire bytes of a frame, with both delimiters.
+
+    Raises LocalProtocolError if the payload is longer than 1024 bytes or a header field does not fit.
+    """
+    type_, flags, tid, node, payload = frame
+    if len(payload) > MAX_PAYLOAD:
+        raise LocalProtocolError(f"payload of {len(payload)} bytes: a frame carries at most {MAX_PAYLOAD}")
+    try:
+        body = _HEADER.pack(type_, flags, tid, len(payload), node, 0) + payload
+    except struct.error as error:
+        raise LocalProtocolError(f"frame header {frame[:4]} does not fit: {error}") from None
+    return encode_body(body)
+
+
+def encode_body(body: bytes) -> bytes:
+    """Return the wire bytes of a ready header + payload (whose length field must be right)."""
+    encoded: bytes = cobs.encode(body + crc32(body).to_bytes(4, "little"))
+    return b"\0" + encoded + b"\0"
+
+
+def encoded_length(payload_bytes: int) -> int:
+    """Return the most bytes that a frame with such a payload takes on the wire, delimiters included."""
+    body = HEADER_BYTES + payload_bytes + CRC_BYTES
+    return body + (body + 253) // 254 + 2
+
+
+def parse_frame(raw: bytes) -> Frame:
+    """Return the frame in header + payload as they come from `Deframer.feed`."""
+    type_, flags, tid, _, node, _ = _HEADER.unpack_from(raw)
+    return Frame(type_, flags, tid, node, raw[HEADER_BYTES:])
+
+
+@dataclass(slots=True)
+class FramingCounters:
+    """What a `Deframer` saw since it was made."""
+
+    frames: int = 0
+    bad_crc: int = 0
+    bad_cobs: int = 0
+    bad_length: int = 0  # shorter than an empty frame, or the length field disagrees
+    too_long: int = 0  # longer than any frame without a delimiter
+    noise_bytes: int = 0  # bytes of damaged frames, and those before the first delimiter
+
+    @property
+    def bad(self) -> int:
+        """Damaged frames of every kind."""
+        return self.bad_crc + self.bad_cobs + self.bad_length + self.too_long
+
+
+class Deframer:
+    """Finds frames in a byte stream that may be cut anywhere.
+
+    Bytes up to the first delimiter are dropped: they may be the tail of a frame.
+    """
+
+    def __init__(self, max_payload: int = MAX_PAYLOAD) -> None:
+        self.counters = FramingCounters()
+        self._max_chunk = encoded_length(max_payload) - 2
+        self._tail = b""
+        self._skipping = True  # until the next delimiter: unsynchronised, or inside a run that is too long
+
+    def reset(self) -> None:
+        """Forget half a frame and wait for the next delimiter; the counters stay."""
+        self.counters.noise_bytes += len(self._tail)
+        self._tail = b""
+        self._skipping = True
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return header + payload of every intact frame that `data` completes, in order."""
+        counters = self.counters
+        chunks = data.split(b"\0")
+        if self._skipping:
+            counters.noise_bytes += len(chunks[0])
+            if len(chunks) == 1:
+                return []
+            self._skipping = False
+            chunks[0] = b""
+        elif self._tail:
+            chunks[0] = self._tail + chunks[0]
+        tail = chunks.pop()
+        if len(tail) > self._max_chunk:
+            counters.too_long += 1
+            counters.noise_bytes += len(tail)
+            self._skipping = True
+            tail = b""
+        self._tail = tail
+
+        frames: list[bytes] = []
+        for chunk in chunks:
+            if chunk:
+                raw = self._open(chunk)
+                if raw is None:
+                    counters.noise_bytes += len(chunk)
+                else:
+                    frames.append(raw)
+        counters.frames += len(frames)
+        return frames
+
+    def _open(self, chunk: bytes) -> bytes | None:
+        if len(chunk) > self._max_chunk:
+            self.counters.too_long += 1
+            return None
+        try:
+            body: bytes = cobs.decode(chunk)
+        except cobs.DecodeError:
+            self.counters.bad_cobs += 1
+            return None
+        length = len(body) - HEADER_BYTES - CRC_BYTES
+        if length < 0:
+            self.counters.bad_length += 1
+            return None
+        if crc32(body) != _CRC_RESIDUE:
+            self.counters.bad_crc += 1
+            return None
+        if body[4] | body[5] << 8 != length:
+            self.counters.bad_length += 1
+            return None
+        return body[:-CRC_BYTES]

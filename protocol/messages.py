@@ -1,0 +1,565 @@
+"""The messages: one frozen dataclass each, with `pack()` to a payload and `unpack()` from one.
+
+Layouts are little-endian with explicit padding, as in SPEC.md. A request must have exactly its length; a reply or
+an unsolicited message may be longer than known here, because a later minor version may append fields. The payloads
+of DATA and EDGES are in `protocol.streams`. This module knows no framing, no session and no time.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from enum import IntEnum, IntFlag
+from typing import Any, ClassVar, Self
+
+from protocol.errors import LocalProtocolError, RemoteProtocolError
+
+
+class PayloadError(RemoteProtocolError, ValueError):
+    """A payload that cannot be read: wrong length, or a value that the message does not have."""
+
+    def __init__(self, message: str, bad_length: bool = False) -> None:
+        super().__init__(message)
+        self.bad_length = bad_length
+
+
+class MessageType(IntEnum):
+    """Byte 0 of a frame."""
+
+    HELLO = 0x01
+    TIME_SYNC = 0x02
+    HEARTBEAT = 0x04
+    ALIVE = 0x05
+    BLOB_READ = 0x10
+    PARAM_GET = 0x11
+    PARAM_SET = 0x12
+    PARAM_COMMIT = 0x13
+    STATE_CMD = 0x20
+    SETPOINT = 0x21
+    STREAM_SET = 0x30
+    STREAM_START = 0x31
+    STREAM_STOP = 0x32
+    DATA = 0x40
+    EDGES = 0x41
+    EVENT = 0x42
+    LOG = 0x43
+
+
+class DriveState(IntEnum):
+    """State of a device; the outputs are on in RUNNING only."""
+
+    BOOT = 0
+    IDLE = 1
+    ARMED = 2
+    RUNNING = 3
+    FAULT = 4
+
+
+class Fault(IntFlag):
+    """Bits of a fault mask."""
+
+    WATCHDOG = 1  # no ALIVE or SETPOINT in time
+    OVERCURRENT = 2
+    OVERSPEED = 4
+    UNDERVOLTAGE = 8
+    OVERVOLTAGE = 16
+    HALL = 32
+    INTERNAL = 64
+
+
+class Command(IntEnum):
+    """What STATE_CMD asks for."""
+
+    ARM = 1
+    START = 2
+    STOP = 3
+    FAULT_CLEAR = 4
+
+
+class SetpointMode(IntEnum):
+    """What the values of a SETPOINT mean."""
+
+    SPEED = 1  # value: mechanical rad/s
+    CURRENT = 2  # value: i_q in A, value2: i_d in A
+    TORQUE = 3  # value: N·m (a load machine)
+
+
+class StreamEvent(IntEnum):
+    """What makes a stream take a record."""
+
+    PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
+    SLOW = 1  # reserved
+    EDGES = 2  # every Hall edge
+
+
+class Role(IntEnum):
+    """What a node is on the bench."""
+
+    DRIVE = 1
+    LOAD = 2
+
+
+class Feature(IntFlag):
+    """Optional abilities of a device, in HELLO."""
+
+    EDGES = 1  # timestamped Hall edges can be streamed
+    COMMIT = 2  # parameters can be stored for the next boot
+    SIMULATED = 4  # no hardware moves
+
+
+class ErrorCode(IntEnum):
+    """Why a request was refused; `detail` is the number that goes with it."""
+
+    UNKNOWN_TYPE = 1  # detail: the type
+    BAD_LENGTH = 2  # detail: the payload's length
+    BAD_VALUE = 3  # detail: the value
+    OUT_OF_RANGE = 4  # detail: the limit
+    WRONG_STATE = 5  # detail: the state
+    BAD_TOKEN = 6
+    UNKNOWN_ID = 7  # detail: the id
+    READ_ONLY = 8  # detail: the id
+    DOES_NOT_FIT = 9  # detail: what would fit
+    FAULTS_CHANGED = 10  # detail: the faults now
+    FAULT_PERSISTS = 11  # detail: the faults whose cause is still there
+    BUSY = 12  # detail: what is busy
+    BAD_VERSION = 13  # detail: the major that the device speaks
+    UNKNOWN_NODE = 14  # detail: the node
+    NOT_SUPPORTED = 15
+    STORE_FAILED = 16
+
+
+class EventCode(IntEnum):
+    """What an EVENT reports."""
+
+    STATE_CHANGED = 1  # arg: the new DriveState
+    FAULT = 2  # arg: the bits that were added
+    SETPOINT_REJECTED = 3  # arg: the ErrorCode
+    ARM_LAPSED = 4  # arg: seconds that ARMED lasts
+
+
+Converter = Callable[[Any], Any]
+
+
+class Payload:
+    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`."""
+
+    __slots__ = ()
+    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
+    _CONVERT: ClassVar[dict[str, Converter]] = {}
+    _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
+
+    def pack(self) -> bytes:
+        """Return the payload; LocalProtocolError if a value does not fit its field."""
+        return self._pack_fixed([getattr(self, field.name) for field in fields(self)])  # type: ignore[arg-type]
+
+    def _pack_fixed(self, values: list[Any]) -> bytes:
+        wire = [_text_to_wire(value) if isinstance(value, str) else value for value in values]
+        try:
+            return self._LAYOUT.pack(*wire)
+        except (struct.error, OverflowError) as error:
+            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if the payload cannot be read as one."""
+        if not cls._GROWS and len(payload) != cls._LAYOUT.size:
+            raise cls._length_error(payload)
+        return cls(**cls._unpack_fixed(payload))
+
+    @classmethod
+    def _unpack_fixed(cls, payload: bytes) -> dict[str, Any]:
+        if len(payload) < cls._LAYOUT.size:
+            raise cls._length_error(payload)
+        values: dict[str, Any] = {}
+        for field, value in zip(fields(cls), cls._LAYOUT.unpack_from(payload), strict=False):  # type: ignore[arg-type]
+            convert = cls._CONVERT.get(field.name)
+            try:
+                values[field.name] = value if convert is None else convert(value)
+            except ValueError as error:
+                raise PayloadError(f"{cls.__name__}.{field.name}: {error}") from None
+        return values
+
+    @classmethod
+    def _length_error(cls, payload: bytes) -> PayloadError:
+        text = f"{cls.__name__} of {len(payload)} bytes, expected {cls._LAYOUT.size}"
+        return PayloadError(text, bad_length=True)
+
+
+class Message(Payload):
+    """A payload that belongs to one type of frame."""
+
+    __slots__ = ()
+    TYPE: ClassVar[MessageType]
+
+
+class Request(Message):
+    """A message from the host. Its length is exact: a device must not ignore what it does not know."""
+
+    __slots__ = ()
+    _GROWS: ClassVar[bool] = False
+
+
+def _text_to_wire(text: str) -> bytes:
+    return text.encode("utf-8", "replace")
+
+
+def _text_from_wire(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(Request):
+    """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes."""
+
+    TYPE = MessageType.HELLO
+    _LAYOUT = struct.Struct("<IBBH")
+    nonce: int
+    major_min: int = 1
+    major_max: int = 1
+    rx_max: int = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class HelloReply(Message):
+    """What the device is. `rx_max`, `tx_max`: payload bytes; `nodes`: the link has nodes 1..nodes."""
+
+    TYPE = MessageType.HELLO
+    _LAYOUT = struct.Struct("<IIBBHH2xIIIIBBBB16s16s")
+    nonce: int
+    boot_id: int
+    major: int
+    minor: int
+    rx_max: int
+    tx_max: int
+    features: Feature
+    schema_crc: int
+    tick_hz: int
+    pwm_hz: int
+    state: DriveState
+    node: int
+    role: Role
+    nodes: int
+    name: str
+    firmware: str
+    _CONVERT = {  # noqa: RUF012
+        "features": Feature,
+        "state": DriveState,
+        "role": Role,
+        "name": _text_from_wire,
+        "firmware": _text_from_wire,
+    }
+
+    @property
+    def ticks_per_period(self) -> int:
+        """Device ticks in a PWM period."""
+        return self.tick_hz // self.pwm_hz
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSync(Request):
+    """Asks for the device's tick counter."""
+
+    TYPE = MessageType.TIME_SYNC
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncReply(Message):
+    """Tick when the request had come, tick when the answer went."""
+
+    TYPE = MessageType.TIME_SYNC
+    _LAYOUT = struct.Struct("<QQ")
+    rx_tick: int
+    tx_tick: int
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat(Message):
+    """Health, 10 Hz. `watchdog_ms` is 0xFFFF when the watchdog is not at work; `tx_dropped` counts frames."""
+
+    TYPE = MessageType.HEARTBEAT
+    _LAYOUT = struct.Struct("<QIIIIIHHHHBB2x")
+    tick: int
+    boot_id: int
+    faults: Fault
+    first_fault: Fault
+    tx_dropped: int
+    rx_bad: int
+    setpoint_counter: int
+    setpoints_rejected: int
+    last_tid: int
+    watchdog_ms: int
+    state: DriveState
+    outputs_on: bool
+    _CONVERT = {"faults": Fault, "first_fault": Fault, "state": DriveState, "outputs_on": bool}  # noqa: RUF012
+
+
+@dataclass(frozen=True, slots=True)
+class Alive(Request):
+    """Feeds the watchdog; unacknowledged."""
+
+    TYPE = MessageType.ALIVE
+    _LAYOUT = struct.Struct("<I")
+    counter: int
+
+
+@dataclass(frozen=True, slots=True)
+class BlobRead(Request):
+    """Asks for `length` bytes of a blob from `offset`; blob 0 is the descriptor."""
+
+    TYPE = MessageType.BLOB_READ
+    _LAYOUT = struct.Struct("<BxHI")
+    id: int
+    length: int
+    offset: int
+
+
+@dataclass(frozen=True, slots=True)
+class BlobReply(Message):
+    """A part of a blob whose whole length is `total`; it may be shorter than what was asked for."""
+
+    TYPE = MessageType.BLOB_READ
+    _LAYOUT = struct.Struct("<BxHII")
+    id: int
+    length: int
+    offset: int
+    total: int
+    data: bytes
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        return self._pack_fixed([self.id, self.length, self.offset, self.total]) + self.data
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if `length` bytes are not there."""
+        values = cls._unpack_fixed(payload)
+        data = payload[cls._LAYOUT.size :]
+        if len(data) != values["length"]:
+            raise PayloadError(f"BlobReply with {len(data)} bytes, says {values['length']}", bad_length=True)
+        return cls(**values, data=data)
+
+
+@dataclass(frozen=True, slots=True)
+class ParamGet(Request):
+    """Asks for a parameter."""
+
+    TYPE = MessageType.PARAM_GET
+    _LAYOUT = struct.Struct("<H2x")
+    id: int
+
+
+@dataclass(frozen=True, slots=True)
+class ParamReply(Message):
+    """A parameter's value, range and default, all float32 in the parameter's unit."""
+
+    TYPE = MessageType.PARAM_GET
+    _LAYOUT = struct.Struct("<H2xffff")
+    id: int
+    value: float
+    lo: float
+    hi: float
+    default: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParamSet(Request):
+    """Sets a parameter."""
+
+    TYPE = MessageType.PARAM_SET
+    _LAYOUT = struct.Struct("<H2xf")
+    id: int
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParamStored(Message):
+    """The value that the device now uses."""
+
+    TYPE = MessageType.PARAM_SET
+    _LAYOUT = struct.Struct("<H2xf")
+    id: int
+    stored: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParamCommit(Request):
+    """Stores all parameters for the next boot."""
+
+    TYPE = MessageType.PARAM_COMMIT
+
+
+@dataclass(frozen=True, slots=True)
+class StateCommand(Request):
+    """Asks for a change of state. `argument`: the boot_id for ARM, the fault bits for FAULT_CLEAR, else 0."""
+
+    TYPE = MessageType.STATE_CMD
+    _LAYOUT = struct.Struct("<B3xI")
+    command: Command
+    argument: int = 0
+    _CONVERT = {"command": Command}  # noqa: RUF012
+
+
+@dataclass(frozen=True, slots=True)
+class StateReply(Message):
+    """The state after the command."""
+
+    TYPE = MessageType.STATE_CMD
+    _LAYOUT = struct.Struct("<B3x")
+    state: DriveState
+    _CONVERT = {"state": DriveState}  # noqa: RUF012
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint(Request):
+    """What to do while RUNNING; unacknowledged, counted in the heartbeat."""
+
+    TYPE = MessageType.SETPOINT
+    _LAYOUT = struct.Struct("<BxHff")
+    mode: SetpointMode
+    counter: int
+    value: float
+    value2: float = 0.0
+    _CONVERT = {"mode": SetpointMode}  # noqa: RUF012
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSet(Request):
+    """Configures a stopped stream: which channels, how often, how late at most."""
+
+    TYPE = MessageType.STREAM_SET
+    _LAYOUT = struct.Struct("<BBHHH")
+    stream: int
+    event: StreamEvent
+    decimation: int
+    max_latency_ms: int
+    channels: tuple[int, ...] = ()
+    _CONVERT = {"event": StreamEvent}  # noqa: RUF012
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        n = len(self.channels)
+        fixed = self._pack_fixed([self.stream, self.event, self.decimation, self.max_latency_ms, n])
+        try:
+            return fixed + struct.pack(f"<{n}H", *self.channels)
+        except struct.error as error:
+            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if the number of channels disagrees with the length."""
+        values = cls._unpack_fixed(payload)
+        n = values.pop("channels")
+        ids = payload[cls._LAYOUT.size :]
+        if len(ids) != 2 * n:
+            raise PayloadError(f"StreamSet with {len(ids)} bytes of ids for {n} channels", bad_length=True)
+        return cls(**values, channels=struct.unpack(f"<{n}H", ids))
+
+
+@dataclass(frozen=True, slots=True)
+class StreamReply(Message):
+    """The stream as configured. `block`: most samples in a frame; `load`: share of the link, 0 = unknown."""
+
+    TYPE = MessageType.STREAM_SET
+    _LAYOUT = struct.Struct("<BxHHHf")
+    stream: int
+    cfg_id: int
+    sample_bytes: int
+    block: int
+    load: float
+
+
+@dataclass(frozen=True, slots=True)
+class StreamStart(Request):
+    """Starts the streams whose bits are set."""
+
+    TYPE = MessageType.STREAM_START
+    _LAYOUT = struct.Struct("<I")
+    mask: int
+
+
+@dataclass(frozen=True, slots=True)
+class StreamStop(Request):
+    """Stops the streams whose bits are set and forgets their configuration."""
+
+    TYPE = MessageType.STREAM_STOP
+    _LAYOUT = struct.Struct("<I")
+    mask: int = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Empty(Payload):
+    """The reply that says no more than "done"."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorReply(Payload):
+    """A refusal of a request of type `request`. An unknown code stays a plain number."""
+
+    _LAYOUT = struct.Struct("<HBxf")
+    code: int
+    request: int
+    detail: float = 0.0
+
+    def __str__(self) -> str:
+        """One line for people."""
+        try:
+            name = ErrorCode(self.code).name
+        except ValueError:
+            name = f"error {self.code}"
+        return f"{name} ({self.detail:g})"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceEvent(Message):
+    """Something happened at `tick`. An unknown code stays a plain number."""
+
+    TYPE = MessageType.EVENT
+    _LAYOUT = struct.Struct("<QHBxf")
+    tick: int
+    code: int
+    node: int
+    arg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Message):
+    """A line of text; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug."""
+
+    TYPE = MessageType.LOG
+    _LAYOUT = struct.Struct("<B")
+    level: int
+    text: str
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        return self._pack_fixed([self.level]) + _text_to_wire(self.text)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message."""
+        return cls(**cls._unpack_fixed(payload), text=payload[1:].decode("utf-8", "replace"))
+
+
+REQUESTS: dict[int, type[Request]] = {
+    cls.TYPE: cls
+    for cls in (
+        Hello, TimeSync, Alive, BlobRead, ParamGet, ParamSet, ParamCommit,
+        StateCommand, Setpoint, StreamSet, StreamStart, StreamStop,
+    )
+}  # fmt: skip
+UNACKNOWLEDGED = frozenset({MessageType.ALIVE, MessageType.SETPOINT})
+
+REPLIES: dict[int, type[Payload]] = {
+    MessageType.HELLO: HelloReply,
+    MessageType.TIME_SYNC: TimeSyncReply,
+    MessageType.BLOB_READ: BlobReply,
+    MessageType.PARAM_GET: ParamReply,
+    MessageType.PARAM_SET: ParamStored,
+    MessageType.PARAM_COMMIT: Empty,
+    MessageType.STATE_CMD: StateReply,
+    MessageType.STREAM_SET: StreamReply,
+    MessageType.STREAM_START: Empty,
+    MessageType.STREAM_STOP: Empty,
+}
+UNSOLICITED: dict[int, type[Message]] = {cls.TYPE: cls for cls in (Heartbeat, DeviceEvent, Log)}
