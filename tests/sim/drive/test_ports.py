@@ -1,0 +1,158 @@
+"""The ports of the simulated drive, with the project's own links at the other end."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import LinkClosed, LinkError, LinkNotFound
+from protocol.links import open_link
+from sim.drive.ports import Port, PtyPort, TcpPort
+
+
+def wait(port: Port) -> None:
+    assert select.select(port.read_fds(), [], [], 5.0)[0], "nothing came within 5 s"
+
+
+@pytest.fixture(params=["pty", "link", "baud", "tcp"])
+def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Port]:
+    made: dict[str, Port] = {
+        "pty": PtyPort(),
+        "link": PtyPort(tmp_path / "ttySIM"),
+        "baud": PtyPort(baud=921_600),
+        "tcp": TcpPort("127.0.0.1", 0),
+    }
+    yield made[request.param]
+    for each in made.values():
+        each.close()
+
+
+def test_its_target_string_opens_it(port: Port) -> None:
+    link = open_link(port.target)
+    port.read()  # lets a TCP client in
+    link.write(bytes(range(256)))
+    wait(port)
+    assert port.read() == bytes(range(256))
+    assert port.write(bytes(range(256))) == 256
+    assert link.read(5.0) == bytes(range(256))
+    link.close()
+
+
+def test_a_host_comes_goes_and_comes_back(port: Port) -> None:
+    for n in range(3):
+        link = open_link(port.target)
+        port.read()
+        sent = b"visit %d" % n
+        link.write(sent)
+        wait(port)
+        assert port.read() == sent
+        link.close()
+        if isinstance(port, TcpPort):
+            wait(port)
+        assert port.read() == b""
+
+
+def test_nothing_blocks_when_nobody_reads(port: Port) -> None:
+    link = open_link(port.target)
+    port.read()
+    total = 0
+    for _ in range(20_000):
+        taken = port.write(bytes(4096))
+        total += taken
+        if taken == 0:
+            break
+    assert taken == 0, f"{total} bytes taken and still no end"
+    link.close()
+
+
+def test_unplug_and_plug(port: Port) -> None:
+    link = open_link(port.target)
+    port.read()
+    port.unplug()
+    assert port.read() == b""
+    assert port.write(b"into the void") == 13
+    assert port.read_fds() == []
+    with pytest.raises(LinkClosed):
+        link.read(5.0)
+    with pytest.raises(LinkNotFound):
+        link.reopen()
+    port.plug()
+    if not isinstance(port, PtyPort) or "ttySIM" in port.target:
+        link.reopen()  # same name
+    else:
+        link = open_link(port.target)
+    port.read()
+    port.write(b"back")
+    assert link.read(5.0) == b"back"
+    link.close()
+
+
+def test_link_replaces_a_link_but_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "ttySIM"
+    path.symlink_to("/nowhere")
+    port = PtyPort(path)
+    assert os.readlink(path).startswith("/dev/")
+    port.close()
+    assert not path.is_symlink()
+    path.write_text("precious")
+    with pytest.raises(LinkError, match="cannot make the link"):
+        PtyPort(path)
+    assert path.read_text() == "precious"
+
+
+def test_link_of_another_drive_is_left_alone(tmp_path: Path) -> None:
+    first = PtyPort(tmp_path / "ttySIM")
+    second = PtyPort(tmp_path / "ttySIM")
+    first.close()
+    assert (tmp_path / "ttySIM").is_symlink()
+    second.close()
+    assert not (tmp_path / "ttySIM").is_symlink()
+
+
+def test_wrong_rate_is_rubbish_both_ways() -> None:
+    port = PtyPort(baud=921_600)
+    link = open_link(port.target.replace("921600", "115200"))
+    text = b"HELLO, drive"
+    port.write(text)
+    assert link.read(0.0) != text
+    link.write(text)
+    wait(port)
+    assert port.read() != text
+    link.close()
+    port.close()
+
+
+def test_second_tcp_client_is_closed_and_the_next_takes_over() -> None:
+    port = TcpPort("127.0.0.1", 0)
+    first = open_link(port.target)
+    port.read()
+    second = open_link(port.target)
+    wait(port)
+    port.read()
+    with pytest.raises(LinkClosed, match="is another program connected"):
+        second.read(5.0)
+    port.write(b"still here")
+    assert first.read(5.0) == b"still here"
+    assert port.refused == 1
+    first.close()
+    wait(port)
+    port.read()
+    second.reopen()
+    wait(port)
+    port.read()
+    port.write(b"your turn")
+    assert second.read(5.0) == b"your turn"
+    second.close()
+    port.close()
+
+
+def test_tcp_port_in_use() -> None:
+    port = TcpPort("127.0.0.1", 0)
+    number = int(port.target.rpartition(":")[2])
+    with pytest.raises(LinkError, match=f"cannot listen on tcp:127.0.0.1:{number}: Address already in use"):
+        TcpPort("127.0.0.1", number)
+    port.close()
