@@ -1,7 +1,8 @@
 """Where the simulated drive can be plugged in: a pty, which looks like a serial port, or a TCP port.
 
-A port never blocks: it gives what has arrived and takes what fits. It knows no frames. There is no waiting for
-a port to take more: a full pty says that it is writable and is not, so the server tries again at its next step.
+A port never blocks: it gives what has arrived and takes what fits. It knows no frames. There is no waiting
+for a port to take more: a full pty says that it is writable and is not, so the server tries again at its next
+step.
 """
 
 from __future__ import annotations
