@@ -28,15 +28,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
 
-# Sources without kernels and without constants that kernels take in: an edit there keeps the cache.
-_NO_KERNELS = frozenset(
-    {"params.py", "drive/machine.py", "drive/device.py", "drive/virtual.py", "drive/server.py"}
-)
+# Of `sim/drive` only the control tick is made of kernels; links, servers and parameters are not.
+_PLAIN = ("drive", "params.py")
+_KERNELS_IN_DRIVE = "drive/tick*.py"
 
 
 def _kernel_sources() -> list[Path]:
-    sources = [p for p in _HERE.rglob("*.py") if p.relative_to(_HERE).as_posix() not in _NO_KERNELS]
-    return [*sorted(sources), _HERE.parent / "protocol" / "signals.py"]
+    sources = [p for p in _HERE.rglob("*.py") if p.relative_to(_HERE).parts[0] not in _PLAIN]
+    return [
+        *sorted(sources),
+        *sorted(_HERE.glob(_KERNELS_IN_DRIVE)),
+        _HERE.parent / "protocol" / "signals.py",
+    ]
 
 
 @cache
@@ -101,7 +104,7 @@ def _prepare() -> str:
 
 
 def jit(function: F) -> F:
-    """Compile a kernel: `numba.njit(cache=True, nogil=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
+    """Compile a kernel: `numba.njit(cache=True, nogil=True, forceinline=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
 
     Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the
     plain function agree bit for bit. Division by zero raises, as in Python. Where no cache can be written, it
@@ -115,9 +118,9 @@ def jit(function: F) -> F:
     before = config.CACHE_DIR
     config.CACHE_DIR = directory or before
     try:
-        compiled = numba.njit(cache=bool(directory), nogil=True, fastmath=False)(function)
+        compiled = numba.njit(cache=bool(directory), nogil=True, fastmath=False, forceinline=True)(function)
     except RuntimeError:  # numba: "no locator available", the directory became unwritable
-        compiled = numba.njit(nogil=True, fastmath=False)(function)
+        compiled = numba.njit(nogil=True, fastmath=False, forceinline=True)(function)
     finally:
         config.CACHE_DIR = before
     return cast("F", compiled)

@@ -39,6 +39,8 @@ def test_edit_outside_kernels_keeps_the_hash(tmp_path: Path, monkeypatch: pytest
     first = numba_cache.source_hash.__wrapped__()
     (package / "drive" / "server.py").write_text("x = 1\n")
     assert numba_cache.source_hash.__wrapped__() == first
+    (package / "drive" / "tick.py").write_text("x = 1\n")
+    assert numba_cache.source_hash.__wrapped__() != first
 
 
 def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,144 @@
+"""Parameters of the bench: defaults, files and overrides over them, and what is refused in which words."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS
+from sim.params import BenchParams, ConfigError, load_params
+
+
+def test_defaults_are_the_papers_motor() -> None:
+    motor = load_params().motor
+    assert (motor.R_s, motor.L_d, motor.L_q, motor.psi_f, motor.n_p) == (0.158, 176e-6, 176e-6, 6.55e-3, 6)
+    assert load_params().hall.delta_deg == (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+    assert load_params().clock.period_ticks == 1250
+
+
+def test_every_parameter_of_the_protocol_has_a_value() -> None:
+    params = load_params()
+    assert params.firmware.parameters().keys() == {p.name for p in DRIVE_PARAMETERS}
+    assert params.load.parameters().keys() == {p.name for p in LOAD_PARAMETERS}
+
+
+def test_file_then_overrides_replace_single_keys(tmp_path: Path) -> None:
+    file = tmp_path / "my.toml"
+    file.write_text("[motor]\nR_s = 1\n[firmware.vector_tracking]\nk_p_vt = 10\nk_i_vt = 20\n")
+    params = load_params(file, {"firmware.vector_tracking.k_p_vt": 11, "hall.jitter_deg": 0})
+    assert params.motor.R_s == 1.0
+    assert isinstance(params.motor.R_s, float)
+    assert params.motor.psi_f == 6.55e-3
+    assert params.firmware.vector_tracking.k_p_vt == 11.0
+    assert params.firmware.vector_tracking.k_i_vt == 20.0
+    assert params.hall.jitter_deg == 0.0
+
+
+def test_params_are_frozen() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        load_params().motor.R_s = 1.0  # type: ignore[misc]
+
+
+def refusal(key: str, value: object) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_params(None, {key: value})  # type: ignore[dict-item]
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("motor.R_s", -1, "R_s must be > 0 ohm, got -1 (motor.R_s in overrides)"),
+        ("motor.L_d", float("nan"), "L_d must be > 0 H, got nan (motor.L_d in overrides)"),
+        ("motor.n_p", 6.5, "n_p must be a whole number between 1 and 64, got 6.5 (motor.n_p in overrides)"),
+        ("motor.R_s", True, "R_s must be > 0 ohm, got True (motor.R_s in overrides)"),
+        ("motor.R_s", "1", "R_s must be > 0 ohm, got '1' (motor.R_s in overrides)"),
+        (
+            "firmware.observer",
+            3,
+            "observer must be a whole number between 0 and 2, got 3 (firmware.observer in overrides)",
+        ),
+        (
+            "firmware.vector_tracking.tau_max",
+            1.0,
+            "tau_max must be between 0 and 0.1 s, got 1 (firmware.vector_tracking.tau_max in overrides)",
+        ),
+        (
+            "hall.delta_deg",
+            [1, 2],
+            "delta_deg must be a list of 6 numbers, got [1, 2] (hall.delta_deg in overrides)",
+        ),
+        (
+            "hall.delta_deg",
+            [0, 0, 0, 99, 0, 0],
+            "delta_deg[3] must be between -29 and 29 deg, got 99 (hall.delta_deg in overrides)",
+        ),
+        ("motor.r_s", 1, "unknown key motor.r_s in overrides; did you mean motor.R_s?"),
+        ("motr.R_s", 1, "unknown key motr in overrides; did you mean motor?"),
+        (
+            "firmware.vector_tracking.kp_vt",
+            1,
+            "unknown key firmware.vector_tracking.kp_vt in overrides; did you mean "
+            "firmware.vector_tracking.k_p_vt?",
+        ),
+        (
+            "mechanics.colour",
+            1,
+            "unknown key mechanics.colour in overrides; allowed here: J, b, tau_coulomb, theta_0_deg",
+        ),
+        ("motor", 3, "motor is a section, got 3 (in overrides)"),
+        (
+            "clock.pwm_hz",
+            16001,
+            "tick_hz must be a whole multiple of pwm_hz = 16001 Hz, got 20000000 (clock in overrides)",
+        ),
+        (
+            "firmware.protection.u_dc_min",
+            40.0,
+            "u_dc_min must be < u_dc_max = 32 V, got 40 (firmware.protection in overrides)",
+        ),
+        (
+            "firmware.vector_tracking.omega_off",
+            40.0,
+            "omega_off must be <= omega_on = 20 rad/s, got 40 (firmware.vector_tracking in overrides)",
+        ),
+    ],
+)
+def test_refusals_name_value_range_and_key(key: str, value: object, message: str) -> None:
+    assert refusal(key, value) == message
+
+
+def test_sectors_may_not_vanish() -> None:
+    assert "sector 2 only 3 deg wide" in refusal(
+        "hall", {"delta_deg": [0, -28, 29, 0, 0, 0], "hysteresis_deg": 5}
+    )
+
+
+def test_refusal_names_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text("[motor]\nR_s = -1\n")
+    with pytest.raises(ConfigError, match=r"^R_s must be > 0 ohm, got -1 \(motor.R_s in bad.toml\)$"):
+        load_params(file)
+
+
+@pytest.mark.parametrize("content", [b"[motor\n", b"\xff\xfe"])
+def test_broken_toml(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"bad.toml is not valid TOML"):
+        load_params(file)
+
+
+def test_missing_file_and_directory(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no configuration file"):
+        load_params(tmp_path / "absent.toml")
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_params(tmp_path)
+
+
+def test_replace_is_checked_too() -> None:
+    params = load_params()
+    with pytest.raises(ConfigError, match=r"^J must be > 0 kg m2, got 0$"):
+        dataclasses.replace(params.mechanics, J=0.0)
+    assert isinstance(params, BenchParams)
