@@ -1,8 +1,8 @@
 """The descriptor: what a drive can telemeter and which parameters it has, as 32-byte records.
 
-The device's own table goes out as blob 0, and its CRC-32 is the `schema_crc` of HELLO. A host builds everything
-from the descriptor that it read and nothing from `protocol.signals`. Ranges and values of parameters are not in
-it: they come with PARAM_GET. This module never does I/O.
+The device's own table goes out as blob 0, and its CRC-32 is the `schema_crc` of HELLO. A host builds
+everything from the descriptor that it read and nothing from `protocol.signals`. Ranges and values of
+parameters are not in it: they come with PARAM_GET. This module never does I/O.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Frames on a byte link: `00 | COBS(header, payload, crc32) | 00`.
 
 `encode_frame` makes one, `Deframer` finds them in a stream that may hold noise, halves and damage. A damaged
-frame is dropped and counted; a frame that comes out is byte for byte what was sent. This module never looks into
-a payload, does no I/O and keeps at most one frame's length of bytes.
+frame is dropped and counted; a frame that comes out is byte for byte what was sent. This module never looks
+into a payload, does no I/O and keeps at most one frame's length of bytes.
 """
 
 from __future__ import annotations

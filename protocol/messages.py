@@ -1,8 +1,9 @@
 """The messages: one frozen dataclass each, with `pack()` to a payload and `unpack()` from one.
 
-Layouts are little-endian with explicit padding, as in SPEC.md. A request must have exactly its length; a reply or
-an unsolicited message may be longer than known here, because a later minor version may append fields. The payloads
-of DATA and EDGES are in `protocol.streams`. This module knows no framing, no session and no time.
+Layouts are little-endian with explicit padding, as in SPEC.md. A request must have exactly its length; a
+reply or an unsolicited message may be longer than known here, because a later minor version may append
+fields. The payloads of DATA and EDGES are in `protocol.streams`. This module knows no framing, no session
+and no time.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from protocol.errors import LocalProtocolError, RemoteProtocolError
 class PayloadError(RemoteProtocolError, ValueError):
     """A payload that cannot be read: wrong length, or a value that the message does not have."""
 
-    def __init__(self, message: str, bad_length: bool = False) -> None:
+    def __init__(self, message: str, bad_length: bool = False, value: float = 0.0) -> None:
         super().__init__(message)
         self.bad_length = bad_length
+        self.value = value
 
 
 class MessageType(IntEnum):
@@ -177,7 +179,7 @@ class Payload:
             try:
                 values[field.name] = value if convert is None else convert(value)
             except ValueError as error:
-                raise PayloadError(f"{cls.__name__}.{field.name}: {error}") from None
+                raise PayloadError(f"{cls.__name__}.{field.name}: {error}", value=value) from None
         return values
 
     @classmethod
@@ -210,9 +212,13 @@ def _text_from_wire(raw: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Hello(Request):
-    """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes."""
+    """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes.
+
+    The layout is the same in every major version; a later one may append to it.
+    """
 
     TYPE = MessageType.HELLO
+    _GROWS = True
     _LAYOUT = struct.Struct("<IBBH")
     nonce: int
     major_min: int = 1
@@ -320,6 +326,7 @@ class BlobReply(Message):
 
     TYPE = MessageType.BLOB_READ
     _LAYOUT = struct.Struct("<BxHII")
+    FIXED_BYTES = _LAYOUT.size  # before the data
     id: int
     length: int
     offset: int

@@ -1,0 +1,383 @@
+"""The device's end of a session, without I/O: one `DeviceSession` a node, one `DeviceLink` a link.
+
+Requests are answered at most once: the last four replies are kept and sent again to a repeated request. Every
+refusal is an explicit code; silence follows only a damaged frame. Time is the device's own tick, an argument.
+This module never controls a motor: that is the `DeviceApp`'s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.descriptor import Descriptor
+from protocol.device_app import DeviceApp, Identity
+from protocol.device_state import StateMachine
+from protocol.device_streams import StreamTable
+from protocol.device_tx import TxQueue
+from protocol.errors import Refused
+from protocol.framing import (
+    ERROR,
+    MAJOR,
+    MINOR,
+    REPLY,
+    Deframer,
+    Frame,
+    FramingCounters,
+    encode_frame,
+    parse_frame,
+)
+from protocol.messages import (
+    REQUESTS,
+    UNACKNOWLEDGED,
+    Alive,
+    BlobRead,
+    BlobReply,
+    DeviceEvent,
+    DriveState,
+    Empty,
+    ErrorCode,
+    ErrorReply,
+    EventCode,
+    Fault,
+    Heartbeat,
+    Hello,
+    HelloReply,
+    Log,
+    Message,
+    MessageType,
+    ParamCommit,
+    ParamGet,
+    ParamReply,
+    ParamSet,
+    ParamStored,
+    Payload,
+    PayloadError,
+    Request,
+    Setpoint,
+    StateCommand,
+    StateReply,
+    StreamSet,
+    StreamStart,
+    StreamStop,
+    TimeSync,
+    TimeSyncReply,
+)
+from protocol.signals import Flag, Parameter
+
+__all__ = ["DeviceApp", "DeviceLink", "DeviceSession", "Identity", "TxQueue"]
+
+HEARTBEATS_PER_SECOND = 10
+REPLIES_KEPT = 4
+MIN_RX_MAX = 128  # a host takes at least this payload
+
+_ALWAYS_FRESH = (MessageType.HELLO, MessageType.TIME_SYNC)  # change nothing, and an old answer would mislead
+
+
+class DeviceSession:
+    """One device on a link. `link_counters` are those of the link's deframer, for the heartbeat."""
+
+    def __init__(
+        self, app: DeviceApp, identity: Identity, tx: TxQueue | None = None,
+        link_counters: FramingCounters | None = None,
+    ) -> None:  # fmt: skip
+        if identity.tick_hz % identity.pwm_hz:
+            raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
+        self.app = app
+        self.identity = identity
+        self.nodes = 1  # on the link
+        self.tx = TxQueue() if tx is None else tx
+        self.descriptor = Descriptor.of(app.channels, app.parameters)
+        self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self.event)
+        self.streams = StreamTable(identity, app.channels, self.tx)
+        self.ignored = 0  # frames that are replies themselves
+        self.setpoints_rejected = 0
+        self._link_counters = FramingCounters() if link_counters is None else link_counters
+        self._blob = self.descriptor.pack()
+        self._parameters = {parameter.id: parameter for parameter in app.parameters}
+        self._tick = 0
+        self._next_heartbeat = 0
+        self._setpoint_counter = 0
+        self._last_tid = 0
+        self._nonce: int | None = None
+        self._tx_max = identity.tx_max
+        self._replies: deque[tuple[bytes, bytes]] = deque(maxlen=REPLIES_KEPT)
+        self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
+            Hello: self._hello,
+            TimeSync: self._time_sync,
+            Alive: self._alive,
+            BlobRead: self._blob_read,
+            ParamGet: self._param_get,
+            ParamSet: self._param_set,
+            ParamCommit: self._param_commit,
+            StateCommand: self._state_command,
+            Setpoint: self._setpoint,
+            StreamSet: self._stream_set,
+            StreamStart: self._stream_start,
+            StreamStop: self._stream_stop,
+        }
+
+    @property
+    def state(self) -> DriveState:
+        """The state now."""
+        return self.machine.state
+
+    def advance(self, tick: int) -> None:
+        """Let time pass up to the device's 64-bit `tick`: watchdog, lapse, late stream blocks, heartbeat."""
+        self._tick = tick
+        self.machine.advance(tick)
+        self.streams.advance(tick)
+        if tick >= self._next_heartbeat:
+            period = self.identity.tick_hz // HEARTBEATS_PER_SECOND
+            self._next_heartbeat = tick - tick % period + period
+            frame = Frame(MessageType.HEARTBEAT, MAJOR, 0, self.identity.node, self.heartbeat().pack())
+            self.tx.put_latest(self.identity.node, encode_frame(frame))
+
+    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+        """Take n samples of consecutive PWM periods, one field per channel of the app, in its order.
+
+        `index0`, `tick0`: PWM-period count and tick of the first. All edges up to the last sample's tick
+        must have been pushed before.
+        """
+        self.streams.push_samples(index0, tick0, raw)
+
+    def push_edges(self, records: NDArray[np.void]) -> None:
+        """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD` (see `pack_edges`)."""
+        self.streams.push_edges(records, self._tick)
+
+    def fault(self, bits: Fault) -> None:
+        """Latch faults: outputs off, state FAULT."""
+        self.machine.fault(bits)
+
+    def event(self, code: EventCode, arg: float = 0.0) -> None:
+        """Send an EVENT."""
+        self._send(DeviceEvent(self._tick, code, self.identity.node, arg))
+
+    def log(self, level: int, text: str) -> None:
+        """Send a LOG."""
+        self._send(Log(level, text[: self._tx_max // 4]))
+
+    def heartbeat(self) -> Heartbeat:
+        """Return the health as of now."""
+        machine = self.machine
+        return Heartbeat(
+            tick=self._tick,
+            boot_id=self.identity.boot_id,
+            faults=machine.faults,
+            first_fault=machine.first_fault,
+            tx_dropped=self.streams.dropped & 0xFFFFFFFF,
+            rx_bad=self._link_counters.bad & 0xFFFFFFFF,
+            setpoint_counter=self._setpoint_counter,
+            setpoints_rejected=self.setpoints_rejected & 0xFFFF,
+            last_tid=self._last_tid,
+            watchdog_ms=machine.watchdog_ms(self._tick),
+            state=machine.state,
+            outputs_on=self.app.outputs_on,
+        )
+
+    def data_to_send(self, limit: int | None = None) -> bytes:
+        """Return and forget the bytes that wait for the link, at most `limit`."""
+        return self.tx.take(limit)
+
+    def receive_frames(self, frames: Iterable[bytes]) -> None:
+        """Handle frames (header + payload each) that are meant for this node."""
+        for raw in frames:
+            self._receive(raw, parse_frame(raw))
+
+    def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
+        """Answer a frame with an error; return the answer's bytes."""
+        return self._answer(frame, ErrorReply(code, frame.type, detail), REPLY | ERROR)
+
+    def _receive(self, raw: bytes, frame: Frame) -> None:
+        if frame.is_reply or frame.is_error:
+            self.ignored += 1
+            return
+        kind = REQUESTS.get(frame.type)
+        if frame.type != MessageType.HELLO and frame.major != MAJOR:
+            self.refuse(frame, ErrorCode.BAD_VERSION, MAJOR)
+        elif kind is None:
+            self.refuse(frame, ErrorCode.UNKNOWN_TYPE, frame.type)
+        elif (frame.tid == 0) != (frame.type in UNACKNOWLEDGED):
+            self.refuse(frame, ErrorCode.BAD_VALUE, frame.tid)
+        elif frame.tid == 0 or frame.type in _ALWAYS_FRESH:
+            self._execute(kind, frame)
+        else:
+            for seen, wire in self._replies:
+                if seen == raw:
+                    self.tx.put_control(wire)
+                    return
+            self._replies.append((raw, self._execute(kind, frame)))
+
+    def _execute(self, kind: type[Request], frame: Frame) -> bytes:
+        try:
+            reply = self._handlers[kind](kind.unpack(frame.payload))
+        except PayloadError as error:
+            if kind is Setpoint:
+                self._reject_setpoint(ErrorCode.BAD_LENGTH if error.bad_length else ErrorCode.BAD_VALUE)
+            if error.bad_length:
+                return self.refuse(frame, ErrorCode.BAD_LENGTH, len(frame.payload))
+            return self.refuse(frame, ErrorCode.BAD_VALUE, error.value)
+        except Refused as refusal:
+            return self.refuse(frame, ErrorCode(refusal.code), refusal.detail)
+        if reply is None:
+            return b""
+        self._last_tid = frame.tid
+        return self._answer(frame, reply, REPLY)
+
+    def _answer(self, frame: Frame, reply: Payload, flags: int) -> bytes:
+        wire = encode_frame(Frame(frame.type, MAJOR | flags, frame.tid, self.identity.node, reply.pack()))
+        self.tx.put_control(wire)
+        return wire
+
+    def _send(self, message: Message) -> None:
+        self.tx.put_control(encode_frame(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
+
+    def _hello(self, request: Hello) -> HelloReply:
+        if not request.major_min <= MAJOR <= request.major_max:
+            raise Refused("no common version", ErrorCode.BAD_VERSION, MAJOR)
+        if request.rx_max < MIN_RX_MAX:
+            raise Refused(f"rx_max {request.rx_max}", ErrorCode.OUT_OF_RANGE, MIN_RX_MAX)
+        identity = self.identity
+        self._tx_max = min(identity.tx_max, request.rx_max)
+        if request.nonce != self._nonce:  # a new host may use the same tids again
+            self._nonce = request.nonce
+            self._replies.clear()
+        return HelloReply(
+            nonce=request.nonce,
+            boot_id=identity.boot_id,
+            major=MAJOR,
+            minor=MINOR,
+            rx_max=identity.rx_max,
+            tx_max=self._tx_max,
+            features=identity.features,
+            schema_crc=self.descriptor.crc,
+            tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz,
+            state=self.state,
+            node=identity.node,
+            role=identity.role,
+            nodes=self.nodes,
+            name=identity.name,
+            firmware=identity.firmware,
+        )
+
+    def _time_sync(self, request: TimeSync) -> TimeSyncReply:
+        return TimeSyncReply(self._tick, self._tick)
+
+    def _alive(self, request: Alive) -> None:
+        self.machine.feed(self._tick)
+
+    def _setpoint(self, request: Setpoint) -> None:
+        try:
+            if self.state is not DriveState.RUNNING:
+                raise Refused("not RUNNING", ErrorCode.WRONG_STATE, self.state)
+            if not (math.isfinite(request.value) and math.isfinite(request.value2)):
+                raise Refused("not a number", ErrorCode.BAD_VALUE, request.value)
+            self.app.setpoint(request.mode, request.value, request.value2)
+        except Refused as refusal:
+            self._reject_setpoint(ErrorCode(refusal.code))
+            return
+        self._setpoint_counter = request.counter
+        self.machine.feed(self._tick)
+
+    def _reject_setpoint(self, code: ErrorCode) -> None:
+        self.setpoints_rejected += 1
+        self.event(EventCode.SETPOINT_REJECTED, float(code))
+
+    def _state_command(self, request: StateCommand) -> StateReply:
+        return StateReply(self.machine.command(request.command, request.argument, self._tick))
+
+    def _blob_read(self, request: BlobRead) -> BlobReply:
+        if request.id:
+            raise Refused(f"no blob {request.id}", ErrorCode.UNKNOWN_ID, request.id)
+        total = len(self._blob)
+        if request.offset > total:
+            raise Refused(f"offset {request.offset}", ErrorCode.OUT_OF_RANGE, total)
+        room = self._tx_max - BlobReply.FIXED_BYTES
+        data = self._blob[request.offset : request.offset + min(request.length, room)]
+        return BlobReply(0, len(data), request.offset, total, data)
+
+    def _parameter(self, number: int) -> Parameter:
+        parameter = self._parameters.get(number)
+        if parameter is None:
+            raise Refused(f"no parameter {number}", ErrorCode.UNKNOWN_ID, number)
+        return parameter
+
+    def _param_get(self, request: ParamGet) -> ParamReply:
+        parameter = self._parameter(request.id)
+        value, default = self.app.get_param(parameter.name), self.app.default_param(parameter.name)
+        return ParamReply(request.id, value, parameter.lo, parameter.hi, default)
+
+    def _param_set(self, request: ParamSet) -> ParamStored:
+        parameter, value = self._parameter(request.id), request.value
+        lo, hi = float(np.float32(parameter.lo)), float(np.float32(parameter.hi))
+        if parameter.flags & Flag.READ_ONLY:
+            raise Refused(f"{parameter.name} is read-only", ErrorCode.READ_ONLY, request.id)
+        if not math.isfinite(value) or (parameter.flags & Flag.WHOLE and value != round(value)):
+            raise Refused(f"{parameter.name} = {value}", ErrorCode.BAD_VALUE, value)
+        if not lo <= value <= hi:
+            raise Refused(f"{parameter.name} = {value}", ErrorCode.OUT_OF_RANGE, lo if value < lo else hi)
+        if parameter.flags & Flag.IDLE_ONLY and self.app.outputs_on:
+            raise Refused(f"{parameter.name} with outputs on", ErrorCode.WRONG_STATE, self.state)
+        self.app.set_param(parameter.name, value)
+        return ParamStored(request.id, self.app.get_param(parameter.name))
+
+    def _param_commit(self, request: ParamCommit) -> Empty:
+        if self.app.outputs_on:
+            raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
+        self.app.commit()
+        return Empty()
+
+    def _stream_set(self, request: StreamSet) -> Payload:
+        return self.streams.configure(request, self._tx_max)
+
+    def _stream_start(self, request: StreamStart) -> Empty:
+        self.streams.start(request.mask)
+        return Empty()
+
+    def _stream_stop(self, request: StreamStop) -> Empty:
+        self.streams.stop(request.mask)
+        return Empty()
+
+
+class DeviceLink:
+    """Several devices behind one byte link, the first of which answers to node 0."""
+
+    def __init__(self, tx: TxQueue | None = None) -> None:
+        self.tx = TxQueue() if tx is None else tx
+        self.deframer = Deframer()
+        self.sessions: dict[int, DeviceSession] = {}
+
+    def add(self, app: DeviceApp, identity: Identity) -> DeviceSession:
+        """Return the session of one more device; ValueError if its node is taken."""
+        if identity.node in self.sessions or not 1 <= identity.node <= 255:
+            raise ValueError(f"node {identity.node} is taken or not in 1..255")
+        session = DeviceSession(app, identity, self.tx, self.deframer.counters)
+        self.sessions[identity.node] = session
+        for each in self.sessions.values():
+            each.nodes = len(self.sessions)
+        return session
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the link, cut anywhere."""
+        for raw in self.deframer.feed(data):
+            first = next(iter(self.sessions.values()))
+            session = self.sessions.get(raw[6]) if raw[6] else first
+            if session is None:
+                first.refuse(parse_frame(raw), ErrorCode.UNKNOWN_NODE, raw[6])
+            else:
+                session.receive_frames((raw,))
+
+    def advance(self, tick: int) -> None:
+        """Let time pass up to the 64-bit `tick` for every device."""
+        for session in self.sessions.values():
+            session.advance(tick)
+
+    def data_to_send(self, limit: int | None = None) -> bytes:
+        """Return and forget the bytes that wait for the link, at most `limit`."""
+        return self.tx.take(limit)

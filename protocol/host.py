@@ -1,0 +1,356 @@
+"""The host's end of a session, without I/O: bytes and times in, events and bytes out.
+
+One request is outstanding at a time; it is repeated with the same tid until its reply comes or three tries
+are spent. Stream frames are not decoded here, only collected: one event per stream and call. Whatever
+arrives damaged, late or unasked is counted and dropped. This module never sleeps and never reads a clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from protocol.errors import LocalProtocolError
+from protocol.framing import (
+    CONNECT_PREAMBLE,
+    MAJOR,
+    Deframer,
+    Frame,
+    FramingCounters,
+    encode_frame,
+    parse_frame,
+)
+from protocol.messages import (
+    REPLIES,
+    UNACKNOWLEDGED,
+    UNSOLICITED,
+    DeviceEvent,
+    ErrorReply,
+    Heartbeat,
+    Hello,
+    HelloReply,
+    Log,
+    Message,
+    MessageType,
+    Payload,
+    PayloadError,
+    Request,
+    TimeSyncReply,
+)
+from protocol.streams import STREAM_OFFSET, TickReference
+
+TRIES = 3
+BASE_TIMEOUT = 0.1  # s, to which two round trips are added
+MAX_ROUND_TRIP = 1.0  # s, as far as timeouts go
+HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """The device answered `connect`."""
+
+    hello: HelloReply
+
+
+@dataclass(frozen=True, slots=True)
+class ReplyReceived:
+    """The reply to request `tid`; `round_trip` in s from its last transmission."""
+
+    tid: int
+    node: int
+    message: Payload
+    round_trip: float
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRefused:
+    """The device refused request `tid`."""
+
+    tid: int
+    node: int
+    error: ErrorReply
+
+
+@dataclass(frozen=True, slots=True)
+class RequestTimedOut:
+    """Request `tid` of type `type` had no reply after `tries` transmissions."""
+
+    tid: int
+    node: int
+    type: MessageType
+    tries: int
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatReceived:
+    """A device's health."""
+
+    node: int
+    heartbeat: Heartbeat
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceEventReceived:
+    """Something happened at a device."""
+
+    node: int
+    event: DeviceEvent
+
+
+@dataclass(frozen=True, slots=True)
+class LogReceived:
+    """A device's line of text."""
+
+    node: int
+    log: Log
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFrames:
+    """Frames of one stream (header + payload each), DATA or EDGES by `type`, in the order they came.
+
+    Edges come before the samples that they precede.
+    """
+
+    node: int
+    stream: int
+    type: MessageType
+    frames: list[bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Rebooted:
+    """A device has another boot_id than before: whatever was set up in it is gone."""
+
+    node: int
+    old: int
+    new: int
+
+
+Event = (
+    Connected
+    | ReplyReceived
+    | RequestRefused
+    | RequestTimedOut
+    | HeartbeatReceived
+    | DeviceEventReceived
+    | LogReceived
+    | StreamFrames
+    | Rebooted
+)
+
+
+@dataclass(slots=True)
+class HostCounters:
+    """Frames that were intact but dropped, and requests that were repeated."""
+
+    framing: FramingCounters
+    unexpected_replies: int = 0  # to no outstanding request, or to another nonce
+    malformed: int = 0  # payload that its message does not allow
+    unknown_types: int = 0
+    other_versions: int = 0
+    retries: int = 0
+
+
+@dataclass(slots=True)
+class _Pending:
+    message: Request
+    node: int
+    tid: int
+    wire: bytes
+    connecting: bool
+    sent: float
+    deadline: float
+    tries: int = 1
+
+
+class HostSession:
+    """One link's host end. Feed it with `receive_data` and `tick`; empty `next_event` and `data_to_send`."""
+
+    def __init__(self) -> None:
+        self.deframer = Deframer()
+        self.counters = HostCounters(self.deframer.counters)
+        self.hellos: dict[int, HelloReply] = {}  # newest reply by node
+        self.round_trip = 0.0  # s, smoothed
+        self._boot_ids: dict[int, int] = {}
+        self._references: dict[int, TickReference] = {}
+        self._events: deque[Event] = deque()
+        self._out: list[bytes] = []
+        self._pending: _Pending | None = None
+        self._tid = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request is outstanding."""
+        return self._pending is not None
+
+    def tick_reference(self, node: int) -> TickReference:
+        """Return the node's tick reference, kept fresh by its heartbeats and TIME_SYNC replies."""
+        return self._references.setdefault(node, TickReference())
+
+    def connect(self, nonce: int, now: float, node: int = 0) -> int:
+        """Say HELLO until it is answered; return the tid. What was outstanding is abandoned.
+
+        `nonce` must be new and unguessed by older traffic; `now` in s, of any monotonic clock.
+        """
+        self.deframer.reset()
+        self._pending = None
+        self._out.append(CONNECT_PREAMBLE)
+        return self._transmit(Hello(nonce), node, now, connecting=True)
+
+    def request(self, message: Request, node: int, now: float) -> int:
+        """Send a request and return its tid; node 0 is the device at the other end.
+
+        Raises LocalProtocolError if one is outstanding or the message is unacknowledged.
+        """
+        if self._pending is not None:
+            busy = self._pending.message.TYPE.name
+            raise LocalProtocolError(f"{message.TYPE.name} cannot be sent while {busy} waits for its reply")
+        if message.TYPE in UNACKNOWLEDGED:
+            raise LocalProtocolError(f"{message.TYPE.name} has no reply: use send")
+        return self._transmit(message, node, now, connecting=False)
+
+    def send(self, message: Request, node: int) -> None:
+        """Send an unacknowledged message (ALIVE, SETPOINT)."""
+        if message.TYPE not in UNACKNOWLEDGED:
+            raise LocalProtocolError(f"{message.TYPE.name} has a reply: use request")
+        self._out.append(encode_frame(Frame(message.TYPE, MAJOR, 0, node, message.pack())))
+
+    def cancel(self) -> None:
+        """Abandon the outstanding request, if any; a late reply counts as unexpected."""
+        self._pending = None
+
+    def data_to_send(self) -> bytes:
+        """Return and forget the bytes that are to be written."""
+        data = b"".join(self._out)
+        self._out.clear()
+        return data
+
+    def next_event(self) -> Event | None:
+        """Return and forget the oldest event, None if there is none."""
+        return self._events.popleft() if self._events else None
+
+    def next_deadline(self) -> float | None:
+        """Return when `tick` must be called at the latest, None if nothing is outstanding."""
+        return None if self._pending is None else self._pending.deadline
+
+    def tick(self, now: float) -> None:
+        """Repeat or give up the outstanding request, if it is time."""
+        pending = self._pending
+        if pending is None or now < pending.deadline:
+            return
+        if not pending.connecting and pending.tries >= TRIES:
+            self._pending = None
+            kind = pending.message.TYPE
+            self._events.append(RequestTimedOut(pending.tid, pending.node, kind, pending.tries))
+            return
+        self._out.append(pending.wire)
+        self.counters.retries += 1
+        pending.sent = now
+        pending.tries += 1
+        pending.deadline = now + self._timeout(pending.connecting, pending.tries)
+
+    def receive_data(self, data: bytes, now: float) -> None:
+        """Take bytes from the link, cut anywhere."""
+        groups: dict[tuple[int, int, int], list[bytes]] = {}
+        for raw in self.deframer.feed(data):
+            kind = raw[0]
+            if (kind == 0x40 or kind == 0x41) and raw[1] == MAJOR and len(raw) >= STREAM_OFFSET:
+                key = (kind, raw[6], raw[8])
+                if key in groups:
+                    groups[key].append(raw)
+                else:
+                    groups[key] = [raw]
+            else:
+                self._deliver(groups)
+                self._receive(parse_frame(raw), now)
+        self._deliver(groups)
+
+    def _deliver(self, groups: dict[tuple[int, int, int], list[bytes]]) -> None:
+        """Turn collected stream frames into events: edges first, so that they never trail samples."""
+        for kind in (MessageType.EDGES, MessageType.DATA):
+            for (each, node, stream), frames in groups.items():
+                if each == kind:
+                    self._events.append(StreamFrames(node, stream, kind, frames))
+        groups.clear()
+
+    def _receive(self, frame: Frame, now: float) -> None:
+        counters = self.counters
+        if frame.major != MAJOR and frame.type != MessageType.HELLO:
+            counters.other_versions += 1
+        elif frame.is_reply:
+            self._receive_reply(frame, now)
+        elif frame.type in UNSOLICITED:
+            try:
+                message = UNSOLICITED[frame.type].unpack(frame.payload)
+            except PayloadError:
+                counters.malformed += 1
+            else:
+                self._receive_unsolicited(frame.node, message)
+        elif frame.type in (MessageType.DATA, MessageType.EDGES):
+            counters.malformed += 1
+        else:
+            counters.unknown_types += 1
+
+    def _receive_unsolicited(self, node: int, message: Message) -> None:
+        if isinstance(message, Heartbeat):
+            self._note_boot(node, message.boot_id)
+            self.tick_reference(node).tick = message.tick
+            self._events.append(HeartbeatReceived(node, message))
+        elif isinstance(message, DeviceEvent):
+            self._events.append(DeviceEventReceived(node, message))
+        elif isinstance(message, Log):
+            self._events.append(LogReceived(node, message))
+
+    def _receive_reply(self, frame: Frame, now: float) -> None:
+        pending = self._pending
+        if pending is None or frame.tid != pending.tid or frame.type != pending.message.TYPE:
+            self.counters.unexpected_replies += 1
+            return
+        try:
+            message = (ErrorReply if frame.is_error else REPLIES[frame.type]).unpack(frame.payload)
+        except PayloadError:
+            self.counters.malformed += 1
+            return
+        if isinstance(message, ErrorReply):
+            self._pending = None
+            self._events.append(RequestRefused(frame.tid, frame.node, message))
+            return
+        foreign = isinstance(message, HelloReply) and message.nonce != getattr(pending.message, "nonce", None)
+        if foreign or pending.node not in (0, frame.node):
+            self.counters.unexpected_replies += 1
+            return
+        self._pending = None
+        round_trip = now - pending.sent
+        if pending.tries == 1:  # else it is unknown which transmission was answered
+            smoothed = 0.75 * self.round_trip + 0.25 * round_trip if self.round_trip else round_trip
+            self.round_trip = min(smoothed, MAX_ROUND_TRIP)
+        if isinstance(message, HelloReply):
+            self._note_boot(frame.node, message.boot_id)
+            self.hellos[frame.node] = message
+        elif isinstance(message, TimeSyncReply):
+            self.tick_reference(frame.node).tick = message.tx_tick
+        if pending.connecting and isinstance(message, HelloReply):
+            self._events.append(Connected(message))
+        else:
+            self._events.append(ReplyReceived(frame.tid, frame.node, message, round_trip))
+
+    def _note_boot(self, node: int, boot_id: int) -> None:
+        old = self._boot_ids.setdefault(node, boot_id)
+        if old != boot_id:
+            self._boot_ids[node] = boot_id
+            self._events.append(Rebooted(node, old, boot_id))
+
+    def _transmit(self, message: Request, node: int, now: float, connecting: bool) -> int:
+        tid = self._tid % 0xFFFF + 1
+        wire = encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
+        self._tid = tid
+        self._out.append(wire)
+        deadline = now + self._timeout(connecting, 1)
+        self._pending = _Pending(message, node, tid, wire, connecting, now, deadline)
+        return tid
+
+    def _timeout(self, connecting: bool, tries: int) -> float:
+        if connecting:
+            return HELLO_INTERVALS[min(tries, len(HELLO_INTERVALS)) - 1]
+        return BASE_TIMEOUT + 2 * self.round_trip

@@ -1,0 +1,102 @@
+"""A small but whole drive for the session tests: a table of parameters and a switch, no motor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from protocol.device import DeviceLink, DeviceSession, Identity, TxQueue
+from protocol.errors import Refused
+from protocol.messages import DriveState, ErrorCode, Fault, Feature, Role, SetpointMode
+from protocol.signals import Flag, Parameter, RawType, Signal, Unit
+
+TICKS = 1250  # in a PWM period
+CHANNELS = (
+    Signal(1, "hall", Unit.NONE, RawType.U8, 1.0, Flag.CHANNEL, ""),
+    Signal(2, "status", Unit.NONE, RawType.U8, 1.0, Flag.CHANNEL, ""),
+    Signal(3, "theta", Unit.RAD, RawType.I16, np.pi / 32768, Flag.CHANNEL | Flag.WRAPS, ""),
+    Signal(4, "i_a", Unit.A, RawType.I16, 1 / 1024, Flag.CHANNEL, ""),
+    Signal(5, "count", Unit.COUNT, RawType.U32, 1.0, Flag.CHANNEL, ""),
+)
+PARAMETERS = (
+    Parameter(101, "gain", Unit.NONE, 1e-4, 1e5, Flag.PARAMETER, ""),
+    Parameter(102, "n_p", Unit.NONE, 1, 64, Flag.PARAMETER | Flag.IDLE_ONLY | Flag.WHOLE, ""),
+    Parameter(103, "serial", Unit.NONE, 0, 1e6, Flag.PARAMETER | Flag.READ_ONLY, ""),
+    Parameter(104, "watchdog", Unit.S, 0.05, 1.0, Flag.PARAMETER | Flag.IDLE_ONLY, ""),
+)
+DEFAULTS = {"gain": 2.5, "n_p": 6.0, "serial": 42.0, "watchdog": 0.2}
+
+
+class SmallDrive:
+    """Implements `DeviceApp`; remembers what it was told."""
+
+    channels = CHANNELS
+    parameters = PARAMETERS
+
+    def __init__(self) -> None:
+        self.outputs_on = False
+        self.values = {name: float(np.float32(value)) for name, value in DEFAULTS.items()}
+        self.states: list[DriveState] = []
+        self.setpoints: list[tuple[SetpointMode, float, float]] = []
+        self.persisting = Fault(0)
+        self.commits = 0
+        self.calls = 0
+
+    def enter_state(self, state: DriveState) -> None:
+        self.states.append(state)
+        self.outputs_on = state is DriveState.RUNNING
+
+    def clear_faults(self, faults: Fault) -> Fault:
+        return faults & self.persisting
+
+    def setpoint(self, mode: SetpointMode, value: float, value2: float) -> None:
+        if mode is not SetpointMode.SPEED:
+            raise Refused("speed only", ErrorCode.NOT_SUPPORTED, mode)
+        if abs(value) > 300:
+            raise Refused("too fast", ErrorCode.OUT_OF_RANGE, 300)
+        self.setpoints.append((mode, value, value2))
+
+    def get_param(self, name: str) -> float:
+        return self.values[name]
+
+    def default_param(self, name: str) -> float:
+        return float(np.float32(DEFAULTS[name]))
+
+    def set_param(self, name: str, value: float) -> None:
+        self.calls += 1
+        self.values[name] = value
+
+    def commit(self) -> None:
+        self.commits += 1
+
+
+def identity(node: int = 1, boot_id: int = 0xB0071D, **changes: object) -> Identity:
+    values = {
+        "node": node,
+        "role": Role.DRIVE,
+        "name": "small",
+        "firmware": "1.0",
+        "boot_id": boot_id,
+        "features": Feature.EDGES,
+    }
+    return Identity(**(values | changes))
+
+
+def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink, DeviceSession, SmallDrive]:
+    """Return a link with one small drive that has booted."""
+    link = DeviceLink(tx)
+    app = SmallDrive()
+    session = link.add(app, identity(**changes))
+    link.advance(0)
+    return link, session, app
+
+
+def samples(index0: int, n: int) -> np.ndarray:
+    """Return n samples of all channels in which every value is a function of the index."""
+    index = index0 + np.arange(n)
+    raw = np.zeros(n, [(c.name, c.raw.dtype) for c in CHANNELS])
+    raw["hall"] = 1 + index % 6
+    raw["status"] = 3
+    raw["theta"] = index * 7 % 65536 - 32768
+    raw["i_a"] = index % 2001 - 1000
+    raw["count"] = index & 0xFFFFFFFF
+    return raw
