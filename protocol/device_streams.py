@@ -342,6 +342,7 @@ class StreamTable:
         return frame * self._identity.pwm_hz / (decimation * block)
 
     def _load(self, request: StreamSet, rate: float) -> float:
+        """Return the share of the link that all configured streams need, this one at `rate`; 0 if unknown."""
         if self._tx.capacity is None:
             return 0.0
         here = (self._identity.node, request.stream)
@@ -350,7 +351,7 @@ class StreamTable:
 
     def _smallest_decimation(self, request: StreamSet, size: int, room: int) -> int:
         """Return the smallest decimation at which the stream fits beside the others, 0 if none does."""
-        if request.event == StreamEvent.EDGES:
+        if request.event == StreamEvent.EDGES or self._load(request, 0.0) > MAX_LOAD:
             return 0
         for decimation in range(request.decimation + 1, 0x10000):
             if self._load(request, self._rate(request, size, room, decimation)) <= MAX_LOAD:

@@ -2,212 +2,39 @@
 
 Layouts are little-endian with explicit padding, as in SPEC.md. A request must have exactly its length; a
 reply or an unsolicited message may be longer than known here, because a later minor version may append
-fields. The payloads of DATA and EDGES are in `protocol.streams`. This module knows no framing, no session
-and no time.
+fields. The payloads of DATA and EDGES are in `protocol.streams`. The codes of `protocol.codes` can be
+imported from here. This module knows no framing, no session and no time.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from enum import IntEnum, IntFlag
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Self
 
-from protocol.errors import LocalProtocolError, RemoteProtocolError
+from protocol.codes import (
+    Command,
+    DriveState,
+    ErrorCode,
+    EventCode,
+    Fault,
+    Feature,
+    MessageType,
+    Role,
+    SetpointMode,
+    StreamEvent,
+)
+from protocol.errors import LocalProtocolError
+from protocol.payload import Message, Payload, PayloadError, Request, text_from_wire, text_to_wire
 
-
-class PayloadError(RemoteProtocolError, ValueError):
-    """A payload that cannot be read: wrong length, or a value that the message does not have."""
-
-    def __init__(self, message: str, bad_length: bool = False, value: float = 0.0) -> None:
-        super().__init__(message)
-        self.bad_length = bad_length
-        self.value = value
-
-
-class MessageType(IntEnum):
-    """Byte 0 of a frame."""
-
-    HELLO = 0x01
-    TIME_SYNC = 0x02
-    HEARTBEAT = 0x04
-    ALIVE = 0x05
-    BLOB_READ = 0x10
-    PARAM_GET = 0x11
-    PARAM_SET = 0x12
-    PARAM_COMMIT = 0x13
-    STATE_CMD = 0x20
-    SETPOINT = 0x21
-    STREAM_SET = 0x30
-    STREAM_START = 0x31
-    STREAM_STOP = 0x32
-    DATA = 0x40
-    EDGES = 0x41
-    EVENT = 0x42
-    LOG = 0x43
-
-
-class DriveState(IntEnum):
-    """State of a device; the outputs are on in RUNNING only."""
-
-    BOOT = 0
-    IDLE = 1
-    ARMED = 2
-    RUNNING = 3
-    FAULT = 4
-
-
-class Fault(IntFlag):
-    """Bits of a fault mask."""
-
-    WATCHDOG = 1  # no ALIVE or SETPOINT in time
-    OVERCURRENT = 2
-    OVERSPEED = 4
-    UNDERVOLTAGE = 8
-    OVERVOLTAGE = 16
-    HALL = 32
-    INTERNAL = 64
-
-
-class Command(IntEnum):
-    """What STATE_CMD asks for."""
-
-    ARM = 1
-    START = 2
-    STOP = 3
-    FAULT_CLEAR = 4
-
-
-class SetpointMode(IntEnum):
-    """What the values of a SETPOINT mean."""
-
-    SPEED = 1  # value: mechanical rad/s
-    CURRENT = 2  # value: i_q in A, value2: i_d in A
-    TORQUE = 3  # value: N·m (a load machine)
-
-
-class StreamEvent(IntEnum):
-    """What makes a stream take a record."""
-
-    PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
-    SLOW = 1  # reserved
-    EDGES = 2  # every Hall edge
-
-
-class Role(IntEnum):
-    """What a node is on the bench."""
-
-    DRIVE = 1
-    LOAD = 2
-
-
-class Feature(IntFlag):
-    """Optional abilities of a device, in HELLO."""
-
-    EDGES = 1  # timestamped Hall edges can be streamed
-    COMMIT = 2  # parameters can be stored for the next boot
-    SIMULATED = 4  # no hardware moves
-
-
-class ErrorCode(IntEnum):
-    """Why a request was refused; `detail` is the number that goes with it."""
-
-    UNKNOWN_TYPE = 1  # detail: the type
-    BAD_LENGTH = 2  # detail: the payload's length
-    BAD_VALUE = 3  # detail: the value
-    OUT_OF_RANGE = 4  # detail: the limit
-    WRONG_STATE = 5  # detail: the state
-    BAD_TOKEN = 6
-    UNKNOWN_ID = 7  # detail: the id
-    READ_ONLY = 8  # detail: the id
-    DOES_NOT_FIT = 9  # detail: what would fit
-    FAULTS_CHANGED = 10  # detail: the faults now
-    FAULT_PERSISTS = 11  # detail: the faults whose cause is still there
-    BUSY = 12  # detail: what is busy
-    BAD_VERSION = 13  # detail: the major that the device speaks
-    UNKNOWN_NODE = 14  # detail: the node
-    NOT_SUPPORTED = 15
-    STORE_FAILED = 16
-
-
-class EventCode(IntEnum):
-    """What an EVENT reports."""
-
-    STATE_CHANGED = 1  # arg: the new DriveState
-    FAULT = 2  # arg: the bits that were added
-    SETPOINT_REJECTED = 3  # arg: the ErrorCode
-    ARM_LAPSED = 4  # arg: seconds that ARMED lasts
-
-
-Converter = Callable[[Any], Any]
-
-
-class Payload:
-    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`."""
-
-    __slots__ = ()
-    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
-    _CONVERT: ClassVar[dict[str, Converter]] = {}
-    _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
-
-    def pack(self) -> bytes:
-        """Return the payload; LocalProtocolError if a value does not fit its field."""
-        return self._pack_fixed([getattr(self, field.name) for field in fields(self)])  # type: ignore[arg-type]
-
-    def _pack_fixed(self, values: list[Any]) -> bytes:
-        wire = [_text_to_wire(value) if isinstance(value, str) else value for value in values]
-        try:
-            return self._LAYOUT.pack(*wire)
-        except (struct.error, OverflowError) as error:
-            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """Return the message; PayloadError if the payload cannot be read as one."""
-        if not cls._GROWS and len(payload) != cls._LAYOUT.size:
-            raise cls._length_error(payload)
-        return cls(**cls._unpack_fixed(payload))
-
-    @classmethod
-    def _unpack_fixed(cls, payload: bytes) -> dict[str, Any]:
-        if len(payload) < cls._LAYOUT.size:
-            raise cls._length_error(payload)
-        values: dict[str, Any] = {}
-        for field, value in zip(fields(cls), cls._LAYOUT.unpack_from(payload), strict=False):  # type: ignore[arg-type]
-            convert = cls._CONVERT.get(field.name)
-            try:
-                values[field.name] = value if convert is None else convert(value)
-            except ValueError as error:
-                raise PayloadError(f"{cls.__name__}.{field.name}: {error}", value=value) from None
-        return values
-
-    @classmethod
-    def _length_error(cls, payload: bytes) -> PayloadError:
-        text = f"{cls.__name__} of {len(payload)} bytes, expected {cls._LAYOUT.size}"
-        return PayloadError(text, bad_length=True)
-
-
-class Message(Payload):
-    """A payload that belongs to one type of frame."""
-
-    __slots__ = ()
-    TYPE: ClassVar[MessageType]
-
-
-class Request(Message):
-    """A message from the host. Its length is exact: a device must not ignore what it does not know."""
-
-    __slots__ = ()
-    _GROWS: ClassVar[bool] = False
-
-
-def _text_to_wire(text: str) -> bytes:
-    return text.encode("utf-8", "replace")
-
-
-def _text_from_wire(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+__all__ = [
+    "Alive", "BlobRead", "BlobReply", "Command", "DeviceEvent", "DriveState", "Empty", "ErrorCode",
+    "ErrorReply", "EventCode", "Fault", "Feature", "Heartbeat", "Hello", "HelloReply", "Log", "Message",
+    "MessageType", "ParamCommit", "ParamGet", "ParamReply", "ParamSet", "ParamStored", "Payload",
+    "PayloadError", "REPLIES", "REQUESTS", "Request", "Role", "Setpoint", "SetpointMode", "StateCommand",
+    "StateReply", "StreamEvent", "StreamReply", "StreamSet", "StreamStart", "StreamStop", "TimeSync",
+    "TimeSyncReply", "UNACKNOWLEDGED", "UNSOLICITED",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +79,8 @@ class HelloReply(Message):
         "features": Feature,
         "state": DriveState,
         "role": Role,
-        "name": _text_from_wire,
-        "firmware": _text_from_wire,
+        "name": text_from_wire,
+        "firmware": text_from_wire,
     }
 
     @property
@@ -540,7 +367,7 @@ class Log(Message):
 
     def pack(self) -> bytes:
         """Return the payload."""
-        return self._pack_fixed([self.level]) + _text_to_wire(self.text)
+        return self._pack_fixed([self.level]) + text_to_wire(self.text)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:

@@ -1,0 +1,122 @@
+"""The numbers on the wire that have names: message types, states, faults, commands, error and event codes.
+
+This module holds no layout and no behaviour.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+
+class MessageType(IntEnum):
+    """Byte 0 of a frame."""
+
+    HELLO = 0x01
+    TIME_SYNC = 0x02
+    HEARTBEAT = 0x04
+    ALIVE = 0x05
+    BLOB_READ = 0x10
+    PARAM_GET = 0x11
+    PARAM_SET = 0x12
+    PARAM_COMMIT = 0x13
+    STATE_CMD = 0x20
+    SETPOINT = 0x21
+    STREAM_SET = 0x30
+    STREAM_START = 0x31
+    STREAM_STOP = 0x32
+    DATA = 0x40
+    EDGES = 0x41
+    EVENT = 0x42
+    LOG = 0x43
+
+
+class DriveState(IntEnum):
+    """State of a device; the outputs are on in RUNNING only."""
+
+    BOOT = 0
+    IDLE = 1
+    ARMED = 2
+    RUNNING = 3
+    FAULT = 4
+
+
+class Fault(IntFlag):
+    """Bits of a fault mask."""
+
+    WATCHDOG = 1  # no ALIVE or SETPOINT in time
+    OVERCURRENT = 2
+    OVERSPEED = 4
+    UNDERVOLTAGE = 8
+    OVERVOLTAGE = 16
+    HALL = 32
+    INTERNAL = 64
+
+
+class Command(IntEnum):
+    """What STATE_CMD asks for."""
+
+    ARM = 1
+    START = 2
+    STOP = 3
+    FAULT_CLEAR = 4
+
+
+class SetpointMode(IntEnum):
+    """What the values of a SETPOINT mean."""
+
+    SPEED = 1  # value: mechanical rad/s
+    CURRENT = 2  # value: i_q in A, value2: i_d in A
+    TORQUE = 3  # value: N·m (a load machine)
+
+
+class StreamEvent(IntEnum):
+    """What makes a stream take a record."""
+
+    PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
+    SLOW = 1  # reserved
+    EDGES = 2  # every Hall edge
+
+
+class Role(IntEnum):
+    """What a node is on the bench."""
+
+    DRIVE = 1
+    LOAD = 2
+
+
+class Feature(IntFlag):
+    """Optional abilities of a device, in HELLO."""
+
+    EDGES = 1  # timestamped Hall edges can be streamed
+    COMMIT = 2  # parameters can be stored for the next boot
+    SIMULATED = 4  # no hardware moves
+
+
+class ErrorCode(IntEnum):
+    """Why a request was refused; `detail` is the number that goes with it."""
+
+    UNKNOWN_TYPE = 1  # detail: the type
+    BAD_LENGTH = 2  # detail: the payload's length
+    BAD_VALUE = 3  # detail: the value
+    OUT_OF_RANGE = 4  # detail: the limit
+    WRONG_STATE = 5  # detail: the state
+    BAD_TOKEN = 6
+    UNKNOWN_ID = 7  # detail: the id
+    READ_ONLY = 8  # detail: the id
+    DOES_NOT_FIT = 9  # detail: what would fit
+    FAULTS_CHANGED = 10  # detail: the faults now
+    FAULT_PERSISTS = 11  # detail: the faults whose cause is still there
+    BUSY = 12  # detail: what is busy
+    BAD_VERSION = 13  # detail: the major that the device speaks
+    UNKNOWN_NODE = 14  # detail: the node
+    NOT_SUPPORTED = 15
+    STORE_FAILED = 16
+
+
+class EventCode(IntEnum):
+    """What an EVENT reports."""
+
+    STATE_CHANGED = 1  # arg: the new DriveState
+    FAULT = 2  # arg: the bits that were added
+    SETPOINT_REJECTED = 3  # arg: the ErrorCode
+    ARM_LAPSED = 4  # arg: seconds that ARMED lasts

@@ -1,0 +1,95 @@
+"""What all payloads share: a dataclass whose fields stand in the order of a struct, with `pack` and `unpack`.
+
+This module knows no message.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, ClassVar, Self
+
+from protocol.codes import MessageType
+from protocol.errors import LocalProtocolError, RemoteProtocolError
+
+
+class PayloadError(RemoteProtocolError, ValueError):
+    """A payload that cannot be read: wrong length, or a value that the message does not have."""
+
+    def __init__(self, message: str, bad_length: bool = False, value: float = 0.0) -> None:
+        super().__init__(message)
+        self.bad_length = bad_length
+        self.value = value
+
+
+Converter = Callable[[Any], Any]
+
+
+class Payload:
+    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`."""
+
+    __slots__ = ()
+    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
+    _CONVERT: ClassVar[dict[str, Converter]] = {}
+    _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
+
+    def pack(self) -> bytes:
+        """Return the payload; LocalProtocolError if a value does not fit its field."""
+        return self._pack_fixed([getattr(self, field.name) for field in fields(self)])  # type: ignore[arg-type]
+
+    def _pack_fixed(self, values: list[Any]) -> bytes:
+        wire = [text_to_wire(value) if isinstance(value, str) else value for value in values]
+        try:
+            return self._LAYOUT.pack(*wire)
+        except (struct.error, OverflowError) as error:
+            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if the payload cannot be read as one."""
+        if not cls._GROWS and len(payload) != cls._LAYOUT.size:
+            raise cls._length_error(payload)
+        return cls(**cls._unpack_fixed(payload))
+
+    @classmethod
+    def _unpack_fixed(cls, payload: bytes) -> dict[str, Any]:
+        if len(payload) < cls._LAYOUT.size:
+            raise cls._length_error(payload)
+        values: dict[str, Any] = {}
+        for field, value in zip(fields(cls), cls._LAYOUT.unpack_from(payload), strict=False):  # type: ignore[arg-type]
+            convert = cls._CONVERT.get(field.name)
+            try:
+                values[field.name] = value if convert is None else convert(value)
+            except ValueError as error:
+                raise PayloadError(f"{cls.__name__}.{field.name}: {error}", value=value) from None
+        return values
+
+    @classmethod
+    def _length_error(cls, payload: bytes) -> PayloadError:
+        text = f"{cls.__name__} of {len(payload)} bytes, expected {cls._LAYOUT.size}"
+        return PayloadError(text, bad_length=True)
+
+
+class Message(Payload):
+    """A payload that belongs to one type of frame."""
+
+    __slots__ = ()
+    TYPE: ClassVar[MessageType]
+
+
+class Request(Message):
+    """A message from the host. Its length is exact: a device must not ignore what it does not know."""
+
+    __slots__ = ()
+    _GROWS: ClassVar[bool] = False
+
+
+def text_to_wire(text: str) -> bytes:
+    """Return UTF-8 bytes."""
+    return text.encode("utf-8", "replace")
+
+
+def text_from_wire(raw: bytes) -> str:
+    """Return the text before the padding; what is no UTF-8 is replaced."""
+    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
