@@ -1,0 +1,122 @@
+"""Position by the average speed, (1)-(2): the estimate that the paper compares itself with.
+
+theta_hat = theta_s + omega_h * (time since the edge), kept inside the sector. The edge's captured time takes
+the place of (2)'s count n of sampling periods, so an edge between two samples costs no resolution.
+
+While no speed is known: the centre of the sector (at most 30 deg wrong) as long as no edge was passed;
+after the first edge its angle, then the middle between the edge and the furthest that the rotor can have
+come at its largest speed, which is the centre of the sector again within a millisecond.
+
+Never looks at a current, and knows nothing of the sensors' misplacement: boundaries are taken at k * 60 deg.
+
+Source: (1)-(2) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.numba_cache import jit
+from sim.observers import hall_speed
+from sim.observers.hall_speed import SECTOR_WIDTH
+from sim.observers.transforms import wrap
+
+HALF_SECTOR = SECTOR_WIDTH / 2.0
+
+
+class Params(NamedTuple):
+    """Constants of the estimate."""
+
+    hall: hall_speed.Params
+    omega_max: float  # largest electrical speed, rad/s
+
+
+class Estimate(NamedTuple):
+    """One period's result."""
+
+    theta: float  # electrical rad in [-pi, pi)
+    omega: float  # omega_h, electrical rad/s
+
+
+class Estimates(NamedTuple):
+    """A run's results, one element a sample."""
+
+    theta: NDArray[np.float64]
+    omega: NDArray[np.float64]
+
+
+State = hall_speed.State
+init = hall_speed.init
+
+
+def make_params(tick_hz: float, *, n_p: float, omega_m_max: float, hall_timeout: float) -> Params:
+    """Constants from the drive's parameters of the same names (rad/s mechanical, s)."""
+    return Params(hall_speed.make_params(tick_hz, hall_timeout), float(n_p) * float(omega_m_max))
+
+
+@jit
+def centre(sector: int) -> float:
+    """Angle of a sector's middle, electrical rad, in [0, 2 pi)."""
+    return sector * SECTOR_WIDTH + HALF_SECTOR
+
+
+@jit
+def position(params: Params, hall: hall_speed.Estimate) -> float:
+    """Estimated angle, electrical rad in [-pi, pi), from the front end's result; 0: no sector known yet."""
+    if hall.sector < 0:
+        return 0.0
+    if hall.anchored == 0:
+        travel = hall.omega * hall.age
+        return wrap(centre(hall.sector) + min(max(travel, -HALF_SECTOR), HALF_SECTOR))
+    if hall.omega == 0.0:
+        travel = min(0.5 * params.omega_max * hall.age, HALF_SECTOR)
+    else:
+        travel = min(abs(hall.omega) * hall.age, SECTOR_WIDTH)
+    return wrap(centre(hall.sector) + hall.direction * (travel - HALF_SECTOR))
+
+
+@jit
+def step(
+    params: Params,
+    state: State,
+    tick: int,
+    hall: int,
+    edge_ticks: NDArray[np.int64],
+    edge_halls: NDArray[np.uint8],
+    first: int,
+    last: int,
+) -> tuple[State, Estimate]:
+    """One control period: edges [first, last) of the arrays, then the sample at `tick` with code `hall`."""
+    state, front = hall_speed.step(params.hall, state, tick, hall, edge_ticks, edge_halls, first, last)
+    return state, Estimate(position(params, front), front.omega)
+
+
+@jit
+def run(
+    params: Params,
+    state: State,
+    tick: NDArray[np.int64],
+    hall: NDArray[np.uint8],
+    edge_tick: NDArray[np.int64],
+    edge_hall: NDArray[np.uint8],
+    reset: NDArray[np.bool_],
+) -> tuple[State, Estimates]:
+    """`step` over n samples; arguments as in `hall_speed.run`."""
+    n = tick.shape[0]
+    m = edge_tick.shape[0]
+    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
+    first = 0
+    for k in range(n):
+        last = first
+        while last < m and edge_tick[last] <= tick[k]:
+            last += 1
+        if reset[k]:
+            state = init()
+        state, estimate = step(params, state, tick[k], hall[k], edge_tick, edge_hall, first, last)
+        first = last
+        out.theta[k] = estimate.theta
+        out.omega[k] = estimate.omega
+    return state, out

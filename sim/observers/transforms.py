@@ -1,0 +1,25 @@
+"""Angles and frames that observers and controllers share; amplitude-invariant (vectors are phase peaks).
+
+Never integrates and keeps no state.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim.numba_cache import jit
+
+TWO_PI = 2.0 * math.pi
+ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
+
+
+@jit
+def wrap(angle: float) -> float:
+    """The same angle (rad) in [-pi, pi)."""
+    return angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
+
+
+@jit
+def clarke(a: float, b: float, c: float) -> tuple[float, float]:
+    """(alpha, beta) of three phase quantities, in their own unit; a part common to all three drops out."""
+    return (2.0 * a - b - c) / 3.0, (b - c) * ONE_BY_SQRT3
