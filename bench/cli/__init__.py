@@ -1,0 +1,89 @@
+"""The `bench` command. Click only: parse, call, print, exit code.
+
+Subcommands are imported when they are called, so that `bench --help` stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any, NoReturn
+
+import click
+
+from bench import __version__
+
+_COMMANDS = {
+    "live": "Stream a drive into rerun: watch it, spin it, record it.",
+    "sim": "Run the simulated drive on its own, behind a pty or TCP.",
+    "devices": "List the serial ports that a drive may be on.",
+    "info": "Show a drive's identity, descriptor, parameters and health.",
+    "completion": "Print the shell completion script.",
+}
+
+
+class _LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        command = importlib.import_module(f"bench.cli.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="bench")
+def cli() -> None:
+    """Hardware-in-the-loop bench for PMSM drives with low-resolution Hall sensors.
+
+    \b
+    Watch the simulated drive do the paper's manoeuvres, nothing to connect:
+      bench live
+    Spin your own drive for 20 s and record it:
+      bench live serial:/dev/ttyACM0 --speed 500 --duration 20 --save run.rrd
+    """
+
+
+def fail(message: str, code: int) -> NoReturn:
+    """Print one line `error: …` on standard error and exit with `code`."""
+    click.echo(f"error: {message}", err=True)
+    sys.exit(code)
+
+
+def main(args: list[str] | None = None) -> Any:
+    """Entry point: runs the command; every foreseen error becomes one line and an exit code that is not 0.
+
+    Exit codes: 0 done, 1 the run ended with a fault or a lost link, 2 a wrong argument or an error, 128 + n a signal.
+    """
+    try:
+        return cli.main(args=args, prog_name="bench", standalone_mode=False)
+    except click.exceptions.Exit as exit_:
+        sys.exit(exit_.exit_code)
+    except click.Abort:
+        fail("aborted", 130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone: nothing left to say
+        sys.exit(141)
+    except Exception as error:
+        _explain(error)
+
+
+def _explain(error: Exception) -> NoReturn:
+    from bench.errors import BenchError
+    from protocol.errors import HbpError
+
+    if isinstance(error, (BenchError, HbpError)):
+        fail(str(error), getattr(error, "exit_code", 2))
+    if type(error).__module__.startswith("sim.") and type(error).__name__ == "ConfigError":
+        fail(str(error), 2)
+    raise error

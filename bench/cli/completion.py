@@ -1,0 +1,22 @@
+"""`bench completion`: the script that teaches a shell to complete bench's commands."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+
+@click.command("completion")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def command(shell: str) -> None:
+    """Print the completion script for SHELL.
+
+    \b
+    Example:
+      bench completion bash >> ~/.bashrc
+    """
+    from bench.cli import cli
+
+    complete = get_completion_class(shell)
+    assert complete is not None
+    click.echo(complete(cli, {}, "bench", "_BENCH_COMPLETE").source())

@@ -1,0 +1,60 @@
+"""`bench info`: a drive's identity, descriptor, parameters and health."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from typing import Any
+
+import click
+
+from bench.cli.target import TARGET
+
+
+@click.command("info")
+@click.argument("target", type=TARGET)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
+def command(target: str, as_json: bool) -> None:
+    """Show identity, channels, parameters and health of every node on TARGET. Changes nothing in the drive.
+
+    \b
+    Examples:
+      bench info serial:/dev/ttyACM0?baud=3000000
+      bench info sim --json
+    """
+    from bench.cli.output import note
+    from bench.inspect import inspect_nodes
+
+    with ExitStack() as stack:
+        if target == "sim":
+            from bench.embedded import EmbeddedDrive
+
+            target = stack.enter_context(EmbeddedDrive(note=note)).target
+        nodes = inspect_nodes(target)
+    if as_json:
+        click.echo(json.dumps({"target": target, "nodes": nodes}, indent=2))
+        return
+    for node in nodes:
+        _show(target, node)
+
+
+def _show(target: str, node: dict[str, Any]) -> None:
+    from bench.cli.output import table
+
+    identity, health = node["identity"], node["health"]
+    title = f"node {identity['node']}: {identity['name']} ({identity['role']}) on {target}"
+    table([title, ""], [[key.replace("_", " "), str(value)] for key, value in (identity | health).items()])
+    click.echo()
+    table(
+        ["channel", "id", "unit", "type", "scale", "flags"],
+        [[c["name"], str(c["id"]), c["unit"], c["type"], f"{c['scale']:.6g}", c["flags"]] for c in node["channels"]],
+    )
+    click.echo()
+    table(
+        ["parameter", "value", "default", "lowest", "highest", "unit"],
+        [
+            [p["name"], *(f"{p[key]:.6g}" for key in ("value", "default", "lo", "hi")), p["unit"]]
+            for p in node["parameters"]
+        ],
+    )
+    click.echo()

@@ -1,0 +1,120 @@
+"""`bench live`: stream a drive into rerun, spin it on request, sum the run up."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from bench.cli.target import TARGET
+
+OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
+
+
+@click.command("live")
+@click.argument("target", required=False, type=TARGET)
+@click.option("--speed", metavar="RPM", type=float, help="Spin the motor at this speed, r/min.")
+@click.option(
+    "--load",
+    metavar="A",
+    type=float,
+    help="Load torque, as the q current that it takes, A; needs a load machine.",
+)
+@click.option("--observer", type=click.Choice(OBSERVERS), help="Angle that the drive's control uses.")
+@click.option(
+    "--duration",
+    metavar="S",
+    type=click.FloatRange(min=0, min_open=True),
+    help="End by itself after S seconds.",
+)
+@click.option("--save", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="Record to this .rrd.")
+@click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists.")
+@click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto",
+              help="auto: native on a display, else web.")  # fmt: skip
+@click.option(
+    "--web-port",
+    type=click.IntRange(1, 65535),
+    help="Port of the web viewer (default: the first free one from 9090).",
+)
+@click.option("--channels", metavar="A,B,…", help="Stream only these channels (default: all).")
+@click.option(
+    "--rate",
+    metavar="HZ",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Sample rate (default: every PWM period).",
+)
+@click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
+@click.option("--clear-faults", is_flag=True, help="Clear the faults that the drive shows before it is armed.")
+@click.option(
+    "--host-observers",
+    is_flag=True,
+    help="Run the observers on the host too and compare them with the drive's.",
+)
+@click.option("--config", type=click.Path(exists=True, dir_okay=False), help="Figures of the simulated drive (TOML).")
+@click.option(
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(dir_okay=False, allow_dash=True),
+    help="Write the summary as JSON; - is standard output.",
+)
+def command(
+    target: str | None, json_file: str | None, channels: str | None, config: str | None, **given: object
+) -> None:
+    """Stream a drive into rerun: watch it, spin it, record it.
+
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, or sim. Without TARGET the simulated drive plays a short
+    show: start-up, speed step and load step with the average-speed estimator, then with the vector-tracking observer.
+
+    \b
+    Examples:
+      bench live
+      bench live serial:/dev/ttyACM0
+      bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.rrd --viewer none
+      bench live sim --speed 1000 --load 4 --observer average-speed
+    """
+    from bench import live
+
+    options = live.LiveOptions(
+        target=target,
+        speed_rpm=given["speed"],  # type: ignore[arg-type]
+        load_a=given["load"],  # type: ignore[arg-type]
+        observer=given["observer"],  # type: ignore[arg-type]
+        duration=given["duration"],  # type: ignore[arg-type]
+        save=given["save"],  # type: ignore[arg-type]
+        overwrite=bool(given["overwrite"]),
+        viewer=str(given["viewer"]),
+        channels=tuple(name.strip() for name in channels.split(",") if name.strip()) if channels else None,
+        rate_hz=given["rate"],  # type: ignore[arg-type]
+        yes=bool(given["yes"]),
+        clear_faults=bool(given["clear_faults"]),
+        host_observers=bool(given["host_observers"]),
+        web_port=given["web_port"],  # type: ignore[arg-type]
+        sim_arguments=("--config", config) if config else (),
+    )
+    from bench.cli.output import Progress, print_summary
+    from bench.summary import Summary
+
+    def ask(question: str) -> bool:
+        screen.pause()
+        sure = click.confirm(question, err=True)
+        screen.resume()
+        return sure
+
+    confirm = ask if sys.stdin.isatty() else None
+
+    def report(summary: Summary) -> None:
+        screen.pause()
+        text = json.dumps(summary.as_json(), indent=2)
+        if json_file == "-":
+            click.echo(text)
+            return
+        print_summary(summary)
+        if json_file:
+            Path(json_file).write_text(text + "\n")
+
+    with Progress() as screen:
+        ended = live.run(options, screen, confirm, report, hold=sys.stdin.isatty() and sys.stderr.isatty())
+    sys.exit(ended.exit_code)

@@ -1,0 +1,116 @@
+"""Tables and notes for people: rich on a terminal, plain tab-free lines when piped."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import click
+
+from bench.summary import ERROR_HEADERS, Summary, error_rows, run_rows
+
+if TYPE_CHECKING:
+    from rich.status import Status
+
+
+def table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
+    """Print `rows` under `headers`; the first column is left-aligned, numbers to the right."""
+    if sys.stdout.isatty():
+        _rich_table(headers, rows, title)
+        return
+    widths = [max(len(str(row[column])) for row in [headers, *rows]) for column in range(len(headers))]
+    if title:
+        click.echo(title)
+    for row in [headers, *rows]:
+        cells = [
+            cell.rjust(width) if column and _is_number(cell) else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        click.echo("  ".join(cells).rstrip())
+
+
+def note(text: str) -> None:
+    """One line of progress on standard error."""
+    click.echo(text, err=True)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell) and (cell[0].isdigit() or cell[0] in "+-−.")
+
+
+def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD)
+    for column, header in enumerate(headers):
+        numeric = column > 0 and any(_is_number(row[column]) for row in rows)
+        shown.add_column(header, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        shown.add_row(*[Text(cell) for cell in row])
+    Console().print(shown)
+
+
+class Progress:
+    """Progress of a run on standard error: a status line on a terminal, a plain line every few seconds when piped."""
+
+    PLAIN_PERIOD = 5.0  # s
+
+    def __init__(self) -> None:
+        self._status: Status | None = None
+        self._last_plain = -math.inf
+
+    def __enter__(self) -> Self:
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            self._status = Console(stderr=True, highlight=False).status("connecting …")
+            self._status.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Leave the terminal alone: somebody is about to be asked something, or it is over."""
+        if self._status is not None:
+            self._status.stop()
+
+    def resume(self) -> None:
+        """Show the status line again."""
+        if self._status is not None:
+            self._status.start()
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+        if self._status is not None:
+            self._status.console.print(text, markup=False, soft_wrap=True)
+        else:
+            note(text)
+
+    def progress(self, text: str) -> None:
+        """What is going on now."""
+        if self._status is not None:
+            from rich.text import Text
+
+            self._status.update(Text(text))
+        elif (now := time.monotonic()) - self._last_plain >= self.PLAIN_PERIOD:
+            self._last_plain = now
+            note(text)
+
+
+def print_summary(summary: Summary) -> None:
+    """Print the figures of a run as tables."""
+    errors = error_rows(summary)
+    if errors:
+        table(ERROR_HEADERS, errors)
+        click.echo()
+    table(["run", ""], run_rows(summary))

@@ -1,0 +1,372 @@
+"""A link and a session joined: the one loop that reads, answers, watches and keeps the watchdog fed.
+
+Everything happens inside `poll`, on the caller's thread: requests wait by polling, so data keeps flowing to the sinks
+while they wait. The client never sleeps and reads no clock but the link's, so a simulated drive in virtual time and a
+physical drive are the same to it.
+
+ALIVE is sent from here and only while telemetry of the node is fresh: a host that no longer sees the drive lets the
+drive's watchdog switch the outputs off.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from typing import Protocol, TypeVar
+
+from protocol.errors import LinkClosed, LinkError, NoReply, Refused
+from protocol.host import (
+    Connected,
+    DeviceEventReceived,
+    HeartbeatReceived,
+    HostSession,
+    LogReceived,
+    Rebooted,
+    ReplyReceived,
+    RequestRefused,
+    RequestTimedOut,
+    StreamFrames,
+)
+from protocol.links.base import Link
+from protocol.messages import (
+    Alive,
+    DeviceEvent,
+    ErrorReply,
+    Heartbeat,
+    HelloReply,
+    MessageType,
+    Payload,
+    Request,
+    Setpoint,
+    StreamEvent,
+)
+from protocol.streams import EdgeChunk, EdgeDecoder, LossCounters, SampleChunk, SampleDecoder, StreamConfig
+
+R = TypeVar("R", bound=Payload)
+
+ALIVE_PERIOD = 0.05  # s
+FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: three heartbeats
+POLL = 0.02  # s: how long one turn waits for bytes
+SETTLE = 0.015  # s: how long a turn goes on collecting once bytes come, when nobody waits for a reply
+REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
+
+
+class Sink(Protocol):
+    """What receives a run. Calls come from the acquisition thread and must return at once."""
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """One chunk of samples, contiguous but for `chunk.gaps`."""
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Hall edges; they come before the samples that cover them."""
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """The drive's health, ten times a second."""
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Something happened in the drive."""
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Something happened on the host: a line for the log."""
+
+
+@dataclass(slots=True)
+class LinkHealth:
+    """What the link did to us."""
+
+    outages: int = 0
+    down_since: float | None = None
+    downtime: float = 0.0  # s
+    reboots: int = 0
+
+
+@dataclass(slots=True)
+class _Watch:
+    """What the client knows of one node's freshness, and of its watchdog."""
+
+    last_seen: float = -1e9
+    last_alive: float = -1e9
+    counter: int = 0
+    feed: bool = False
+
+
+@dataclass(slots=True)
+class _Pending:
+    tid: int
+    reply: Payload | None = None
+    error: Exception | None = None
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Account of a node's streams, past and present: samples and edges apart."""
+
+    samples: LossCounters
+    edges: LossCounters
+
+
+class Client:
+    """Talks to every node on one link.
+
+    `reconnect` says how long a lost link is waited for, in s; with 0, `poll` raises LinkClosed at once.
+    """
+
+    def __init__(self, link: Link, reconnect: float = 0.0) -> None:
+        self.link = link
+        self.reconnect = reconnect
+        self.session = HostSession()
+        self.sinks: list[Sink] = []
+        self.health = LinkHealth()
+        self.hello: HelloReply | None = None
+        self.heartbeats: dict[int, Heartbeat] = {}
+        self.bytes_in = 0
+        self.on_reconnected: Callable[[bool], None] | None = None  # argument: the drive has rebooted
+        self._decoders: dict[tuple[int, int], SampleDecoder | EdgeDecoder] = {}
+        self._closed: dict[int, Losses] = {}
+        self._watches: dict[int, _Watch] = {}
+        self._pending: _Pending | None = None
+        self._next_reopen = 0.0
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """The link's clock in s: monotonic, virtual for a simulated drive in virtual time."""
+        return self.link.clock()
+
+    def run_for(self, seconds: float) -> None:
+        """Poll for `seconds` of the link's clock."""
+        end = self.now() + seconds
+        while (left := end - self.now()) > 0:
+            self.poll(min(POLL, left))
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Poll until `condition()` holds; False when it does not within `timeout` s."""
+        end = self.now() + timeout
+        while not condition():
+            left = end - self.now()
+            if left <= 0:
+                return False
+            self.poll(min(POLL, left))
+        return True
+
+    # -- connection ---------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def nonce() -> int:
+        """A number for a HELLO that no earlier traffic can have guessed."""
+        return secrets.randbits(32)
+
+    def connect(self, timeout: float = 3.0) -> HelloReply:
+        """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s."""
+        self.session.connect(self.nonce(), self.now())
+        if not self.wait(lambda: self.hello is not None, timeout):
+            framing = self.session.counters.framing
+            advice = "check power, cable and target"
+            if self.bytes_in:
+                advice = "check the baud rate, and that it is an HBP device"
+            raise NoReply(
+                f"no HBP device answered on {self.link.name} within {timeout:g} s ({self.bytes_in} bytes heard, "
+                f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
+            )
+        assert self.hello is not None
+        return self.hello
+
+    def _lost(self, error: LinkError) -> None:
+        now = self.now()
+        if self.reconnect <= 0:
+            raise error
+        if self.health.down_since is None:
+            self.health.down_since = now
+            self.health.outages += 1
+            self._next_reopen = now
+            self._note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
+            if self._pending:
+                self._pending.error = error
+        if now - self.health.down_since > self.reconnect:
+            raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
+
+    def _reopen(self, timeout: float) -> None:
+        """One turn while the link is down: try to open it again, at most ten times a second."""
+        now = self.now()
+        if now < self._next_reopen:
+            time.sleep(max(0.0, min(timeout, self._next_reopen - now)))  # there is no link to wait on
+            return
+        self._next_reopen = now + REOPEN_PERIOD
+        try:
+            self.link.reopen()
+        except LinkError as error:
+            assert self.health.down_since is not None
+            self._lost(error)
+            return
+        assert self.health.down_since is not None
+        self.health.downtime += now - self.health.down_since
+        self.health.down_since = None
+        self.session.connect(self.nonce(), now)
+
+    # -- the loop -----------------------------------------------------------------------------------------------
+
+    def poll(self, timeout: float = POLL) -> None:
+        """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send."""
+        if self.health.down_since is not None:
+            self._reopen(timeout)
+            return
+        try:
+            self._flush()
+            data = self.link.read(timeout, 0.0 if self.session.busy else min(timeout, SETTLE))
+            now = self.now()
+            if data:
+                self.bytes_in += len(data)
+                self.session.receive_data(data, now)
+            self.session.tick(now)
+            while (event := self.session.next_event()) is not None:
+                self._dispatch(event, now)
+            self._feed_watchdogs(now)
+            self._flush()
+        except LinkError as error:
+            self._lost(error)
+
+    def _flush(self) -> None:
+        data = self.session.data_to_send()
+        if data:
+            self.link.write(data)
+
+    def _dispatch(self, event: object, now: float) -> None:
+        match event:
+            case StreamFrames(node=node, stream=stream, frames=frames):
+                self._seen(node, now)
+                decoder = self._decoders.get((node, stream))
+                if decoder is not None:
+                    self._deliver(decoder.decode(frames))
+            case HeartbeatReceived(node=node, heartbeat=heartbeat):
+                self._seen(node, now)
+                self.heartbeats[node] = heartbeat
+                for sink in self.sinks:
+                    sink.heartbeat(node, heartbeat)
+            case DeviceEventReceived(node=node, event=happened):
+                for sink in self.sinks:
+                    sink.event(node, happened)
+            case LogReceived(log=log):
+                self._note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
+            case ReplyReceived(tid=tid, message=message):
+                self._settle(tid, reply=message)
+            case RequestRefused(tid=tid, error=error):
+                self._settle(tid, error=_refused(error))
+            case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
+                text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
+                self._settle(tid, error=NoReply(text))
+            case Connected(hello=hello):
+                self._connected(hello)
+            case Rebooted():
+                self.health.reboots += 1
+
+    def _deliver(self, chunk: SampleChunk | EdgeChunk | None) -> None:
+        if isinstance(chunk, SampleChunk):
+            for sink in self.sinks:
+                sink.samples(chunk)
+        elif isinstance(chunk, EdgeChunk):
+            for sink in self.sinks:
+                sink.edges(chunk)
+
+    def _connected(self, hello: HelloReply) -> None:
+        before, self.hello = self.hello, hello
+        if before is None:
+            return
+        rebooted = hello.boot_id != before.boot_id
+        self._note("the drive is back" + (", but it has rebooted" if rebooted else ""), "WARN")
+        if self.on_reconnected:
+            self.on_reconnected(rebooted)
+
+    def _seen(self, node: int, now: float) -> None:
+        self._watches.setdefault(node, _Watch()).last_seen = now
+
+    def _note(self, text: str, level: str = "INFO") -> None:
+        for sink in self.sinks:
+            sink.note(text, level)
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    def decode(self, config: StreamConfig, ticks_per_period: int) -> None:
+        """Decode a stream from now on, as it was just configured."""
+        reference = self.session.tick_reference(config.node)
+        self._retire(config.node, config.stream)
+        self._decoders[config.node, config.stream] = (
+            EdgeDecoder(config, reference)
+            if config.event == StreamEvent.EDGES
+            else SampleDecoder(config, ticks_per_period, reference)
+        )
+
+    def losses(self, node: int) -> Losses:
+        """Account of all that was streamed from `node`."""
+        closed = self._closed.get(node, Losses(LossCounters(), LossCounters()))
+        for (of, _), decoder in self._decoders.items():
+            if of == node:
+                closed = _added(closed, decoder)
+        return closed
+
+    def _retire(self, node: int, stream: int) -> None:
+        decoder = self._decoders.pop((node, stream), None)
+        if decoder is not None:
+            self._closed[node] = _added(self._closed.get(node, Losses(LossCounters(), LossCounters())), decoder)
+
+    # -- watchdog -----------------------------------------------------------------------------------------------
+
+    def feed(self, node: int, on: bool) -> None:
+        """Start or stop feeding the watchdog of `node`."""
+        watch = self._watches.setdefault(node, _Watch())
+        watch.feed = on
+        if on:
+            watch.last_seen = max(watch.last_seen, self.now())
+
+    def _feed_watchdogs(self, now: float) -> None:
+        for node, watch in self._watches.items():
+            if watch.feed and now - watch.last_alive >= ALIVE_PERIOD and now - watch.last_seen <= FRESH:
+                watch.last_alive = now
+                watch.counter += 1
+                self.session.send(Alive(counter=watch.counter & 0xFFFFFFFF), node)
+
+    # -- requests -----------------------------------------------------------------------------------------------
+
+    def request(self, message: Request, node: int, reply: type[R]) -> R:
+        """Send a request and poll until its reply, a `reply`. Raises Refused, NoReply or LinkError."""
+        if self.health.down_since is not None:
+            raise LinkClosed(f"{self.link.name} is gone: {message.TYPE.name} was not sent")
+        pending = self._pending = _Pending(self.session.request(message, node, self.now()))
+        try:
+            while pending.reply is None:
+                self.poll(POLL)
+                if pending.error is not None:
+                    raise pending.error
+        finally:
+            self._pending = None
+            self.session.cancel()  # an interrupted request must not block STOP
+        assert isinstance(pending.reply, reply)  # the session unpacks by the type of the request
+        return pending.reply
+
+    def setpoint(self, message: Setpoint, node: int) -> None:
+        """Send a setpoint; it has no reply, the heartbeat tells its fate."""
+        self.session.send(message, node)
+
+    def _settle(self, tid: int, reply: Payload | None = None, error: Exception | None = None) -> None:
+        if self._pending and self._pending.tid == tid:
+            self._pending.reply, self._pending.error = reply, error
+
+
+_LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
+
+
+def _refused(error: ErrorReply) -> Refused:
+    names = MessageType._value2member_map_
+    kind = names[error.request].name if error.request in names else f"type {error.request}"
+    return Refused(f"{kind} was refused: {error}", error.code, error.detail)
+
+
+def _added(losses: Losses, decoder: SampleDecoder | EdgeDecoder) -> Losses:
+    if isinstance(decoder, EdgeDecoder):
+        return Losses(losses.samples, _sum(losses.edges, decoder.counters))
+    return Losses(_sum(losses.samples, decoder.counters), losses.edges)
+
+
+def _sum(a: LossCounters, b: LossCounters) -> LossCounters:
+    return LossCounters(*(x + y for x, y in zip(astuple(a), astuple(b), strict=True)))

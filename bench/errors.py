@@ -1,0 +1,22 @@
+"""Errors of the bench that are the user's to mend; each is one line that says what to do.
+
+What the protocol and its links raise stands in `protocol.errors`.
+"""
+
+
+class BenchError(Exception):
+    """Something that the user can mend. `str(error)` is the whole story, in one line."""
+
+    exit_code = 2
+
+
+class UnsafeError(BenchError):
+    """Refused because it would energise a drive without an explicit act."""
+
+
+class Interrupted(BaseException):
+    """SIGTERM or SIGHUP arrived. Like KeyboardInterrupt it passes through `except Exception`."""
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(signum)
+        self.signum = signum

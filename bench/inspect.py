@@ -1,0 +1,77 @@
+"""What a link's nodes say of themselves, as plain data: identity, health, channels, parameters. Reads only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.client import Client
+from bench.node import Node
+from bench.summary import describe
+from protocol.links import open_link
+from protocol.messages import Fault, Heartbeat
+from protocol.signals import Flag
+
+
+def inspect_nodes(target: str) -> list[dict[str, Any]]:
+    """All nodes on the link of `target`. Raises LinkError, NoReply or TargetError."""
+    link = open_link(target)
+    try:
+        client = Client(link)
+        hello = client.connect()
+        numbers = {hello.node, *range(1, hello.nodes + 1)}
+        return [inspect_node(Node(client, number)) for number in sorted(numbers)]
+    finally:
+        link.close()
+
+
+def inspect_node(node: Node) -> dict[str, Any]:
+    """One node, as plain data in SI units."""
+    return {
+        "identity": describe(node.identity),
+        "health": _health(node.next_heartbeat()),
+        "channels": [
+            {
+                "id": channel.id,
+                "name": channel.name,
+                "unit": channel.unit.symbol,
+                "type": channel.raw.name.lower(),
+                "scale": channel.scale,
+                "offset": channel.offset,
+                "flags": _flags(channel.flags),
+            }
+            for channel in node.descriptor.channels
+        ],
+        "parameters": [
+            {
+                "id": record.id,
+                "name": record.name,
+                "unit": record.unit.symbol,
+                "value": reply.value,
+                "default": reply.default,
+                "lo": reply.lo,
+                "hi": reply.hi,
+                "flags": _flags(record.flags),
+            }
+            for record in node.descriptor.parameters
+            for reply in (node.parameter(record.name),)
+        ],
+    }
+
+
+def _health(heartbeat: Heartbeat | None) -> dict[str, Any]:
+    if heartbeat is None:
+        return {"heartbeat": "none within 0.5 s"}
+    return {
+        "state": heartbeat.state.name,
+        "outputs_on": heartbeat.outputs_on,
+        "faults": [fault.name for fault in Fault if fault & heartbeat.faults],
+        "first_fault": [fault.name for fault in Fault if fault & heartbeat.first_fault],
+        "frames_dropped": heartbeat.tx_dropped,
+        "frames_damaged": heartbeat.rx_bad,
+        "setpoints_rejected": heartbeat.setpoints_rejected,
+    }
+
+
+def _flags(flags: Flag) -> str:
+    kinds = Flag.CHANNEL | Flag.PARAMETER
+    return ", ".join((flag.name or "").lower().replace("_", " ") for flag in Flag if flag & flags & ~kinds)

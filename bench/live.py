@@ -1,0 +1,428 @@
+"""`bench live` without the command line: connect, look, stream, spin on request, end with the outputs off.
+
+Every way out of a run passes `make_safe`, which sends STOP; where that cannot arrive (the link is gone, the process
+was killed) the drive's own watchdog switches off, because only this process feeds it.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Protocol
+
+from bench import __version__
+from bench.client import POLL, Client
+from bench.embedded import EmbeddedDrive
+from bench.energise import RPM, Plan, check_limits, require_consent
+from bench.errors import BenchError, Interrupted
+from bench.node import LOAD, Node
+from bench.outputs import Outputs
+from bench.rerunio.schema import RunInfo
+from bench.show import SHOW, Act
+from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
+from protocol.descriptor import Channel
+from protocol.errors import HbpError, LinkError
+from protocol.links import Link, open_link
+from protocol.messages import DriveState, Role
+from protocol.signals import AngleSource
+
+if TYPE_CHECKING:
+    from bench.rerunio.viewer import LiveView
+
+OBSERVERS = {source.name.lower().replace("_", "-"): source for source in AngleSource}
+RECONNECT = 30.0  # s that a lost link is waited for
+CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
+PROGRESS_PERIOD = 0.5  # s
+SILENCE = 2.0  # s without samples after which a note says so
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What `bench live` was asked for; r/min, A and Hz as on the command line."""
+
+    target: str | None = None
+    speed_rpm: float | None = None
+    load_a: float | None = None
+    observer: str | None = None
+    duration: float | None = None
+    save: Path | None = None
+    overwrite: bool = False
+    viewer: str = "auto"
+    channels: tuple[str, ...] | None = None
+    rate_hz: float | None = None
+    yes: bool = False
+    clear_faults: bool = False
+    host_observers: bool = False
+    web_port: int | None = None
+    sim_arguments: tuple[str, ...] = ()
+
+    @property
+    def embedded(self) -> bool:
+        """Whether the simulated drive is started as a child."""
+        return self.target in (None, "sim")
+
+    @property
+    def show(self) -> bool:
+        """Whether the scripted show is played: nothing but the simulated drive was asked for."""
+        return self.target is None and self.speed_rpm is None and self.load_a is None
+
+
+class Screen(Protocol):
+    """Where progress goes."""
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+
+    def progress(self, text: str) -> None:
+        """The line that tells what is going on now."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended."""
+
+    summary: Summary
+    exit_code: int
+
+
+class LiveRun:
+    """One run of `bench live` on an open link."""
+
+    def __init__(self, options: LiveOptions, link: Link, target: str, screen: Screen) -> None:
+        self.options = options
+        self.target = target
+        self.screen = screen
+        self.client = Client(link, reconnect=RECONNECT)
+        self.drive = Node(self.client, 0)
+        self.load: Node | None = None
+        self.tripped = ""  # why the motor was let go, if it was
+        self._energised: list[Node] = []
+        self._next_clock = 0.0
+        self._next_progress = 0.0
+        self._last_samples = (0, 0.0)
+        self._silent = False
+        self._rebooted = False
+        self._pole_pairs = 1.0
+
+    # -- before anything moves ----------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Find drive and, where a load is asked for, load machine. Leaves the motor alone."""
+        hello = self.client.connect()
+        if hello.role != Role.DRIVE:
+            raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
+        self.drive = Node(self.client, hello.node)
+        self.client.on_reconnected = self._reconnected
+        self.drive.stop_streams()
+        self.screen.note(
+            f"{hello.name} {hello.firmware} on {self.target}: boot {hello.boot_id:08x}, "
+            f"HBP {hello.major}.{hello.minor}, PWM {hello.pwm_hz} Hz, "
+            f"{len(self.drive.descriptor.channels)} channels, state {hello.state.name}"
+        )
+        if self.options.load_a is not None or self.options.show:
+            if hello.nodes < LOAD:
+                raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
+            self.load = Node(self.client, LOAD)
+            if self.load.identity.role != Role.LOAD:
+                raise BenchError(f"node {LOAD} on {self.target} is {self.load.identity.name}, not a load machine")
+
+    def acts(self) -> tuple[Act, ...]:
+        """What will be done to the motor; empty when it is only watched."""
+        options = self.options
+        if options.show:
+            return SHOW
+        if options.speed_rpm is None and options.load_a is None:
+            return ()
+        source = (
+            OBSERVERS[options.observer]
+            if options.observer
+            else AngleSource(int(self.drive.parameter("observer").value))
+        )
+        seconds = math.inf if options.duration is None else options.duration
+        title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"
+        return (Act(title, seconds, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
+
+    def check(self, acts: tuple[Act, ...], confirm: Callable[[str], bool] | None) -> None:
+        """Limits and consent: raises before anything is energised."""
+        if not acts:
+            return
+        plan = Plan(max(abs(act.speed_rpm) for act in acts), max(abs(act.load_a) for act in acts))
+        check_limits(self.drive, plan)
+        require_consent(self.drive, self.target, plan, self.options.yes, confirm)
+        if self.options.clear_faults:
+            self.drive.clear_faults()
+
+    # -- streaming ----------------------------------------------------------------------------------------------
+
+    def configure(self) -> tuple[Channel, ...]:
+        """Configure samples and edges; returns the channels that will come."""
+        options, identity = self.options, self.drive.identity
+        decimation = _decimation(identity.pwm_hz, options.rate_hz)
+        channels = self.drive.channels(options.channels)
+        if options.host_observers:
+            from bench.estimators import INPUTS
+
+            missing = [name for name in INPUTS if name not in {channel.name for channel in channels}]
+            if missing or decimation != 1:
+                raise BenchError(
+                    "--host-observers needs every PWM period"
+                    + (f" and the channels {', '.join(missing)}" if missing else "")
+                )
+        self.drive.set_edges()
+        self.drive.set_samples(channels, decimation)
+        return channels
+
+    def go(self, acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool) -> Ended:
+        """Stream, perform the acts, switch off, sum up."""
+        options, identity = self.options, self.drive.identity
+        parameters = self.drive.parameters()
+        self._pole_pairs = parameters.get("n_p", 1.0)
+        channels = self.configure()
+        observers = None
+        if options.host_observers:
+            from bench.estimators import HostObservers
+
+            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz)
+        stats = RunStatistics(self.drive.number, observers)
+        info = RunInfo(
+            tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz,
+            channels=channels,
+            parameters=parameters,
+            identity=describe(identity) | {"target": self.target, "hallbench": __version__},
+            node=identity.node,
+        )
+        self._clock = self.drive.clock_fit()
+        outputs = Outputs(
+            info,
+            options.save,
+            options.overwrite,
+            options.viewer,
+            options.web_port,
+            lambda tick: self._clock.host_time(tick),
+        )
+        try:
+            if outputs.view is not None:
+                self.screen.note(f"dashboard: {outputs.view.url}")
+            self.client.sinks = [stats, *outputs.sinks]
+            result, exit_code, duration, cpu = self._run_acts(acts, stats)
+            summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency)
+            summary.result = result
+            summary.live_view = outputs.viewed()
+            with _undisturbed():
+                outputs.end_recording(as_markdown(summary))
+            summary.recording = outputs.recorded()
+            report(summary)
+            if hold and exit_code == 0 and outputs.view is not None:
+                self._hold(outputs.view)
+            return Ended(summary, exit_code)
+        finally:
+            with _undisturbed():
+                outputs.close()
+
+    def _run_acts(self, acts: tuple[Act, ...], stats: RunStatistics) -> tuple[str, int, float, float]:
+        """All between start and stop of the streams. Returns result, exit code, duration in s, CPU in percent."""
+        options = self.options
+        cpu, started = CpuMeter(), self.client.now()
+        result, exit_code = "ok", 0
+        seconds = math.inf if options.duration is None else options.duration
+        try:
+            self.drive.start_streams()
+            if acts:
+                self.energise()
+            for act in acts or (Act("watching", seconds, 0.0, 0.0, None),):
+                self.perform(act, stats)
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            signum = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
+            result = f"ended by {signal.Signals(signum).name}"
+            exit_code = 0 if signum == signal.SIGINT and math.isinf(seconds) and not options.show else 128 + signum
+        except LinkError as error:
+            result, exit_code = f"link lost: {error}", 1
+        finally:
+            duration, percent = self.client.now() - started, cpu.percent()
+            with _undisturbed():
+                self.make_safe()
+        with _undisturbed(), suppress(HbpError):
+            self.drive.next_heartbeat()  # the drive's own drop count, up to date
+            self.drive.stop_streams()
+        if self.tripped and exit_code == 0:
+            result, exit_code = self.tripped, 1
+        return result, exit_code, duration, percent
+
+    def _hold(self, view: LiveView) -> None:
+        self.screen.note(f"the dashboard stays at {view.url} until Ctrl-C")
+        with suppress(KeyboardInterrupt, Interrupted):
+            view.process.wait()
+
+    # -- the motor ----------------------------------------------------------------------------------------------
+
+    def energise(self) -> None:
+        """Arm and start the nodes that the acts need: the load machine first, so that it holds the shaft."""
+        for node in (self.load, self.drive):
+            if node is not None:
+                self._energised.append(node)
+                node.arm()
+                node.start()
+
+    def perform(self, act: Act, stats: RunStatistics) -> None:
+        """One act: angle source, load and speed, then watch for its time."""
+        stats.segment = act.title
+        if not self.tripped:
+            self.note(act.title)
+            try:
+                if act.source is not None:
+                    self.drive.set("observer", act.source)
+                if self.load is not None:
+                    self.load.torque(self._torque_constant() * act.load_a)
+                if self._energised:
+                    self.drive.speed(act.speed_rpm * RPM)
+            except (HbpError, BenchError) as error:
+                self._trip(str(error))
+        self.watch(act.seconds, stats)
+
+    def _torque_constant(self) -> float:
+        """N·m per A of q current, peak-valued: 1.5 n_p psi_f."""
+        return 1.5 * self.drive.parameter("n_p").value * self.drive.parameter("psi_f_hat").value
+
+    def watch(self, seconds: float, stats: RunStatistics) -> None:
+        """Let the run go on for `seconds`, keeping an eye on clock, freshness and faults."""
+        end = self.client.now() + seconds
+        while (left := end - self.client.now()) > 0:
+            self.client.poll(min(POLL, left))
+            self._look(stats)
+
+    def make_safe(self) -> None:
+        """Outputs off on every node that was energised. Never raises; says so where STOP could not be confirmed."""
+        for node in reversed(self._energised):
+            try:
+                node.stop()
+            except (HbpError, BenchError) as error:
+                self.note(f"STOP not confirmed ({error}); the drive's watchdog switches its outputs off", "ERROR")
+        self._energised.clear()
+
+    # -- what is looked at while it runs ------------------------------------------------------------------------
+
+    def _look(self, stats: RunStatistics) -> None:
+        now = self.client.now()
+        if self.client.health.down_since is None:
+            if self._rebooted:
+                self._rebooted = False
+                self._trip("the drive has rebooted")
+                self.drive.resume_streams(rebooted=True)
+            self._look_at_samples(now, stats)
+            if self._energised and self.drive.state == DriveState.FAULT and not self.tripped:
+                self._trip(f"the drive tripped: {self.drive.fault_text()}")
+            if now >= self._next_clock:
+                self._next_clock = now + CLOCK_PERIOD
+                try:
+                    self._clock = self.drive.clock_fit(tries=1)
+                except HbpError as error:
+                    self.note(f"no clock: {error}", "WARN")
+        if now >= self._next_progress:
+            self._next_progress = now + PROGRESS_PERIOD
+            self.screen.progress(self._status(stats))
+
+    def _look_at_samples(self, now: float, stats: RunStatistics) -> None:
+        seen, since = self._last_samples
+        if stats.samples_seen != seen or since == 0.0:
+            self._last_samples = (stats.samples_seen, now)
+            self._silent = False
+        elif now - since > SILENCE and not self._silent:
+            self._silent = True
+            self.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
+
+    def _status(self, stats: RunStatistics) -> str:
+        if self.client.health.down_since is not None:
+            return f"{self.client.link.name} is gone, waiting for it to come back"
+        losses = self.client.losses(self.drive.number).samples
+        speed = stats.last.get("omega_enc", math.nan) / RPM / self._pole_pairs
+        return (
+            f"{stats.segment} | {self.drive.state.name} {speed:.0f} r/min, "
+            f"i_q {stats.last.get('i_q', math.nan):.2f} A | "
+            f"{stats.samples_seen} samples, {stats.edges_seen} edges, {losses.lost_by_index} lost"
+        )
+
+    def _trip(self, why: str) -> None:
+        self.tripped = why
+        self.note(why, "ERROR")
+        self.make_safe()
+
+    def _reconnected(self, rebooted: bool) -> None:
+        self._rebooted = rebooted  # no request from inside poll: `_look` does the rest
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Tell the screen and every sink."""
+        self.screen.note(text)
+        for sink in self.client.sinks:
+            sink.note(text, level)
+
+
+def _decimation(pwm_hz: int, rate_hz: float | None) -> int:
+    if rate_hz is None:
+        return 1
+    decimation = round(pwm_hz / rate_hz)
+    if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=1e-9):
+        near = pwm_hz / max(decimation, 1)
+        raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
+    return decimation
+
+
+@contextmanager
+def _signals_as_exceptions() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise Interrupted in the main thread, as Ctrl-C raises KeyboardInterrupt."""
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        raise Interrupted(signum)
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """No signal but SIGKILL gets between us and STOP."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def run(
+    options: LiveOptions,
+    screen: Screen,
+    confirm: Callable[[str], bool] | None,
+    report: Callable[[Summary], None],
+    hold: bool = False,
+) -> Ended:
+    """Run `bench live`.
+
+    `confirm` asks a person, None where there is nobody; `report` gets the summary when the motor is off; `hold` keeps
+    the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
+    was sent, or could not be sent and the note says so.
+    """
+    if options.save is not None and options.save.exists() and not options.overwrite:
+        raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
+    with ExitStack() as stack:
+        stack.enter_context(_signals_as_exceptions())
+        target = options.target or "sim"
+        if options.embedded:
+            target = stack.enter_context(EmbeddedDrive(options.sim_arguments, screen.note)).target
+        link = open_link(target)
+        stack.callback(link.close)
+        live = LiveRun(options, link, target, screen)
+        live.connect()
+        acts = live.acts()
+        live.check(acts, confirm)
+        return live.go(acts, report, hold)

@@ -1,0 +1,323 @@
+"""One device on the link, by its verbs: identity, parameters, states, setpoints, streams.
+
+A drive and a load machine are both nodes; what a node can do is what its descriptor and its refusals say. Nothing here
+energises a drive by itself: `arm` and `start` are the explicit acts, and whoever calls them calls `stop`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from bench.client import Client
+from bench.errors import BenchError
+from protocol.descriptor import Channel, Descriptor
+from protocol.errors import NoReply, Refused
+from protocol.messages import (
+    BlobRead,
+    BlobReply,
+    Command,
+    DriveState,
+    Empty,
+    ErrorCode,
+    Fault,
+    Heartbeat,
+    Hello,
+    HelloReply,
+    ParamGet,
+    ParamReply,
+    ParamSet,
+    ParamStored,
+    Setpoint,
+    SetpointMode,
+    StateCommand,
+    StateReply,
+    StreamEvent,
+    StreamReply,
+    StreamSet,
+    StreamStart,
+    StreamStop,
+    TimeSync,
+    TimeSyncReply,
+)
+from protocol.streams import StreamConfig
+
+DRIVE, LOAD = 1, 2
+SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
+ALL_STREAMS = 0xFFFFFFFF
+_BLOB_PART = 512
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """Host time of device ticks, from one TIME_SYNC; good to half its round trip."""
+
+    tick: float
+    host: float  # s
+    tick_hz: float
+    round_trip: float  # s
+
+    def host_time(self, tick: float) -> float:
+        """Host time in s of a device tick."""
+        return self.host + (tick - self.tick) / self.tick_hz
+
+
+class Node:
+    """Device number `number` on `client`'s link."""
+
+    def __init__(self, client: Client, number: int) -> None:
+        self.client = client
+        self.number = number
+        self._identity: HelloReply | None = None
+        self._descriptor: Descriptor | None = None
+        self._counter = 0
+        self._streams: dict[int, tuple[StreamSet, StreamReply]] = {}
+
+    # -- identity and parameters --------------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> HelloReply:
+        """Who it is; asked for at first use. Raises NoReply when no such node is on the link."""
+        if self._identity is None:
+            reply = self.client.request(Hello(nonce=self.client.nonce()), self.number, HelloReply)
+            self._identity = reply
+        return self._identity
+
+    @property
+    def descriptor(self) -> Descriptor:
+        """Its channels and parameters; read, and checked against the schema CRC of HELLO, at first use."""
+        if self._descriptor is None:
+            self._descriptor = self._read_descriptor()
+        return self._descriptor
+
+    def forget(self) -> None:
+        """The device has rebooted: ask anew for all that it told us."""
+        self._identity = self._descriptor = None
+
+    def _read_descriptor(self) -> Descriptor:
+        blob = b""
+        total = 1
+        while len(blob) < total:
+            reply = self.client.request(BlobRead(id=0, length=_BLOB_PART, offset=len(blob)), self.number, BlobReply)
+            total = reply.total
+            if not reply.data:
+                raise BenchError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
+            blob += reply.data
+        descriptor = Descriptor.unpack(blob)
+        if descriptor.crc != self.identity.schema_crc:
+            raise BenchError(
+                f"the descriptor of node {self.number} has CRC {descriptor.crc:08x}, HELLO announced "
+                f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
+            )
+        return descriptor
+
+    def parameter(self, name: str) -> ParamReply:
+        """Value, range and default of a parameter, in its unit."""
+        return self.client.request(ParamGet(self._parameter_id(name)), self.number, ParamReply)
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether it has a parameter of that name."""
+        return any(record.name == name for record in self.descriptor.parameters)
+
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name."""
+        return {record.name: self.parameter(record.name).value for record in self.descriptor.parameters}
+
+    def set(self, name: str, value: float) -> float:
+        """Set a parameter; returns the value that the device stored. Raises BenchError with the range if refused."""
+        try:
+            return self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
+        except Refused as refusal:
+            if refusal.code == ErrorCode.OUT_OF_RANGE:
+                now = self.parameter(name)
+                raise BenchError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+            raise BenchError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
+
+    def _parameter_id(self, name: str) -> int:
+        return self._record(self.descriptor.parameters, name, "parameter").id
+
+    def channels(self, names: Iterable[str] | None) -> tuple[Channel, ...]:
+        """The channels of these names in the device's order; all of them for None."""
+        if names is None:
+            return self.descriptor.channels
+        chosen = {self._record(self.descriptor.channels, name, "channel").id for name in names}
+        return tuple(channel for channel in self.descriptor.channels if channel.id in chosen)
+
+    def _record(self, records: tuple[Channel, ...], name: str, kind: str) -> Channel:
+        for record in records:
+            if record.name == name:
+                return record
+        names = [record.name for record in records]
+        near = difflib.get_close_matches(name, names, 1)
+        hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names) or 'none'}"
+        raise BenchError(f"node {self.number} has no {kind} '{name}': {hint}")
+
+    # -- states and setpoints -----------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> DriveState:
+        """State by the last heartbeat; BOOT before the first."""
+        heartbeat = self.client.heartbeats.get(self.number)
+        return heartbeat.state if heartbeat else DriveState.BOOT
+
+    def command(self, command: Command, argument: int = 0) -> DriveState:
+        """Send a state command and return the state after it."""
+        return self.client.request(StateCommand(command, argument), self.number, StateReply).state
+
+    def arm(self) -> None:
+        """IDLE to ARMED, and start to feed the watchdog. A latched fault is named, not cleared."""
+        self.client.feed(self.number, on=True)
+        try:
+            self.command(Command.ARM, self.identity.boot_id)
+        except Refused as refusal:
+            self.client.feed(self.number, on=False)
+            if refusal.code == ErrorCode.WRONG_STATE and refusal.detail == DriveState.FAULT:
+                raise BenchError(
+                    f"node {self.number} has a latched fault ({self.fault_text()}): look into its cause, "
+                    "then clear it with --clear-faults"
+                ) from None
+            raise BenchError(f"node {self.number} refused to arm: {refusal}") from None
+
+    def start(self) -> None:
+        """ARMED to RUNNING: the outputs go on."""
+        self.command(Command.START)
+
+    def stop(self) -> DriveState:
+        """Outputs off, from any state."""
+        try:
+            return self.command(Command.STOP)
+        finally:
+            self.client.feed(self.number, on=False)
+
+    def clear_faults(self) -> None:
+        """Clear exactly the faults that the last heartbeat showed; refused if there are others by now."""
+        heartbeat = self.next_heartbeat()
+        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
+            try:
+                self.command(Command.FAULT_CLEAR, int(heartbeat.faults))
+            except Refused as refusal:
+                raise BenchError(
+                    f"node {self.number} would not clear {self.fault_text()}: {refusal}; its cause may persist"
+                ) from None
+
+    def fault_text(self) -> str:
+        """The active faults by name, the first one marked."""
+        heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+        if heartbeat is None or not heartbeat.faults:
+            return "none"
+        names = ", ".join(fault.name or str(fault.value) for fault in Fault if fault & heartbeat.faults)
+        first = [fault.name or "" for fault in Fault if fault & heartbeat.first_fault]
+        return names + (f"; first: {', '.join(first)}" if first and "," in names else "")
+
+    def next_heartbeat(self) -> Heartbeat | None:
+        """The next heartbeat; the last one, or None, if none comes within 0.5 s."""
+        before = self.client.heartbeats.get(self.number)
+        self.client.wait(lambda: self.client.heartbeats.get(self.number) is not before, 0.5)
+        return self.client.heartbeats.get(self.number)
+
+    def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
+        """Send a setpoint until a heartbeat confirms it; BenchError if it is rejected, NoReply if not confirmed."""
+        for _ in range(3):
+            self._counter = self._counter % 0xFFFF + 1
+            counter = self._counter
+            heartbeat = self.client.heartbeats.get(self.number)
+            rejected = heartbeat.setpoints_rejected if heartbeat else 0
+            self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
+
+            def answered(counter: int = counter, rejected: int = rejected) -> bool:
+                now = self.client.heartbeats.get(self.number)
+                return now is not None and (now.setpoint_counter == counter or now.setpoints_rejected != rejected)
+
+            if self.client.wait(answered, 0.35):
+                confirmed = self.client.heartbeats[self.number]
+                if confirmed.setpoint_counter == counter:
+                    return
+                raise BenchError(
+                    f"node {self.number} rejected the setpoint {mode.name} {value:g} (state {confirmed.state.name}, "
+                    f"faults: {self.fault_text()})"
+                )
+        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in 3 tries")
+
+    def speed(self, omega_m: float) -> None:
+        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s."""
+        self.setpoint(SetpointMode.SPEED, omega_m)
+
+    def current(self, i_q: float, i_d: float = 0.0) -> None:
+        """Current references in A."""
+        self.setpoint(SetpointMode.CURRENT, i_q, i_d)
+
+    def torque(self, tau: float) -> None:
+        """Torque of a load machine in N·m, against the drive's positive direction."""
+        self.setpoint(SetpointMode.TORQUE, tau)
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    def clock_fit(self, tries: int = 3) -> ClockFit:
+        """Relate device ticks to host time by the quickest of `tries` TIME_SYNCs."""
+        fits = []
+        for _ in range(tries):
+            sent = self.client.now()
+            reply = self.client.request(TimeSync(), self.number, TimeSyncReply)
+            got = self.client.now()
+            middle = (reply.rx_tick + reply.tx_tick) / 2
+            fits.append(ClockFit(middle, (sent + got) / 2, self.identity.tick_hz, got - sent))
+        return min(fits, key=lambda fit: fit.round_trip)
+
+    def stop_streams(self) -> None:
+        """Stop every stream, those of an earlier host too."""
+        self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
+        self._streams.clear()
+
+    def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
+        """Configure the sample stream. Raises BenchError with what would fit when the link cannot carry it."""
+        ids = tuple(channel.id for channel in channels)
+        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids), channels)
+
+    def set_edges(self, max_latency_ms: int = 20) -> StreamConfig:
+        """Configure the stream of Hall edges."""
+        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms), ())
+
+    def start_streams(self) -> None:
+        """Start the streams that were configured."""
+        self.client.request(StreamStart(sum(1 << stream for stream in self._streams)), self.number, Empty)
+
+    def resume_streams(self, rebooted: bool) -> None:
+        """After a reconnect: configure and start again if the device forgot, else go on where it is."""
+        if rebooted:
+            self.forget()
+            for request, _ in tuple(self._streams.values()):
+                self._configure(request, tuple(c for c in self.descriptor.channels if c.id in request.channels))
+            self.start_streams()
+
+    @property
+    def predicted_load(self) -> float:
+        """Share of the link's capacity that the configured streams need, by the device; 0 where it does not know."""
+        return sum(reply.load for _, reply in self._streams.values())
+
+    def _configure(self, request: StreamSet, channels: tuple[Channel, ...]) -> StreamConfig:
+        try:
+            reply = self.client.request(request, self.number, StreamReply)
+        except Refused as refusal:
+            raise BenchError(self._why_not(refusal, request)) from None
+        config = StreamConfig(
+            self.number,
+            request.stream,
+            reply.cfg_id,
+            request.event,
+            request.decimation,
+            channels,
+            reply.block,
+        )
+        self._streams[request.stream] = (request, reply)
+        self.client.decode(config, self.identity.ticks_per_period)
+        return config
+
+    def _why_not(self, refusal: Refused, request: StreamSet) -> str:
+        if refusal.code == ErrorCode.DOES_NOT_FIT:
+            rate = self.identity.pwm_hz / max(refusal.detail, 1)
+            return (
+                f"{len(request.channels)} channels at {self.identity.pwm_hz / request.decimation:g} Hz do not fit "
+                f"the link; they would at --rate {rate:g}, or choose fewer with --channels"
+            )
+        return f"node {self.number} refused to stream: {refusal}"

@@ -1,0 +1,112 @@
+"""Where a run's data goes besides its statistics: a recording, a live view, both or neither.
+
+Imports rerun only when one of them is asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.client import Sink
+from bench.rerunio.schema import RunInfo
+from bench.statistics import Percentiles
+
+if TYPE_CHECKING:
+    from bench.rerunio.sinks import FileSink
+    from bench.rerunio.viewer import LiveView
+
+
+def has_display() -> bool:
+    """Whether a window can be opened on this machine."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+class Outputs:
+    """Recording and live view of one run. Raises RecordingError or ViewerError when one cannot be had."""
+
+    def __init__(
+        self,
+        run: RunInfo,
+        save: Path | None,
+        overwrite: bool,
+        viewer: str,
+        web_port: int | None,
+        host_time: Callable[[float], float],
+    ) -> None:
+        self.file: FileSink | None = None
+        self.view: LiveView | None = None
+        if viewer == "auto":
+            viewer = "native" if has_display() else "web"
+        if save is not None:
+            from bench.rerunio.sinks import FileSink
+
+            self.file = FileSink(save, run, overwrite=overwrite, live_drops=self.live_drops)
+        if viewer != "none":
+            from bench.rerunio.viewer import LiveView
+
+            try:
+                self.view = LiveView(run, viewer, web_port=web_port)
+            except BaseException:
+                if self.file is not None:
+                    self.file.close()
+                raise
+        for sink in self._block_sinks():
+            sink.host_time = host_time
+
+    def _block_sinks(self) -> list[Any]:
+        return [sink for sink in (self.file, self.view and self.view.sink) if sink is not None]
+
+    @property
+    def sinks(self) -> list[Sink]:
+        """The sinks to hand to the client."""
+        return list(self._block_sinks())
+
+    def live_drops(self) -> int:
+        """Blocks that the live view has lost."""
+        return self.view.sink.dropped_blocks if self.view else 0
+
+    @property
+    def latency(self) -> Percentiles | None:
+        """Sample-to-sink latency, of the recording if there is one, else of the live view."""
+        sinks = self._block_sinks()
+        return sinks[0].latency if sinks else None
+
+    def end_recording(self, summary: str) -> None:
+        """Put `summary` (markdown) into recording and view, and finish the file. Raises RecordingError."""
+        for sink in self._block_sinks():
+            sink.summary(summary)
+        if self.file is not None:
+            self.file.close()
+
+    def recorded(self) -> dict[str, Any]:
+        """What the recording holds, as plain data."""
+        if self.file is None:
+            return {}
+        return {
+            "path": str(self.file.path),
+            "samples": self.file.logged_samples,
+            "edges": self.file.logged_edges,
+            "bytes": self.file.path.stat().st_size if self.file.path.exists() else 0,
+        }
+
+    def viewed(self) -> dict[str, Any]:
+        """What the live view got, as plain data."""
+        if self.view is None:
+            return {}
+        sink = self.view.sink
+        return {
+            "kind": self.view.kind,
+            "url": self.view.url,
+            "blocks_dropped": sink.dropped_blocks,
+            "samples_dropped": sink.dropped_samples,
+            "error": sink.error,
+        }
+
+    def close(self) -> None:
+        """End the live view."""
+        if self.view is not None:
+            self.view.close()

@@ -1,0 +1,33 @@
+"""The scripted show on the simulated drive: manoeuvres of the paper with the average speed, then with the observer.
+
+A show is a list of acts. It decides what is done and when, never how: `bench.live` runs it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from protocol.signals import AngleSource
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """From now on, for `seconds`: this speed, this load, this angle source."""
+
+    title: str
+    seconds: float
+    speed_rpm: float
+    load_a: float
+    source: AngleSource | None  # None leaves it alone
+
+
+AVERAGE, TRACKING = AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING
+
+SHOW: tuple[Act, ...] = (
+    Act("start-up to 500 r/min, average speed", 3.0, 500, 0.0, AVERAGE),
+    Act("step to 1000 r/min, average speed", 3.0, 1000, 0.0, AVERAGE),
+    Act("load step to 4 A, average speed", 3.0, 1000, 4.0, AVERAGE),
+    Act("switch to vector tracking, 4 A", 3.0, 1000, 4.0, TRACKING),
+    Act("step to 500 r/min, vector tracking", 3.0, 500, 4.0, TRACKING),
+    Act("load off, vector tracking", 3.0, 500, 0.0, TRACKING),
+)

@@ -1,0 +1,111 @@
+"""Running statistics of a run: position error per estimator and segment, latency percentiles, CPU.
+
+Nothing here keeps samples: memory stays bounded however long the run is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import Flag, Unit
+from protocol.streams import SampleChunk
+
+
+def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`angle` in rad, any shape, wrapped to [-pi, pi)."""
+    wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
+    return wrapped
+
+
+def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
+    """Actual minus estimated electrical angle in rad, shape (n,), for every position estimate in the chunk.
+
+    Actual is the channel flagged REFERENCE with unit rad, the encoder. Without one the result is empty.
+    """
+    channels = chunk.config.channels
+    reference = next((c.name for c in channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
+    if reference is None:
+        return {}
+    actual = chunk.physical(reference)
+    return {
+        channel.name: wrap(actual - chunk.physical(channel.name))
+        for channel in channels
+        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD
+    }
+
+
+@dataclass(slots=True)
+class Moments:
+    """Count, mean, standard deviation and largest magnitude, merged chunk by chunk (Chan et al. 1979)."""
+
+    n: int = 0
+    mean: float = 0.0
+    m2: float = 0.0
+    peak: float = 0.0
+
+    def add(self, values: NDArray[np.float64]) -> None:
+        """Add `values`, shape (n,)."""
+        n = len(values)
+        if n == 0:
+            return
+        mean = float(values.mean())
+        m2 = float(((values - mean) ** 2).sum())
+        delta = mean - self.mean
+        total = self.n + n
+        self.m2 += m2 + delta * delta * self.n * n / total
+        self.mean += delta * n / total
+        self.n = total
+        self.peak = max(self.peak, float(np.abs(values).max()))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the population; NaN before the first value."""
+        return math.sqrt(self.m2 / self.n) if self.n else math.nan
+
+
+@dataclass(slots=True)
+class ErrorTable:
+    """Position error moments, by segment of the run and by estimator."""
+
+    segments: dict[str, dict[str, Moments]] = field(default_factory=dict)
+
+    def add(self, segment: str, errors: dict[str, NDArray[np.float64]]) -> None:
+        """Add position errors in rad to `segment`."""
+        row = self.segments.setdefault(segment, {})
+        for name, values in errors.items():
+            row.setdefault(name, Moments()).add(values)
+
+
+class Percentiles:
+    """Percentiles of a stream of positive numbers, from a histogram with logarithmic bins 2 % apart.
+
+    Reported values are the upper edges of their bins: never too small, at most 2 % too large.
+    """
+
+    _LOW = 1e-6
+    _RATIO = 1.02
+    _BINS = 1200
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(self._BINS, dtype=np.int64)
+        self._edges = self._LOW * self._RATIO ** np.arange(1, self._BINS + 1)
+
+    def add(self, value: float, count: int = 1) -> None:
+        """Add `value`, `count` times."""
+        self._counts[min(int(np.searchsorted(self._edges, value)), self._BINS - 1)] += count
+
+    @property
+    def n(self) -> int:
+        """How many numbers were added."""
+        return int(self._counts.sum())
+
+    def at(self, percent: float) -> float:
+        """The value that `percent` of the numbers do not exceed; NaN before the first one."""
+        if self.n == 0:
+            return math.nan
+        rank = math.ceil(self.n * percent / 100)
+        return float(self._edges[int(np.searchsorted(np.cumsum(self._counts), max(rank, 1)))])

@@ -1,0 +1,298 @@
+"""What a run comes to: counts, three-way losses, position errors, latency, CPU; as JSON and as tables.
+
+`RunStatistics` is a sink that counts while the run goes on. `Summary` is what is left of it at the end.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from bench.client import Client
+from bench.rerunio.schema import label
+from bench.statistics import ErrorTable, Moments, Percentiles, position_errors
+from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Feature, Heartbeat, HelloReply
+from protocol.signals import STATUS_STATE_MASK
+from protocol.streams import EdgeChunk, SampleChunk
+
+
+class RunStatistics:
+    """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
+
+    def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
+        self.drive = drive
+        self.segment = "run"
+        self.errors = ErrorTable()
+        self.samples_seen = 0
+        self.edges_seen = 0
+        self.events: list[str] = []
+        self.faults = Fault(0)
+        self.tx_dropped_first: int | None = None
+        self.tx_dropped_last = 0
+        self.host_compared = 0
+        self.host_differ = 0
+        self.last: dict[str, float] = {}
+        self._observers = observers
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Count, and add position errors of the samples taken while the drive was running."""
+        n = len(chunk.tick)
+        self.samples_seen += n
+        errors = position_errors(chunk)
+        names = chunk.raw.dtype.names or ()
+        if errors and "status" in names:
+            running = (chunk.raw["status"] & STATUS_STATE_MASK) == DriveState.RUNNING
+            errors = {name: values[running] for name, values in errors.items()}
+        if errors:
+            self.errors.add(self.segment, errors)
+        if self._observers is not None:
+            compared, differ = self._observers.compare(chunk)
+            self.host_compared += compared
+            self.host_differ += differ
+        for name in ("omega_enc", "i_q"):
+            if n and name in names:
+                self.last[name] = float(chunk.physical(name)[-1])
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Count."""
+        self.edges_seen += len(chunk.tick)
+        if self._observers is not None:
+            self._observers.edges(chunk)
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Follow the drive's own drop count."""
+        if node != self.drive:
+            return
+        if self.tx_dropped_first is None:
+            self.tx_dropped_first = heartbeat.tx_dropped
+        self.tx_dropped_last = heartbeat.tx_dropped
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Remember faults."""
+        if event.code == EventCode.FAULT:
+            self.faults |= Fault(int(event.arg))
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Remember errors for the summary."""
+        if level != "INFO":
+            self.events.append(text)
+
+    @property
+    def dropped_by_device(self) -> int:
+        """Frames that the drive says it dropped during the run."""
+        return self.tx_dropped_last - (self.tx_dropped_first or 0)
+
+
+class CpuMeter:
+    """CPU time of this process as a share of one core."""
+
+    def __init__(self) -> None:
+        self._wall = time.perf_counter()
+        self._cpu = time.process_time()
+
+    def percent(self) -> float:
+        """CPU seconds per second since the meter was made, in percent of one core."""
+        wall = time.perf_counter() - self._wall
+        return 100 * (time.process_time() - self._cpu) / wall if wall > 0 else math.nan
+
+
+if TYPE_CHECKING:
+    from bench.estimators import HostObservers
+
+
+@dataclass
+class Lost:
+    """Losses by the three counts: sample index, frame sequence, the device's own."""
+
+    samples_by_index: int = 0
+    edges_by_index: int = 0
+    frames_by_sequence: int = 0
+    frames_by_device: int = 0
+
+
+@dataclass
+class Summary:
+    """All figures of a run; angles in electrical degrees, times in s or ms by name."""
+
+    target: str
+    identity: dict[str, Any]
+    duration_s: float
+    samples: int
+    edges: int
+    lost: Lost
+    position_error_deg: dict[str, dict[str, dict[str, float]]]
+    cpu_percent: float
+    latency_ms: dict[str, float]
+    link: dict[str, Any]
+    live_view: dict[str, Any] = field(default_factory=dict)
+    recording: dict[str, Any] = field(default_factory=dict)
+    host_observers: dict[str, int] | None = None
+    faults: list[str] = field(default_factory=list)
+    result: str = "ok"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data; numbers that do not exist are null."""
+        plain = _finite(asdict(self))
+        assert isinstance(plain, dict)
+        return plain
+
+
+def summarise(
+    target: str,
+    client: Client,
+    stats: RunStatistics,
+    identity: HelloReply,
+    duration: float,
+    cpu_percent: float,
+    latency: Percentiles | None,
+) -> Summary:
+    """Put together what the client and the statistics have counted."""
+    total = client.losses(stats.drive)
+    samples, edges = total.samples, total.edges
+    counters = client.session.counters
+    return Summary(
+        target=target,
+        identity=describe(identity),
+        duration_s=duration,
+        samples=stats.samples_seen,
+        edges=stats.edges_seen,
+        lost=Lost(
+            samples_by_index=samples.lost_by_index,
+            edges_by_index=edges.lost_by_index,
+            frames_by_sequence=samples.lost_by_seq + edges.lost_by_seq,
+            frames_by_device=stats.dropped_by_device,
+        ),
+        position_error_deg={
+            segment: {name: _degrees(moments) for name, moments in row.items() if moments.n}
+            for segment, row in stats.errors.segments.items()
+            if any(moments.n for moments in row.values())
+        },
+        cpu_percent=cpu_percent,
+        latency_ms={} if latency is None else {f"p{p}": 1e3 * latency.at(p) for p in (50, 95, 99, 100)},
+        link={
+            "outages": client.health.outages,
+            "downtime_s": client.health.downtime,
+            "reboots": client.health.reboots,
+            "bytes": client.bytes_in,
+            "frames": counters.framing.frames,
+            "damaged": counters.framing.bad,
+            "stale": samples.stale + edges.stale,
+            "out_of_order": samples.out_of_order + edges.out_of_order,
+        },
+        host_observers={"compared": stats.host_compared, "different": stats.host_differ}
+        if stats.host_compared
+        else None,
+        faults=[fault.name or "" for fault in Fault if fault & stats.faults],
+    )
+
+
+ERROR_HEADERS = ("position error, electrical degrees", "estimate", "mean", "std", "max")
+
+
+def error_rows(summary: Summary) -> list[list[str]]:
+    """Position errors by segment and estimator, as text under ERROR_HEADERS."""
+    return [
+        [
+            segment if first else "",
+            label(name),
+            f"{row['mean']:+.2f}",
+            f"{row['std']:.2f}",
+            f"{row['max']:.2f}",
+        ]
+        for segment, by_name in summary.position_error_deg.items()
+        for first, (name, row) in zip([True] + [False] * len(by_name), by_name.items(), strict=False)
+    ]
+
+
+def run_rows(summary: Summary) -> list[list[str]]:
+    """The figures of a run but for the position errors, as pairs of name and text."""
+    lost, link, latency = summary.lost, summary.link, summary.latency_ms
+    rows = [
+        ["duration", f"{summary.duration_s:.1f} s"],
+        ["samples", f"{summary.samples}"],
+        ["edges", f"{summary.edges}"],
+        ["lost by index", f"{lost.samples_by_index} samples, {lost.edges_by_index} edges"],
+        ["lost by sequence", f"{lost.frames_by_sequence} frames"],
+        ["dropped by the drive", f"{lost.frames_by_device} frames"],
+        [
+            "damaged, stale, out of order",
+            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames",
+        ],
+        ["link", f"{link['outages']} outages, {link['downtime_s']:.1f} s down, {link['reboots']} reboots"],
+        ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],
+    ]
+    if latency:
+        rows.append(
+            [
+                "latency, sample to sink",
+                " / ".join(f"{latency[k]:.0f}" for k in ("p50", "p99", "p100")) + " ms (p50 / p99 / max)",
+            ]
+        )
+    if summary.live_view:
+        rows.append(["dropped by the live view", f"{summary.live_view['blocks_dropped']} blocks"])
+    if summary.recording:
+        kept = summary.recording
+        rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {kept['path']}"])
+    if summary.host_observers:
+        rows.append(
+            [
+                "host against drive",
+                f"{summary.host_observers['different']} of {summary.host_observers['compared']} samples differ",
+            ]
+        )
+    rows.append(["faults", ", ".join(summary.faults) or "none"])
+    rows.append(["result", summary.result])
+    return rows
+
+
+def as_markdown(summary: Summary) -> str:
+    """The summary as a markdown document."""
+    errors = error_rows(summary)
+    return "\n\n".join(
+        [
+            "# Summary",
+            *([_markdown_table(ERROR_HEADERS, errors)] if errors else []),
+            _markdown_table(("run", ""), run_rows(summary)),
+        ]
+    )
+
+
+def _markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(row) + " |" for row in (headers, ["---"] * len(headers), *rows))
+
+
+def describe(identity: HelloReply) -> dict[str, Any]:
+    """A node's identity as plain data."""
+    return {
+        "name": identity.name,
+        "firmware": identity.firmware,
+        "node": identity.node,
+        "role": identity.role.name.lower(),
+        "boot_id": f"{identity.boot_id:08x}",
+        "protocol": f"{identity.major}.{identity.minor}",
+        "schema_crc": f"{identity.schema_crc:08x}",
+        "tick_hz": identity.tick_hz,
+        "pwm_hz": identity.pwm_hz,
+        "features": [feature.name.lower() for feature in Feature if feature & identity.features and feature.name],
+        "nodes": identity.nodes,
+    }
+
+
+def _degrees(moments: Moments) -> dict[str, float]:
+    return {
+        "n": moments.n,
+        "mean": math.degrees(moments.mean),
+        "std": math.degrees(moments.std),
+        "max": math.degrees(moments.peak),
+    }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
