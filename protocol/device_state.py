@@ -118,6 +118,6 @@ class StateMachine:
     def _wrong_state(self, text: str) -> Refused:
         return Refused(f"{text}, the state is {self.state.name}", ErrorCode.WRONG_STATE, float(self.state))
 
-    def _watchdog_ticks(self) -> float:
+    def _watchdog_ticks(self) -> int:
         seconds = self._app.get_param("watchdog") if self._has_watchdog else DEFAULT_WATCHDOG_SECONDS
-        return seconds * self._tick_hz
+        return round(seconds * self._tick_hz)

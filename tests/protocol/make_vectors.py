@@ -1,0 +1,475 @@
+"""Makes protocol/vectors/*.json with the independent implementation. Run it to write them; a test compares.
+
+Each case is written out by hand from SPEC.md: nothing here is taken from the code under test.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from hbp_reference import body, cobs_encode, crc32, fields, wire
+
+VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
+F = fields
+
+
+def framing() -> list[dict[str, object]]:
+    """Frames, good and damaged. `verdict` is "ok" or the counter that a damaged one adds to."""
+    cases: list[dict[str, object]] = []
+
+    def add(name: str, body_: bytes | None, wire_: bytes | None = None, verdict: str = "ok") -> None:
+        wire_ = wire(body_) if wire_ is None and body_ is not None else wire_
+        assert wire_ is not None
+        decoded = None
+        if body_ is not None and verdict == "ok":
+            decoded = {
+                "type": body_[0],
+                "flags": body_[1],
+                "tid": int.from_bytes(body_[2:4], "little"),
+                "len": int.from_bytes(body_[4:6], "little"),
+                "node": body_[6],
+            }
+        cases.append(
+            {
+                "name": name,
+                "fields": decoded,
+                "body_hex": None if body_ is None else body_.hex(),
+                "wire_hex": wire_.hex(),
+                "verdict": verdict,
+            }
+        )
+
+    hello = body(1, 1, 1, 0, F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)))
+    add("hello, as printed in SPEC.md", hello)
+    add("empty payload", body(0x02, 1, 2, 0, b""))
+    add("tid 65535, node 255", body(0x02, 1, 65535, 255, b""))
+    ones = bytes(1 + i % 255 for i in range(1024))
+    for run in (252, 253, 254, 255, 508, 509):
+        add(f"run of {run} without a zero", body(0x10, 0x11, 7, 1, ones[:run] + b"\0\x01"))
+        add(f"run of {run} at the end of a payload of zeros", body(0x10, 0x11, 7, 1, b"\0\0" + ones[:run]))
+    for length in (1, 4, 240, 241, 242, 243, 1024):
+        add(f"{length} zeros", body(0x10, 0x11, 8, 1, bytes(length)))
+    add("1024 bytes without a zero", body(0x10, 0x11, 9, 1, ones))
+    add("1024 bytes of ff", body(0x10, 0x11, 9, 1, b"\xff" * 1024))
+    tid = next(t for t in range(1, 65536) if crc32(body(0x02, 1, t, 0, b"")) & 0xFF == 0)
+    add("crc whose first byte is zero", body(0x02, 1, tid, 0, b""))
+    tid = next(t for t in range(1, 65536) if crc32(body(0x02, 1, t, 0, b"")) >> 24 == 0)
+    add("crc whose last byte is zero", body(0x02, 1, tid, 0, b""))
+    add("unknown type: the framing passes it on", body(0x7E, 1, 3, 0, b"\x01\x02\x03\x04"))
+    add("unknown flags and major: the framing passes them on", body(0x02, 0x8F, 4, 0, b""))
+    add("a byte of the reserved field set: ignored by receivers", body(0x02, 1, 4, 0, b"")[:7] + b"\x01")
+
+    good = wire(hello)
+    add("bad crc", hello, wire(hello, crc32(hello) ^ 1), "bad_crc")
+    add(
+        "crc big-endian",
+        hello,
+        wire(hello, int.from_bytes(crc32(hello).to_bytes(4, "little"), "big")),
+        "bad_crc",
+    )
+    flipped = bytearray(good)
+    flipped[10] ^= 0x40
+    add("one bit of the payload flipped", hello, bytes(flipped), "bad_crc")
+    add("length field one too small", None, wire(body(1, 1, 1, 0, hello[8:], 7)), "bad_length")
+    add("length field one too large", None, wire(body(1, 1, 1, 0, hello[8:], 9)), "bad_length")
+    short = hello[:7]
+    add("shorter than an empty frame, crc right", None, wire(short), "bad_length")
+    add("crc alone", None, wire(b""), "bad_length")
+    add("truncated: the last block lacks bytes", None, good[:-3] + b"\0", "bad_cobs")
+    add("truncated between blocks", None, good[:7] + b"\0", "bad_length")
+    long = body(0x10, 0x11, 9, 1, ones + b"\x01")
+    add("payload of 1025 bytes", None, wire(long), "too_long")
+    add("1100 bytes without a delimiter", None, b"\0" + b"\x55" * 1100 + b"\0", "too_long")
+    add("cobs code past the end", None, b"\0\x05\x01\x02\0", "bad_cobs")
+    add("only delimiters", None, bytes(16), "nothing")
+    assert cobs_encode(b"") == b"\x01"
+    return cases
+
+
+def messages() -> list[dict[str, object]]:
+    """One of each message, by the name of its class and of its fields."""
+    cases: list[dict[str, object]] = []
+
+    def add(message: str, header: tuple[int, int, int, int], values: dict[str, object], payload: bytes) -> None:
+        body_ = body(*header, payload)
+        cases.append(
+            {
+                "name": message,
+                "fields": values,
+                "body_hex": body_.hex(),
+                "wire_hex": wire(body_).hex(),
+                "verdict": "ok",
+            }
+        )
+
+    req, rep, err = 0x01, 0x11, 0x31
+    add(
+        "Hello",
+        (0x01, req, 1, 0),
+        {"nonce": 0x12345678, "major_min": 1, "major_max": 1, "rx_max": 1024},
+        F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)),
+    )
+    add(
+        "HelloReply",
+        (0x01, rep, 1, 1),
+        {
+            "nonce": 0x12345678,
+            "boot_id": 0xCAFE0001,
+            "major": 1,
+            "minor": 0,
+            "rx_max": 1024,
+            "tx_max": 512,
+            "features": 7,
+            "schema_crc": 0xCBF43926,
+            "tick_hz": 20_000_000,
+            "pwm_hz": 16_000,
+            "state": 1,
+            "node": 1,
+            "role": 1,
+            "nodes": 2,
+            "name": "drive",
+            "firmware": "0.1.0",
+        },
+        F(
+            ("u32", 0x12345678), ("u32", 0xCAFE0001), ("u8", 1), ("u8", 0), ("u16", 1024), ("u16", 512),
+            ("pad", 2), ("u32", 7), ("u32", 0xCBF43926), ("u32", 20_000_000), ("u32", 16_000),
+            ("u8", 1), ("u8", 1), ("u8", 1), ("u8", 2), ("text16", "drive"), ("text16", "0.1.0"),
+        ),
+    )  # fmt: skip
+    add("TimeSync", (0x02, req, 2, 1), {}, b"")
+    add(
+        "TimeSyncReply",
+        (0x02, rep, 2, 1),
+        {"rx_tick": 0x100000002, "tx_tick": 0x100000FFF},
+        F(("u64", 0x100000002), ("u64", 0x100000FFF)),
+    )
+    add(
+        "Heartbeat",
+        (0x04, req, 0, 1),
+        {
+            "tick": 0x0000000500000001,
+            "boot_id": 0xCAFE0001,
+            "faults": 33,
+            "first_fault": 1,
+            "tx_dropped": 3,
+            "rx_bad": 70000,
+            "setpoint_counter": 65535,
+            "setpoints_rejected": 2,
+            "last_tid": 17,
+            "watchdog_ms": 65535,
+            "state": 4,
+            "outputs_on": False,
+        },
+        F(
+            ("u64", 0x0000000500000001), ("u32", 0xCAFE0001), ("u32", 33), ("u32", 1), ("u32", 3),
+            ("u32", 70000), ("u16", 65535), ("u16", 2), ("u16", 17), ("u16", 65535),
+            ("u8", 4), ("u8", 0), ("pad", 2),
+        ),
+    )  # fmt: skip
+    add("Alive", (0x05, req, 0, 1), {"counter": 0x01020304}, F(("u32", 0x01020304)))
+    add(
+        "BlobRead",
+        (0x10, req, 3, 1),
+        {"id": 0, "length": 1000, "offset": 65536},
+        F(("u8", 0), ("pad", 1), ("u16", 1000), ("u32", 65536)),
+    )
+    add(
+        "BlobReply",
+        (0x10, rep, 3, 1),
+        {"id": 0, "length": 5, "offset": 65536, "total": 65541, "data": "0001020304"},
+        F(("u8", 0), ("pad", 1), ("u16", 5), ("u32", 65536), ("u32", 65541), ("bytes", bytes(range(5)))),
+    )
+    add("ParamGet", (0x11, req, 4, 1), {"id": 102}, F(("u16", 102), ("pad", 2)))
+    add(
+        "ParamReply",
+        (0x11, rep, 4, 1),
+        {"id": 102, "value": 0.15625, "lo": 0.0, "hi": 100.0, "default": 0.25},
+        F(("u16", 102), ("pad", 2), ("f32", 0.15625), ("f32", 0.0), ("f32", 100.0), ("f32", 0.25)),
+    )
+    add("ParamSet", (0x12, req, 5, 1), {"id": 102, "value": -1.5}, F(("u16", 102), ("pad", 2), ("f32", -1.5)))
+    add(
+        "ParamStored",
+        (0x12, rep, 5, 1),
+        {"id": 102, "stored": 0.5},
+        F(("u16", 102), ("pad", 2), ("f32", 0.5)),
+    )
+    add("ParamCommit", (0x13, req, 6, 1), {}, b"")
+    add("Empty", (0x13, rep, 6, 1), {}, b"")
+    add(
+        "StateCommand",
+        (0x20, req, 7, 1),
+        {"command": 1, "argument": 0xCAFE0001},
+        F(("u8", 1), ("pad", 3), ("u32", 0xCAFE0001)),
+    )
+    add("StateReply", (0x20, rep, 7, 1), {"state": 2}, F(("u8", 2), ("pad", 3)))
+    add("ErrorReply", (0x20, err, 7, 1), {"code": 6, "request": 0x20, "detail": 0.0},
+        F(("u16", 6), ("u8", 0x20), ("pad", 1), ("f32", 0.0)))  # fmt: skip
+    add(
+        "Setpoint",
+        (0x21, req, 0, 1),
+        {"mode": 2, "counter": 9, "value": 4.0, "value2": -0.5},
+        F(("u8", 2), ("pad", 1), ("u16", 9), ("f32", 4.0), ("f32", -0.5)),
+    )
+    add(
+        "StreamSet",
+        (0x30, req, 8, 1),
+        {"stream": 0, "event": 0, "decimation": 16, "max_latency_ms": 20, "channels": [3, 5, 1]},
+        F(("u8", 0), ("u8", 0), ("u16", 16), ("u16", 20), ("u16", 3), ("u16", 3), ("u16", 5), ("u16", 1)),
+    )
+    add(
+        "StreamReply",
+        (0x30, rep, 8, 1),
+        {"stream": 0, "cfg_id": 0xABCD, "sample_bytes": 5, "block": 20, "load": 0.125},
+        F(("u8", 0), ("pad", 1), ("u16", 0xABCD), ("u16", 5), ("u16", 20), ("f32", 0.125)),
+    )
+    add("StreamStart", (0x31, req, 9, 1), {"mask": 3}, F(("u32", 3)))
+    add("StreamStop", (0x32, req, 10, 1), {"mask": 0xFFFFFFFF}, F(("u32", 0xFFFFFFFF)))
+    add(
+        "DeviceEvent",
+        (0x42, req, 0, 1),
+        {"tick": 0x1000000000, "code": 2, "node": 1, "arg": 2.0},
+        F(("u64", 0x1000000000), ("u16", 2), ("u8", 1), ("pad", 1), ("f32", 2.0)),
+    )
+    add(
+        "Log",
+        (0x43, req, 0, 1),
+        {"level": 6, "text": "R = 0.158 Ω"},
+        F(("u8", 6), ("bytes", "R = 0.158 Ω".encode())),
+    )
+    return cases
+
+
+def exchanges() -> list[dict[str, object]]:
+    """Requests that any device answers the same way, whatever its state. The device is node 1 and alone."""
+
+    def refusal(code: int, frame: tuple[int, int, int, int], payload: bytes, detail: float) -> tuple[str, str]:
+        error = F(("u16", code), ("u8", frame[0]), ("pad", 1), ("f32", detail))
+        return wire(body(*frame, payload)).hex(), wire(body(frame[0], 0x31, frame[2], 1, error)).hex()
+
+    cases = {
+        "unknown type": refusal(1, (0x7E, 1, 5, 0), b"", 0x7E),
+        "a reserved type": refusal(1, (0x06, 1, 5, 1), b"\1\2\3\4", 0x06),
+        "unsolicited type as a request": refusal(1, (0x04, 1, 6, 1), b"", 0x04),
+        "another major": refusal(13, (0x02, 2, 7, 1), b"", 1),
+        "HELLO without a common major": refusal(
+            13, (0x01, 2, 8, 0), F(("u32", 1), ("u8", 2), ("u8", 3), ("u16", 1024)), 1
+        ),
+        "HELLO with a receiver that is too small": refusal(
+            4, (0x01, 1, 8, 0), F(("u32", 1), ("u8", 1), ("u8", 1), ("u16", 127)), 128
+        ),
+        "request too short": refusal(2, (0x11, 1, 9, 1), b"\x65\0", 2),
+        "request too long": refusal(2, (0x11, 1, 10, 1), b"\x65\0\0\0\0", 5),
+        "channel ids disagree with the length": refusal(
+            2, (0x30, 1, 11, 1), F(("u8", 0), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 3), ("u16", 1)), 10
+        ),
+        "unknown command": refusal(3, (0x20, 1, 12, 1), F(("u8", 9), ("pad", 3), ("u32", 0)), 9),
+        "unknown stream event": refusal(
+            3, (0x30, 1, 13, 1), F(("u8", 0), ("u8", 7), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 1)), 7
+        ),
+        "request with tid 0": refusal(3, (0x02, 1, 0, 1), b"", 0),
+        "unacknowledged message with a tid": refusal(3, (0x05, 1, 14, 1), F(("u32", 1)), 14),
+        "unknown node": refusal(14, (0x02, 1, 15, 9), b"", 9),
+        "unknown parameter": refusal(7, (0x11, 1, 16, 1), F(("u16", 0xFFFF), ("pad", 2)), 0xFFFF),
+        "unknown blob": refusal(7, (0x10, 1, 17, 1), F(("u8", 200), ("pad", 1), ("u16", 4), ("u32", 0)), 200),
+        "unknown channel": refusal(
+            7, (0x30, 1, 18, 1),
+            F(("u8", 0), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 0xFFFF)), 0xFFFF,
+        ),
+        "stream number too high": refusal(
+            4, (0x30, 1, 19, 1), F(("u8", 4), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 1)), 3
+        ),
+        "start of a stream that is not configured": refusal(7, (0x31, 1, 20, 1), F(("u32", 4)), 2),
+        "token that is not boot_id": refusal(6, (0x20, 1, 21, 1), F(("u8", 1), ("pad", 3), ("u32", 1)), 0),
+    }  # fmt: skip
+    return [{"name": name, "request_hex": pair[0], "reply_hex": pair[1]} for name, pair in cases.items()]
+
+
+def streams() -> list[dict[str, object]]:
+    """DATA and EDGES: frames in, records and account out; wrap-around of seq, index and tick.
+
+    A sample is {count u16, half i8 (as u8 here)}; `gaps` are [position, lost_samples, lost_frames, overrun].
+    """
+    cases: list[dict[str, object]] = []
+    data, edges = 0x40, 0x41
+
+    def frame(
+        kind: int, seq: int, index: int, tick: int, records: list[bytes], flags: int = 0, cfg_id: int = 7,
+        n: int | None = None,
+    ) -> bytes:  # fmt: skip
+        head = F(
+            ("u8", 2), ("u8", flags), ("u16", len(records) if n is None else n), ("u16", cfg_id),
+            ("u16", seq & 0xFFFF), ("u32", index & 0xFFFFFFFF), ("u32", tick & 0xFFFFFFFF),
+        )  # fmt: skip
+        return body(kind, 1, 0, 1, head + b"".join(records))
+
+    def sample(count: int) -> bytes:
+        return F(("u16", count & 0xFFFF), ("u8", count & 0x7F))
+
+    def add(
+        name: str, frames: list[bytes], index: list[int], tick: list[int], gaps: list[list[object]],
+        account: dict[str, int], reference: int = 0, decimation: int = 1, kind: str = "samples",
+    ) -> None:  # fmt: skip
+        cases.append(
+            {
+                "name": name,
+                "kind": kind,
+                "config": {
+                    "stream": 2,
+                    "cfg_id": 7,
+                    "decimation": decimation,
+                    "block": 2,
+                    "ticks_per_period": 1250,
+                },
+                "reference_tick": reference,
+                "wire_hex": [wire(each).hex() for each in frames],
+                "index": index,
+                "tick": tick,
+                "gaps": gaps,
+                "account": account,
+            }
+        )
+
+    def run(first: int, n: int) -> list[bytes]:
+        return [sample(first + i) for i in range(n)]
+
+    add(
+        "two blocks",
+        [frame(data, 0, 100, 125000, run(100, 2)), frame(data, 1, 102, 127500, run(102, 2))],
+        [100, 101, 102, 103],
+        [125000, 126250, 127500, 128750],
+        [],
+        {"samples": 4, "frames": 2},
+    )
+    add(
+        "index and tick wrap at 2^32",
+        [
+            frame(data, 0, 0xFFFFFFFE, 0xFFFFFB1E - 1250, run(0xFFFFFFFE, 2)),
+            frame(data, 1, 0x100000000, 0xFFFFFB1E + 1250, run(0, 2)),
+        ],
+        [0xFFFFFFFE, 0xFFFFFFFF, 0x100000000, 0x100000001],
+        [0x3FFFFFB1E - 1250, 0x3FFFFFB1E, 0x3FFFFFB1E + 1250, 0x3FFFFFB1E + 2500],
+        [],
+        {"samples": 4, "frames": 2},
+        reference=0x400000000,
+    )
+    add(
+        "decimation 10, a late partial block",
+        [
+            frame(data, 0, 20, 25000, run(20, 2)),
+            frame(data, 1, 40, 50000, run(40, 1)),
+            frame(data, 2, 50, 62500, run(50, 2)),
+        ],
+        [20, 30, 40, 50, 60],
+        [25000, 37500, 50000, 62500, 75000],
+        [],
+        {"samples": 5, "frames": 3},
+        decimation=10,
+    )  # fmt: skip
+    add(
+        "a frame lost on the link",
+        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 2, 4, 5000, run(4, 2))],
+        [0, 1, 4, 5],
+        [0, 1250, 5000, 6250],
+        [[2, 2, 1, False]],
+        {"samples": 4, "frames": 2, "lost_by_index": 2, "lost_by_seq": 1},
+    )
+    add(
+        "two frames dropped by the device, overrun flag",
+        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 3, 6, 7500, run(6, 2), flags=1)],
+        [0, 1, 6, 7],
+        [0, 1250, 7500, 8750],
+        [[2, 4, 2, True]],
+        {"samples": 4, "frames": 2, "lost_by_index": 4, "lost_by_seq": 2, "overruns": 1},
+    )
+    add(
+        "the first frame is lost",
+        [frame(data, 1, 12, 15000, run(12, 2))],
+        [12, 13],
+        [15000, 16250],
+        [[0, 2, 1, False]],
+        {"samples": 2, "frames": 1, "lost_by_index": 2, "lost_by_seq": 1},
+    )
+    add(
+        "the device skipped periods: discontinuity flag",
+        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 1, 7, 8750, run(7, 2), flags=2)],
+        [0, 1, 7, 8],
+        [0, 1250, 8750, 10000],
+        [[2, 5, 0, False]],
+        {"samples": 4, "frames": 2, "lost_by_index": 5},
+    )
+    first, second = frame(data, 0, 0, 0, run(0, 2)), frame(data, 1, 2, 2500, run(2, 2))
+    third = frame(data, 2, 4, 5000, run(4, 2))
+    add(
+        "a repeated frame",
+        [first, second, second, third],
+        [0, 1, 2, 3, 4, 5],
+        [0, 1250, 2500, 3750, 5000, 6250],
+        [],
+        {"samples": 6, "frames": 3, "out_of_order": 1},
+    )
+    add(
+        "two frames swapped",
+        [first, third, second],
+        [0, 1, 4, 5],
+        [0, 1250, 5000, 6250],
+        [[2, 2, 1, False]],
+        {"samples": 4, "frames": 2, "lost_by_index": 2, "lost_by_seq": 1, "out_of_order": 1},
+    )
+    add(
+        "a frame of another configuration",
+        [first, frame(data, 1, 2, 2500, run(2, 2), cfg_id=6), second],
+        [0, 1, 2, 3],
+        [0, 1250, 2500, 3750],
+        [],
+        {"samples": 4, "frames": 2, "stale": 1},
+    )
+    add(
+        "n disagrees with the length; n is 0",
+        [first, frame(data, 1, 2, 2500, run(2, 2), n=3), frame(data, 1, 2, 2500, []), second],
+        [0, 1, 2, 3],
+        [0, 1250, 2500, 3750],
+        [],
+        {"samples": 4, "frames": 2, "malformed": 2},
+    )
+
+    def edge(tick: int, old: int, new: int, illegal: bool, encoder: int) -> bytes:
+        return F(("u32", tick & 0xFFFFFFFF), ("u8", old | new << 3 | illegal << 6), ("u8", 0), ("u16", encoder))
+
+    add(
+        "edges across the wrap of the tick, one lost",
+        [
+            frame(edges, 0, 41, 0xFFFFFF00, [edge(0xFFFFFF00, 1, 3, False, 100), edge(0x10, 3, 2, False, 160)]),
+            frame(edges, 2, 44, 0x2000, [edge(0x2000, 2, 7, True, 220)]),
+        ],
+        [41, 42, 44],
+        [0x2FFFFFF00, 0x300000010, 0x300002000],
+        [[2, 1, 1, False]],
+        {"samples": 3, "frames": 2, "lost_by_index": 1, "lost_by_seq": 1},
+        reference=0x300000000,
+        kind="edges",
+    )
+    seqs = [0xFFFE, 0xFFFF, 0, 1]
+    add(
+        "seq wraps at 2^16 (the first 65534 frames are lost)",
+        [frame(data, seq, 200000 + 2 * k, 2500 * k, run(2 * k, 2)) for k, seq in enumerate(seqs)],
+        [200000 + k for k in range(8)],
+        [1250 * k for k in range(8)],
+        [[0, 131068, 65534, False]],
+        {"samples": 8, "frames": 4, "lost_by_index": 131068, "lost_by_seq": 65534},
+    )
+    return cases
+
+
+ALL = {"framing": framing, "messages": messages, "exchanges": exchanges, "streams": streams}
+
+
+def text(name: str) -> str:
+    """Return the whole text of a file."""
+    return json.dumps(ALL[name](), indent=1, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    for each in ALL:
+        (VECTORS / f"{each}.json").write_text(text(each), encoding="utf-8")
+        print(VECTORS / f"{each}.json")

@@ -1,0 +1,482 @@
+"""The device's end: at most once, explicit refusals, states, watchdog, parameters. Time is in ticks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from small_drive import DEFAULTS, PARAMETERS, SmallDrive, identity, small_link
+
+from protocol.device import DeviceLink, DeviceSession
+from protocol.errors import Refused
+from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.messages import (
+    REPLIES,
+    Alive,
+    BlobRead,
+    Command,
+    DeviceEvent,
+    DriveState,
+    ErrorCode,
+    ErrorReply,
+    EventCode,
+    Fault,
+    Heartbeat,
+    Hello,
+    MessageType,
+    ParamCommit,
+    ParamGet,
+    ParamSet,
+    Payload,
+    Request,
+    Setpoint,
+    SetpointMode,
+    StateCommand,
+    StreamStop,
+    TimeSync,
+)
+
+HZ = 20_000_000
+BOOT_ID = 0xB0071D
+
+
+class Wire:
+    """Talks to a link as a host would, frame by frame, without a `HostSession`."""
+
+    def __init__(self, link: DeviceLink) -> None:
+        self.link = link
+        self.deframer = Deframer()
+        self.deframer.feed(b"\0")
+        self.tids = itertools.count(1)
+        self.tick = 0
+
+    def frames(self) -> list[Frame]:
+        return [parse_frame(raw) for raw in self.deframer.feed(self.link.data_to_send())]
+
+    def ask(self, message: Request, tid: int | None = None, node: int = 1) -> Payload:
+        """Return the reply, whatever else comes before it."""
+        tid = next(self.tids) if tid is None else tid
+        self.link.receive(encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack())))
+        replies = [frame for frame in self.frames() if frame.is_reply and frame.tid == tid]
+        assert len(replies) == 1
+        assert replies[0].type == message.TYPE
+        return (ErrorReply if replies[0].is_error else REPLIES[message.TYPE]).unpack(replies[0].payload)
+
+    def tell(self, message: Request, node: int = 1) -> None:
+        self.link.receive(encode_frame(Frame(message.TYPE, MAJOR, 0, node, message.pack())))
+
+    def wait(self, seconds: float) -> None:
+        self.tick += round(seconds * HZ)
+        self.link.advance(self.tick)
+
+    def events(self) -> list[tuple[int, float]]:
+        frames = [frame for frame in self.frames() if frame.type == MessageType.EVENT]
+        return [(event.code, event.arg) for event in (DeviceEvent.unpack(frame.payload) for frame in frames)]
+
+
+@pytest.fixture
+def device() -> tuple[Wire, DeviceSession, SmallDrive]:
+    link, session, app = small_link()
+    return Wire(link), session, app
+
+
+Device = tuple[Wire, DeviceSession, SmallDrive]
+
+
+def error(code: ErrorCode, request: MessageType, detail: float = 0.0) -> ErrorReply:
+    return ErrorReply(code, request, detail)
+
+
+def run(wire: Wire) -> None:
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)).state is DriveState.ARMED
+    assert wire.ask(StateCommand(Command.START)).state is DriveState.RUNNING
+
+
+def test_boot_ends_with_the_first_tick() -> None:
+    link = DeviceLink()
+    session = link.add(SmallDrive(), identity())
+    wire = Wire(link)
+    assert session.state is DriveState.BOOT
+    assert wire.ask(Hello(1)).state is DriveState.BOOT
+    expected = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.BOOT)
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == expected
+    link.advance(0)
+    assert session.state is DriveState.IDLE
+
+
+def test_hello_tells_who_it_is_and_changes_nothing(device: Device) -> None:
+    wire, session, app = device
+    run(wire)
+    reply = wire.ask(Hello(77), node=0)
+    assert (reply.nonce, reply.boot_id, reply.node, reply.nodes) == (77, BOOT_ID, 1, 1)
+    assert (reply.major, reply.minor, reply.name, reply.firmware) == (1, 0, "small", "1.0")
+    assert (reply.tick_hz, reply.pwm_hz, reply.ticks_per_period) == (HZ, 16_000, 1250)
+    assert reply.schema_crc == session.descriptor.crc
+    assert app.outputs_on
+    assert reply.state is DriveState.RUNNING
+
+
+def test_descriptor_is_read_in_parts(device: Device) -> None:
+    wire, session, _ = device
+    wire.ask(Hello(1, rx_max=128))
+    blob = b""
+    while True:
+        reply = wire.ask(BlobRead(0, 1000, len(blob)))
+        assert len(reply.data) <= 128 - 12
+        blob += reply.data
+        if len(blob) == reply.total:
+            break
+    assert blob == session.descriptor.pack()
+    assert wire.ask(BlobRead(0, 8, len(blob))).data == b""
+    expected = error(ErrorCode.OUT_OF_RANGE, MessageType.BLOB_READ, len(blob))
+    assert wire.ask(BlobRead(0, 8, len(blob) + 1)) == expected
+
+
+def test_a_repeated_request_is_answered_but_not_executed_again(device: Device) -> None:
+    wire, _, app = device
+    first = wire.ask(ParamSet(101, 7.0), tid=50)
+    app.values["gain"] = 8.0
+    assert wire.ask(ParamSet(101, 7.0), tid=50) == first
+    assert (app.values["gain"], app.calls) == (8.0, 1)
+    wire.ask(ParamSet(101, 7.5), tid=50)  # same tid, other payload: another request
+    assert (app.values["gain"], app.calls) == (7.5, 2)
+
+
+def test_a_refusal_is_repeated_too(device: Device) -> None:
+    wire, session, _ = device
+    assert wire.ask(StateCommand(Command.START), tid=50).code == ErrorCode.WRONG_STATE
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID), tid=51).state is DriveState.ARMED
+    assert wire.ask(StateCommand(Command.START), tid=50).code == ErrorCode.WRONG_STATE
+    assert session.state is DriveState.ARMED
+
+
+def test_four_replies_are_kept(device: Device) -> None:
+    wire, _, app = device
+    for tid in (1, 2, 3, 4):
+        wire.ask(ParamSet(101, tid), tid=tid)
+    for tid in (1, 2, 3, 4):
+        wire.ask(ParamSet(101, tid), tid=tid)
+    assert app.calls == 4
+    wire.ask(ParamSet(101, 5), tid=5)
+    wire.ask(ParamSet(101, 1), tid=1)
+    assert app.calls == 6
+
+
+def test_a_new_host_may_use_the_same_tids(device: Device) -> None:
+    wire, _, app = device
+    wire.ask(Hello(1), tid=1)
+    wire.ask(ParamSet(101, 7.0), tid=2)
+    wire.ask(Hello(1), tid=1)  # a late repetition forgets nothing
+    wire.ask(ParamSet(101, 7.0), tid=2)
+    assert app.calls == 1
+    wire.ask(Hello(2), tid=1)
+    wire.ask(ParamSet(101, 7.0), tid=2)
+    assert app.calls == 2
+
+
+def test_time_is_never_replayed(device: Device) -> None:
+    wire, _, _ = device
+    before = wire.ask(TimeSync(), tid=9).tx_tick
+    wire.wait(0.01)
+    assert wire.ask(TimeSync(), tid=9).tx_tick == before + HZ // 100
+
+
+def test_replies_are_ignored_by_a_device(device: Device) -> None:
+    wire, session, _ = device
+    wire.frames()
+    wire.link.receive(encode_frame(Frame(MessageType.STATE_CMD, MAJOR | 0x10, 5, 1, b"\1\0\0\0")))
+    assert wire.frames() == []
+    assert session.ignored == 1
+
+
+# States
+
+
+def test_the_way_to_running_and_back(device: Device) -> None:
+    wire, session, app = device
+    wire.frames()
+    run(wire)
+    assert app.outputs_on
+    assert wire.ask(StateCommand(Command.STOP)).state is DriveState.IDLE
+    assert not app.outputs_on
+    assert app.states == [DriveState.IDLE, DriveState.ARMED, DriveState.RUNNING, DriveState.IDLE]
+    assert wire.ask(StateCommand(Command.STOP)).state is DriveState.IDLE
+    assert session.state is DriveState.IDLE
+
+
+def test_start_needs_armed_and_arm_needs_the_token(device: Device) -> None:
+    wire, session, _ = device
+    refused = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.IDLE)
+    assert wire.ask(StateCommand(Command.START)) == refused
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID + 1)) == error(ErrorCode.BAD_TOKEN, MessageType.STATE_CMD)
+    assert session.state is DriveState.IDLE
+    run(wire)
+    assert wire.ask(StateCommand(Command.START)).state is DriveState.RUNNING  # absolute, not a toggle
+    refused = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.RUNNING)
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == refused
+
+
+def test_armed_lapses_after_five_seconds(device: Device) -> None:
+    wire, session, app = device
+    wire.ask(StateCommand(Command.ARM, BOOT_ID))
+    for _ in range(49):
+        wire.wait(0.1)
+        wire.tell(Alive(1))
+    assert session.state is DriveState.ARMED
+    wire.frames()
+    wire.wait(0.1)
+    assert session.state is DriveState.IDLE
+    assert wire.events() == [(EventCode.ARM_LAPSED, 5.0), (EventCode.STATE_CHANGED, DriveState.IDLE)]
+    assert not app.outputs_on
+
+
+def test_the_drive_may_refuse_to_be_armed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    wire, session, app = device
+
+    def refuse(state: DriveState) -> None:
+        raise Refused("DC link too low", ErrorCode.BUSY, 17.5)
+
+    monkeypatch.setattr(app, "enter_state", refuse)
+    expected = error(ErrorCode.BUSY, MessageType.STATE_CMD, 17.5)
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == expected
+    assert session.state is DriveState.IDLE
+
+
+@pytest.mark.parametrize("armed_only", [True, False])
+def test_the_watchdog_ends_in_fault_with_outputs_off(device: Device, armed_only: bool) -> None:
+    wire, session, app = device
+    if armed_only:
+        wire.ask(StateCommand(Command.ARM, BOOT_ID))
+    else:
+        run(wire)
+    wire.wait(0.1999)
+    assert session.state is not DriveState.FAULT
+    wire.frames()
+    wire.wait(0.0001)
+    assert session.state is DriveState.FAULT
+    assert not app.outputs_on
+    assert wire.events() == [(EventCode.STATE_CHANGED, DriveState.FAULT), (EventCode.FAULT, Fault.WATCHDOG)]
+    assert session.heartbeat().first_fault == Fault.WATCHDOG
+
+
+def test_only_alive_and_accepted_setpoints_feed_the_watchdog(device: Device) -> None:
+    wire, session, app = device
+    run(wire)
+    for feeding in (Alive(1), Setpoint(SetpointMode.SPEED, 1, 50.0)):
+        wire.wait(0.15)
+        wire.tell(feeding)
+        wire.wait(0.15)
+        assert session.state is DriveState.RUNNING
+        wire.tell(Alive(2))
+    wire.wait(0.15)
+    wire.ask(Hello(5))
+    wire.ask(ParamGet(101))
+    wire.ask(BlobRead(0, 10, 0))
+    wire.ask(TimeSync())
+    wire.ask(StateCommand(Command.START))
+    wire.ask(StreamStop())
+    wire.tell(Setpoint(SetpointMode.SPEED, 2, 1e9))  # out of range
+    wire.tell(Setpoint(SetpointMode.TORQUE, 3, 1.0))  # a mode that it does not have
+    wire.wait(0.05)
+    assert session.state is DriveState.FAULT
+    assert not app.outputs_on
+
+
+def test_the_watchdog_time_is_a_parameter(device: Device) -> None:
+    wire, session, _ = device
+    wire.ask(ParamSet(104, 0.5))
+    run(wire)
+    wire.wait(0.4)
+    assert session.heartbeat().watchdog_ms == 100
+    assert session.state is DriveState.RUNNING
+    wire.wait(0.1)
+    assert session.state is DriveState.FAULT
+    assert session.heartbeat().watchdog_ms == 0xFFFF
+
+
+def test_faults_latch_and_are_cleared_by_name(device: Device) -> None:
+    wire, session, app = device
+    run(wire)
+    session.fault(Fault.OVERCURRENT)
+    assert not app.outputs_on
+    session.fault(Fault.UNDERVOLTAGE | Fault.OVERCURRENT)
+    beat = session.heartbeat()
+    assert (beat.faults, beat.first_fault) == (Fault.OVERCURRENT | Fault.UNDERVOLTAGE, Fault.OVERCURRENT)
+    assert wire.ask(StateCommand(Command.STOP)).state is DriveState.FAULT  # outputs stay off, the latch stays
+    kind = MessageType.STATE_CMD
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == error(ErrorCode.WRONG_STATE, kind, DriveState.FAULT)
+    clear = StateCommand(Command.FAULT_CLEAR, Fault.OVERCURRENT)
+    assert wire.ask(clear) == error(ErrorCode.FAULTS_CHANGED, kind, 10)
+    app.persisting = Fault.UNDERVOLTAGE
+    clear = StateCommand(Command.FAULT_CLEAR, Fault.OVERCURRENT | Fault.UNDERVOLTAGE)
+    assert wire.ask(clear) == error(ErrorCode.FAULT_PERSISTS, kind, Fault.UNDERVOLTAGE)
+    assert session.state is DriveState.FAULT
+    app.persisting = Fault(0)
+    assert wire.ask(clear).state is DriveState.IDLE
+    beat = session.heartbeat()
+    assert (beat.faults, beat.first_fault) == (0, 0)
+    assert wire.ask(clear) == error(ErrorCode.WRONG_STATE, kind, DriveState.IDLE)
+
+
+def test_a_fault_in_idle_latches_as_well(device: Device) -> None:
+    wire, session, _ = device
+    session.fault(Fault.HALL)
+    assert session.state is DriveState.FAULT
+    assert wire.ask(Hello(1)).state is DriveState.FAULT
+
+
+# Setpoints
+
+
+def test_setpoints_are_counted_whether_accepted_or_not(device: Device) -> None:
+    wire, session, app = device
+    wire.frames()
+    wire.tell(Setpoint(SetpointMode.SPEED, 1, 10.0))
+    assert wire.events() == [(EventCode.SETPOINT_REJECTED, ErrorCode.WRONG_STATE)]
+    run(wire)
+    wire.tell(Setpoint(SetpointMode.SPEED, 2, 10.0))
+    rejected = [
+        (Setpoint(SetpointMode.SPEED, 3, 301.0), ErrorCode.OUT_OF_RANGE),
+        (Setpoint(SetpointMode.SPEED, 4, math.nan), ErrorCode.BAD_VALUE),
+        (Setpoint(SetpointMode.SPEED, 5, 0.0, math.inf), ErrorCode.BAD_VALUE),
+        (Setpoint(SetpointMode.CURRENT, 6, 1.0), ErrorCode.NOT_SUPPORTED),
+    ]
+    for message, code in rejected:
+        wire.frames()
+        wire.tell(message)
+        assert wire.events() == [(EventCode.SETPOINT_REJECTED, code)]
+    assert app.setpoints == [(SetpointMode.SPEED, 10.0, 0.0)]
+    beat = session.heartbeat()
+    assert (beat.setpoint_counter, beat.setpoints_rejected) == (2, 5)
+
+
+def test_a_malformed_setpoint_is_rejected_aloud(device: Device) -> None:
+    wire, session, _ = device
+    run(wire)
+    wire.link.receive(encode_frame(Frame(MessageType.SETPOINT, MAJOR, 0, 1, b"\1")))
+    assert session.setpoints_rejected == 1
+    frames = wire.frames()
+    assert [f.type for f in frames] == [MessageType.EVENT, MessageType.SETPOINT]
+    assert ErrorReply.unpack(frames[1].payload).code == ErrorCode.BAD_LENGTH
+
+
+# Parameters
+
+
+def test_parameters_are_read_with_range_and_default(device: Device) -> None:
+    wire, _, app = device
+    app.values["gain"] = 7.25
+    reply = wire.ask(ParamGet(101))
+    gain = PARAMETERS[0]
+    assert (reply.value, reply.default) == (7.25, DEFAULTS["gain"])
+    assert (reply.lo, reply.hi) == (float(np.float32(gain.lo)), float(np.float32(gain.hi)))
+
+
+def test_the_reply_is_the_value_really_stored(device: Device) -> None:
+    wire, _, app = device
+    reply = wire.ask(ParamSet(101, 0.1))
+    assert reply.stored == float(np.float32(0.1)) == app.values["gain"]
+
+
+def test_the_ends_of_a_range_can_be_set_although_float32_rounds_them(device: Device) -> None:
+    wire, _, _ = device
+    for limit in (1e-4, 1e5):
+        assert wire.ask(ParamSet(101, limit)).stored == float(np.float32(limit))
+
+
+@pytest.mark.parametrize(
+    ("message", "code", "detail"),
+    [
+        (ParamSet(101, 1e6), ErrorCode.OUT_OF_RANGE, 1e5),
+        (ParamSet(101, -1.0), ErrorCode.OUT_OF_RANGE, float(np.float32(1e-4))),
+        (ParamSet(101, math.inf), ErrorCode.BAD_VALUE, math.inf),
+        (ParamSet(102, 2.5), ErrorCode.BAD_VALUE, 2.5),
+        (ParamSet(103, 1.0), ErrorCode.READ_ONLY, 103),
+        (ParamSet(999, 1.0), ErrorCode.UNKNOWN_ID, 999),
+    ],
+)
+def test_what_cannot_be_set_is_refused(device: Device, message: ParamSet, code: ErrorCode, detail: float) -> None:
+    wire, _, app = device
+    before = dict(app.values)
+    assert wire.ask(message) == error(code, MessageType.PARAM_SET, detail)
+    assert app.values == before
+
+
+def test_idle_only_parameters_wait_for_outputs_off(device: Device) -> None:
+    wire, _, _ = device
+    run(wire)
+    refused = error(ErrorCode.WRONG_STATE, MessageType.PARAM_SET, DriveState.RUNNING)
+    assert wire.ask(ParamSet(102, 4)) == refused
+    assert wire.ask(ParamSet(101, 4)).stored == 4
+    assert wire.ask(ParamCommit()).code == ErrorCode.WRONG_STATE
+    wire.ask(StateCommand(Command.STOP))
+    assert wire.ask(ParamSet(102, 4)).stored == 4
+
+
+def test_commit(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    wire, _, app = device
+    wire.ask(ParamCommit())
+    assert app.commits == 1
+
+    def refuse() -> None:
+        raise Refused("no file", ErrorCode.NOT_SUPPORTED)
+
+    monkeypatch.setattr(app, "commit", refuse)
+    assert wire.ask(ParamCommit()) == error(ErrorCode.NOT_SUPPORTED, MessageType.PARAM_COMMIT)
+
+
+# Heartbeats and the link
+
+
+def test_heartbeats_come_ten_times_a_second(device: Device) -> None:
+    wire, _, _ = device
+    wire.frames()
+    beats = []
+    for _ in range(1000):
+        wire.wait(0.001)
+        beats += [Heartbeat.unpack(f.payload) for f in wire.frames() if f.type == MessageType.HEARTBEAT]
+    assert len(beats) == 10
+    assert {b.tick % (HZ // 10) for b in beats} == {0}
+    assert beats[0].boot_id == BOOT_ID
+
+
+def test_unread_heartbeats_do_not_pile_up(device: Device) -> None:
+    wire, _, _ = device
+    for _ in range(100):
+        wire.wait(0.1)
+    beats = [Heartbeat.unpack(f.payload) for f in wire.frames() if f.type == MessageType.HEARTBEAT]
+    assert [b.tick for b in beats] == [wire.tick]
+
+
+def test_the_heartbeat_names_the_last_tid_and_the_damage(device: Device) -> None:
+    wire, session, _ = device
+    wire.ask(ParamGet(101), tid=777)
+    wire.link.receive(b"\0\x05abc\0")
+    beat = session.heartbeat()
+    assert (beat.last_tid, beat.rx_bad) == (777, 1)
+
+
+def test_two_nodes_on_one_link() -> None:
+    link, first, first_app = small_link()
+    second_app = SmallDrive()
+    second = link.add(second_app, identity(node=2, boot_id=5))
+    link.advance(1)
+    wire = Wire(link)
+    assert wire.ask(Hello(1), node=0).node == 1
+    assert (wire.ask(Hello(1), node=2).node, wire.ask(Hello(1), node=1).nodes) == (2, 2)
+    wire.ask(StateCommand(Command.ARM, 5), node=2)
+    assert (first.state, second.state) == (DriveState.IDLE, DriveState.ARMED)
+    wire.ask(ParamSet(101, 9.0), tid=900, node=1)
+    wire.ask(ParamSet(101, 9.0), tid=900, node=2)
+    assert first_app.values["gain"] == second_app.values["gain"] == 9.0
+    with pytest.raises(ValueError, match="node 2 is taken"):
+        link.add(SmallDrive(), identity(node=2))
+
+
+def test_a_link_that_nobody_reads_keeps_its_replies_bounded(device: Device) -> None:
+    wire, session, _ = device
+    for tid in range(1, 2000):
+        wire.link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR, tid, 1, ParamGet(101).pack())))
+    assert len(session.tx) <= session.tx.control_limit + 100

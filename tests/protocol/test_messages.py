@@ -1,0 +1,91 @@
+"""Messages beyond their vectors: every value comes back, and what is wrong is named."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol import messages as m
+from protocol.errors import LocalProtocolError
+
+u8, u16, u32, u64 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32, 64))
+f32 = st.floats(width=32, allow_nan=False)
+
+some_message = st.one_of(
+    st.builds(m.Hello, u32, u8, u8, u16),
+    st.builds(m.TimeSyncReply, u64, u64),
+    st.builds(m.Alive, u32),
+    st.builds(m.BlobRead, u8, u16, u32),
+    st.builds(lambda *a: m.BlobReply(a[0], len(a[3]), *a[1:]), u8, u32, u32, st.binary(max_size=100)),
+    st.builds(m.ParamReply, u16, f32, f32, f32, f32),
+    st.builds(m.ParamSet, u16, f32),
+    st.builds(m.StateCommand, st.sampled_from(m.Command), u32),
+    st.builds(m.Setpoint, st.sampled_from(m.SetpointMode), u16, f32, f32),
+    st.builds(m.StreamSet, u8, st.sampled_from(m.StreamEvent), u16, u16, st.lists(u16).map(tuple)),
+    st.builds(m.StreamReply, u8, u16, u16, u16, f32),
+    st.builds(m.ErrorReply, u16, u8, f32),
+    st.builds(m.DeviceEvent, u64, u16, u8, f32),
+    st.builds(m.Log, u8, st.text(max_size=50)),
+)  # fmt: skip
+
+
+@given(some_message)
+def test_round_trip(message: m.Payload) -> None:
+    assert type(message).unpack(message.pack()) == message
+
+
+@given(
+    st.sampled_from(
+        sorted({*m.REQUESTS.values(), *m.REPLIES.values(), *m.UNSOLICITED.values(), m.ErrorReply}, key=str)
+    ),
+    st.binary(max_size=80),
+)
+def test_any_bytes_unpack_or_are_refused(kind: type[m.Payload], payload: bytes) -> None:
+    try:
+        message = kind.unpack(payload)
+    except m.PayloadError:
+        pass
+    else:
+        assert len(message.pack()) <= max(len(payload), 1) + 64 * isinstance(message, m.Log)
+
+
+def test_a_request_has_its_exact_length_and_a_reply_may_grow() -> None:
+    with pytest.raises(m.PayloadError, match="ParamGet of 5 bytes, expected 4") as caught:
+        m.ParamGet.unpack(bytes(5))
+    assert caught.value.bad_length
+    reply = m.ParamStored(7, 1.5)
+    assert m.ParamStored.unpack(reply.pack() + b"later") == reply
+    with pytest.raises(m.PayloadError):
+        m.ParamStored.unpack(reply.pack()[:-1])
+
+
+def test_hello_may_grow_in_a_later_major() -> None:
+    assert m.Hello.unpack(m.Hello(5).pack() + b"more") == m.Hello(5)
+
+
+def test_unknown_values_are_named() -> None:
+    with pytest.raises(m.PayloadError, match=r"StateReply.state: 9 is not a valid DriveState"):
+        m.StateReply.unpack(bytes((9, 0, 0, 0)))
+    assert m.ErrorReply.unpack(m.ErrorReply(999, 1, 0).pack()).code == 999  # a later minor's code is no damage
+    assert m.Heartbeat.unpack(bytes(16) + b"\0\0\0\x80" + bytes(20)).first_fault == 0x80000000
+
+
+def test_values_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(LocalProtocolError, match=r"ParamGet.*cannot be sent"):
+        m.ParamGet(65536).pack()
+    with pytest.raises(LocalProtocolError, match="cannot be sent"):
+        m.ParamSet(1, 1e39).pack()
+    with pytest.raises(LocalProtocolError, match="cannot be sent"):
+        m.StreamSet(0, m.StreamEvent.PWM, 1, 20, (70000,)).pack()
+
+
+def test_error_reply_reads_well() -> None:
+    assert str(m.ErrorReply(m.ErrorCode.OUT_OF_RANGE, 0x12, 30.0)) == "OUT_OF_RANGE (30)"
+    assert str(m.ErrorReply(4711, 0x12, 0.5)) == "error 4711 (0.5)"
+
+
+def test_not_a_number_survives() -> None:
+    assert math.isnan(m.ParamSet.unpack(m.ParamSet(1, math.nan).pack()).value)
