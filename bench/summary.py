@@ -27,6 +27,7 @@ class RunStatistics:
         self.segment = "run"
         self.errors = ErrorTable()
         self.samples_seen = 0
+        self.first_sample_unix: float | None = None  # s, wall clock: how long a start took
         self.edges_seen = 0
         self.events: list[str] = []
         self.faults = Fault(0)
@@ -39,8 +40,10 @@ class RunStatistics:
 
     def samples(self, chunk: SampleChunk) -> None:
         """Count, and add position errors of the samples taken while the drive was running."""
-        n = len(chunk.tick)
+        n = len(chunk)
         self.samples_seen += n
+        if self.first_sample_unix is None:
+            self.first_sample_unix = time.time()
         errors = position_errors(chunk)
         names = chunk.raw.dtype.names or ()
         if errors and "status" in names:
@@ -127,6 +130,7 @@ class Summary:
     cpu_percent: float
     latency_ms: dict[str, float]
     link: dict[str, Any]
+    first_sample_unix_s: float | None = None
     live_view: dict[str, Any] = field(default_factory=dict)
     recording: dict[str, Any] = field(default_factory=dict)
     host_observers: dict[str, int] | None = None
@@ -185,6 +189,7 @@ def summarise(
         host_observers={"compared": stats.host_compared, "different": stats.host_differ}
         if stats.host_compared
         else None,
+        first_sample_unix_s=stats.first_sample_unix,
         faults=[fault.name or "" for fault in Fault if fault & stats.faults],
     )
 
