@@ -1,0 +1,49 @@
+"""Running statistics against numpy on the whole data."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.statistics import Moments, Percentiles, wrap
+
+
+def test_moments_merged_in_chunks_are_those_of_the_whole() -> None:
+    values = np.random.default_rng(1).normal(3.0, 0.5, 10_001) * 1e-3
+    moments = Moments()
+    for part in np.array_split(values, [0, 1, 17, 4000, 4000, 9999]):
+        moments.add(part)
+    assert moments.n == len(values)
+    assert moments.mean == pytest.approx(values.mean(), rel=1e-12)
+    assert moments.std == pytest.approx(values.std(), rel=1e-9)
+    assert moments.peak == np.abs(values).max()
+
+
+def test_moments_of_nothing_are_not_a_number() -> None:
+    assert math.isnan(Moments().std)
+
+
+def test_percentiles_are_never_too_small_and_at_most_two_percent_too_large() -> None:
+    values = np.random.default_rng(2).lognormal(-3, 1, 20_000)
+    percentiles = Percentiles()
+    for value in values:
+        percentiles.add(value)
+    ordered = np.sort(values)
+    for percent in (1, 50, 95, 99, 100):
+        exact = ordered[math.ceil(len(values) * percent / 100) - 1]
+        assert exact <= percentiles.at(percent) <= exact * 1.0201
+
+
+def test_percentiles_weigh_by_count() -> None:
+    percentiles = Percentiles()
+    percentiles.add(0.010, 99)
+    percentiles.add(0.5, 1)
+    assert percentiles.n == 100
+    assert percentiles.at(99) == pytest.approx(0.010, rel=0.03)
+    assert percentiles.at(100) == pytest.approx(0.5, rel=0.03)
+
+
+def test_wrap_covers_the_half_open_turn() -> None:
+    assert wrap(np.array([0.0, math.pi, -math.pi, 3 * math.pi, 7.0])) == pytest.approx(
+        [0.0, -math.pi, -math.pi, -math.pi, 7.0 - 2 * math.pi]
+    )
