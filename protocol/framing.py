@@ -28,6 +28,7 @@ MAX_PAYLOAD = 1024
 CONNECT_PREAMBLE = bytes(16)  # ends whatever half frame the device may hold
 
 _HEADER = struct.Struct("<BBHHBB")
+_OVERHEAD = HEADER_BYTES + CRC_BYTES
 _CRC_RESIDUE = 0x2144DF1C  # CRC-32 of any message followed by its own CRC-32, little-endian
 
 
@@ -145,33 +146,28 @@ class Deframer:
         self._tail = tail
 
         frames: list[bytes] = []
+        decode, max_chunk = cobs.decode, self._max_chunk
         for chunk in chunks:
-            if chunk:
-                raw = self._open(chunk)
-                if raw is None:
-                    counters.noise_bytes += len(chunk)
-                else:
-                    frames.append(raw)
+            if not chunk:
+                continue
+            if len(chunk) > max_chunk:
+                counters.too_long += 1
+                counters.noise_bytes += len(chunk)
+                continue
+            try:
+                body: bytes = decode(chunk)
+            except cobs.DecodeError:
+                counters.bad_cobs += 1
+                counters.noise_bytes += len(chunk)
+                continue
+            length = len(body) - _OVERHEAD
+            if length >= 0 and crc32(body) != _CRC_RESIDUE:
+                counters.bad_crc += 1
+                counters.noise_bytes += len(chunk)
+            elif length < 0 or body[4] | body[5] << 8 != length:
+                counters.bad_length += 1
+                counters.noise_bytes += len(chunk)
+            else:
+                frames.append(body[:-CRC_BYTES])
         counters.frames += len(frames)
         return frames
-
-    def _open(self, chunk: bytes) -> bytes | None:
-        if len(chunk) > self._max_chunk:
-            self.counters.too_long += 1
-            return None
-        try:
-            body: bytes = cobs.decode(chunk)
-        except cobs.DecodeError:
-            self.counters.bad_cobs += 1
-            return None
-        length = len(body) - HEADER_BYTES - CRC_BYTES
-        if length < 0:
-            self.counters.bad_length += 1
-            return None
-        if crc32(body) != _CRC_RESIDUE:
-            self.counters.bad_crc += 1
-            return None
-        if body[4] | body[5] << 8 != length:
-            self.counters.bad_length += 1
-            return None
-        return body[:-CRC_BYTES]

@@ -32,19 +32,6 @@ DISCONTINUITY = 2  # stream flag: the index jumps although no frame was dropped
 EDGE_RECORD = np.dtype([("tick", "<u4"), ("codes", "u1"), ("flags", "u1"), ("encoder", "<u2")])
 EDGE_ILLEGAL = 0x40  # bit of `codes`: old and new are not neighbours, or new is 000 or 111
 
-_HEAD = np.dtype(
-    [
-        ("frame", "V8"),
-        ("stream", "u1"),
-        ("flags", "u1"),
-        ("n", "<u2"),
-        ("cfg_id", "<u2"),
-        ("seq", "<u2"),
-        ("index", "<u4"),
-        ("tick", "<u4"),
-    ]
-)
-
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
@@ -63,6 +50,10 @@ class TickReference:
         """Return 64-bit ticks for 32-bit ones, without changing the reference."""
         base = np.uint32(self.tick & 0xFFFFFFFF)
         return self.tick + (ticks - base).astype(np.int32).astype(np.int64)
+
+    def unwrap_one(self, tick: int) -> int:
+        """Return the 64-bit tick for one 32-bit one, without changing the reference."""
+        return self.tick + _signed32(tick - self.tick)
 
 
 @dataclass(frozen=True)
@@ -107,9 +98,7 @@ class StreamConfig:
         for channel in self.channels:
             if channel.name == name:
                 return channel
-        raise KeyError(
-            f"no channel {name!r} in the stream; there are: {', '.join(c.name for c in self.channels)}"
-        )
+        raise KeyError(f"no channel {name!r} in the stream; there are: {', '.join(c.name for c in self.channels)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,117 +172,100 @@ class LossCounters:
 
 @dataclass(slots=True)
 class _Accepted:
-    """Frames that were accepted: fields per frame, all records joined."""
+    """What of some frames is delivered: their records joined, in runs without a gap."""
 
-    index: I64  # of each frame's first record, unwrapped
-    n: I64
-    tick: I64  # of each frame's first record, unwrapped
+    runs: list[list[int]]  # unwrapped index of the first record, 32-bit tick of the frame, number of records
     records: NDArray[np.void]
     gaps: tuple[Gap, ...]
 
+    def index(self, step: int) -> I64:
+        """Return the index of every record."""
+        return _progressions([(index, n) for index, _, n in self.runs], step)
+
 
 class _Sequence:
-    """Checks that the frames of one stream follow each other; shared by both decoders."""
+    """Checks that the frames of one stream follow each other; shared by both decoders.
 
-    def __init__(self, config: StreamConfig, step: int, reference: TickReference) -> None:
+    `step`, `ticks`: what index and tick grow by from record to record; `ticks` None where records have their own.
+    """
+
+    def __init__(self, config: StreamConfig, step: int, ticks: int | None) -> None:
         self.config = config
         self.counters = LossCounters()
-        self.reference = reference
-        self._step = step  # of the index from record to record
+        self._step = step
+        self._ticks = ticks
         self._next_index: int | None = None
         self._next_seq = 0
 
     def accept(self, frames: Sequence[bytes]) -> _Accepted | None:
         """Return what is delivered of `frames` (header + payload each), or None."""
-        whole = [raw for raw in frames if len(raw) >= STREAM_OFFSET]
-        self.counters.malformed += len(frames) - len(whole)
-        if not whole:
-            return None
-        heads = np.frombuffer(b"".join([raw[:STREAM_OFFSET] for raw in whole]), _HEAD)
-        lengths = np.fromiter(map(len, whole), np.int64, len(whole))
-        gaps: tuple[Gap, ...] = ()
-        n = heads["n"].astype(np.int64)
-        index = self._follow_on(heads, n, lengths)
-        if index is None:
-            accepted, index, gaps = self._one_by_one(heads, n, lengths)
-            if not accepted:
-                return None
-            whole = [whole[i] for i in accepted]
-            heads, n = heads[accepted], n[accepted]
-        records = np.frombuffer(b"".join([raw[STREAM_OFFSET:] for raw in whole]), self.config.dtype)
-        self._next_index = int(index[-1] + n[-1] * self._step)
-        self._next_seq = (int(heads["seq"][-1]) + 1) & 0xFFFF
-        self.counters.frames += len(whole)
-        self.counters.samples += len(records)
-        tick = self.reference.unwrap(heads["tick"])
-        return _Accepted(index, n, tick, records, gaps)
-
-    def _follow_on(self, heads: NDArray[np.void], n: I64, lengths: I64) -> I64 | None:
-        """Return the unwrapped index of each frame if nothing at all is amiss, else None."""
-        if self._next_index is None:
-            if heads["seq"][0] != 0:
-                return None
-            start = int(heads["index"][0])
-        else:
-            start = self._next_index
-        index = np.empty(len(n), np.int64)
-        index[0] = start
-        np.cumsum(n[:-1] * self._step, out=index[1:])
-        index[1:] += start
-        seq = (self._next_seq + np.arange(len(n))) & 0xFFFF
-        fine = (
-            (heads["stream"] == self.config.stream)
-            & (heads["cfg_id"] == self.config.cfg_id)
-            & (heads["flags"] == 0)
-            & (n > 0)
-            & (lengths == STREAM_OFFSET + n * self.config.dtype.itemsize)
-            & (heads["seq"] == seq)
-            & (heads["index"] == (index & 0xFFFFFFFF))
-        )
-        return index if fine.all() else None
-
-    def _one_by_one(
-        self, heads: NDArray[np.void], n: I64, lengths: I64
-    ) -> tuple[list[int], I64, tuple[Gap, ...]]:
-        """Return positions of the accepted frames, their unwrapped index, and the gaps."""
-        config, counters, step = self.config, self.counters, self._step
-        accepted: list[int] = []
-        indices: list[int] = []
+        config, counters, step, ticks = self.config, self.counters, self._step, self._ticks
+        size, stream, cfg_id = config.dtype.itemsize, config.stream, config.cfg_id
+        unpack = STREAM_HEADER.unpack_from
+        payloads: list[bytes] = []
+        runs: list[list[int]] = []
         gaps: list[Gap] = []
-        next_index, next_seq, position = self._next_index, self._next_seq, 0
-        for i, (_, stream, flags, _, cfg_id, seq, index32, _) in enumerate(heads.tolist()):
-            count = int(n[i])
-            if stream != config.stream or cfg_id != config.cfg_id:
-                counters.stale += 1
-                continue
-            if count == 0 or int(lengths[i]) != STREAM_OFFSET + count * config.dtype.itemsize:
+        position, next_tick = 0, -1
+        for raw in frames:
+            if len(raw) < STREAM_OFFSET:
                 counters.malformed += 1
                 continue
-            lost_frames = (seq - next_seq) & 0xFFFF
-            if next_index is None:
-                # seq starts at 0: the frames before the first one that came are lost
-                index = index32
-                lost = lost_frames * config.block if config.event != StreamEvent.EDGES else lost_frames
+            stream_, flags, n, cfg_id_, seq, index, tick = unpack(raw, HEADER_BYTES)
+            if cfg_id_ != cfg_id or stream_ != stream:
+                counters.stale += 1
+                continue
+            if not n or len(raw) != STREAM_OFFSET + n * size:
+                counters.malformed += 1
+                continue
+            expected = self._next_index
+            if expected is not None and index == expected & 0xFFFFFFFF and seq == self._next_seq and not flags:
+                first = expected
             else:
-                ahead = _signed32(index32 - next_index)
-                if ahead < 0:
+                place = self._place(flags, seq, index, position, gaps)
+                if place is None:
                     counters.out_of_order += 1
                     continue
-                index = next_index + ahead
-                lost = ahead // step
-                lost_frames += _whole_wraps(lost, lost_frames, config.block)
-            overrun = bool(flags & OVERRUN)
+                first = place
+            if first == expected and runs and (ticks is None or tick == next_tick):
+                runs[-1][2] += n
+            else:
+                runs.append([first, tick, n])
+            payloads.append(raw[STREAM_OFFSET:])
+            position += n
+            self._next_index = first + n * step
+            self._next_seq = (seq + 1) & 0xFFFF
+            if ticks is not None:
+                next_tick = (tick + n * ticks) & 0xFFFFFFFF
+        if not payloads:
+            return None
+        counters.frames += len(payloads)
+        counters.samples += position
+        return _Accepted(runs, np.frombuffer(b"".join(payloads), config.dtype), tuple(gaps))
+
+    def _place(self, flags: int, seq: int, index32: int, position: int, gaps: list[Gap]) -> int | None:
+        """Return the unwrapped index of a frame that may not follow the last one; None if it is not newer.
+
+        What is missing before it is counted, and added to `gaps`.
+        """
+        config, counters = self.config, self.counters
+        lost_frames = (seq - self._next_seq) & 0xFFFF
+        if self._next_index is None:  # seq starts at 0: the frames before the first one that came are lost
+            index = index32
+            lost = lost_frames if config.event == StreamEvent.EDGES else lost_frames * config.block
+        else:
+            ahead = _signed32(index32 - self._next_index)
+            if ahead < 0:
+                return None
+            index = self._next_index + ahead
+            lost = ahead // self._step
+            lost_frames += _whole_wraps(lost, lost_frames, config.block)
+        overrun = bool(flags & OVERRUN)
+        if lost or lost_frames or overrun or flags & DISCONTINUITY:
             counters.overruns += overrun
-            if lost or lost_frames or overrun or flags & DISCONTINUITY:
-                counters.lost_by_index += lost
-                counters.lost_by_seq += lost_frames
-                gaps.append(Gap(position, lost, lost_frames, overrun))
-            accepted.append(i)
-            indices.append(index)
-            position += count
-            next_index = index + count * step
-            next_seq = (seq + 1) & 0xFFFF
-        return accepted, np.array(indices, np.int64), tuple(gaps)
+            counters.lost_by_index += lost
+            counters.lost_by_seq += lost_frames
+            gaps.append(Gap(position, lost, lost_frames, overrun))
+        return index
 
 
 class SampleDecoder:
@@ -304,8 +276,9 @@ class SampleDecoder:
 
     def __init__(self, config: StreamConfig, ticks_per_period: int, reference: TickReference) -> None:
         self.config = config
-        self._sequence = _Sequence(config, config.decimation, reference)
         self._ticks_per_sample = ticks_per_period * config.decimation
+        self._sequence = _Sequence(config, config.decimation, self._ticks_per_sample)
+        self._reference = reference
 
     @property
     def counters(self) -> LossCounters:
@@ -317,10 +290,10 @@ class SampleDecoder:
         accepted = self._sequence.accept(frames)
         if accepted is None:
             return None
-        within = _within(accepted.n)
-        index = np.repeat(accepted.index, accepted.n) + within * self.config.decimation
-        tick = np.repeat(accepted.tick, accepted.n) + within * self._ticks_per_sample
-        self._sequence.reference.tick = int(tick[-1])
+        starts = [(self._reference.unwrap_one(tick), n) for _, tick, n in accepted.runs]
+        tick = _progressions(starts, self._ticks_per_sample)
+        self._reference.tick = int(tick[-1])
+        index = accepted.index(self.config.decimation)
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
 
@@ -329,7 +302,8 @@ class EdgeDecoder:
 
     def __init__(self, config: StreamConfig, reference: TickReference) -> None:
         self.config = config
-        self._sequence = _Sequence(config, 1, reference)
+        self._sequence = _Sequence(config, 1, None)
+        self._reference = reference
 
     @property
     def counters(self) -> LossCounters:
@@ -343,8 +317,8 @@ class EdgeDecoder:
             return None
         records = accepted.records
         codes = records["codes"]
-        tick = self._sequence.reference.unwrap(records["tick"])
-        self._sequence.reference.tick = max(self._sequence.reference.tick, int(tick[-1]))
+        tick = self._reference.unwrap(records["tick"])
+        self._reference.tick = max(self._reference.tick, int(tick[-1]))
         return EdgeChunk(
             config=self.config,
             tick=tick,
@@ -352,14 +326,12 @@ class EdgeDecoder:
             hall_new=(codes >> 3 & 7).astype(np.uint8),
             illegal=(codes & EDGE_ILLEGAL) != 0,
             encoder=records["encoder"].copy(),
-            index=np.repeat(accepted.index, accepted.n) + _within(accepted.n),
+            index=accepted.index(1),
             gaps=accepted.gaps,
         )
 
 
-def pack_edges(
-    tick: I64, hall_old: U8, hall_new: U8, illegal: NDArray[np.bool_], encoder: I64
-) -> NDArray[np.void]:
+def pack_edges(tick: I64, hall_old: U8, hall_new: U8, illegal: NDArray[np.bool_], encoder: I64) -> NDArray[np.void]:
     """Return edges as wire records (EDGE_RECORD): ticks and encoder counts are cut to 32 and 16 bits."""
     records = np.zeros(len(tick), EDGE_RECORD)
     records["tick"] = tick & 0xFFFFFFFF
@@ -368,10 +340,10 @@ def pack_edges(
     return records
 
 
-def _within(n: I64) -> I64:
-    """Return 0..n-1 for each n, joined."""
-    starts = np.cumsum(n) - n
-    return np.arange(int(n.sum()), dtype=np.int64) - np.repeat(starts, n)
+def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
+    """Return start, start + step, … with n members for each (start, n), joined."""
+    parts = [np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _signed32(value: int) -> int:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import hbp_reference as reference
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import LocalProtocolError
@@ -33,7 +33,6 @@ def test_hello_as_in_the_specification() -> None:
 
 
 @given(frames)
-@settings(deadline=None)
 def test_encoding_agrees_with_the_reference_and_comes_back(frame: Frame) -> None:
     wire = encode_frame(frame)
     body = reference.body(frame.type, frame.flags, frame.tid, frame.node, frame.payload)
@@ -43,7 +42,6 @@ def test_encoding_agrees_with_the_reference_and_comes_back(frame: Frame) -> None
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.integers(0, 5000), max_size=12), st.binary(max_size=30))
-@settings(deadline=None)
 def test_any_cut_gives_the_same_frames(sent: list[Frame], cuts: list[int], noise: bytes) -> None:
     data = noise + b"\0" + b"".join(map(encode_frame, sent))
     bounds = sorted({0, len(data), *(cut for cut in cuts if cut < len(data))})
@@ -56,7 +54,6 @@ def test_any_cut_gives_the_same_frames(sent: list[Frame], cuts: list[int], noise
 
 
 @given(st.binary(max_size=400))
-@settings(deadline=None)
 def test_accepts_exactly_what_the_reference_accepts(data: bytes) -> None:
     data = b"\0" + data + b"\0"
     assert Deframer().feed(data) == reference.receive(data)

@@ -147,9 +147,7 @@ def test_port_held_by_another_process(port: Port) -> None:
     open_link(f"serial:{port.path}").close()
 
 
-def test_a_line_that_takes_nothing_fails_within_the_limit(
-    link: SerialLink, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_that_takes_nothing_fails_within_the_limit(link: SerialLink, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
     start = time.monotonic()
     with pytest.raises(LinkError, match=r"took \d+ of 1000000 bytes in 0.02 s"):

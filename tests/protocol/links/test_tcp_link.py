@@ -93,9 +93,7 @@ def test_unknown_host(monkeypatch: pytest.MonkeyPatch) -> None:
         open_link("tcp:nowhere:7000")
 
 
-def test_a_peer_that_reads_nothing_fails_the_write(
-    server: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_peer_that_reads_nothing_fails_the_write(server: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
     link, peer = connect(server)
     with pytest.raises(LinkError, match=r"took \d+ of 50000000 bytes"):

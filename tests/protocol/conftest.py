@@ -1,0 +1,6 @@
+"""Property tests draw the same cases in every run, and no run fails for being slow."""
+
+from hypothesis import settings
+
+settings.register_profile("hallbench", derandomize=True, deadline=None)
+settings.load_profile("hallbench")

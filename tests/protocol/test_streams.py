@@ -1,0 +1,235 @@
+"""Decoders against what was sent: any loss, order, repetition and wrap-around, in batches of any size."""
+
+from __future__ import annotations
+
+import hbp_reference as reference
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_drive import CHANNELS, TICKS, samples, small_link
+
+from protocol.descriptor import Descriptor
+from protocol.device import TxQueue
+from protocol.errors import RemoteProtocolError
+from protocol.messages import StreamEvent, StreamReply, StreamSet
+from protocol.streams import (
+    DISCONTINUITY,
+    EdgeDecoder,
+    SampleChunk,
+    SampleDecoder,
+    StreamConfig,
+    TickReference,
+    pack_edges,
+)
+
+DESCRIPTOR = Descriptor.of(CHANNELS, [])
+BLOCK = 4
+
+
+def config(decimation: int = 1, block: int = BLOCK) -> StreamConfig:
+    return StreamConfig(1, 0, 77, StreamEvent.PWM, decimation, DESCRIPTOR.channels, block)
+
+
+def data_frame(seq: int, index: int, tick: int, raw: np.ndarray, flags: int = 0) -> bytes:
+    head = reference.fields(
+        ("u8", 0), ("u8", flags), ("u16", len(raw)), ("u16", 77),
+        ("u16", seq & 0xFFFF), ("u32", index & 0xFFFFFFFF), ("u32", tick & 0xFFFFFFFF),
+    )  # fmt: skip
+    return reference.body(0x40, 1, 0, 1, head + raw.tobytes())
+
+
+def run_of_frames(n: int, index0: int = 0, tick0: int = 0, seq0: int = 0, decimation: int = 1) -> list[bytes]:
+    """Return n full blocks in a row."""
+    step = BLOCK * decimation
+    return [
+        data_frame(
+            seq0 + k, index0 + k * step, tick0 + k * step * TICKS, samples(index0 + k * step, step)[::decimation]
+        )
+        for k in range(n)
+    ]
+
+
+def decode_all(decoder: SampleDecoder, batches: list[list[bytes]]) -> tuple[list[int], list[int], list[tuple]]:
+    index, tick, gaps = [], [], []
+    for batch in batches:
+        chunk = decoder.decode(batch)
+        if chunk is None:
+            continue
+        full = chunk.index + np.where(chunk.index < 2**31, 2**32, 0)
+        assert (chunk.raw == samples_at(full)).all()
+        gaps += [(g.position + len(index), g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps]
+        index += chunk.index.tolist()
+        tick += chunk.tick.tolist()
+    return index, tick, gaps
+
+
+def samples_at(index: np.ndarray) -> np.ndarray:
+    """Return the sample that belongs to each index, whatever came."""
+    return np.concatenate([samples(int(i), 1) for i in index])
+
+
+deliveries = st.lists(st.integers(0, 30), max_size=50)  # which frame arrives next: lost, repeated, swapped
+cuts = st.lists(st.integers(0, 50), max_size=8)
+
+
+@given(deliveries, cuts, st.sampled_from([1, 3]))
+def test_any_delivery_is_accounted_for(order: list[int], cut: list[int], decimation: int) -> None:
+    step = BLOCK * decimation
+    index0 = 2**32 - 15 * step
+    tick0 = 2**32 - 17_000
+    frames = run_of_frames(31, index0, tick0, decimation=decimation)
+    decoder = SampleDecoder(config(decimation), TICKS, TickReference(tick0))
+    bounds = sorted({0, len(order), *(c for c in cut if c < len(order))})
+    arrived = [frames[k] for k in order]
+    batches = [arrived[a:b] for a, b in zip(bounds, bounds[1:] or [len(order)], strict=False)]
+    index, tick, gaps = decode_all(decoder, batches)
+
+    newest, delivered, lost, rejected = -1, [], 0, 0
+    for k in order:  # the oracle: a frame counts if it is newer than all before it
+        if k <= newest:
+            rejected += 1
+            continue
+        lost += k - newest - 1
+        newest = k
+        delivered.append(k)
+    expected = [index0 + k * step + i * decimation for k in delivered for i in range(BLOCK)]
+    shift = 2**32 if delivered and delivered[0] >= 15 else 0  # the first index that comes is taken as it is
+    assert index == [i - shift for i in expected]
+    assert tick == [tick0 + (i - index0) * TICKS for i in expected]
+    counters = decoder.counters
+    assert (counters.frames, counters.samples) == (len(delivered), len(expected))
+    assert (counters.lost_by_seq, counters.lost_by_index) == (lost, lost * BLOCK)
+    assert counters.out_of_order == rejected
+    assert sum(g[1] for g in gaps) == counters.lost_by_index
+    assert sum(g[2] for g in gaps) == counters.lost_by_seq
+
+
+@pytest.mark.parametrize("batch", [13, 1000])
+def test_seq_index_and_tick_wrap_without_a_gap(batch: int) -> None:
+    n = 70_000
+    index0, tick0 = 2**32 - 1000, 2**32 - 5_000_000
+    raw = samples(0, BLOCK)
+    frames = [data_frame(k, index0 + k * BLOCK, tick0 + k * BLOCK * TICKS, raw) for k in range(n)]
+    decoder = SampleDecoder(config(), TICKS, TickReference(tick0))
+    chunks = [decoder.decode(frames[k : k + batch]) for k in range(0, n, batch)]
+    index = np.concatenate([chunk.index for chunk in chunks if chunk])
+    tick = np.concatenate([chunk.tick for chunk in chunks if chunk])
+    assert (index == index0 + np.arange(n * BLOCK)).all()
+    assert (tick == tick0 + np.arange(n * BLOCK) * TICKS).all()
+    assert decoder.counters.lost_by_index == decoder.counters.lost_by_seq == decoder.counters.out_of_order == 0
+
+
+def test_a_gap_of_more_than_65536_frames_is_counted_in_full() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    lost = 3 * 65536 + 5
+    decoder.decode(run_of_frames(1))
+    later = run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1)
+    chunk = decoder.decode(later)
+    assert isinstance(chunk, SampleChunk)
+    assert chunk.gaps[0].lost_frames == lost
+    assert chunk.gaps[0].lost_samples == lost * BLOCK
+
+
+def test_ticks_unwrap_against_a_fresh_reference_after_a_long_pause() -> None:
+    reference_ = TickReference()
+    decoder = SampleDecoder(config(), TICKS, reference_)
+    decoder.decode(run_of_frames(1))
+    pause = 1_000_000_000_000  # 14 hours: 232 wraps; the heartbeats went on
+    reference_.tick = pause - 2_000_000
+    chunk = decoder.decode(run_of_frames(1, pause // TICKS, pause, 1))
+    assert isinstance(chunk, SampleChunk)
+    assert chunk.tick[0] == pause
+
+
+@pytest.mark.parametrize("ahead", [2**31 - 1, -(2**31) + 1, 0])
+def test_unwrapping_takes_the_nearest(ahead: int) -> None:
+    base = 7 * 2**32 + 12345
+    got = TickReference(base).unwrap(np.array([(base + ahead) & 0xFFFFFFFF], np.uint32))
+    assert got.tolist() == [base + ahead]
+
+
+def test_physical_values() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    chunk = decoder.decode(run_of_frames(2))
+    assert isinstance(chunk, SampleChunk)
+    assert len(chunk) == 8
+    assert chunk.physical("i_a").tolist() == [(k - 1000) / 1024 for k in range(8)]
+    assert chunk.physical("i_a").dtype == np.float64
+    offset = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, tuple(DESCRIPTOR.channels), 1)
+    assert offset.channel("theta").scale == float(np.float32(np.pi / 32768))
+    with pytest.raises(KeyError, match="no channel 'i_b' in the stream; there are: hall, status"):
+        chunk.physical("i_b")
+
+
+def test_nothing_decodes_to_nothing() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    assert decoder.decode([]) is None
+    assert decoder.decode([b"short"]) is None
+    assert decoder.counters.malformed == 1
+
+
+def test_a_discontinuity_without_loss_is_still_a_gap() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    frames = run_of_frames(2)
+    frames[1] = data_frame(1, BLOCK, BLOCK * TICKS, samples(BLOCK, BLOCK), flags=DISCONTINUITY)
+    chunk = decoder.decode(frames)
+    assert isinstance(chunk, SampleChunk)
+    assert [(g.position, g.lost_samples) for g in chunk.gaps] == [(BLOCK, 0)]
+
+
+def test_unknown_flags_of_a_later_minor_change_nothing() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    chunk = decoder.decode([data_frame(0, 0, 0, samples(0, BLOCK), flags=0x80)])
+    assert isinstance(chunk, SampleChunk)
+    assert chunk.gaps == ()
+
+
+def test_the_configuration_must_agree_with_the_descriptor() -> None:
+    request = StreamSet(0, StreamEvent.PWM, 1, 20, (3, 1))
+    stream = StreamConfig.of(1, request, StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR)
+    assert stream.dtype.names == ("theta", "hall")
+    with pytest.raises(RemoteProtocolError, match="stream 0: 4 bytes a sample, 10 a frame by the device, 3"):
+        StreamConfig.of(1, request, StreamReply(0, 5, 4, 10, 0.0), DESCRIPTOR)
+
+
+edge_batches = st.lists(st.integers(0, 5), min_size=1, max_size=30)
+
+
+@given(edge_batches, st.lists(st.booleans(), min_size=80, max_size=80), st.integers(0, 2000))
+def test_edge_loss_is_exact(batches: list[int], arrives: list[bool], before: int) -> None:
+    """Edges through a real device: what is missing is counted by the running index."""
+    link, device, _ = small_link(TxQueue())
+    device.push_edges(edges(0, before))  # before the stream starts: not sent, but counted
+    request = StreamSet(1, StreamEvent.EDGES, 1, 0)
+    reply = device.streams.configure(request, 100)
+    device.streams.start(2)
+    link.data_to_send()
+    frames, total = [], before
+    for n in batches:
+        device.push_edges(edges(total, n))
+        total += n
+        device.advance(total)
+        wire = link.data_to_send()
+        frames += [raw for raw in reference.receive(b"\0" + wire + b"\0") if raw[0] == 0x41]
+    got = [raw for raw, keep in zip(frames, arrives, strict=False) if keep]
+    if not got:
+        return
+    decoder = EdgeDecoder(StreamConfig.of(1, request, reply, DESCRIPTOR), TickReference())
+    chunk = decoder.decode(got)
+    assert chunk is not None
+    assert len(chunk) == decoder.counters.samples
+    assert (chunk.tick == 1_000_003 * chunk.index).all()
+    assert (chunk.hall_old == chunk.index % 8).all()
+    assert (chunk.hall_new == (chunk.index + 1) % 8).all()
+    assert (chunk.encoder == chunk.index % 65536).all()
+    first_frame = frames.index(got[0])
+    inside = chunk.index[-1] - chunk.index[0] + 1 - len(chunk)
+    assert decoder.counters.lost_by_index == inside + first_frame  # before the first: at least one each
+    assert decoder.counters.lost_by_seq == frames.index(got[-1]) + 1 - len(got)
+
+
+def edges(first: int, n: int) -> np.ndarray:
+    k = first + np.arange(n)
+    old, new = (k % 8).astype(np.uint8), ((k + 1) % 8).astype(np.uint8)
+    return pack_edges(k * 1_000_003, old, new, k % 5 == 0, k)
