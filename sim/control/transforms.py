@@ -1,4 +1,4 @@
-"""Frames: stator to rotor and back, stator to phases; amplitude-invariant. `clarke` and `wrap`: the observers'.
+"""Frames: stator to rotor and back, stator to phases; amplitude-invariant (`clarke`, `wrap`: sim.observers).
 
 Never integrates and keeps no state.
 """

@@ -16,7 +16,8 @@ ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 @jit
 def wrap(angle: float) -> float:
     """The same angle (rad) in [-pi, pi)."""
-    return angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
+    wrapped = angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
+    return wrapped if -math.pi <= wrapped < math.pi else -math.pi  # rounding, at the seam
 
 
 @jit

@@ -5,12 +5,12 @@ A phase-locked loop on the unit back-EMF vector, fed forward with the Hall avera
 What the paper leaves open, and how it is settled here:
 - Time. u*(k-1) is in force over [k-1, k]; it pairs with the mean current of that interval and with
   i(k) - i(k-1). The back-EMF so found is that of the interval's middle, and it is there that (8) compares it.
-- sgn() of (9) does not see the corrected speed, which reaches +-k_p: with the printed sgn(omega_hat)
-  (`literal_sgn` = 1) an error of 30 deg flips the sign every period below 1000 r/min, and the loop stays
-  falsely locked about 90 deg away. Here the direction is that of omega_h when the correction starts; from
-  then on it is the sign of the filtered speed that the back-EMF shows along the estimate, with hysteresis,
-  so that a rotor that turns back between two edges is followed. While the two disagree omega_h is stale and
-  is not fed forward.
+- sgn() of (9) does not see the corrected speed, which reaches +-k_p, 2018 r/min with the paper's gains: with the
+  printed sgn(omega_hat) (`literal_sgn` = 1) the sign flips with the correction below that speed, and noise at
+  50 r/min, a reversal or an error past 90 deg leave the loop falsely locked for good. Here the direction is that of
+  omega_h when the correction starts; from then on it is the sign of the filtered speed that the back-EMF shows along
+  the estimate, with hysteresis, so that a rotor that turns back between two edges is followed. While the two
+  disagree omega_h is stale and is not fed forward.
 - (6) takes omega_h, and tau = min(tau_max, 1/|omega_h|). The gain and phase of the sampled filter y += a (x
   - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a; the paper's 1 + j tau omega, the
   inverse of the continuous filter, leaves a bias that grows with speed (`exact_inverse` = 0).
@@ -20,9 +20,10 @@ What the paper leaves open, and how it is settled here:
   Hall sector, from the angle of the last edge or from the sector's centre.
 - An estimate more than 30 deg outside the Hall sector is not believed: the correction stops, and starts
   anew at the next edge. Not with `literal_sgn`, which is there to be seen failing.
-- (18) integrates only while compensation and correction are on, and stays within 30 deg. It compares i_qs*
-  with the mean current of the period that i_qs* was in force, and has meaning only where the current loop
-  uses this observer's angle. Size and sign of k_pc, k_ic are commissioned for a drive.
+- (18) integrates only while compensation and correction are on, and stays within 30 deg. It takes the current error
+  exactly as a current loop on this observer's angle had it one period ago, so that its integral is the change of
+  that loop's integrator and does not drift; with another angle in the loop it has no meaning. Size and sign of k_pc
+  and k_ic are commissioned for a drive.
 
 Never reads a Hall pin (that is `hall_speed`'s) and never adapts a parameter.
 
@@ -238,7 +239,8 @@ def step(
         size = max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
         cross = (f_alpha * cos + f_beta * sin) / size
         if params.load_angle_comp != 0:  # (18)
-            i_q_err = i_q_ref - (i_beta_mean * cos - i_alpha_mean * sin)
+            i_q = state.i_beta * math.cos(theta) - state.i_alpha * math.sin(theta)
+            i_q_err = i_q_ref - i_q
             delta_i = _clip(delta_i + params.k_ic_T * i_q_err, DELTA_MAX)
             delta = _clip(params.k_pc * i_q_err + delta_i, DELTA_MAX)
         # (19), which is (9) with a load angle of zero; (4); (10)

@@ -1,0 +1,135 @@
+"""An ideal motor's signals, straight from its equations: what the observers' tests feed them. No simulation.
+
+The rotor's angle is prescribed. Currents are prescribed in the rotor frame, and the voltages that go with them
+follow from u = R i + L di/dt + d(psi e^{j theta})/dt, averaged over each period: the back-EMF's mean is exactly
+psi (e^{j theta(k)} - e^{j theta(k-1)}) / T_s, whatever the rotor does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+TICK_HZ = 20_000_000
+PWM_HZ = 16_000
+TICKS = TICK_HZ // PWM_HZ
+T_S = 1.0 / PWM_HZ
+R_S, L_S, PSI_F, N_P = 0.158, 0.176e-3, 6.55e-3, 6  # Table II
+TABLE_I = np.array([-1.2, -3.0, 7.2, -3.3, 0.6, 5.6])  # deg
+PAPER_EDGES = np.arange(6) * 60.0 - TABLE_I  # deg, where sector s opens
+IDEAL_EDGES = np.arange(6) * 60.0
+CODES = np.array([0b001, 0b011, 0b010, 0b110, 0b100, 0b101], np.uint8)  # by sector
+
+DRIVE = {
+    "n_p": N_P,
+    "omega_m_max": 314.159,
+    "hall_timeout": 0.2,
+    "R_s_hat": R_S,
+    "L_s_hat": L_S,
+    "psi_f_hat": PSI_F,
+    "k_p_vt": 1268.0,
+    "k_i_vt": 54289.0,
+    "tau_max": 4e-4,
+    "omega_on": 20.0,
+    "omega_off": 12.0,
+    "k_pc": 0.0,
+    "k_ic": 0.0,
+    "load_angle_comp": 0.0,
+    "literal_sgn": 0.0,
+    "bw_omega_lpf": 50.0,
+}
+
+
+class Signals(NamedTuple):
+    """What a drive would telemeter, and the truth."""
+
+    tick: np.ndarray
+    hall: np.ndarray
+    u_alpha: np.ndarray
+    u_beta: np.ndarray
+    i_a: np.ndarray
+    i_b: np.ndarray
+    i_c: np.ndarray
+    i_q_ref: np.ndarray
+    edge_tick: np.ndarray
+    edge_hall: np.ndarray
+    theta: np.ndarray  # truth, unwrapped
+
+    def arguments(self, reset=None):
+        """Positional arguments of `bank.run` after params and state."""
+        if reset is None:
+            reset = np.zeros(self.tick.size, np.bool_)
+        return (*self[:-1], reset)
+
+
+def rpm(value: float) -> float:
+    """Electrical rad/s."""
+    return value * 2 * np.pi / 60 * N_P
+
+
+def sectors(theta: np.ndarray, edges_deg: np.ndarray = IDEAL_EDGES) -> np.ndarray:
+    """Sectors counted on through the turns (the sector is this modulo 6), for sensors without hysteresis."""
+    turn = np.floor((theta - np.radians(edges_deg[0])) / (2 * np.pi))
+    within = theta - 2 * np.pi * turn
+    return (6 * turn + np.searchsorted(np.radians(edges_deg), within, side="right") - 1).astype(np.int64)
+
+
+def edges(theta: np.ndarray, edges_deg: np.ndarray = IDEAL_EDGES, fine: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Ticks and new codes of the edges of an angle given every TICKS / fine ticks, straight between the points."""
+    count = sectors(theta, edges_deg)
+    ticks, codes = [], []
+    for k in np.flatnonzero(np.diff(count)):
+        step = 1 if count[k + 1] > count[k] else -1
+        for new in range(count[k] + step, count[k + 1] + step, step):
+            opened = new if step > 0 else new + 1  # the boundary belongs to the sector that it opens
+            boundary = np.radians(edges_deg[opened % 6]) + 2 * np.pi * (opened // 6)
+            share = (boundary - theta[k]) / (theta[k + 1] - theta[k])
+            ticks.append(int(np.ceil((k + share) * TICKS / fine)))
+            codes.append(CODES[new % 6])
+    return np.array(ticks, np.int64), np.array(codes, np.uint8)
+
+
+def signals(
+    theta_of_t,
+    seconds: float,
+    *,
+    i_q=4.0,
+    edges_deg: np.ndarray = IDEAL_EDGES,
+    fine: int = 1,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> Signals:
+    """Signals of a rotor at `theta_of_t(t)` (rad, a function of an array of seconds) with `i_q` A and no i_d."""
+    n = round(seconds * PWM_HZ)
+    theta = theta_of_t(np.arange(n) * T_S)
+    dense = theta_of_t(np.arange((n - 1) * fine + 1) * T_S / fine)
+    edge_tick, edge_hall = edges(dense, edges_deg, fine)
+    i_q = np.broadcast_to(np.asarray(i_q, float), n)
+    rotor = np.exp(1j * theta)
+    i = 1j * i_q * rotor
+    before = np.r_[0, np.arange(n - 1)]
+    u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
+    rng = np.random.default_rng(seed)
+    phase = [(i * np.exp(-2j * np.pi / 3 * k)).real + noise * rng.standard_normal(n) for k in range(3)]
+    return Signals(
+        np.arange(n, dtype=np.int64) * TICKS,
+        CODES[sectors(theta, edges_deg) % 6],
+        u.real.copy(),
+        u.imag.copy(),
+        *phase,
+        i_q.copy(),
+        edge_tick,
+        edge_hall,
+        theta,
+    )
+
+
+def constant(omega: float, theta_0: float = 0.3):
+    """Angle of a rotor at constant electrical speed."""
+    return lambda t: theta_0 + omega * t
+
+
+def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
+    """Actual less estimated angle (rad) in degrees within [-180, 180)."""
+    return (np.degrees(actual - estimated) + 180) % 360 - 180

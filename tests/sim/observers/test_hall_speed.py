@@ -1,0 +1,215 @@
+import numpy as np
+import pytest
+from ideal_motor import (
+    CODES,
+    IDEAL_EDGES,
+    PAPER_EDGES,
+    TICK_HZ,
+    TICKS,
+    constant,
+    rpm,
+    signals,
+)
+
+from sim.observers import hall_speed
+
+PARAMS = hall_speed.make_params(TICK_HZ, 0.2)
+WIDTH = np.pi / 3
+
+
+def feed(events, until=None, params=PARAMS):
+    """Front end over single edges [(tick, code), ...]; samples every TICKS from 0, code as the edges left it."""
+    events = sorted(events)
+    until = until if until is not None else events[-1][0] + TICKS
+    tick = np.arange(0, until + 1, TICKS, dtype=np.int64)
+    at = np.array([e[0] for e in events], np.int64)
+    codes = np.array([e[1] for e in events], np.uint8)
+    legal = (codes != 0) & (codes != 7)
+    last = np.searchsorted(at[legal], tick, side="right") - 1
+    hall = np.where(last >= 0, codes[legal][np.maximum(last, 0)], CODES[0]).astype(np.uint8)
+    return tick, hall_speed.run(params, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+
+
+@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
+def test_speed_and_direction_at_constant_speed(speed):
+    omega = rpm(speed)
+    s = signals(constant(omega), 8 * WIDTH / abs(omega))
+    state, out = hall_speed.run(
+        PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool)
+    )
+    passed = np.searchsorted(s.edge_tick, s.tick, side="right")
+    assert set(out.direction[passed == 0]) == {0}
+    assert set(out.omega[passed < 2]) == {0.0}  # one edge gives no speed
+    assert set(out.direction[passed >= 1]) == {np.sign(speed)}
+    # two captured ticks make the interval: (1) to within one tick in the interval
+    np.testing.assert_allclose(out.omega[passed >= 2], omega, rtol=1.01 * abs(omega) / WIDTH / TICK_HZ)
+    assert np.array_equal(CODES[out.sector], s.hall)
+    assert (state.illegal, state.skipped) == (0, 0)
+    assert out.edge.sum() == s.edge_tick.size
+
+
+def test_ripple_of_the_misplaced_sensors_is_that_of_the_sector_widths():
+    omega = rpm(500)
+    s = signals(constant(omega), 1.0, edges_deg=PAPER_EDGES)
+    _, out = hall_speed.run(
+        PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool)
+    )
+    width = np.diff(np.r_[PAPER_EDGES, 360 + PAPER_EDGES[0]])  # deg, of sector 0..5
+    settled = s.tick > s.edge_tick[1]
+    expected = omega * 60.0 / width[(out.sector - 1) % 6]  # the sector just passed made the speed
+    overdue = WIDTH / np.maximum(out.age, 1e-9)
+    np.testing.assert_allclose(out.omega[settled], np.minimum(expected, overdue)[settled], rtol=1e-4)
+
+
+def test_an_overdue_edge_bounds_the_speed_and_a_timeout_ends_it():
+    interval = 40 * TICKS
+    tick, (_, out) = feed([(interval, CODES[1]), (2 * interval, CODES[2])], until=TICK_HZ // 4)
+    age = (tick - 2 * interval) / TICK_HZ
+    running = (age >= 0) & (age <= 0.2)
+    full = WIDTH * TICK_HZ / interval
+    np.testing.assert_allclose(
+        out.omega[running], np.minimum(full, WIDTH / np.maximum(age[running], 1e-12)), rtol=1e-12
+    )
+    assert set(out.omega[age > 0.2]) == {0.0}
+    assert set(out.direction[age > 0.2]) == {0}
+    assert set(out.anchored[age > 0.2]) == {0}
+
+
+def test_after_a_timeout_two_edges_make_a_speed_again():
+    late = TICK_HZ  # 1 s
+    step = 50 * TICKS
+    events = [(step, CODES[1]), (2 * step, CODES[2]), (late, CODES[3]), (late + step, CODES[4])]
+    tick, (_, out) = feed(events)
+    assert set(out.omega[(tick >= late) & (tick < late + step)]) == {0.0}
+    assert out.omega[-1] == pytest.approx(WIDTH * TICK_HZ / step)
+
+
+def test_reversal_turns_direction_and_speed_at_the_same_boundary():
+    step = 30 * TICKS
+    forward = [(step * (k + 1), CODES[k + 1]) for k in range(3)]  # in sector 3
+    back_at = 3 * step + step // 2
+    back = [(back_at, CODES[2]), (back_at + 2 * step, CODES[1])]
+    tick, (_, out) = feed(forward + back)
+    full = WIDTH * TICK_HZ / step
+    turned = (tick >= back_at) & (tick < back_at + step)
+    assert set(out.direction[turned]) == {-1}
+    assert set(out.anchored[turned]) == {1}
+    np.testing.assert_allclose(out.omega[turned], -full)
+    assert out.omega[-1] == pytest.approx(-full / 2)  # a whole sector backwards, in twice the time
+
+
+def test_a_sensor_chattering_on_an_edge_ends_with_the_speed_it_began_with():
+    step = 30 * TICKS
+    events = [(step * (k + 1), CODES[k + 1]) for k in range(3)]
+    at = 3 * step
+    events += [(at + 40, CODES[2]), (at + 90, CODES[3])]  # all within one period
+    tick, (state, out) = feed([*events, (4 * step, CODES[4])])
+    full = WIDTH * TICK_HZ / step
+    after = tick >= at + TICKS
+    np.testing.assert_allclose(out.omega[after], full, rtol=100 / step)
+    assert set(out.direction[after]) == {1}
+    assert state.skipped == 0
+
+
+def test_illegal_codes_are_counted_and_change_nothing():
+    step = 30 * TICKS
+    events = [(step * (k + 1), CODES[(k + 1) % 6]) for k in range(8)]
+    tick, (clean_state, clean) = feed(events)
+    glitches = []
+    for k, (at, code) in enumerate(events):
+        glitches += [(at + 200, 0 if k % 2 else 7), (at + 260, code)]  # out of the code and back
+    _, (state, out) = feed(events + glitches, until=tick[-1])
+    for name in out._fields:
+        assert np.array_equal(getattr(out, name), getattr(clean, name)), name
+    assert (clean_state.illegal, state.illegal) == (0, 8)
+
+
+def test_illegal_samples_are_counted_and_change_nothing():
+    s = signals(constant(rpm(500)), 0.1)
+    args = (s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool))
+    _, clean = hall_speed.run(PARAMS, hall_speed.init(), s.tick, s.hall, *args)
+    hall = s.hall.copy()
+    hall[100::50] = 0
+    hall[101::50] = 7
+    state, out = hall_speed.run(PARAMS, hall_speed.init(), s.tick, hall, *args)
+    assert np.array_equal(out.omega, clean.omega)
+    assert np.array_equal(out.sector, clean.sector)
+    assert state.illegal == hall[100::50].size + hall[101::50].size
+
+
+def test_a_skipped_sector_holds_the_speed_and_makes_none():
+    step = 30 * TICKS
+    times = {1: 1, 2: 2, 3: 3, 5: 5, 6: 6, 7: 8}  # edge to sector 4 is lost; the last sector takes twice the time
+    tick, (state, out) = feed([(step * t, CODES[k % 6]) for k, t in times.items()])
+    full = WIDTH * TICK_HZ / step
+    assert state.skipped == 1
+    lost = (tick >= 5 * step) & (tick < 6 * step)
+    assert set(out.sector[lost]) == {5}
+    assert set(out.anchored[lost]) == {0}
+    at = {t: np.searchsorted(tick, t * step) for t in (5, 6, 8)}
+    assert out.omega[at[5]] == pytest.approx(full / 2)  # overdue by then, held
+    assert out.omega[at[6]] == pytest.approx(full / 2)  # the edge gives an angle, no speed
+    assert out.anchored[at[6]] == 1
+    assert out.omega[at[8]] == pytest.approx(full / 2)  # by the interval of two steps
+
+
+def test_lost_edges_are_noticed_by_the_sampled_code_within_two_samples():
+    step = 30 * TICKS
+    tick = np.arange(0, 6 * step, TICKS, dtype=np.int64)
+    at = np.array([step, 2 * step], np.int64)
+    codes = CODES[[1, 2]]
+    hall = CODES[np.minimum(tick // step, 4)]  # edges to sectors 3 and 4 never arrive
+    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+    first_wrong = 3 * step // TICKS
+    assert out.sector[first_wrong] == 2
+    assert out.sector[first_wrong + 1] == 3
+    assert state.skipped == 2
+    hall[first_wrong:] = CODES[2]
+    hall[first_wrong + 10] = CODES[4]  # one odd sample alone is not believed
+    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+    assert state.skipped == 0
+
+
+def test_several_edges_in_one_period():
+    gap = TICKS // 5  # five edges a period
+    events = [(gap * (k + 1), CODES[(k + 1) % 6]) for k in range(200)]
+    _, (state, out) = feed(events)
+    np.testing.assert_allclose(out.omega[2:-1], WIDTH * TICK_HZ / gap)
+    assert state.skipped == 0
+    assert set(out.edge[1:-1]) == {1}
+
+
+def test_only_differences_of_ticks_count():
+    s = signals(constant(rpm(300)), 0.2, edges_deg=PAPER_EDGES)
+    zeros = np.zeros(s.tick.size, bool)
+    _, near = hall_speed.run(PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, zeros)
+    far = 1 << 60
+    _, out = hall_speed.run(PARAMS, hall_speed.init(), s.tick + far, s.hall, s.edge_tick + far, s.edge_hall, zeros)
+    for name in out._fields:
+        assert np.array_equal(getattr(out, name), getattr(near, name)), name
+
+
+def test_an_edge_between_samples_is_taken_with_the_next_sample_and_later_ones_are_left():
+    tick = np.array([0, TICKS, 2 * TICKS], np.int64)
+    at = np.array([TICKS, TICKS + 1, 2 * TICKS + 1], np.int64)  # at the sample, just after it, after the last
+    codes = CODES[[1, 2, 3]]
+    hall = CODES[[0, 1, 2]]
+    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(3, bool))
+    assert list(out.sector) == [0, 1, 2]
+    assert state.sector == 2
+
+
+def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
+    tick = np.arange(3, dtype=np.int64) * TICKS
+    none = np.array([], np.int64)
+    hall = np.array([7, 0, CODES[4]], np.uint8)
+    _, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, none, none.astype(np.uint8), np.zeros(3, bool))
+    assert list(out.sector) == [-1, -1, 4]
+
+
+def test_codes_of_the_sectors():
+    # bit 0 = sensor a is high over sectors 0, 1, 5; b over 1, 2, 3; c over 3, 4, 5 (Hall bit order)
+    assert [hall_speed.SECTOR_OF_CODE[c] for c in CODES] == [0, 1, 2, 3, 4, 5]
+    assert hall_speed.SECTOR_OF_CODE[0] == hall_speed.SECTOR_OF_CODE[7] == -1
+    assert all(bin(CODES[s] ^ CODES[s - 1]).count("1") == 1 for s in range(6))
+    assert IDEAL_EDGES[1] == 60.0

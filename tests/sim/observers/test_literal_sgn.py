@@ -1,0 +1,60 @@
+"""Why sgn() of (9) must not see the corrected speed, which reaches +-k_p = +-1268 rad/s: 2018 r/min.
+
+Where the correction outweighs the speed the sign flips with it, and what should brake the estimate drives it on. The
+estimate can then stand still against the rotor where the two cancel, |sin(error)| = omega / k_p, on the far side.
+"""
+
+import numpy as np
+import pytest
+from ideal_motor import DRIVE, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
+from test_vector_tracking import estimate, track
+
+
+def errors(speed, ahead_deg, literal):
+    """Two seconds at constant speed from an estimate `ahead_deg` too far."""
+    t = np.arange(2 * PWM_HZ) * T_S
+    omega = rpm(speed)
+    sign = int(np.sign(speed))
+    start = np.radians(ahead_deg) * sign
+    out = track(omega, omega * t, start=start, direction=sign, literal_sgn=float(literal))
+    return error_deg((omega * t)[1:], out.theta)
+
+
+@pytest.mark.parametrize("speed", [200.0, 500.0, -500.0, 1000.0, 1500.0, 1900.0])
+def test_the_printed_form_locks_falsely_for_good_below_2000_rpm(speed):
+    literal = errors(speed, 120.0, True)[-PWM_HZ:]
+    lock = 180 - np.degrees(np.arcsin(abs(rpm(speed)) / DRIVE["k_p_vt"]))
+    assert literal.mean() == pytest.approx(-np.sign(speed) * lock, abs=5.0)
+    assert literal.std() < 4
+    assert np.abs(errors(speed, 120.0, False)[-PWM_HZ:]).max() < 0.1
+
+
+def test_above_that_speed_the_printed_form_finds_back():
+    assert np.abs(errors(2100.0, 120.0, True)[-PWM_HZ:]).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_noise_of_the_currents_throws_the_printed_form_off_at_50_rpm(seed):
+    """A smooth start to 50 r/min, then steady, 20 mA of noise: nothing but that."""
+    s = signals(lambda t: 0.3 + rpm(50) * np.where(t < 0.2, t**2 / 0.4, t - 0.1), 2.0, noise=0.02, seed=seed, fine=4)
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta_vt))
+    ours = np.abs(error_deg(s.theta, estimate(s).theta_vt))
+    settled = s.tick > TICK_HZ
+    assert literal[settled].mean() > 30
+    assert ours[settled].max() < 2.5
+
+
+def test_a_reversal_throws_the_printed_form_off():
+    omega, slope = rpm(500), 3000.0
+    back = 2 * omega / slope
+
+    def angle(t):
+        turning = np.clip(t - 0.1, 0, back)
+        after = np.maximum(t - 0.1 - back, 0)
+        return omega * np.minimum(t, 0.1) + omega * turning - slope * turning**2 / 2 - omega * after
+
+    s = signals(angle, 1.0, i_q=-3.0, fine=20, noise=0.02)
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta_vt))
+    ours = np.abs(error_deg(s.theta, estimate(s).theta_vt))
+    assert literal[-PWM_HZ // 2 :].mean() > 45
+    assert ours[-PWM_HZ // 2 :].max() < 1.0

@@ -1,0 +1,295 @@
+import math
+
+import numpy as np
+import pytest
+from ideal_motor import (
+    DRIVE,
+    L_S,
+    PAPER_EDGES,
+    PSI_F,
+    PWM_HZ,
+    R_S,
+    T_S,
+    TICK_HZ,
+    constant,
+    error_deg,
+    rpm,
+    signals,
+)
+
+from sim.observers import bank, hall_speed, vector_tracking
+
+VECTOR = {k: v for k, v in DRIVE.items() if k not in ("n_p", "omega_m_max", "hall_timeout")}
+
+
+def estimate(s, exact_inverse=True, **drive):
+    params = bank.make_params(TICK_HZ, PWM_HZ, exact_inverse=exact_inverse, **{**DRIVE, **drive})
+    return bank.run(params, bank.init(), *s.arguments())[1]
+
+
+def track(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_ref=0.0, **drive):
+    """The observer alone, the correction on from the start, fed with any Hall speed and the back-EMF of `theta`.
+
+    `start`: initial estimate (default: the true angle). Returns the estimates at samples 1, 2, ...
+    """
+    n = theta.size
+    params = vector_tracking.make_params(PWM_HZ, **{**VECTOR, **drive})
+    rotor = np.exp(1j * theta)
+    i = 1j * np.broadcast_to(i_q, n) * rotor
+    before = np.r_[0, np.arange(n - 1)]
+    u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
+    omega_h = np.broadcast_to(np.asarray(omega_h, float), n).copy()
+    if sector is None:
+        sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
+    ones = np.ones(n, np.int64)
+    front = hall_speed.Estimates(sector, direction * ones, ones, omega_h, np.zeros(n), 0 * ones)
+    first = vector_tracking.init()._replace(
+        primed=1,
+        on=1,
+        direction=direction,
+        i_alpha=i.real[0],
+        i_beta=i.imag[0],
+        # the filter of (6) as it would have settled: as long as tau is short this hardly matters
+        e_alpha=(u.real[1]),
+        e_beta=(u.imag[1]),
+        theta=float(theta[0] if start is None else start),
+        omega=float(omega_h[0]),
+        omega_lpf=float(omega_h[0]),
+    )
+    args = (front, theta, u.real, u.imag, i.real, i.imag, np.broadcast_to(np.asarray(i_q_ref, float), n))
+    args = [type(a)(*(c[1:] for c in a)) if isinstance(a, tuple) else a[1:].copy() for a in args]
+    return vector_tracking.run(params, first, *args, np.zeros(n - 1, np.bool_))[1]
+
+
+@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
+def test_exact_on_ideal_signals(speed):
+    omega = rpm(speed)
+    s = signals(constant(omega), 0.2 + 3 * 2 * np.pi / abs(omega), i_q=4.0)
+    out = estimate(s)
+    assert out.correction_on[-1] == 1
+    # what is left is the tick of the captured edges
+    assert np.abs(error_deg(s.theta, out.theta_vt))[-800:].max() < 0.02
+    assert out.omega_vt[-1] == pytest.approx(omega, rel=1e-3)
+    assert math.hypot(out.e_alpha[-1], out.e_beta[-1]) == pytest.approx(abs(omega) * PSI_F, rel=2e-3)
+
+
+@pytest.mark.parametrize("speed", [500.0, 1000.0, 2000.0, -1000.0])
+def test_the_plain_inverse_of_the_filter_leaves_a_bias_and_the_exact_one_none(speed):
+    omega = rpm(speed)
+    s = signals(constant(omega), 0.4)
+    tau = min(1e-3, 1 / abs(omega))
+    a = T_S / (T_S + tau)
+    sampled = a / (1 - (1 - a) * np.exp(-1j * omega * T_S))
+    bias = np.degrees(np.angle(sampled * (1 + 1j * tau * omega)))  # of theta*, hence of the estimate
+    plain = error_deg(s.theta, estimate(s, exact_inverse=False, tau_max=1e-3).theta_vt)[-800:]
+    exact = error_deg(s.theta, estimate(s, exact_inverse=True, tau_max=1e-3).theta_vt)[-800:]
+    assert abs(bias) > 0.05
+    assert plain.mean() == pytest.approx(-bias, abs=0.01)
+    assert abs(exact.mean()) < 0.002
+
+
+@pytest.mark.parametrize("hertz", [5.0, 37.0, 100.0, 202.0, 500.0, 1000.0])
+@pytest.mark.parametrize("omega", [rpm(500), rpm(-500)])
+def test_hall_ripple_passes_as_the_high_pass_of_11(hertz, omega):
+    """theta_h = A sin(nu t) comes through as s²/(s² + k_p s + k_i) says, in size and phase."""
+    n = round(PWM_HZ * (0.3 + 4 / hertz))
+    t = np.arange(n) * T_S
+    nu, A = 2 * np.pi * hertz, np.radians(2.0)
+    out = track(omega + A * nu * np.cos(nu * t), omega * t, tau_max=0.0, direction=int(np.sign(omega)))
+    error = -np.radians(error_deg((omega * t)[1:], out.theta))
+    tail = slice(-round(PWM_HZ * 2 / hertz), None)
+    amplitude = 2 * np.mean(error[tail] * np.exp(-1j * nu * t[1:][tail])) * 1j
+    # the loop holds its speed over a period: compare with (11) on z = e^{s T}, where 1/s is T z / (z - 1)
+    z = np.exp(1j * nu * T_S)
+    integral = T_S * z / (z - 1)
+    k_p, k_i = DRIVE["k_p_vt"], DRIVE["k_i_vt"]
+    sampled = A * nu * integral / (1j) * 1j  # theta_h of the sampled omega_h
+    expected = sampled / (1 + integral * (k_p + k_i * integral) / z)
+    assert abs(amplitude) == pytest.approx(abs(expected), rel=0.05)
+    s = 1j * nu
+    paper = A * abs(s**2 / (s**2 + k_p * s + k_i))
+    assert abs(amplitude) == pytest.approx(paper, rel=0.10 if hertz <= 500 else 0.25)
+
+
+@pytest.mark.parametrize("omega", [rpm(500), rpm(-500)])
+def test_an_error_decays_as_the_second_order_loop_of_fig_5(omega):
+    t = np.arange(4000) * T_S
+    e0 = np.radians(3.0)
+    out = track(omega, omega * t, start=-e0, tau_max=0.0, direction=int(np.sign(omega)))
+    error = np.radians(error_deg((omega * t)[1:], out.theta))
+    k_p, k_i = DRIVE["k_p_vt"], DRIVE["k_i_vt"]
+    p1, p2 = np.roots([1, k_p, k_i])
+    expected = e0 * (p1 * np.exp(p1 * t[1:]) - p2 * np.exp(p2 * t[1:])) / (p1 - p2)
+    assert np.abs(error - expected).max() < 0.06 * e0
+    assert abs(error[-1]) < 1e-4 * e0
+
+
+@pytest.mark.parametrize("speed", [500.0, -500.0])
+def test_a_start_30_degrees_off_converges(speed):
+    t = np.arange(3200) * T_S
+    omega = rpm(speed)
+    for off in (-30.0, 30.0):
+        out = track(omega, omega * t, start=np.radians(-off), direction=int(np.sign(speed)))
+        error = error_deg((omega * t)[1:], out.theta)
+        assert np.abs(error).max() < 31
+        assert np.abs(error[160:]).max() < 2.0  # 10 ms
+        assert np.abs(error[-100:]).max() < 0.01
+
+
+def test_wrong_inductance_shifts_by_the_load_angle_and_wrong_resistance_does_not():
+    """E + error of the model = omega (psi + j (L - L_hat) i_q): an angle of atan((L_hat - L) i_q / psi)."""
+    for speed in (500.0, -500.0):
+        s = signals(constant(rpm(speed)), 0.4, i_q=8.0)
+        for factor in (0.92, 1.08):
+            expected = np.degrees(math.atan((factor - 1) * L_S * 8.0 / PSI_F))
+            error = error_deg(s.theta, estimate(s, L_s_hat=factor * L_S).theta_vt)[-800:].mean()
+            assert error == pytest.approx(expected, abs=0.03)  # about +-1 deg, as the paper has it
+        error = error_deg(s.theta, estimate(s, R_s_hat=1.2 * R_S).theta_vt)[-800:].mean()
+        assert abs(error) < 0.02
+
+
+@pytest.mark.parametrize("k_ic", [8.0, -8.0])
+@pytest.mark.parametrize("k_pc", [0.0, 2e-3])
+def test_load_angle_is_the_pi_of_the_current_error_and_shifts_the_estimate(k_ic, k_pc):
+    """(18): delta_hat = k_pc e + k_ic integral(e); (19): in steady state theta_hat = theta + delta_hat."""
+    omega, charge, pulse = rpm(500), 2e-3, 0.02  # A s in a pulse of 20 ms
+    t = np.arange(4800) * T_S
+    e = np.where((t > 0.05) & (t < 0.05 + pulse), charge / pulse, 0.0)
+    params = {"k_ic": k_ic, "k_pc": k_pc, "load_angle_comp": 1.0}
+    theta = omega * t
+    out = track(omega, theta, i_q_ref=e, **params)
+    error = error_deg(theta[1:], out.theta)
+    assert out.delta_hat[-1] == pytest.approx(k_ic * charge, rel=0.02)
+    assert error[-100:].mean() == pytest.approx(-np.degrees(k_ic * charge), rel=0.03)
+    during = (t[1:] > 0.051) & (t[1:] < 0.0695)
+    ramp = k_pc * charge / pulse + k_ic * (t[1:][during] - 0.05) * charge / pulse
+    np.testing.assert_allclose(out.delta_hat[during], ramp, atol=0.03 * abs(k_ic) * charge)
+
+
+def test_load_angle_is_zero_and_holds_nothing_while_it_is_off():
+    omega = rpm(500)
+    t = np.arange(1600) * T_S
+    out = track(omega, omega * t, i_q=4.0, i_q_ref=5.0, k_ic=8.0)
+    assert set(out.delta_hat) == {0.0}
+
+
+@pytest.mark.parametrize("speed", [500.0, 3000.0, -3000.0])
+def test_load_angle_does_not_drift_while_the_current_follows_its_reference(speed):
+    omega = rpm(speed)
+    t = np.arange(16000) * T_S
+    on = {"k_ic": 8.0, "load_angle_comp": 1.0}
+    out = track(omega, omega * t, i_q=8.0, i_q_ref=8.0, direction=int(np.sign(speed)), **on)
+    assert np.abs(out.delta_hat[8000:] - out.delta_hat[-1]).max() < 5e-5
+    assert np.abs(out.delta_hat).max() < 2e-3
+
+
+def test_load_angle_stays_within_30_degrees():
+    omega = rpm(500)
+    t = np.arange(1600) * T_S
+    out = track(omega, omega * t, i_q=4.0, i_q_ref=5.0, k_ic=500.0, load_angle_comp=1.0)
+    assert out.delta_hat.max() == pytest.approx(np.pi / 6)
+
+
+def test_speed_is_filtered_at_its_cut_off():
+    """A step of the speed comes out after the filter's time constant, 1 / (2 pi f)."""
+    omega = rpm(500)
+    t = np.arange(1600) * T_S
+    step = np.where(t < 0.05, omega, 1.1 * omega)
+    out = track(step, np.cumsum(step) * T_S, bw_omega_lpf=50.0)
+    rise = (out.omega - omega) / (0.1 * omega)
+    reached = np.argmax(rise > 1 - math.exp(-1)) * T_S - 0.05
+    assert reached == pytest.approx(1 / (2 * np.pi * 50), abs=2 * T_S)
+
+
+def test_correction_starts_and_stops_with_hysteresis_at_edges():
+    """Slowly up through omega_on and down through omega_off; in between it holds."""
+    on, off, ramp = 20.0, 12.0, 10.0  # rad/s, rad/s²
+
+    def speed(t):
+        return np.where(t < 3, ramp * t, np.maximum(30 - ramp * (t - 3), 0))
+
+    fine = np.arange(6 * PWM_HZ) / PWM_HZ
+    table = np.r_[0, np.cumsum(speed(fine)) / PWM_HZ]
+    s = signals(lambda t: np.interp(t, np.r_[fine, 6.0], table), 5.9, i_q=1.0)
+    out = estimate(s)
+    changes = np.flatnonzero(np.diff(out.correction_on))
+    assert changes.size == 2
+    started, stopped = changes + 1
+    assert out.omega_avg[started] >= on
+    assert s.tick[started] - s.edge_tick[np.searchsorted(s.edge_tick, s.tick[started]) - 1] < 1250
+    assert out.omega_avg[stopped] < off <= out.omega_avg[stopped - 1]
+    # once it runs the error is small; before, it stays inside the sector
+    assert np.abs(error_deg(s.theta, out.theta_vt))[started + 800 : stopped].max() < 3
+    sector_centre = np.radians(60 * out.sector + 30)
+    idle = out.correction_on == 0
+    assert np.abs(error_deg(sector_centre, out.theta_vt))[idle].max() <= 30 + 1e-6
+
+
+@pytest.mark.parametrize("sector", range(6))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_start_from_standstill_in_each_sector_both_ways(sector, sign):
+    start = np.radians(60 * sector + (1 if sign > 0 else 59))
+    s = signals(lambda t: start + sign * 0.5 * 7000 * np.maximum(t - 0.01, 0) ** 2, 0.08, i_q=sign * 6.0, fine=10)
+    out = estimate(s)
+    error = np.abs(error_deg(s.theta, out.theta_vt))
+    assert error[0] == pytest.approx(29, abs=0.1)
+    assert error.max() <= 30.1
+    second = np.searchsorted(s.tick, s.edge_tick[1])
+    assert error[second + 160 :].max() < 6  # 10 ms after the speed is known
+    assert error[-1] < 4
+    assert out.correction_on[-1] == 1
+
+
+@pytest.mark.parametrize("deceleration", [3000.0, 14000.0, 50000.0])
+@pytest.mark.parametrize("theta_0", np.radians([0, 13, 31, 47, 59]))
+def test_a_rotor_that_turns_back_is_followed_through_zero(deceleration, theta_0):
+    omega = rpm(500)
+
+    def angle(t):
+        run = np.maximum(t - 0.1, 0)
+        back = np.minimum(run, 2 * omega / deceleration)
+        past = run - back
+        return theta_0 + omega * np.minimum(t, 0.1) + omega * back - deceleration * back**2 / 2 - omega * past
+
+    s = signals(angle, 0.2 + 2 * omega / deceleration, i_q=-3.0, fine=20, noise=0.02)
+    out = estimate(s)
+    error = np.abs(error_deg(s.theta, out.theta_vt))
+    after = s.tick > 0.05 * TICK_HZ
+    assert error[after].max() < 40
+    assert error[-400:].max() < 1.5
+    assert out.omega_vt[-1] == pytest.approx(-omega, rel=0.02)
+
+
+def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
+    """130 deg off, on the side where the loop would fall to 180 deg: the guard drops it."""
+    omega = rpm(500)
+    s = signals(constant(omega), 0.2)
+    params = bank.make_params(TICK_HZ, PWM_HZ, **DRIVE)
+    args = s.arguments()
+    half = 1600
+    state, _ = bank.run(params, bank.init(), *(a[:half] if a.size == s.tick.size else a for a in args))
+    lost = state._replace(
+        vector=state.vector._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
+    )
+    rest = [a[half:] if a.size == s.tick.size else a[s.edge_tick > s.tick[half - 1]] for a in args]
+    _, out = bank.run(params, lost, *rest)
+    error = np.abs(error_deg(s.theta[half:], out.theta_vt))
+    assert out.correction_on[0] == 0
+    assert error[0] < 0.1
+    assert error.max() < 1.0
+    assert out.correction_on[-1] == 1
+
+
+def test_paper_edges_on_ideal_signals_stay_within_the_accuracy_of_the_notes():
+    for speed, limit in ((500.0, 3.3), (1000.0, 4.4)):
+        s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
+        error = error_deg(s.theta, estimate(s).theta_vt)[4000:]
+        assert 1.5 < error.std() < limit  # below too: the ripple of (11) cannot vanish
+        assert abs(error.mean()) < 0.3
+
+
+def test_currents_only_matter_through_their_stator_vector():
+    """A common part of the three currents (an offset of the sensors' supply) drops out."""
+    s = signals(constant(rpm(500)), 0.1)
+    shifted = s._replace(i_a=s.i_a + 0.25, i_b=s.i_b + 0.25, i_c=s.i_c + 0.25)
+    np.testing.assert_allclose(estimate(shifted).theta_vt, estimate(s).theta_vt, atol=1e-12)
