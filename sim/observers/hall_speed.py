@@ -8,7 +8,8 @@ What the paper leaves open, and how it is settled here:
   unknown.
 - An edge back over the boundary just passed is a reversal: direction and the sign of omega_h change, the
   magnitude stays (as it does when a torque turns the rotor round); the time between the two is no sector's.
-  A sensor that chatters on an edge so ends with the speed it began with.
+- An edge taken back within 50 us was none: a sensor that chatters on its edge, or a glitch of one sensor
+  inside a sector, which shows the code of a neighbour. All is as it was before it.
 - Codes 000 and 111 are ignored and counted. A jump over a sector re-synchronises: the rotor is somewhere in
   the new sector, the speed is held, and neither this edge nor the next gives a speed. A sampled code that
   contradicts the edges in two samples running (edges were lost) does the same.
@@ -32,6 +33,7 @@ from sim.numba_cache import jit
 # Sector 0..5 by Hall code (bit 0 = sensor a, 1 = b, 2 = c); -1: a code that no rotor angle gives.
 SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)
 SECTOR_WIDTH = math.pi / 3.0  # electrical rad
+GLITCH = 50e-6  # s
 DOUBTS = 2  # contradicting samples in a row that re-synchronise the sector
 
 
@@ -41,19 +43,28 @@ class Params(NamedTuple):
     tick_period: float  # s a tick
     sector_rate: float  # rad/s times ticks: sector width by (1) for an interval of one tick
     timeout: float  # ticks without an edge after which the rotor counts as standing
+    glitch: float  # ticks within which an edge taken back was none
+
+
+class Entry(NamedTuple):
+    """How the rotor came into a sector."""
+
+    sector: int  # 0..5, or -1: not known yet
+    direction: int  # +1 or -1 by the edge, 0: unknown
+    anchored: int  # 1: `tick` is the time of a boundary's passing; 0: the rotor is anywhere in the sector
+    tick: int  # when the sector was entered
+    omega: float  # rad/s, by the last two edges; 0: unknown
 
 
 class State(NamedTuple):
     """What the front end remembers."""
 
-    sector: int  # 0..5, or -1: not known yet
-    direction: int  # +1 or -1 by the last edge, 0: unknown
-    anchored: int  # 1: edge_tick is the time of a boundary's passing; 0: the rotor is anywhere in the sector
-    edge_tick: int  # when the sector was entered
-    omega: float  # rad/s, by the last two edges; 0: unknown
+    now: Entry
+    before: Entry  # what an edge taken back at once goes back to; sector -1: nothing
     doubts: int  # samples in a row that contradict the sector
     illegal: int  # codes 000 and 111 seen so far, in edges and samples
     skipped: int  # re-synchronisations so far
+    undone: int  # edges taken back at once so far
 
 
 class Estimate(NamedTuple):
@@ -81,13 +92,18 @@ class Estimates(NamedTuple):
 def make_params(tick_hz: float, hall_timeout: float) -> Params:
     """Constants for a counter of `tick_hz` Hz and a standstill time-out in s."""
     tick_hz = float(tick_hz)
-    return Params(1.0 / tick_hz, SECTOR_WIDTH * tick_hz, float(hall_timeout) * tick_hz)
+    return Params(1.0 / tick_hz, SECTOR_WIDTH * tick_hz, float(hall_timeout) * tick_hz, GLITCH * tick_hz)
+
+
+@jit
+def _nothing() -> Entry:
+    return Entry(-1, 0, 0, 0, 0.0)
 
 
 @jit
 def init() -> State:
     """Nothing known: the next sampled code gives the sector."""
-    return State(-1, 0, 0, 0, 0.0, 0, 0, 0)
+    return State(_nothing(), _nothing(), 0, 0, 0, 0)
 
 
 @jit
@@ -99,43 +115,52 @@ def _bounded(params: Params, omega: float, age: int) -> float:
 
 
 @jit
-def _resynchronise(params: Params, state: State, tick: int, sector: int) -> State:
+def _resynchronised(params: Params, entry: Entry, tick: int, sector: int) -> Entry:
     """The rotor turns up in `sector` by no known boundary: speed held, angle unknown."""
-    omega = _bounded(params, state.omega, tick - state.edge_tick)
-    return State(sector, state.direction, 0, tick, omega, 0, state.illegal, state.skipped + 1)
+    return Entry(sector, entry.direction, 0, tick, _bounded(params, entry.omega, tick - entry.tick))
+
+
+@jit
+def _entered(params: Params, entry: Entry, tick: int, sector: int, direction: int) -> Entry:
+    """The rotor passes a boundary of its sector into the neighbour `sector`."""
+    age = max(tick - entry.tick, 1)
+    if direction == entry.direction and entry.anchored == 1:
+        omega = direction * (params.sector_rate / age)
+    elif direction == -entry.direction:
+        omega = -_bounded(params, entry.omega, age)
+    else:
+        omega = _bounded(params, entry.omega, age)
+    return Entry(sector, direction, 1, tick, omega)
 
 
 @jit
 def edge(params: Params, state: State, tick: int, code: int) -> State:
     """The state after a captured edge to Hall code `code` at `tick`."""
+    now = state.now
+    before = _nothing()
+    illegal = state.illegal
+    skipped = state.skipped
+    undone = state.undone
     sector = SECTOR_OF_CODE[code & 7]
+    jump = (sector - now.sector) % 6
     if sector < 0:
-        return State(
-            state.sector,
-            state.direction,
-            state.anchored,
-            state.edge_tick,
-            state.omega,
-            state.doubts,
-            state.illegal + 1,
-            state.skipped,
-        )
-    if sector == state.sector:
-        return state
-    if state.sector < 0:
-        return State(sector, 0, 0, tick, 0.0, 0, state.illegal, state.skipped)
-    jump = (sector - state.sector) % 6
-    if jump != 1 and jump != 5:
-        return _resynchronise(params, state, tick, sector)
-    direction = 1 if jump == 1 else -1
-    age = max(tick - state.edge_tick, 1)
-    if direction == state.direction and state.anchored == 1:
-        omega = direction * (params.sector_rate / age)
-    elif direction == -state.direction:
-        omega = -_bounded(params, state.omega, age)
+        illegal += 1
+        before = state.before
+    elif sector == now.sector:
+        before = state.before
+    elif now.sector < 0:
+        now = Entry(sector, 0, 0, tick, 0.0)
+    elif sector == state.before.sector and tick - now.tick <= params.glitch:
+        now = state.before
+        undone += 1
+    elif jump == 1 or jump == 5:
+        before = now
+        now = _entered(params, now, tick, sector, 1 if jump == 1 else -1)
     else:
-        omega = _bounded(params, state.omega, age)
-    return State(sector, direction, 1, tick, omega, 0, state.illegal, state.skipped)
+        before = now
+        now = _resynchronised(params, now, tick, sector)
+        skipped += 1
+    return State(now, before, 0, illegal, skipped, undone)
 
 
 @jit
@@ -144,44 +169,31 @@ def sample(params: Params, state: State, tick: int, code: int, edges: int) -> tu
 
     `edges`: 1 where `edge` passed a boundary since the last sample. Edges up to `tick` come first.
     """
-    sector = state.sector
-    direction = state.direction
-    anchored = state.anchored
-    edge_tick = state.edge_tick
-    omega = state.omega
-    doubts = state.doubts
+    now = state.now
+    before = state.before
+    doubts = 0
     illegal = state.illegal
     skipped = state.skipped
-
-    seen = SECTOR_OF_CODE[code & 7]
-    if seen < 0:
+    sector = SECTOR_OF_CODE[code & 7]
+    if sector < 0:
         illegal += 1
-    elif seen == sector:
-        doubts = 0
-    elif sector < 0:
-        sector = seen
-        edge_tick = tick
-    else:
-        doubts += 1
+        doubts = state.doubts
+    elif now.sector < 0:
+        now = Entry(sector, 0, 0, tick, 0.0)
+    elif sector != now.sector:
+        doubts = state.doubts + 1
         if doubts >= DOUBTS:
-            state = _resynchronise(params, state, tick, seen)
-            sector = seen
-            anchored = 0
-            edge_tick = tick
-            omega = state.omega
+            now = _resynchronised(params, now, tick, sector)
+            before = _nothing()
+            skipped += 1
             doubts = 0
-            skipped = state.skipped
 
-    age = tick - edge_tick
+    age = tick - now.tick
     if age > params.timeout:
-        direction = 0
-        anchored = 0
-        omega = 0.0
-    state = State(sector, direction, anchored, edge_tick, omega, doubts, illegal, skipped)
-    estimate = Estimate(
-        sector, direction, anchored, _bounded(params, omega, age), age * params.tick_period, edges
-    )
-    return state, estimate
+        now = Entry(now.sector, 0, 0, now.tick, 0.0)
+    omega = _bounded(params, now.omega, age)
+    state = State(now, before, doubts, illegal, skipped, state.undone)
+    return state, Estimate(now.sector, now.direction, now.anchored, omega, age * params.tick_period, edges)
 
 
 @jit
@@ -196,10 +208,10 @@ def step(
     last: int,
 ) -> tuple[State, Estimate]:
     """One control period: edges [first, last) of the arrays, then the sample at `tick` with code `hall`."""
-    before = state.edge_tick
+    before = state.now.tick
     for j in range(first, last):
         state = edge(params, state, edge_ticks[j], edge_halls[j])
-    passed = 1 if state.anchored == 1 and state.edge_tick != before else 0
+    passed = 1 if state.now.anchored == 1 and state.now.tick != before else 0
     return sample(params, state, tick, hall, passed)
 
 

@@ -262,9 +262,7 @@ def step(
         theta = wrap(middle + _clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
 
     omega_lpf = state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
-    state = State(
-        1, on, direction, i_alpha, i_beta, e_alpha, e_beta, theta, omega, omega_corr_i, delta_i, omega_lpf
-    )
+    state = State(1, on, direction, i_alpha, i_beta, e_alpha, e_beta, theta, omega, omega_corr_i, delta_i, omega_lpf)
     return state, Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on)
 
 

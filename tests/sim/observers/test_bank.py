@@ -64,9 +64,17 @@ def bits(estimates, state):
     digest = hashlib.sha256()
     for column in estimates:
         digest.update(np.asarray(column, np.float64).tobytes())
-    for part in state:
-        digest.update(np.array([float(v) for v in part]).tobytes())
+    digest.update(np.array(list(numbers(state))).tobytes())
     return digest.hexdigest()
+
+
+def numbers(value):
+    """The numbers of nested tuples, in order."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from numbers(part)
+    else:
+        yield float(value)
 
 
 def run_whole(drive=DRIVE):

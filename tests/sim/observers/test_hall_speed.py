@@ -108,7 +108,30 @@ def test_a_sensor_chattering_on_an_edge_ends_with_the_speed_it_began_with():
     after = tick >= at + TICKS
     np.testing.assert_allclose(out.omega[after], full, rtol=100 / step)
     assert set(out.direction[after]) == {1}
-    assert state.skipped == 0
+    assert (state.skipped, state.undone) == (0, 1)
+
+
+@pytest.mark.parametrize("shown", [2, 4])  # the code of either neighbour
+@pytest.mark.parametrize("across", [False, True])  # a sample falls into the glitch
+def test_a_glitch_inside_a_sector_leaves_nothing_behind(shown, across):
+    step = 30 * TICKS
+    events = [(step * (k + 1), CODES[(k + 1) % 6]) for k in range(6)]
+    tick, (_, clean) = feed(events)
+    middle = 3 * step + 10 * TICKS - (200 if across else -200)
+    _, (state, out) = feed([*events, (middle, CODES[shown]), (middle + 400, CODES[3])], until=tick[-1])
+    same = np.ones(tick.size, bool)
+    if across:
+        same[np.searchsorted(tick, middle)] = False
+    for name in ("sector", "direction", "anchored", "omega", "age"):
+        assert np.array_equal(getattr(out, name)[same], getattr(clean, name)[same]), name
+    assert (state.skipped, state.undone) == (0, 1)
+
+
+def test_an_edge_taken_back_later_is_a_reversal():
+    step = 30 * TICKS
+    events = [(step * (k + 1), CODES[k + 1]) for k in range(3)]
+    _, (state, out) = feed([*events, (3 * step + TICKS, CODES[2])])
+    assert (out.direction[-1], state.undone) == (-1, 0)
 
 
 def test_illegal_codes_are_counted_and_change_nothing():
@@ -196,7 +219,7 @@ def test_an_edge_between_samples_is_taken_with_the_next_sample_and_later_ones_ar
     hall = CODES[[0, 1, 2]]
     state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(3, bool))
     assert list(out.sector) == [0, 1, 2]
-    assert state.sector == 2
+    assert state.now.sector == 2
 
 
 def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
