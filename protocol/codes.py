@@ -44,12 +44,12 @@ class Fault(IntFlag):
     """Bits of a fault mask."""
 
     WATCHDOG = 1  # no ALIVE or SETPOINT in time
-    OVERCURRENT = 2
-    OVERSPEED = 4
-    UNDERVOLTAGE = 8
-    OVERVOLTAGE = 16
-    HALL = 32
-    INTERNAL = 64
+    OVERCURRENT = 2  # a phase current beyond its limit
+    OVERSPEED = 4  # the shaft faster than allowed
+    UNDERVOLTAGE = 8  # DC link too low
+    OVERVOLTAGE = 16  # DC link too high
+    HALL = 32  # illegal codes or sequences from the Hall sensors
+    INTERNAL = 64  # the firmware's own
 
 
 class Command(IntEnum):
@@ -73,7 +73,7 @@ class StreamEvent(IntEnum):
     """What makes a stream take a record."""
 
     PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
-    SLOW = 1  # reserved
+    SLOW = 1  # reserved for a task slower than the PWM
     EDGES = 2  # every Hall edge
 
 
@@ -100,7 +100,7 @@ class ErrorCode(IntEnum):
     BAD_VALUE = 3  # detail: the value
     OUT_OF_RANGE = 4  # detail: the limit
     WRONG_STATE = 5  # detail: the state
-    BAD_TOKEN = 6
+    BAD_TOKEN = 6  # detail: 0
     UNKNOWN_ID = 7  # detail: the id
     READ_ONLY = 8  # detail: the id
     DOES_NOT_FIT = 9  # detail: what would fit
@@ -109,8 +109,8 @@ class ErrorCode(IntEnum):
     BUSY = 12  # detail: what is busy
     BAD_VERSION = 13  # detail: the major that the device speaks
     UNKNOWN_NODE = 14  # detail: the node
-    NOT_SUPPORTED = 15
-    STORE_FAILED = 16
+    NOT_SUPPORTED = 15  # detail: what was asked for
+    STORE_FAILED = 16  # detail: the device's own
 
 
 class EventCode(IntEnum):

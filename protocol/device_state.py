@@ -25,9 +25,7 @@ _LIVE = (DriveState.ARMED, DriveState.RUNNING)
 class StateMachine:
     """States of one device. `emit(code, arg)` is called at every change."""
 
-    def __init__(
-        self, app: DeviceApp, boot_id: int, tick_hz: int, emit: Callable[[EventCode, float], None]
-    ) -> None:
+    def __init__(self, app: DeviceApp, boot_id: int, tick_hz: int, emit: Callable[[EventCode, float], None]) -> None:
         self.state = DriveState.BOOT
         self.faults = Fault(0)  # latched since the last FAULT_CLEAR
         self.first_fault = Fault(0)  # what came first
@@ -89,10 +87,10 @@ class StateMachine:
         return self.state
 
     def _arm(self, token: int, tick: int) -> None:
-        if self.state not in (DriveState.IDLE, DriveState.ARMED):
-            raise self._wrong_state("ARM needs IDLE")
         if token != self._boot_id:
             raise Refused("the token of ARM is not this boot's boot_id", ErrorCode.BAD_TOKEN)
+        if self.state not in (DriveState.IDLE, DriveState.ARMED):
+            raise self._wrong_state("ARM needs IDLE")
         if self.state is DriveState.IDLE:
             self._enter(DriveState.ARMED)
         self._armed = self._fed = tick
@@ -101,9 +99,7 @@ class StateMachine:
         if self.state is not DriveState.FAULT:
             raise self._wrong_state("FAULT_CLEAR needs FAULT")
         if faults != self.faults:
-            raise Refused(
-                "the faults are others than those named", ErrorCode.FAULTS_CHANGED, float(self.faults)
-            )
+            raise Refused("the faults are others than those named", ErrorCode.FAULTS_CHANGED, float(self.faults))
         persist = self._app.clear_faults(faults)
         if persist:
             raise Refused("the cause is still there", ErrorCode.FAULT_PERSISTS, float(persist))

@@ -157,7 +157,7 @@ class LossCounters:
     """Account of one stream since its configuration.
 
     `lost_by_index` counts records, `lost_by_seq` frames; `overruns` frames that carried the flag. The last
-    four count frames that were rejected.
+    three count frames that were rejected.
     """
 
     samples: int = 0

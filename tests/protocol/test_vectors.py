@@ -12,7 +12,7 @@ from small_drive import small_link
 
 from protocol import messages
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
-from protocol.messages import StreamEvent
+from protocol.messages import Fault, StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
 from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
 
@@ -106,8 +106,11 @@ def test_every_message_has_a_vector() -> None:
 
 
 @pytest.mark.parametrize("case", cases("exchanges"))
-def test_refusals(case: dict) -> None:
-    link, _, app = small_link()
+@pytest.mark.parametrize("fault", [False, True])
+def test_refusals(case: dict, fault: bool) -> None:
+    link, session, app = small_link()
+    if fault:
+        session.fault(Fault.OVERCURRENT)
     link.data_to_send()
     before = (dict(app.values), list(app.states))
     for _ in range(2):  # the answer to a repeated request is the same

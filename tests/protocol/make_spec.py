@@ -1,0 +1,116 @@
+"""Writes the generated tables of SPEC.md, between `<!-- name -->` and `<!-- end -->`; a test compares.
+
+Channels and parameters come from `protocol.signals`, codes from `protocol.codes`.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable
+from enum import IntEnum, IntFlag
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from protocol import codes
+from protocol.signals import (
+    DRIVE_CHANNELS,
+    DRIVE_PARAMETERS,
+    LOAD_CHANNELS,
+    LOAD_PARAMETERS,
+    AngleSource,
+    Flag,
+    Parameter,
+    RawType,
+    Signal,
+    Status,
+    Unit,
+)
+
+SPEC = Path(__file__).resolve().parents[2] / "protocol" / "SPEC.md"
+SCALES = {3.141592653589793 / 32768: "π/32768", 1 / 1024: "1/1024", 1 / 16384: "1/16384"}
+
+
+def table(head: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> str:
+    """Return a Markdown table."""
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join("| " + " | ".join(str(cell) for cell in line) + " |\n" for line in lines)
+
+
+def flags(value: Flag) -> str:
+    own = Flag.CHANNEL | Flag.PARAMETER
+    return ", ".join(str(flag.name) for flag in Flag if flag & value and not flag & own)
+
+
+def channels(signals: tuple[Signal, ...]) -> str:
+    return table(
+        ("id", "name", "type", "unit", "scale", "flags", "meaning"),
+        (
+            (s.id, f"`{s.name}`", s.raw.name.lower(), s.unit.symbol or "–", SCALES.get(s.scale, f"{s.scale:g}"),
+             flags(s.flags), s.about)
+            for s in signals
+        ),
+    )  # fmt: skip
+
+
+def parameters(items: tuple[Parameter, ...]) -> str:
+    return table(
+        ("id", "name", "unit", "from", "to", "flags", "meaning"),
+        ((p.id, f"`{p.name}`", p.unit.symbol or "–", f"{p.lo:g}", f"{p.hi:g}", flags(p.flags), p.about) for p in items),
+    )
+
+
+def comments(kind: type) -> dict[str, str]:
+    """Return the comment behind each member in the source."""
+    source = Path(sys.modules[kind.__module__].__file__ or "").read_text(encoding="utf-8")
+    body = source.split(f"class {kind.__name__}(", 1)[1].split("\nclass ", 1)[0]
+    return dict(re.findall(r"^    (\w+) = [^#\n]+?  # (.*)$", body, re.MULTILINE))
+
+
+def enum(kind: type[IntEnum] | type[IntFlag], meaning: str | None) -> str:
+    notes = comments(kind)
+    number = "0x{:02X}".format if issubclass(kind, codes.MessageType) else str
+    members = [(number(int(m)), m.name) for m in kind]
+    if meaning is None:
+        return table(("value", "name"), members)
+    return table(
+        ("value", "name", meaning),
+        [(*m, notes.get(str(m[1]), "").removeprefix("detail: ").removeprefix("arg: ")) for m in members],
+    )
+
+
+TABLES = {
+    "drive channels": lambda: channels(DRIVE_CHANNELS),
+    "load machine channels": lambda: channels(LOAD_CHANNELS),
+    "drive parameters": lambda: parameters(DRIVE_PARAMETERS),
+    "load machine parameters": lambda: parameters(LOAD_PARAMETERS),
+    "units": lambda: table(("value", "name", "unit"), [(int(u), u.name, u.symbol or "–") for u in Unit]),
+    "raw types": lambda: table(("value", "type"), [(int(t), t.name.lower()) for t in RawType]),
+    "record flags": lambda: enum(Flag, "meaning"),
+    "status bits": lambda: enum(Status, "meaning"),
+    "angle sources": lambda: enum(AngleSource, None),
+    "states": lambda: enum(codes.DriveState, None),
+    "faults": lambda: enum(codes.Fault, "meaning"),
+    "commands": lambda: enum(codes.Command, None),
+    "setpoint modes": lambda: enum(codes.SetpointMode, "meaning"),
+    "stream events": lambda: enum(codes.StreamEvent, "meaning"),
+    "roles": lambda: enum(codes.Role, None),
+    "features": lambda: enum(codes.Feature, "meaning"),
+    "error codes": lambda: enum(codes.ErrorCode, "`detail`"),
+    "event codes": lambda: enum(codes.EventCode, "`arg`"),
+}
+
+
+def filled(text: str) -> str:
+    """Return the text with its tables as they must be."""
+    for name, make in TABLES.items():
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        assert len(pattern.findall(text)) == 1, f"no place for the table {name!r}"
+        text = pattern.sub(lambda found, make=make: found[1] + "\n" + make() + "\n" + found[2], text)
+    return text
+
+
+if __name__ == "__main__":
+    SPEC.write_text(filled(SPEC.read_text(encoding="utf-8")), encoding="utf-8")
+    print(SPEC)

@@ -1,0 +1,100 @@
+"""SPEC.md agrees with the code: generated tables are current, byte tables have the layouts that are sent."""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import fields
+
+import make_spec
+import pytest
+
+from protocol import messages
+from protocol.descriptor import RECORD_BYTES
+from protocol.framing import Frame, encode_frame
+from protocol.messages import Hello, MessageType, Payload
+from protocol.streams import EDGE_RECORD, STREAM_HEADER
+
+TEXT = make_spec.SPEC.read_text(encoding="utf-8")
+TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "Log": "text"}
+CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text16"}
+
+
+def test_generated_tables_are_current() -> None:
+    assert make_spec.filled(TEXT) == TEXT
+
+
+def table_after(mark: str) -> list[list[str]]:
+    """Return off, type and field of each row of the byte table that follows a mark."""
+    assert TEXT.count(mark) == 1, mark
+    table = TEXT.split(mark, 1)[1].split("| off ", 1)[1].split("\n\n", 1)[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")][:3] for line in table.splitlines()[2:]]
+
+
+def rows_of(layout: struct.Struct, names: list[str]) -> list[list[str]]:
+    """Return [offset, type, name] of each field and padding of a struct."""
+    rows, offset, left = [], 0, iter(names)
+    for count, code in re.findall(r"(\d*)([a-zA-Z])", layout.format):
+        if code == "x":
+            rows.append([str(offset), f"pad {count or 1}", ""])
+            offset += int(count or 1)
+            continue
+        unit = count + code if code == "s" else code
+        for _ in range(1 if code == "s" else int(count or 1)):
+            rows.append([str(offset), CODES[unit], next(left)])
+            offset += struct.calcsize("<" + unit)
+    return rows
+
+
+KINDS = sorted(
+    {*messages.REQUESTS.values(), *messages.REPLIES.values(), *messages.UNSOLICITED.values(), messages.ErrorReply},
+    key=lambda kind: kind.__name__,
+)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind._LAYOUT.size], ids=lambda kind: kind.__name__)
+def test_byte_tables(kind: type[Payload]) -> None:
+    is_error = kind is messages.ErrorReply
+    got = table_after("`ErrorReply`, with the flags" if is_error else f"`{kind.__name__}`\n\n")
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    tail = TAILS.get(kind.__name__)
+    if tail is not None:
+        off, type_, name = got.pop()
+        assert off == str(kind._LAYOUT.size)
+        assert tail in (type_, name)
+    assert got == rows_of(kind._LAYOUT, names)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind._LAYOUT.size], ids=lambda kind: kind.__name__)
+def test_empty_messages_are_said_to_be_empty(kind: type[Payload]) -> None:
+    assert f"`{kind.__name__}`" in TEXT
+
+
+def test_every_type_has_its_chapter() -> None:
+    for kind in MessageType:
+        assert re.search(rf"^### .*\b{int(kind):02x} {kind.name}\b", TEXT, re.MULTILINE | re.IGNORECASE), kind
+
+
+def test_stream_header_edge_and_descriptor_record() -> None:
+    names = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]
+    assert table_after("DATA and EDGES begin with the same 16 bytes") == rows_of(STREAM_HEADER, names)
+    assert EDGE_RECORD.names is not None
+    assert table_after("A record of EDGES is") == rows_of(struct.Struct("<IBBH"), list(EDGE_RECORD.names))
+    assert EDGE_RECORD.itemsize == 8
+    names = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
+    layout = struct.Struct("<HBBHHff16s")
+    assert table_after("Blob 0 is a row of 32-byte records") == rows_of(layout, names)
+    assert layout.size == RECORD_BYTES
+
+
+def test_the_printed_frame() -> None:
+    assert encode_frame(Frame(1, 1, 1, 0, Hello(0x12345678).pack())).hex(" ") in TEXT
+
+
+def test_hall_codes_of_neighbours_differ_in_one_sensor() -> None:
+    rows = re.findall(r"^\| (\d) \| [IV]+ \| [^|]+\| (\d) (\d) (\d) \| (\d) \|$", TEXT, re.MULTILINE)
+    codes = [int(row[4]) for row in rows]
+    assert [int(row[0]) for row in rows] == list(range(6))
+    assert all(int("".join(row[1:4]), 2) == int(row[4]) for row in rows)
+    assert sorted(codes) == [1, 2, 3, 4, 5, 6]
+    assert all((a ^ b).bit_count() == 1 for a, b in zip(codes, codes[1:] + codes[:1], strict=True))
