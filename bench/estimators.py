@@ -12,7 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.signals import Status
+from protocol.descriptor import Channel
+from protocol.signals import Flag, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.observers import bank
 
@@ -84,7 +85,15 @@ class HostObservers:
         for name in CHECKED:
             if name in (chunk.raw.dtype.names or ()):
                 channel = chunk.config.channel(name)
-                info = np.iinfo(chunk.raw[name].dtype)
-                raw = np.clip(np.rint(getattr(estimates, name) / channel.scale), info.min, info.max)
-                differ |= raw.astype(chunk.raw[name].dtype) != chunk.raw[name]
+                differ |= _raw(channel, getattr(estimates, name)) != chunk.raw[name]
         return int(valid.sum()), int((differ & valid).sum())
+
+
+def _raw(channel: Channel | Signal, values: NDArray[np.float64]) -> NDArray[np.generic]:
+    """Raw counts of physical values, as the simulated drive rounds them: half to even; angles wrap, others saturate."""
+    counts = np.rint(values * (1.0 / channel.scale))
+    dtype = np.dtype(channel.raw.dtype)
+    if not channel.flags & Flag.WRAPS:
+        info = np.iinfo(dtype)
+        counts = np.clip(counts, info.min, info.max)
+    return counts.astype(np.int64).astype(dtype)

@@ -10,6 +10,7 @@ This module never touches bytes; `protocol.descriptor` packs it.
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
@@ -154,16 +155,16 @@ class AngleSource(IntEnum):
     VECTOR_TRACKING = 2
 
 
-ANGLE = math.pi / 32768  # rad a count: an i16 covers [-pi, pi)
+# Scales are float32 on the wire: what both ends compute with is the float32 value.
+ANGLE = struct.unpack("f", struct.pack("f", math.pi / 32768))[0]  # rad a count: an i16 covers [-pi, pi)
 SPEED = 0.125  # electrical rad/s a count
 MILLI = 1.0 / 1024  # A or V a count
 
-_C = Flag.CHANNEL
-_I16 = RawType.I16
 
-
-def _channel(id: int, name: str, unit: Unit, scale: float, about: str, flags: Flag = Flag(0), raw: RawType = _I16) -> Signal:
-    return Signal(id, name, unit, raw, scale, _C | flags, about)
+def _channel(
+    id: int, name: str, unit: Unit, scale: float, about: str, flags: Flag = Flag.CHANNEL, raw: RawType = RawType.I16
+) -> Signal:
+    return Signal(id, name, unit, raw, scale, Flag.CHANNEL | flags, about)
 
 
 DRIVE_CHANNELS: tuple[Signal, ...] = (
@@ -236,5 +237,5 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
 LOAD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(101, "tau_max", Unit.NM, 0.0, 100.0, _PI, "largest torque"),
     Parameter(102, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest forced speed"),
-    Parameter(103, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT after which the torque goes off"),
+    Parameter(103, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT until the torque goes off"),
 )
