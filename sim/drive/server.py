@@ -1,0 +1,249 @@
+"""The simulated bench in real time behind a port: `serve` is what `bench sim` and `python -m sim` run.
+
+The server keeps the device in step with the clock, in portions of a few milliseconds, and moves bytes between it and
+its port. It never blocks on the port and never sprints: what it cannot catch up within `MAX_BEHIND` it skips and
+counts, while the device's own ticks go on without a gap.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocol.links.target import split_host_port
+from sim import numba_cache
+from sim.drive.ports import Port, PtyPort, TcpPort
+from sim.drive.uart import BITS_PER_CHARACTER, Pacer
+from sim.params import BenchParams, ConfigError, Value, load_params
+
+if TYPE_CHECKING:
+    from sim.drive.device import SimulatedDevice
+
+STEP = 0.005  # s between portions
+MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
+TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
+_WRITE = 1 << 15
+
+CONTROLS = """test aids:
+  kill -USR1 PID   pull the cable: the pty vanishes, or the TCP connection and its port
+  kill -USR2 PID   put it back, under the same --link or port"""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """What to serve and where."""
+
+    tcp: str | None = None
+    """HOST:PORT to listen on, port 0 = any; None = a pty."""
+    link: Path | None = None
+    """Symbolic link to the pty."""
+    baud: int | None = None
+    """Rate of the simulated UART; None = like a USB port."""
+    config: Path | None = None
+    overrides: Mapping[str, Value] = field(default_factory=dict)
+    seed: int | None = None
+    """Of noise, jitter and boot_id; None = another one each time."""
+    store: Path | None = None
+    """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
+    exit_with_parent: bool = False
+    """End when stdin reaches its end."""
+
+
+def parse_override(text: str) -> tuple[str, Value]:
+    """`section.name=value`, the value as in TOML, as a pair for `load_params`.
+
+    Raises:
+        ConfigError: not of that form.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise ConfigError(f"'{text}' is not section.name=value, for example motor.R_s=0.2")
+    try:
+        parsed: Value = tomllib.loads(f"x = {value}")["x"]
+    except (tomllib.TOMLDecodeError, KeyError):
+        raise ConfigError(f"{key.strip()}: '{value}' is not a number or a list of numbers") from None
+    return key.strip(), parsed
+
+
+class Schedule:
+    """Which periods are due; times in seconds of any one clock."""
+
+    def __init__(self, pwm_hz: int, now: float) -> None:
+        self._pwm_hz = pwm_hz
+        self._start = now
+        self._done = 0
+        self.late = 0
+        """How often the delay was more than could be caught up."""
+        self.skipped = 0.0
+        """Seconds of clock time that were left out then."""
+
+    def due(self, now: float) -> int:
+        """Periods to run now."""
+        excess = now - self._start - self._done / self._pwm_hz - MAX_BEHIND
+        if excess > 0.0:
+            self.late += 1
+            self.skipped += excess
+            self._start += excess
+        n = max(0, int((now - self._start) * self._pwm_hz) - self._done)
+        self._done += n
+        return n
+
+
+class Server:
+    """One device, one port, one clock: `step` does everything that is due."""
+
+    def __init__(self, device: SimulatedDevice, port: Port, now: float, baud: int | None = None) -> None:
+        self.device = device
+        self.port = port
+        self.schedule = Schedule(device.pwm_hz, now)
+        self._pacer = None if baud is None else Pacer(baud)
+        self._portion = max(1, round(STEP * device.pwm_hz))
+        self._pending = b""
+
+    def step(self, now: float) -> None:
+        """Run the periods that are due at `now`, take what has arrived, send what the port takes."""
+        due = self.schedule.due(now)
+        while due > 0:
+            n = min(due, self._portion)
+            self.device.advance(n)
+            due -= n
+            if due > 0:
+                self._receive()
+        self._receive()
+        self._send(now)
+
+    def _receive(self) -> None:
+        data = self.port.read()
+        if data:
+            self.device.receive(data)
+
+    def _send(self, now: float) -> None:
+        free = _WRITE if self._pacer is None else self._pacer.allowance(now)
+        while free > 0:
+            if not self._pending:
+                self._pending = self.device.data_to_send(free)
+                if not self._pending:
+                    return
+            part = self._pending[:free]
+            taken = self.port.write(part)
+            self._pending = self._pending[taken:]
+            free -= taken
+            if self._pacer is not None:
+                self._pacer.spend(taken)
+            if taken < len(part):
+                return
+
+    def summary(self) -> str:
+        """The closing line."""
+        device, schedule = self.device, self.schedule
+        late = f"late {schedule.late} times ({schedule.skipped:.2f} s skipped)" if schedule.late else "never late"
+        return (
+            f"stopped after {device.periods} periods: {device.frames_sent} frames sent, "
+            f"{device.frames_dropped} dropped, {late}"
+        )
+
+
+def serve(options: ServeOptions, say: Say | None = None) -> None:
+    """Serve until SIGINT, SIGTERM, SIGHUP or, if so told, the end of stdin.
+
+    Prints `target: …` first, through `say` (default: stdout, flushed).
+
+    Raises:
+        ConfigError: the configuration or an option is wrong.
+        LinkError: the port cannot be made.
+    """
+    tell = _print if say is None else say
+    params = load_params(options.config, options.overrides)
+    port = _make_port(options)
+    try:
+        tell(f"target: {port.target}")
+        if not numba_cache.is_warm():
+            tell("compiling the simulation (once, about half a minute) ...")
+        device = _make_device(params, options, tell)
+        channels = sum(len(session.app.channels) for session in device.sessions[:1])
+        tell(
+            f"simulated drive (node 1) and load machine (node 2): {channels} channels at "
+            f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
+        )
+        server = Server(device, port, time.monotonic(), options.baud)
+        with _signals() as received:
+            _run(server, received, options.exit_with_parent, tell)
+        tell(server.summary())
+    except KeyboardInterrupt:  # while it compiled
+        tell("stopped")
+    finally:
+        port.close()
+
+
+def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) -> None:
+    stops = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    parent = [sys.stdin.fileno()] if exit_with_parent else []
+    next_step = time.monotonic()
+    while not received & stops:
+        fds = [*server.port.read_fds(), *parent]
+        ready = select.select(fds, [], [], max(0.0, next_step - time.monotonic()))[0]
+        if parent and parent[0] in ready and not os.read(parent[0], 4096):
+            return
+        now = time.monotonic()
+        server.step(now)
+        next_step += STEP
+        if next_step < now:
+            next_step = now + STEP
+        if signal.SIGUSR1 in received:
+            received.discard(signal.SIGUSR1)
+            server.port.unplug()
+            tell("unplugged")
+        if signal.SIGUSR2 in received:
+            received.discard(signal.SIGUSR2)
+            server.port.plug()
+            tell(f"target: {server.port.target}")
+
+
+@contextmanager
+def _signals() -> Iterator[set[int]]:
+    """Collect signals in a set instead of being interrupted; only the main thread can."""
+    received: set[int] = set()
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    caught = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
+    before = {number: signal.signal(number, lambda number, _: received.add(number)) for number in caught}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _make_port(options: ServeOptions) -> Port:
+    if options.tcp is None:
+        return PtyPort(options.link, options.baud)
+    if options.link is not None or options.baud is not None:
+        raise ConfigError("--link and --baud go with a pty, not with --tcp")
+    return TcpPort(*split_host_port(options.tcp))
+
+
+def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
+    from sim.drive.device import SimulatedDevice  # numba: after the target is printed
+
+    capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
+    seed = int.from_bytes(os.urandom(4), "little") if options.seed is None else options.seed
+    device = SimulatedDevice(params, seed, store=options.store, tx_bytes=TX_BYTES, capacity=capacity, notice=tell)
+    SimulatedDevice(params, seed).advance(1)  # compiles, or loads what was compiled
+    return device
+
+
+def _print(line: str) -> None:
+    print(line, flush=True)

@@ -1,0 +1,350 @@
+"""The simulated bench in one compiled loop: plant, sensors, firmware and record, a PWM period at a time.
+
+In the period that ends at the sample k
+1. the plant moves from k-1 to k with the duties computed at k-2, and Hall edges are captured in timer ticks;
+2. the sensors are sampled;
+3. the firmware steps its observers, with the edges captured since k-1, and its control (`tick_firmware`);
+4. the sample is recorded, with references and voltages that were in force over the period that ends at it.
+
+An edge's tick is that of the first timer clock after it, so it lies in (tick_{k-1}, tick_k].
+
+The loop draws no random numbers but those of the seed in its state, and it does the same in one call as in many.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import STATUS_SOURCE_SHIFT, Status
+from sim.drive import tick_firmware
+from sim.drive.tick_record import (
+    PER_NM,
+    PER_RAD_PER_S,
+    PER_UNIT,
+    angle,
+    clipped,
+    quantised,
+    quantised_u16,
+)
+from sim.numba_cache import kernel
+from sim.observers import bank
+from sim.plant import current_sensor, encoder, hall_sensor, integrator, inverter, mechanics, noise, pmsm
+
+RESET, CORRECTION = int(Status.OBSERVERS_RESET), int(Status.CORRECTION_ON)
+FAULT = tick_firmware.FAULT
+REFRESH = 256  # samples after which the rotor's cosine and sine are computed anew
+
+LOG_FIELDS = (
+    "theta_avg",
+    "omega_avg",
+    "theta_vt",
+    "omega_vt",
+    "delta_hat",
+    "e_alpha",
+    "e_beta",
+    "theta_e",  # the plant's, unwrapped
+    "omega_e",
+    "i_alpha",  # the plant's
+    "i_beta",
+)
+
+
+class Params(NamedTuple):
+    """Constants of the bench."""
+
+    plant: integrator.Params
+    hall: hall_sensor.Params
+    current_sensor: current_sensor.Params
+    firmware: tick_firmware.Params
+    period_ticks: int
+    substeps: int
+    h: float  # integration step, s
+
+
+class State(NamedTuple):
+    """Everything that changes."""
+
+    k: int  # samples taken
+    tick: int  # of the next sample
+    rng: np.uint64
+    plant: integrator.State
+    alpha_m: float  # acceleration that the load machine forces, rad/s2
+    hall: hall_sensor.State
+    firmware: tick_firmware.State
+
+
+class Arrays(NamedTuple):
+    """Where results go; edges have `edge_tick.shape[0]` places."""
+
+    samples: NDArray[np.void]
+    load_samples: NDArray[np.void]
+    edge_tick: NDArray[np.int64]
+    edge_old: NDArray[np.uint8]
+    edge_new: NDArray[np.uint8]
+    edge_encoder: NDArray[np.uint16]
+    log: NDArray[np.float64]  # shape (n, len(LOG_FIELDS)), or (0, ...) for none
+
+
+class Command(NamedTuple):
+    """What the host asked for last."""
+
+    drive: tick_firmware.Command
+    load: mechanics.Load
+    load_state: int  # DriveState of the load machine, for its record
+    reset: bool  # initialise the observers at the first sample
+
+
+@kernel
+def init(params: Params, theta_e: float, start_tick: int, quantiles: NDArray[np.float64], rng: np.uint64) -> State:
+    """The state at boot with the rotor at rest at `theta_e` (electrical rad)."""
+    rng = noise.advance(rng)
+    counter = encoder.count(params.firmware.encoder, theta_e)
+    return State(
+        0,
+        start_tick,
+        rng,
+        integrator.init(params.plant, theta_e),
+        0.0,
+        hall_sensor.init(params.hall, theta_e, quantiles, rng),
+        tick_firmware.init(counter),
+    )
+
+
+@kernel
+def _edges(
+    params: Params,
+    hall: hall_sensor.State,
+    before: integrator.State,
+    after: integrator.State,
+    tick: int,
+    offset: float,
+    arrays: Arrays,
+    m: int,
+    quantiles: NDArray[np.float64],
+    rng: np.uint64,
+) -> tuple[hall_sensor.State, int, np.uint64]:
+    """Capture the edges between two plant states.
+
+    `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far.
+    """
+    n_p = params.plant.motor.n_p
+    while m < arrays.edge_tick.shape[0]:
+        if after.theta_e >= hall.above:
+            way = 1
+            theta = hall.above
+        elif after.theta_e < hall.below:
+            way = -1
+            theta = hall.below
+        else:
+            break
+        x = hall_sensor.time_of(
+            before.theta_e, n_p * before.omega_m, after.theta_e, n_p * after.omega_m, params.h, theta
+        )
+        step_ticks = params.period_ticks / params.substeps
+        late = math.floor(x * step_ticks - offset) + 1
+        rng = noise.advance(rng)
+        arrays.edge_tick[m] = tick + min(late, 0)
+        arrays.edge_old[m] = hall_sensor.code(hall.number)
+        hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
+        arrays.edge_new[m] = hall_sensor.code(hall.number)
+        arrays.edge_encoder[m] = encoder.count(params.firmware.encoder, theta)
+        m += 1
+    return hall, m, rng
+
+
+@kernel
+def _move(
+    params: Params,
+    state: State,
+    load: mechanics.Load,
+    arrays: Arrays,
+    m: int,
+    quantiles: NDArray[np.float64],
+) -> tuple[State, int]:
+    """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
+    out = state.firmware.now
+    if out.on:
+        applied = inverter.apply(params.plant.inverter, out.d_a, out.d_b, out.d_c)
+    else:
+        applied = inverter.off()
+    plant = state.plant
+    hall = state.hall
+    rng = state.rng
+    alpha = 0.0
+    if state.k % REFRESH == 0:
+        plant = integrator.refresh(plant)
+    step_ticks = params.period_ticks / params.substeps
+    for j in range(params.substeps):
+        before = plant
+        plant, alpha = integrator.step(params.plant, before, applied, load, params.h)
+        if plant.theta_e >= hall.above or plant.theta_e < hall.below:
+            offset = (params.substeps - j) * step_ticks
+            hall, m, rng = _edges(params, hall, before, plant, state.tick, offset, arrays, m, quantiles, rng)
+    return State(state.k, state.tick, rng, plant, alpha, hall, state.firmware), m
+
+
+@kernel
+def _sense(
+    params: Params, state: State, i_alpha: float, i_beta: float, quantiles: NDArray[np.float64]
+) -> tuple[np.uint64, tick_firmware.Sensed]:
+    """Sample the sensors; also the generator's next state."""
+    rng = noise.advance(state.rng)
+    sensor = params.current_sensor
+    i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
+    i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
+    i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
+    i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
+    return rng, tick_firmware.Sensed(
+        state.tick,
+        hall_sensor.code(state.hall.number),
+        encoder.count(params.firmware.encoder, state.plant.theta_e),
+        quantised(i_a),
+        quantised(i_b),
+        quantised(i_c),
+        quantised_u16(params.plant.inverter.u_dc),
+    )
+
+
+@kernel
+def _silenced(firmware: tick_firmware.State) -> tick_firmware.State:
+    """The firmware's state with the outputs off at once."""
+    off = tick_firmware.output_off()
+    return tick_firmware.State(
+        firmware.bank,
+        firmware.encoder,
+        firmware.current,
+        firmware.speed,
+        firmware.source,
+        0,
+        0.0,
+        0.0,
+        off,
+        off,
+        firmware.illegal,
+        firmware.faults,
+    )
+
+
+@kernel
+def _with_bank(firmware: tick_firmware.State) -> tick_firmware.State:
+    """The firmware's state with its observers initialised."""
+    return tick_firmware.State(
+        bank.init(),
+        firmware.encoder,
+        firmware.current,
+        firmware.speed,
+        firmware.source,
+        firmware.mode,
+        firmware.i_d_ref,
+        firmware.i_q_ref,
+        firmware.now,
+        firmware.next,
+        firmware.illegal,
+        firmware.faults,
+    )
+
+
+@kernel
+def advance(
+    params: Params,
+    state: State,
+    command: Command,
+    n: int,
+    quantiles: NDArray[np.float64],
+    arrays: Arrays,
+) -> tuple[State, int]:
+    """Run `n` periods into `arrays`; returns the state after them and the number of edges captured.
+
+    The first period of all only takes a sample: nothing has moved yet.
+    """
+    motor = params.plant.motor
+    n_p = motor.n_p
+    m = 0
+    if command.drive.state != tick_firmware.RUNNING or state.firmware.faults != 0:
+        state = State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, _silenced(state.firmware))
+    for j in range(n):
+        first = m
+        if state.k > 0:
+            state, m = _move(params, state, command.load, arrays, m, quantiles)
+
+        plant = state.plant
+        i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
+        rng, sensed = _sense(params, state, i_alpha, i_beta, quantiles)
+        before = state.firmware
+        reset = state.k == 0 or (j == 0 and command.reset)
+        if reset:
+            before = _with_bank(before)
+        firmware, result = tick_firmware.step(
+            params.firmware, before, command.drive, sensed, arrays.edge_tick, arrays.edge_new, first, m
+        )
+
+        estimate = result.estimate
+        drive_state = FAULT if firmware.faults != 0 else command.drive.state
+        status = drive_state | (firmware.source << STATUS_SOURCE_SHIFT)
+        if reset:
+            status |= RESET
+        if estimate.correction_on == 1:
+            status |= CORRECTION
+        tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta)
+        tau_load = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, state.alpha_m)
+        row = arrays.samples[j]
+        row.hall = sensed.hall
+        row.status = status
+        row.theta_enc = angle(encoder.angle(params.firmware.encoder, sensed.counter))
+        row.omega_enc = clipped(result.omega_enc * PER_RAD_PER_S)
+        row.i_a = clipped(sensed.i_a * PER_UNIT)
+        row.i_b = clipped(sensed.i_b * PER_UNIT)
+        row.i_c = clipped(sensed.i_c * PER_UNIT)
+        row.u_alpha = clipped(before.now.u_alpha * PER_UNIT)
+        row.u_beta = clipped(before.now.u_beta * PER_UNIT)
+        row.u_dc = np.uint16(sensed.u_dc * PER_UNIT)
+        row.i_d = clipped(result.i_d * PER_UNIT)
+        row.i_q = clipped(result.i_q * PER_UNIT)
+        row.i_d_ref = clipped(before.i_d_ref * PER_UNIT)
+        row.i_q_ref = clipped(before.i_q_ref * PER_UNIT)
+        row.omega_ref = clipped(result.omega_ref * PER_RAD_PER_S)
+        row.theta_avg = angle(estimate.theta_avg)
+        row.omega_avg = clipped(estimate.omega_avg * PER_RAD_PER_S)
+        row.theta_vt = angle(estimate.theta_vt)
+        row.omega_vt = clipped(estimate.omega_vt * PER_RAD_PER_S)
+        row.delta_hat = angle(estimate.delta_hat)
+        row.e_alpha = clipped(estimate.e_alpha * PER_UNIT)
+        row.e_beta = clipped(estimate.e_beta * PER_UNIT)
+        row.theta_true = angle(plant.theta_e)
+        row.omega_true = clipped(n_p * plant.omega_m * PER_RAD_PER_S)
+        row.tau_e_true = clipped(tau_e * PER_NM)
+        row.tau_load_true = clipped(tau_load * PER_NM)
+
+        load_row = arrays.load_samples[j]
+        load_row.omega_m = plant.omega_m
+        load_row.tau_load = tau_load
+        load_row.status = command.load_state
+
+        if j < arrays.log.shape[0]:
+            log = arrays.log[j]
+            log[0] = estimate.theta_avg
+            log[1] = estimate.omega_avg
+            log[2] = estimate.theta_vt
+            log[3] = estimate.omega_vt
+            log[4] = estimate.delta_hat
+            log[5] = estimate.e_alpha
+            log[6] = estimate.e_beta
+            log[7] = plant.theta_e
+            log[8] = n_p * plant.omega_m
+            log[9] = i_alpha
+            log[10] = i_beta
+
+        state = State(
+            state.k + 1,
+            state.tick + params.period_ticks,
+            rng,
+            plant,
+            state.alpha_m,
+            state.hall,
+            firmware,
+        )
+    return state, m

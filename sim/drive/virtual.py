@@ -1,0 +1,81 @@
+"""A link to a simulated bench in the same process, in virtual time: for tests and batch work.
+
+Waiting moves the simulation on instead of the clock: a run takes as long as it takes to compute, and the same
+seed and the same calls give the same bytes. It never waits and never reads a real clock.
+"""
+
+from __future__ import annotations
+
+import math
+
+from protocol.errors import LinkClosed
+from protocol.links.base import MAX_READ
+from sim.drive.device import SimulatedDevice
+from sim.params import BenchParams
+
+TX_BYTES = 1 << 22  # nothing is dropped however long a step
+
+
+class VirtualLink:
+    """A `Link` whose other end is `device`.
+
+    Args:
+        device: the simulated bench, of which this link becomes the only driver.
+        step: seconds that the simulation moves on at most before a waiting `read` looks for bytes; large steps
+            cost latency (in virtual time) and save computing time.
+    """
+
+    def __init__(self, device: SimulatedDevice, step: float = 0.005) -> None:
+        self.device = device
+        self._step = max(1, round(step * device.pwm_hz))
+        self._open = True
+
+    @classmethod
+    def of(cls, params: BenchParams, seed: int = 0, step: float = 0.005) -> VirtualLink:
+        """A link to a new bench."""
+        return cls(SimulatedDevice(params, seed, tx_bytes=TX_BYTES), step)
+
+    @property
+    def name(self) -> str:
+        """See `Link.name`."""
+        return "virtual:"
+
+    def clock(self) -> float:
+        """Virtual seconds since boot."""
+        return self.device.periods / self.device.pwm_hz
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        """See `Link.read`; seconds are virtual."""
+        self._require_open()
+        left = self._periods(timeout)
+        data = self.device.data_to_send(MAX_READ)
+        while not data and left > 0:
+            n = min(left, self._step)
+            self.device.advance(n)
+            left -= n
+            data = self.device.data_to_send(MAX_READ)
+        if data and settle > 0.0:
+            self.device.advance(self._periods(settle))
+            data += self.device.data_to_send(MAX_READ - len(data))
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See `Link.write`."""
+        self._require_open()
+        self.device.receive(data)
+
+    def close(self) -> None:
+        """See `Link.close`; virtual time then stands still."""
+        self._open = False
+
+    def reopen(self) -> None:
+        """See `Link.reopen`; the bench is as it was left."""
+        self._open = True
+
+    def _periods(self, seconds: float) -> int:
+        """Periods that take `seconds`, rounded up: a wait of any length moves the time on."""
+        return max(0, math.ceil(seconds * self.device.pwm_hz - 1e-6))
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise LinkClosed(f"{self.name} is closed")

@@ -1,0 +1,54 @@
+"""Phase current measurement: gain, offset, noise, converter range and steps.
+
+Never filters: the converter samples at the start of a PWM period, where the ripple passes its mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.numba_cache import kernel
+
+
+class Params(NamedTuple):
+    """The sensors' constants."""
+
+    gain_a: float
+    gain_b: float
+    gain_c: float
+    offset_a: float  # A
+    offset_b: float
+    offset_c: float
+    noise: float  # A rms
+    step: float  # A a code
+    steps_per_A: float
+    code_max: float
+
+
+def make_params(
+    noise_rms: float, offset: Sequence[float], gain_error: Sequence[float], full_scale: float, bits: int
+) -> Params:
+    """Constants from A, A, relative errors, A (plus and minus) and the converter's bits over both signs."""
+    codes = float(2 ** (bits - 1))
+    return Params(
+        1.0 + gain_error[0],
+        1.0 + gain_error[1],
+        1.0 + gain_error[2],
+        float(offset[0]),
+        float(offset[1]),
+        float(offset[2]),
+        float(noise_rms),
+        full_scale / codes,
+        codes / full_scale,
+        codes - 1.0,
+    )
+
+
+@kernel
+def measure(params: Params, current: float, gain: float, offset: float, normal: float) -> float:
+    """The measured current (A) for the true one and a standard normal number."""
+    code = float(np.rint((gain * current + offset + params.noise * normal) * params.steps_per_A))
+    return min(max(code, -params.code_max - 1.0), params.code_max) * params.step

@@ -1,0 +1,102 @@
+"""The shaft: inertia, friction with stiction, and the load machine on it.
+
+    J d omega_m / dt = tau_e - b omega_m - tau_dry,    theta_e' = n_p omega_m
+
+`tau_dry` is dry friction and the load machine's brake torque: it opposes motion, holds the shaft at rest up to its
+size, and never drives it. It keeps its direction over an integration step; `integrator` ends a step where the speed
+passes zero, so friction never chatters.
+
+The load machine
+- is off: no torque;
+- brakes (TORQUE): a constant torque against one direction. It looks passive: it holds the shaft at rest, and adds
+  nothing to a motion the other way, so that a drive that gives up is not driven backwards by its load;
+- forces the speed (SPEED): a stiff servo, exactly on its ramp whatever the drive does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from sim.numba_cache import kernel
+
+OFF, SPEED, TORQUE = 0, 1, 3  # the load machine's modes, SPEED and TORQUE as on the wire
+
+
+class Params(NamedTuple):
+    """The shaft's constants."""
+
+    J: float  # kg m2
+    b: float  # N m s/rad
+    tau_coulomb: float  # N m
+    alpha_m_max: float  # slope of a forced speed, rad/s2; 0: none
+
+
+class Load(NamedTuple):
+    """What the load machine is told."""
+
+    mode: int
+    tau: float  # N m, TORQUE: positive brakes the positive direction
+    omega_m: float  # rad/s, SPEED: where the ramp ends
+
+
+class Push(NamedTuple):
+    """What acts on the shaft over one integration step: omega_m' = gain (tau_e - b omega_m - tau_dry) + alpha."""
+
+    gain: float  # 1/J, or 0: the shaft is held or its speed forced
+    tau_dry: float  # N m, against the positive direction
+    alpha: float  # rad/s2
+
+
+def make_params(J: float, b: float, tau_coulomb: float, alpha_m_max: float) -> Params:
+    """The shaft's constants from kg m2, N m s/rad, N m and rad/s2."""
+    return Params(float(J), float(b), float(tau_coulomb), float(alpha_m_max))
+
+
+@kernel
+def brakes(params: Params, load: Load) -> tuple[float, float]:
+    """Dry torque (N m) against the positive direction, and that against the negative one."""
+    forward = params.tau_coulomb
+    backward = params.tau_coulomb
+    if load.mode == TORQUE:
+        if load.tau > 0.0:
+            forward += load.tau
+        else:
+            backward -= load.tau
+    return forward, backward
+
+
+@kernel
+def push(params: Params, load: Load, omega_m: float, tau_e: float, h: float) -> Push:
+    """What acts on the shaft over the next `h` seconds, from its speed and the motor's torque at the start."""
+    if load.mode == SPEED:
+        alpha = (load.omega_m - omega_m) / h
+        if params.alpha_m_max > 0.0:
+            alpha = min(max(alpha, -params.alpha_m_max), params.alpha_m_max)
+        return Push(0.0, 0.0, alpha)
+    forward, backward = brakes(params, load)
+    if omega_m > 0.0 or (omega_m == 0.0 and tau_e > forward):
+        return Push(1.0 / params.J, forward, 0.0)
+    if omega_m < 0.0 or tau_e < -backward:
+        return Push(1.0 / params.J, -backward, 0.0)
+    return Push(0.0, 0.0, 0.0)
+
+
+@kernel
+def load_torque(params: Params, load: Load, omega_m: float, tau_e: float, alpha: float) -> float:
+    """The load machine's torque on the shaft (N m), positive against the positive direction.
+
+    `alpha`: the forced acceleration (rad/s2). At rest the dry friction takes up the motor's torque first.
+    """
+    if load.mode == SPEED:
+        dry = params.tau_coulomb
+        if omega_m < 0.0:
+            dry = -dry
+        elif omega_m == 0.0:
+            dry = min(max(tau_e, -dry), dry)
+        return tau_e - params.b * omega_m - dry - params.J * alpha
+    if load.mode != TORQUE:
+        return 0.0
+    if omega_m != 0.0:
+        return load.tau if (omega_m > 0.0) == (load.tau > 0.0) else 0.0
+    rest = tau_e - min(max(tau_e, -params.tau_coulomb), params.tau_coulomb)
+    return min(max(rest, min(load.tau, 0.0)), max(load.tau, 0.0))

@@ -1,0 +1,191 @@
+"""The plant against scipy's solve_ivp at rtol 1e-10, and its friction, load machine and floating phases."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.params import load_params
+from sim.plant import integrator, inverter, mechanics, pmsm
+
+sys.path.insert(0, str(Path(__file__).parent))
+from reference import Reference
+
+T_S = 1.0 / 16000.0
+NO_LOAD = mechanics.Load(mechanics.OFF, 0.0, 0.0)
+
+
+def make(L_q=None, **changes):
+    """Plant parameters with an ideal inverter, and the reference of the same figures."""
+    p = load_params(None, {"motor.L_q": L_q} if L_q else None)
+    m = p.motor
+    shaft = {"J": p.mechanics.J, "b": p.mechanics.b, "tau_coulomb": p.mechanics.tau_coulomb, **changes}
+    params = integrator.Params(
+        pmsm.make_params(m.R_s, m.L_d, m.L_q, m.psi_f, m.n_p),
+        inverter.make_params(24.0, 0.0, 0.0, 0.3, 0.8, T_S),
+        mechanics.make_params(**shaft, alpha_m_max=1000.0),
+    )
+    reference = Reference(m.R_s, m.L_d, m.L_q, m.psi_f, m.n_p, shaft["J"], shaft["b"], shaft["tau_coulomb"])
+    return params, reference
+
+
+def state_at(params, theta_e, omega_m, i_d=0.0, i_q=0.0):
+    cos, sin = math.cos(theta_e), math.sin(theta_e)
+    psi = pmsm.flux(params.motor, cos * i_d - sin * i_q, sin * i_d + cos * i_q, cos, sin)
+    return integrator.State(*psi, omega_m, theta_e, cos, sin)
+
+
+def currents_dq(params, state):
+    """i_d, i_q by numpy from the flux linkage."""
+    psi = (state.psi_alpha + 1j * state.psi_beta) * np.exp(-1j * state.theta_e)
+    L_d = 1.0 / (params.motor.g_mean + params.motor.g_diff)
+    L_q = 1.0 / (params.motor.g_mean - params.motor.g_diff)
+    return np.array([(psi.real - params.motor.psi_f) / L_d, psi.imag / L_q])
+
+
+def applied(u_alpha, u_beta):
+    return inverter.Applied(True, float(u_alpha), float(u_beta), 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("L_q", [176e-6, 300e-6])
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
+    params, reference = make(L_q)
+    load = mechanics.Load(mechanics.TORQUE, 0.2, 0.0)
+    reference.tau_dry += 0.2
+    state = state_at(params, 0.7, 150.0)
+    x = np.array([0.0, 0.0, 150.0, 0.7])
+    worst_current = worst_angle = 0.0
+    for k in range(320):
+        u_dq = 0.5 + 7.0j if k < 160 else -1.5 + 9.5j
+        u = u_dq * np.exp(1j * x[3])
+        for _ in range(substeps):
+            state, _ = integrator.step(params, state, applied(u.real, u.imag), load, T_S / substeps)
+        x = reference.solve(x, T_S, u.real, u.imag).y[:, -1]
+        worst_current = max(worst_current, np.abs(currents_dq(params, state) - x[:2]).max())
+        worst_angle = max(worst_angle, abs(state.theta_e - x[3]))
+    assert np.abs(x[:2]).max() > 3.0
+    assert worst_current < 1e-5
+    assert worst_angle < 1e-6
+    assert abs(state.omega_m - x[2]) < 1e-6
+    assert (state.cos, state.sin) == pytest.approx((math.cos(state.theta_e), math.sin(state.theta_e)), abs=1e-12)
+
+
+def test_shorted_coast_down_agrees_with_solve_ivp_and_ends_at_rest():
+    params, reference = make()
+    state = state_at(params, -1.0, 300.0)
+
+    def stop(t, x, *_):
+        return x[2]
+
+    stop.terminal = True
+    n = 3200
+    solution = reference.solve([0.0, 0.0, 300.0, -1.0], n * T_S, t_eval=np.arange(n + 1) * T_S, events=stop)
+    stopped = solution.t_events[0][0]
+    assert 0.02 < stopped < n * T_S
+    still = None
+    for k in range(1, n + 1):
+        for _ in range(2):
+            state, _ = integrator.step(params, state, applied(0.0, 0.0), NO_LOAD, T_S / 2)
+        if k < solution.t.size:
+            assert np.abs(currents_dq(params, state) - solution.y[:2, k]).max() < 1e-5
+            assert abs(state.theta_e - solution.y[3, k]) < 1e-6
+        elif k * T_S > stopped + T_S:
+            still = state.theta_e if still is None else still
+            assert state.omega_m == 0.0
+            assert state.theta_e == still
+    assert state.theta_e == pytest.approx(solution.y_events[0][0][3], abs=1e-6)
+    assert np.abs(currents_dq(params, state)).max() < 1e-3
+
+
+def test_dry_friction_holds_then_lets_go():
+    params, _ = make(tau_coulomb=0.01)
+    k_tau = 1.5 * 6 * 6.55e-3
+    for i_q, moves in ((0.99 * 0.01 / k_tau, False), (-0.99 * 0.01 / k_tau, False), (1.01 * 0.01 / k_tau, True)):
+        state = state_at(params, 0.0, 0.0, i_q=i_q)
+        u = applied(0.0, 0.158 * i_q)  # keeps the current
+        for _ in range(100):
+            state, _ = integrator.step(params, state, u, NO_LOAD, T_S)
+        assert (state.omega_m != 0.0) == moves
+
+
+def test_friction_does_not_chatter_where_speed_passes_zero():
+    params, _ = make(tau_coulomb=0.02)
+    state = state_at(params, 0.0, 2.0)
+    speeds = []
+    for _ in range(800):
+        state, _ = integrator.step(params, state, inverter.off(), NO_LOAD, T_S)
+        speeds.append(state.omega_m)
+    first = speeds.index(0.0)
+    # from 2 rad/s by 0.02 N m on 2e-4 kg m2: 20 ms
+    assert first * T_S == pytest.approx(0.02, abs=3e-4)
+    assert all(s > 0.0 for s in speeds[:first])
+    assert set(speeds[first:]) == {0.0}
+
+
+def test_reversal_passes_through_zero_once():
+    params, _ = make()
+    state = state_at(params, 0.0, 3.0)
+    signs = []
+    for _ in range(400):
+        u = 1.5j * np.exp(1j * state.theta_e) * -1.0
+        state, _ = integrator.step(params, state, applied(u.real, u.imag), NO_LOAD, T_S)
+        signs.append(np.sign(state.omega_m))
+    assert signs[0] == 1.0
+    assert signs[-1] == -1.0
+    assert np.count_nonzero(np.diff(signs)) <= 2
+
+
+def test_brake_looks_passive():
+    params, _ = make()
+    brake = mechanics.Load(mechanics.TORQUE, 0.3, 0.0)
+    state = state_at(params, 0.0, 0.0)
+    for _ in range(200):
+        state, _ = integrator.step(params, state, inverter.off(), brake, T_S)
+    assert state.omega_m == 0.0
+    backwards = free = state_at(params, 0.0, -50.0)
+    forwards = state_at(params, 0.0, 50.0)
+    for _ in range(100):
+        backwards, _ = integrator.step(params, backwards, inverter.off(), brake, T_S)
+        free, _ = integrator.step(params, free, inverter.off(), NO_LOAD, T_S)
+        forwards, _ = integrator.step(params, forwards, inverter.off(), brake, T_S)
+    assert backwards.omega_m == free.omega_m
+    assert forwards.omega_m == pytest.approx(50.0 - (0.305 + 0.005) / 2e-4 * 100 * T_S, rel=1e-2)
+    assert mechanics.load_torque(params.shaft, brake, 50.0, 0.1, 0.0) == 0.3
+    assert mechanics.load_torque(params.shaft, brake, -50.0, 0.1, 0.0) == 0.0
+    assert mechanics.load_torque(params.shaft, brake, 0.0, 0.1, 0.0) == pytest.approx(0.1 - 0.005)
+    assert mechanics.load_torque(params.shaft, brake, 0.0, -0.1, 0.0) == 0.0
+    assert mechanics.load_torque(params.shaft, NO_LOAD, 0.0, 0.1, 0.0) == 0.0
+
+
+def test_forced_speed_ramps_and_reports_the_torque_it_takes():
+    params, _ = make()
+    forced = mechanics.Load(mechanics.SPEED, 0.0, 40.0)
+    state = state_at(params, 0.0, 0.0)
+    for k in range(1, 800):
+        state, alpha = integrator.step(params, state, inverter.off(), forced, T_S)
+        assert state.omega_m == pytest.approx(min(1000.0 * k * T_S, 40.0), abs=1e-9)
+        if k == 100:
+            taken = mechanics.load_torque(params.shaft, forced, state.omega_m, 0.0, alpha)
+            assert taken == pytest.approx(-(0.005 + 1e-4 * state.omega_m + 2e-4 * 1000.0))
+    assert state.omega_m == 40.0
+    assert state.theta_e == pytest.approx(6 * (40.0 * 799 * T_S - 40.0 * 0.04 / 2), abs=1e-6)
+
+
+def test_outputs_off_ends_current_and_torque_at_once():
+    params, _ = make()
+    state = state_at(params, 0.3, 100.0, i_d=-3.0, i_q=7.0)
+    steps = 0
+    while integrator.torque(params, state) != 0.0:
+        state, _ = integrator.step(params, state, inverter.off(), NO_LOAD, T_S / 2)
+        steps += 1
+    assert steps * T_S / 2 < 0.2e-3
+    omega, t = state.omega_m, 0.0
+    for _ in range(1000):
+        state, _ = integrator.step(params, state, inverter.off(), NO_LOAD, T_S)
+        t += T_S
+    rest = 0.005 / 1e-4  # friction alone: omega + tau_c / b decays with b / J
+    assert state.omega_m == pytest.approx((omega + rest) * math.exp(-1e-4 / 2e-4 * t) - rest, abs=1e-9)
+    assert np.abs(currents_dq(params, state)).max() < 1e-9

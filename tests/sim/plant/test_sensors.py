@@ -1,0 +1,123 @@
+"""Hall sensors, encoder, current sensors and the noise on them."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from sim.plant import current_sensor, encoder, hall_sensor, noise
+
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+QUANTILES = noise.table()
+RNG = noise.advance(noise.seeded(1))
+CODES = {0: 0b001, 1: 0b011, 2: 0b010, 3: 0b110, 4: 0b100, 5: 0b101}
+
+
+def test_edges_lie_where_table_one_says():
+    params = hall_sensor.make_params(TABLE_I, 0.0, 0.0)
+    for number in range(-13, 14):
+        turn, sector = divmod(number, 6)
+        degrees = 360.0 * turn + 60.0 * sector - TABLE_I[sector]
+        assert hall_sensor.edge_angle(params, number) == pytest.approx(math.radians(degrees))
+        assert hall_sensor.code(number) == CODES[sector]
+
+
+@pytest.mark.parametrize("degrees", [-400.0, -1.0, 0.0, 1.3, 52.0, 53.0, 200.0, 361.0, 1000.0])
+def test_sector_at_boot(degrees):
+    params = hall_sensor.make_params(TABLE_I, 0.5, 0.0)
+    state = hall_sensor.init(params, math.radians(degrees), QUANTILES, RNG)
+    edges = {n: 60.0 * n - TABLE_I[n % 6] for n in range(-20, 30)}
+    assert state.number == max(n for n, edge in edges.items() if edge <= degrees)
+
+
+def test_hysteresis_shifts_an_edge_with_the_direction():
+    params = hall_sensor.make_params(TABLE_I, 0.5, 0.0)
+    state = hall_sensor.enter(params, 1, math.radians(80.0), QUANTILES, RNG)
+    assert math.degrees(state.below) == pytest.approx(63.0 - 0.25)
+    assert math.degrees(state.above) == pytest.approx(120.0 - 7.2 + 0.25)
+
+
+def test_jitter_has_its_rms_and_no_edge_is_met_twice():
+    params = hall_sensor.make_params([0.0] * 6, 0.0, 0.2)
+    rng = RNG
+    below, above = [], []
+    for _ in range(4000):
+        rng = noise.advance(rng)
+        state = hall_sensor.enter(params, 0, math.radians(30.0), QUANTILES, rng)
+        below.append(math.degrees(state.below))
+        above.append(math.degrees(state.above) - 60.0)
+        at_edge = hall_sensor.enter(params, 0, 0.0, QUANTILES, rng)
+        assert at_edge.below < 0.0
+    assert np.std(below) == pytest.approx(0.2, rel=0.04)
+    assert np.std(above) == pytest.approx(0.2, rel=0.04)
+    assert abs(np.mean(below)) < 0.02
+    assert abs(np.corrcoef(below, above)[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize(("omega_0", "omega_1"), [(100.0, 120.0), (0.0, 5.0), (-40.0, -39.0), (3.0, -0.5)])
+def test_edge_time_solves_the_cubic(omega_0, omega_1):
+    h = 1 / 32000.0
+    theta_0, theta_1 = 1.0, 1.0 + 0.5 * h * (omega_0 + omega_1)
+    theta = theta_0 + 0.37 * (theta_1 - theta_0)
+
+    def hermite(x):
+        return (
+            (2 * x**3 - 3 * x**2 + 1) * theta_0 + (x**3 - 2 * x**2 + x) * h * omega_0
+            + (3 * x**2 - 2 * x**3) * theta_1 + (x**3 - x**2) * h * omega_1 - theta
+        )  # fmt: skip
+
+    x = hall_sensor.time_of(theta_0, omega_0, theta_1, omega_1, h, theta)
+    assert x == pytest.approx(brentq(hermite, 0.0, 0.999 if omega_1 * omega_0 >= 0 else 0.6), abs=1e-4)
+
+
+def test_encoder_counts_and_their_angle():
+    params = encoder.make_params(3600, 0.0, 100.0, 6, 1 / 16000.0)
+    for theta_e in (-0.001, 0.0, 0.001, 3.0, 6 * 2 * math.pi - 1e-6, 6 * 2 * math.pi, 500.0, -500.0):
+        turns = (theta_e / 6) / (2 * math.pi) % 1.0
+        counter = encoder.count(params, theta_e)
+        assert counter == int(turns * 14400) % 14400
+        error = (encoder.angle(params, counter) - theta_e + math.pi) % (2 * math.pi) - math.pi
+        assert abs(math.degrees(error)) <= 0.075 + 1e-9  # half of 0.15 deg
+    ahead = encoder.make_params(3600, 10.0, 100.0, 6, 1 / 16000.0)
+    assert encoder.count(ahead, 0.0) == int(10.0 / 0.15)
+
+
+@pytest.mark.parametrize("omega_m", [5.0, 52.36, -314.0])
+def test_encoder_speed_settles_on_the_truth_over_many_turns(omega_m):
+    T_s = 1 / 16000.0
+    params = encoder.make_params(3600, 0.0, 100.0, 6, T_s)
+    state = encoder.init(0)
+    speeds = []
+    for k in range(1, 8000):
+        state, omega_e = encoder.track(params, state, encoder.count(params, 6 * omega_m * k * T_s))
+        speeds.append(omega_e)
+    assert np.mean(speeds[2000:]) == pytest.approx(6 * omega_m, rel=2e-3)
+    assert np.std(speeds[2000:]) < 1.0
+
+
+def test_current_sensor_gain_offset_steps_and_range():
+    params = current_sensor.make_params(0.0, (0.1, 0.0, 0.0), (0.02, 0.0, 0.0), 20.0, 12)
+    step = 20.0 / 2048
+    measured = current_sensor.measure(params, 5.0, params.gain_a, params.offset_a, 0.0)
+    assert measured == round((5.0 * 1.02 + 0.1) / step) * step
+    assert current_sensor.measure(params, 99.0, params.gain_b, params.offset_b, 0.0) == 2047 * step
+    assert current_sensor.measure(params, -99.0, params.gain_b, params.offset_b, 0.0) == -20.0
+
+
+def test_noise_is_normal_repeatable_and_seeded():
+    def draw(seed, n=20000):
+        rng, values = noise.seeded(seed), []
+        for _ in range(n):
+            rng = noise.advance(rng)
+            values.append([f(QUANTILES, rng) for f in (noise.first, noise.second, noise.third)])
+        return np.array(values)
+
+    one = draw(1)
+    assert np.array_equal(one, draw(1))
+    assert not np.array_equal(one[:100], draw(2, 100))
+    assert np.abs(one.mean(axis=0)).max() < 0.03
+    assert one.std(axis=0) == pytest.approx([1.0, 1.0, 1.0], rel=0.02)
+    assert np.mean(np.abs(one) < 1.0) == pytest.approx(0.6827, abs=0.01)
+    assert np.abs(np.corrcoef(one.T) - np.eye(3)).max() < 0.03
+    assert abs(np.corrcoef(one[1:, 0], one[:-1, 0])[0, 1]) < 0.03
