@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and the decorator that compiles them.
+"""Where compiled kernels are kept, and the decorators that compile them.
 
 Numba's own disk cache watches only the file of the cached function: an edited helper in another file leaves a
 stale caller. So the kernels live in a directory whose name holds a hash of every source that kernels are made
@@ -6,7 +6,7 @@ of, together with the versions of Python and numba: any edit starts a fresh dire
 pruned.
 
 `$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory. Other packages' numba caches are
-never touched. Importing this module does not import numba; `jit` does.
+never touched. Importing this module does not import numba; its decorators do.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-__all__ = ["cache_dir", "is_warm", "jit", "source_hash"]
+__all__ = ["cache_dir", "is_warm", "jit", "kernel", "source_hash"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -104,23 +104,37 @@ def _prepare() -> str:
 
 
 def jit(function: F) -> F:
-    """Compile a kernel: `numba.njit(cache=True, nogil=True, forceinline=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
+    """Compile a function: `numba.njit(cache=True, nogil=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
 
     Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the
     plain function agree bit for bit. Division by zero raises, as in Python. Where no cache can be written, it
     compiles in every process.
     """
+    return _compile(function)
+
+
+def kernel(function: F) -> F:
+    """`jit` for what runs within a period: put into its caller, without counting references to arrays.
+
+    It must not make an array. Nearly a hundred nanoseconds a period are in it: a reference is counted with an
+    atomic operation each time that an array is handed on.
+    """
+    return _compile(function, _nrt=False, forceinline=True)
+
+
+def _compile(function: F, **options: bool) -> F:
     import numba
     import numba.core.config
 
     config: Any = numba.core.config
+    njit: Any = numba.njit
     directory = _prepare()
     before = config.CACHE_DIR
     config.CACHE_DIR = directory or before
     try:
-        compiled = numba.njit(cache=bool(directory), nogil=True, fastmath=False, forceinline=True)(function)
+        compiled = njit(cache=bool(directory), nogil=True, fastmath=False, **options)(function)
     except RuntimeError:  # numba: "no locator available", the directory became unwritable
-        compiled = numba.njit(nogil=True, fastmath=False, forceinline=True)(function)
+        compiled = njit(nogil=True, fastmath=False, **options)(function)
     finally:
         config.CACHE_DIR = before
     return cast("F", compiled)
