@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 
 class Params(NamedTuple):
@@ -51,13 +51,13 @@ def make_params(
     )
 
 
-@jit
+@kernel
 def init() -> State:
     """No current, no voltage."""
     return State(0.0, 0.0)
 
 
-@jit
+@kernel
 def step(
     params: Params,
     state: State,

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 I_FADE = 0.3  # A
 
@@ -36,13 +36,13 @@ def make_params(pwm_hz: float, *, dead_time_hat: float, dead_time_comp: float) -
     return Params(float(dead_time_hat) * float(dead_time_comp) * float(pwm_hz))
 
 
-@jit
+@kernel
 def _share(current: float) -> float:
     """Sign of a phase current, linear below I_FADE."""
     return min(max(current / I_FADE, -1.0), 1.0)
 
 
-@jit
+@kernel
 def compensate(
     params: Params, d_a: float, d_b: float, d_c: float, i_a: float, i_b: float, i_c: float
 ) -> tuple[float, float, float]:

@@ -12,18 +12,18 @@ from __future__ import annotations
 import math
 
 from sim.control.transforms import inverse_clarke
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 LINEAR = 1.0 / math.sqrt(3.0)
 
 
-@jit
+@kernel
 def linear_limit(u_dc: float) -> float:
     """Longest voltage vector of the linear range, V, on a link of `u_dc` V."""
     return LINEAR * u_dc
 
 
-@jit
+@kernel
 def duties(u_alpha: float, u_beta: float, u_dc: float) -> tuple[float, float, float]:
     """Duties of phases a, b, c, each in [0, 1], for a voltage vector in V; all 0.5 without a link voltage."""
     if u_dc <= 0.0:

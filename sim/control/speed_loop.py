@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 
 class Params(NamedTuple):
@@ -38,13 +38,13 @@ def make_params(
     return Params(float(k_p_speed), float(k_i_speed) * T_s, float(i_max), float(alpha_m_max) * T_s)
 
 
-@jit
+@kernel
 def init(omega_m: float, i_q: float) -> State:
     """Take over at the mechanical speed `omega_m` (rad/s) with `i_q` (A) flowing, without a bump."""
     return State(omega_m, i_q)
 
 
-@jit
+@kernel
 def step(params: Params, state: State, omega_m_target: float, omega_m: float) -> tuple[State, float]:
     """One control period: (state, i_q reference in A), |i_q_ref| <= i_max.
 

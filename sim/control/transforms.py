@@ -7,24 +7,24 @@ from __future__ import annotations
 
 import math
 
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 HALF_SQRT3 = 0.5 * math.sqrt(3.0)
 
 
-@jit
+@kernel
 def park(alpha: float, beta: float, cos: float, sin: float) -> tuple[float, float]:
     """(d, q) of a stator-frame vector, in its own unit; `cos`, `sin` of the frame's electrical angle."""
     return alpha * cos + beta * sin, beta * cos - alpha * sin
 
 
-@jit
+@kernel
 def inverse_park(d: float, q: float, cos: float, sin: float) -> tuple[float, float]:
     """(alpha, beta) of a rotor-frame vector; the inverse of `park`."""
     return d * cos - q * sin, d * sin + q * cos
 
 
-@jit
+@kernel
 def inverse_clarke(alpha: float, beta: float) -> tuple[float, float, float]:
     """Phases a, b, c of a stator-frame vector; their sum is zero."""
     return alpha, -0.5 * alpha + HALF_SQRT3 * beta, -0.5 * alpha - HALF_SQRT3 * beta

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit
+from sim.numba_cache import jit, kernel
 from sim.observers import hall_speed
 from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.transforms import wrap
@@ -57,13 +57,13 @@ def make_params(tick_hz: float, *, n_p: float, omega_m_max: float, hall_timeout:
     return Params(hall_speed.make_params(tick_hz, hall_timeout), float(n_p) * float(omega_m_max))
 
 
-@jit
+@kernel
 def centre(sector: int) -> float:
     """Angle of a sector's middle, electrical rad, in [0, 2 pi)."""
     return sector * SECTOR_WIDTH + HALF_SECTOR
 
 
-@jit
+@kernel
 def position(params: Params, hall: hall_speed.Estimate) -> float:
     """Estimated angle, electrical rad in [-pi, pi), from the front end's result; 0: no sector known yet."""
     if hall.sector < 0:
@@ -78,7 +78,7 @@ def position(params: Params, hall: hall_speed.Estimate) -> float:
     return wrap(centre(hall.sector) + hall.direction * (travel - HALF_SECTOR))
 
 
-@jit
+@kernel
 def step(
     params: Params,
     state: State,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit
+from sim.numba_cache import jit, kernel
 from sim.observers import average_speed, hall_speed, vector_tracking
 from sim.observers.transforms import clarke
 
@@ -96,13 +96,13 @@ def make_params(tick_hz: float, pwm_hz: float, *, exact_inverse: bool = True, **
     )
 
 
-@jit
+@kernel
 def init() -> State:
     """Nothing known yet: the first sample gives sector and currents."""
     return State(hall_speed.init(), vector_tracking.init())
 
 
-@jit
+@kernel
 def step_span(
     params: Params,
     state: State,
@@ -141,7 +141,7 @@ def step_span(
     )
 
 
-@jit
+@kernel
 def step(
     params: Params,
     state: State,

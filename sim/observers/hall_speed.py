@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit
+from sim.numba_cache import jit, kernel
 
 # Sector 0..5 by Hall code (bit 0 = sensor a, 1 = b, 2 = c); -1: a code that no rotor angle gives.
 SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)
@@ -95,18 +95,18 @@ def make_params(tick_hz: float, hall_timeout: float) -> Params:
     return Params(1.0 / tick_hz, SECTOR_WIDTH * tick_hz, float(hall_timeout) * tick_hz, GLITCH * tick_hz)
 
 
-@jit
+@kernel
 def _nothing() -> Entry:
     return Entry(-1, 0, 0, 0, 0.0)
 
 
-@jit
+@kernel
 def init() -> State:
     """Nothing known: the next sampled code gives the sector."""
     return State(_nothing(), _nothing(), 0, 0, 0, 0)
 
 
-@jit
+@kernel
 def _bounded(params: Params, omega: float, age: int) -> float:
     """`omega` cut to what a rotor can have that has not left its sector for `age` ticks."""
     if abs(omega) * age > params.sector_rate:
@@ -114,13 +114,13 @@ def _bounded(params: Params, omega: float, age: int) -> float:
     return omega
 
 
-@jit
+@kernel
 def _resynchronised(params: Params, entry: Entry, tick: int, sector: int) -> Entry:
     """The rotor turns up in `sector` by no known boundary: speed held, angle unknown."""
     return Entry(sector, entry.direction, 0, tick, _bounded(params, entry.omega, tick - entry.tick))
 
 
-@jit
+@kernel
 def _entered(params: Params, entry: Entry, tick: int, sector: int, direction: int) -> Entry:
     """The rotor passes a boundary of its sector into the neighbour `sector`."""
     age = max(tick - entry.tick, 1)
@@ -133,7 +133,7 @@ def _entered(params: Params, entry: Entry, tick: int, sector: int, direction: in
     return Entry(sector, direction, 1, tick, omega)
 
 
-@jit
+@kernel
 def edge(params: Params, state: State, tick: int, code: int) -> State:
     """The state after a captured edge to Hall code `code` at `tick`."""
     now = state.now
@@ -163,7 +163,7 @@ def edge(params: Params, state: State, tick: int, code: int) -> State:
     return State(now, before, 0, illegal, skipped, undone)
 
 
-@jit
+@kernel
 def sample(params: Params, state: State, tick: int, code: int, edges: int) -> tuple[State, Estimate]:
     """The state and estimate at the sample at `tick`, where the pins read `code`.
 
@@ -196,7 +196,7 @@ def sample(params: Params, state: State, tick: int, code: int, edges: int) -> tu
     return state, Estimate(now.sector, now.direction, now.anchored, omega, age * params.tick_period, edges)
 
 
-@jit
+@kernel
 def step(
     params: Params,
     state: State,

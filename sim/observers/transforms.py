@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import math
 
-from sim.numba_cache import jit
+from sim.numba_cache import kernel
 
 TWO_PI = 2.0 * math.pi
 ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 
 
-@jit
+@kernel
 def wrap(angle: float) -> float:
     """The same angle (rad) in [-pi, pi)."""
     wrapped = angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
     return wrapped if -math.pi <= wrapped < math.pi else -math.pi  # rounding, at the seam
 
 
-@jit
+@kernel
 def clarke(a: float, b: float, c: float) -> tuple[float, float]:
     """(alpha, beta) of three phase quantities, in their own unit; a part common to all three drops out."""
     return (2.0 * a - b - c) / 3.0, (b - c) * ONE_BY_SQRT3

@@ -38,7 +38,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit
+from sim.numba_cache import jit, kernel
 from sim.observers import hall_speed
 from sim.observers.average_speed import HALF_SECTOR, centre
 from sim.observers.transforms import wrap
@@ -128,7 +128,7 @@ def make_params(
 ) -> Params:
     """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
 
-    The gains of Fig. 6 are k_p_vt = 1268 1/s and k_i_vt = 54289 1/s². tau_max = 0.4 ms is ours: longer lets
+    The gains of Fig. 6 are k_p_vt = 1268 1/s and k_i_vt = 54289 1/s². tau_max = 0.5 ms is ours: longer lets
     the ripple of omega_h through (6), shorter the noise of the currents.
     """
     T_s = 1.0 / float(pwm_hz)
@@ -152,18 +152,18 @@ def make_params(
     )
 
 
-@jit
+@kernel
 def init() -> State:
     """Nothing known: the next sample gives the first currents and the angle by the Hall sector."""
     return State(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@jit
+@kernel
 def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
 
 
-@jit
+@kernel
 def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
     """Real and imaginary part of the inverse, at `omega`, of the filter y += a (x - y)."""
     x = omega * params.T_s
@@ -177,7 +177,7 @@ def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
     return (1.0 - b * cos) / a, b * sin / a
 
 
-@jit
+@kernel
 def step(
     params: Params,
     state: State,
