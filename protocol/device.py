@@ -160,7 +160,7 @@ class DeviceSession:
 
     def log(self, level: int, text: str) -> None:
         """Send a LOG."""
-        self._send(Log(level, text[: self._tx_max // 4]))
+        self._send(Log(level, text[: (self._tx_max - 1) // 4]))
 
     def heartbeat(self) -> Heartbeat:
         """Return the health as of now."""
@@ -235,7 +235,7 @@ class DeviceSession:
         return wire
 
     def _send(self, message: Message) -> None:
-        self.tx.put_control(encode_frame(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
+        self.tx.put_event(encode_frame(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
 
     def _hello(self, request: Hello) -> HelloReply:
         if not request.major_min <= MAJOR <= request.major_max:

@@ -46,13 +46,17 @@ class TxQueue:
         return True
 
     def put_control(self, wire: bytes) -> bool:
-        """Queue a reply or an event; False, and nothing queued, if there is no room."""
+        """Queue a reply; False, and nothing queued, if there is no room."""
         size = self._control_bytes + len(wire)
         if size > self.control_limit:
             return False
         self._control_bytes = size
         self._control.append(wire)
         return True
+
+    def put_event(self, wire: bytes) -> bool:
+        """Queue an event or a log, which must leave half of the room to replies; False if it cannot."""
+        return self._control_bytes + len(wire) <= self.control_limit // 2 and self.put_control(wire)
 
     def put_latest(self, key: int, wire: bytes) -> None:
         """Queue a frame in place of the last one with this key, if that still waits (heartbeats)."""

@@ -232,6 +232,15 @@ def test_armed_lapses_after_five_seconds(device: Device) -> None:
     assert not app.outputs_on
 
 
+def test_arming_starts_the_watchdog_and_arming_again_the_five_seconds(device: Device) -> None:
+    wire, session, _ = device
+    wire.wait(60.0)
+    for _ in range(60):
+        wire.ask(StateCommand(Command.ARM, BOOT_ID))
+        wire.wait(0.15)
+    assert session.state is DriveState.ARMED
+
+
 def test_the_drive_may_refuse_to_be_armed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     wire, session, app = device
 
@@ -473,6 +482,17 @@ def test_two_nodes_on_one_link() -> None:
     assert first_app.values["gain"] == second_app.values["gain"] == 9.0
     with pytest.raises(ValueError, match="node 2 is taken"):
         link.add(SmallDrive(), identity(node=2))
+
+
+def test_events_leave_room_for_replies(device: Device) -> None:
+    wire, session, _ = device
+    for counter in range(5000):
+        wire.tell(Setpoint(SetpointMode.SPEED, counter, 1.0))  # all rejected, each with an event
+    session.log(6, "Ω" * 5000)
+    assert wire.ask(ParamGet(101)).value == DEFAULTS["gain"]
+    session.log(6, "Ω" * 5000)
+    assert len(wire.frames()) == 1
+    assert session.setpoints_rejected == 5000
 
 
 def test_a_link_that_nobody_reads_keeps_its_replies_bounded(device: Device) -> None:

@@ -222,6 +222,18 @@ def test_what_the_device_drops_reconciles_three_ways(steps: list[tuple[int, int]
     assert sum(flagged) == lost.overruns == sum(gap.overrun for gap in chunk.gaps) == len(chunk.gaps)
 
 
+def test_drops_are_remembered_after_their_stream_is_gone() -> None:
+    device = Device(bulk_limit=2000)
+    device.start(pwm())
+    device.push(0, 1000)
+    device.session.streams.stop(1)
+    dropped = 10 - len(device.frames())
+    assert dropped > 5
+    assert device.session.heartbeat().tx_dropped == dropped
+    device.start(pwm())
+    assert device.session.heartbeat().tx_dropped == dropped
+
+
 def test_a_frame_is_never_cut_short_by_a_limit() -> None:
     device = Device()
     config, _ = device.start(pwm())

@@ -39,14 +39,17 @@ BOOT_ID = 0xB0071D
 
 
 def random_frames(rng: np.random.Generator, n: int) -> bytes:
-    """Return n frames of random bytes, half of them sound COBS around nonsense."""
+    """Return n frames of random bytes, half of them sound COBS and length around nonsense."""
     half = n // 2
     noise = rng.integers(1, 256, 24 * half, np.uint8)
     ends = np.sort(rng.choice(24 * half, half, replace=False))
     noise[ends] = 0
     lengths = rng.integers(12, 48, n - half)
-    nonsense = rng.integers(0, 256, int(lengths.sum()), np.uint8).tobytes()
-    bounds = np.concatenate(([0], np.cumsum(lengths))).tolist()
+    noisy = rng.integers(0, 256, int(lengths.sum()), np.uint8)
+    starts = np.cumsum(lengths) - lengths
+    noisy[starts + 4], noisy[starts + 5] = lengths - 12, 0  # the length field is right: only the CRC is not
+    nonsense = noisy.tobytes()
+    bounds = [*starts.tolist(), len(nonsense)]
     encode = cobs.encode
     sound = [encode(nonsense[a:b]) for a, b in pairwise(bounds)]
     return b"\0" + noise.tobytes() + b"\0" + b"\0".join(sound) + b"\0"

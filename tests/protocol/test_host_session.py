@@ -172,7 +172,7 @@ def test_a_reply_after_a_retry_counts_once(host: HostSession) -> None:
     tid = host.request(ParamCommit(), 1, 1.0)
     host.tick(1.5)
     answer = reply(MessageType.PARAM_COMMIT, tid, b"")
-    host.receive_data(answer + answer, 1.51)
+    host.receive_data(answer + answer, 1.55)
     (event,) = events(host)
     assert isinstance(event, ReplyReceived)
     assert (event.tid, event.message) == (tid, Empty())

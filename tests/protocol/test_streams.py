@@ -178,6 +178,25 @@ def test_a_discontinuity_without_loss_is_still_a_gap() -> None:
     assert [(g.position, g.lost_samples) for g in chunk.gaps] == [(BLOCK, 0)]
 
 
+def test_a_missing_seq_is_a_gap_even_where_no_sample_is_missing() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    frames = run_of_frames(2)
+    frames[1] = data_frame(2, BLOCK, BLOCK * TICKS, samples(BLOCK, BLOCK))
+    chunk = decoder.decode(frames)
+    assert isinstance(chunk, SampleChunk)
+    assert [(g.position, g.lost_samples, g.lost_frames) for g in chunk.gaps] == [(BLOCK, 0, 1)]
+    assert (decoder.counters.lost_by_index, decoder.counters.lost_by_seq) == (0, 1)
+
+
+def test_the_tick_of_each_frame_is_believed() -> None:
+    decoder = SampleDecoder(config(), TICKS, TickReference())
+    frames = run_of_frames(2)
+    frames[1] = data_frame(1, BLOCK, BLOCK * TICKS + 3, samples(BLOCK, BLOCK))
+    chunk = decoder.decode(frames)
+    assert isinstance(chunk, SampleChunk)
+    assert chunk.tick.tolist() == [0, 1250, 2500, 3750, 5003, 6253, 7503, 8753]
+
+
 def test_unknown_flags_of_a_later_minor_change_nothing() -> None:
     decoder = SampleDecoder(config(), TICKS, TickReference())
     chunk = decoder.decode([data_frame(0, 0, 0, samples(0, BLOCK), flags=0x80)])
