@@ -6,38 +6,53 @@ cannot outlive the bench, however the bench ends.
 
 from __future__ import annotations
 
-import select
+import queue
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import IO, Self
 
 from bench.errors import BenchError
 
-START_TIMEOUT = 120.0  # s: a cold numba cache compiles first
+START_TIMEOUT = 30.0  # s until the target is known
+COMPILE_TIMEOUT = 180.0  # s until it answers: with a cold numba cache it compiles first
 
 
 class EmbeddedDrive:
-    """Context manager: starts the child, gives its `target`, ends it."""
+    """Context manager: starts the child, gives its `target`, ends it. `note` gets what it says before it answers."""
 
     def __init__(self, arguments: Sequence[str] = (), note: Callable[[str], None] = lambda text: None) -> None:
+        self.target = ""
         self._note = note
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._errors: list[str] = []
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            text=True,
         )
-        self.target = ""
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        self._readers = [
+            threading.Thread(target=self._read_output, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._read_errors, args=(self._process.stderr,), daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
 
     def __enter__(self) -> Self:
         try:
-            self.target = self._await_target()
-        except BaseException:
+            first = self._lines.get(timeout=START_TIMEOUT)
+        except queue.Empty:
+            first = ""
+        if not first.startswith("target: "):
             self._end()
-            raise
+            raise self.failure()
+        self.target = first.removeprefix("target: ")
         return self
 
     def __exit__(
@@ -50,19 +65,21 @@ class EmbeddedDrive:
         """Process id of the child."""
         return self._process.pid
 
-    def _await_target(self) -> str:
-        output: IO[bytes] | None = self._process.stdout
-        assert output is not None
-        deadline = time.monotonic() + START_TIMEOUT
-        while select.select([output], [], [], max(deadline - time.monotonic(), 0))[0]:
-            line = output.readline().decode().strip()
-            if line.startswith("target: "):
-                return line.removeprefix("target: ")
-            if not line:
-                errors = self._process.communicate()[1].decode().strip().splitlines()
-                raise BenchError((errors[-1] if errors else "the simulated drive did not start").removeprefix("sim: "))
-            self._note(line)
-        raise BenchError(f"the simulated drive did not start within {START_TIMEOUT:g} s")
+    def failure(self) -> BenchError:
+        """Why the child failed, in its own words."""
+        words = self._errors[-1].removeprefix("sim: ") if self._errors else "the simulated drive did not start"
+        return BenchError(words)
+
+    def _read_output(self, output: IO[str]) -> None:
+        for number, line in enumerate(output):
+            if number == 0:
+                self._lines.put(line.strip())
+            elif line.startswith("compiling"):
+                self._note(line.strip())
+        self._lines.put("")
+
+    def _read_errors(self, errors: IO[str]) -> None:
+        self._errors += [line.strip() for line in errors if line.strip()]
 
     def _end(self) -> None:
         if self._process.stdin:
@@ -72,6 +89,8 @@ class EmbeddedDrive:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        for reader in self._readers:
+            reader.join(1.0)
         for pipe in (self._process.stdout, self._process.stderr):
             if pipe:
                 pipe.close()

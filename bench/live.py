@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from bench import __version__
 from bench.client import POLL, Client
-from bench.embedded import EmbeddedDrive
+from bench.embedded import COMPILE_TIMEOUT, EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
 from bench.errors import BenchError, Interrupted
 from bench.node import LOAD, Node
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 OBSERVERS = {source.name.lower().replace("_", "-"): source for source in AngleSource}
 RECONNECT = 30.0  # s that a lost link is waited for
+CONNECT_TIMEOUT = 3.0  # s that a drive has to answer the first HELLO
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
 SILENCE = 2.0  # s without samples after which a note says so
@@ -97,7 +98,7 @@ class LiveRun:
         self.options = options
         self.target = target
         self.screen = screen
-        self.client = Client(link, reconnect=RECONNECT)
+        self.client = Client(link)
         self.drive = Node(self.client, 0)
         self.load: Node | None = None
         self.tripped = ""  # why the motor was let go, if it was
@@ -111,12 +112,13 @@ class LiveRun:
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
-    def connect(self) -> None:
+    def connect(self, timeout: float) -> None:
         """Find drive and, where a load is asked for, load machine. Leaves the motor alone."""
-        hello = self.client.connect()
+        hello = self.client.connect(timeout)
         if hello.role != Role.DRIVE:
             raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
         self.drive = Node(self.client, hello.node)
+        self.client.reconnect = RECONNECT
         self.client.on_reconnected = self._reconnected
         self.drive.stop_streams()
         self.screen.note(
@@ -417,12 +419,19 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(_signals_as_exceptions())
         target = options.target or "sim"
+        embedded = None
         if options.embedded:
-            target = stack.enter_context(EmbeddedDrive(options.sim_arguments, screen.note)).target
+            embedded = stack.enter_context(EmbeddedDrive(options.sim_arguments, screen.note))
+            target = embedded.target
         link = open_link(target)
         stack.callback(link.close)
         live = LiveRun(options, link, target, screen)
-        live.connect()
+        try:
+            live.connect(CONNECT_TIMEOUT if embedded is None else COMPILE_TIMEOUT)
+        except LinkError:
+            if embedded is None:
+                raise
+            raise embedded.failure() from None
         acts = live.acts()
         live.check(acts, confirm)
         return live.go(acts, report, hold)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ def note(text: str) -> None:
 
 
 def _is_number(cell: str) -> bool:
-    return bool(cell) and (cell[0].isdigit() or cell[0] in "+-−.")
+    return re.fullmatch(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", cell) is not None
 
 
 def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
