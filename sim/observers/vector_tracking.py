@@ -5,25 +5,26 @@ A phase-locked loop on the unit back-EMF vector, fed forward with the Hall avera
 What the paper leaves open, and how it is settled here:
 - Time. u*(k-1) is in force over [k-1, k]; it pairs with the mean current of that interval and with
   i(k) - i(k-1). The back-EMF so found is that of the interval's middle, and it is there that (8) compares it.
-- sgn() of (9) does not see the corrected speed, which reaches +-k_p, 2018 r/min with the paper's gains: with the
-  printed sgn(omega_hat) (`literal_sgn` = 1) the sign flips with the correction below that speed, and noise at
-  50 r/min, a reversal or an error past 90 deg leave the loop falsely locked for good. Here the direction is that of
-  omega_h when the correction starts; from then on it is the sign of the filtered speed that the back-EMF shows along
-  the estimate, with hysteresis, so that a rotor that turns back between two edges is followed. While the two
-  disagree omega_h is stale and is not fed forward.
+- sgn() of (9) does not see the corrected speed, which reaches +-k_p, 2018 r/min with the paper's gains:
+  with the printed sgn(omega_hat) (`literal_sgn` = 1) the sign flips with the correction below that speed,
+  and noise at 50 r/min, a reversal or an error past 90 deg leave the loop falsely locked for good. Here the
+  direction is that of omega_h when the correction starts; from then on it is the sign of the filtered speed
+  that the back-EMF shows along the estimate, with hysteresis, so that a rotor that turns back between two
+  edges is followed. While the two disagree omega_h is stale and is not fed forward.
 - (6) takes omega_h, and tau = min(tau_max, 1/|omega_h|). The gain and phase of the sampled filter y += a (x
   - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a; the paper's 1 + j tau omega, the
   inverse of the continuous filter, leaves a bias that grows with speed (`exact_inverse` = 0).
 - (7): below the back-EMF of `omega_on` the vector is not stretched to full length: noise would be.
 - Around zero speed the correction is off: it starts at an edge with |omega_h| >= omega_on, from that edge's
-  angle, and stops once |omega_h| < omega_off. While it is off the estimate moves with omega_h inside the
-  Hall sector, from the angle of the last edge or from the sector's centre.
+  angle, and stops once |omega_h| < omega_off. It is off as well while the reference voltage is exactly
+  zero: the outputs are off then, and the motor's voltage is its own. While it is off the estimate moves
+  with omega_h inside the Hall sector, from the angle of the last edge or from the sector's centre.
 - An estimate more than 30 deg outside the Hall sector is not believed: the correction stops, and starts
   anew at the next edge. Not with `literal_sgn`, which is there to be seen failing.
-- (18) integrates only while compensation and correction are on, and stays within 30 deg. It takes the current error
-  exactly as a current loop on this observer's angle had it one period ago, so that its integral is the change of
-  that loop's integrator and does not drift; with another angle in the loop it has no meaning. Size and sign of k_pc
-  and k_ic are commissioned for a drive.
+- (18) integrates only while compensation and correction are on, and stays within 30 deg. It takes the
+  current error exactly as a current loop on this observer's angle had it one period ago, so that its
+  integral is the change of that loop's integrator and does not drift; with another angle in the loop it has
+  no meaning. Size and sign of k_pc and k_ic are commissioned for a drive.
 
 Never reads a Hall pin (that is `hall_speed`'s) and never adapts a parameter.
 
@@ -216,7 +217,8 @@ def step(
     f_alpha = g_re * e_alpha - g_im * e_beta
     f_beta = g_re * e_beta + g_im * e_alpha
 
-    on = state.on if speed >= params.omega_off else 0
+    driven = u_alpha != 0.0 or u_beta != 0.0
+    on = state.on if driven and speed >= params.omega_off else 0
     direction = state.direction
     theta = state.theta
     omega = omega_h
@@ -256,7 +258,8 @@ def step(
     elif hall.edge == 1 or omega_h == 0.0:
         theta = theta_avg
         direction = hall.direction
-        on = 1 if hall.edge == 1 and speed >= params.omega_on else 0  # at work from the next sample on
+        if hall.edge == 1 and driven and speed >= params.omega_on:
+            on = 1  # at work from the next sample on
     else:
         middle = centre(hall.sector)
         theta = wrap(middle + _clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))

@@ -205,6 +205,15 @@ def test_load_angle_its_size_its_sign_and_its_compensation(factor, k_ic):
     assert abs(worse) > 1.6
 
 
+def test_a_coasting_rotor_is_followed_by_its_edges():
+    bench = running(VECTOR)
+    spin(bench, 800, 0.8)
+    bench.enter_state(DriveState.IDLE)
+    recorded = bench.advance(PWM_HZ // 2, log=True)
+    assert np.abs(error_deg(recorded, "theta_vt")[1600:]).max() < 20
+    assert not np.any(recorded.samples["status"][1:] & Status.CORRECTION_ON)
+
+
 def test_printed_sgn_fails_at_50_rpm_where_ours_holds():
     # the control on the encoder, so that nothing but the observer is at stake
     literal = error_deg(forced(running(ENCODER, literal_sgn=1), 50, 4.0, 2.0, 2.0), "theta_vt")

@@ -280,6 +280,19 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     assert out.correction_on[-1] == 1
 
 
+def test_without_a_reference_voltage_it_follows_the_hall_sensors():
+    """Outputs off, the rotor coasting: no current, and a voltage at the motor that nobody commanded."""
+    s = signals(constant(rpm(500)), 0.6, i_q=0.0, edges_deg=PAPER_EDGES, noise=0.02)
+    off = s.tick > 0.3 * TICK_HZ
+    out = estimate(s._replace(u_alpha=np.where(off, 0, s.u_alpha), u_beta=np.where(off, 0, s.u_beta)))
+    assert set(out.correction_on[off]) == {0}
+    assert set(out.correction_on[4000:][~off[4000:]]) == {1}
+    later = s.tick > 0.35 * TICK_HZ
+    difference = error_deg(out.theta_avg, out.theta_vt)[later]
+    assert np.abs(difference).max() < 1e-6
+    assert out.omega_vt[-1] == pytest.approx(rpm(500), rel=0.15)
+
+
 def test_paper_edges_on_ideal_signals_stay_within_the_accuracy_of_the_notes():
     for speed, limit in ((500.0, 3.3), (1000.0, 4.4)):
         s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
