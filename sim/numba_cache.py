@@ -21,7 +21,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-__all__ = ["cache_dir", "is_warm", "jit", "kernel", "source_hash"]
+__all__ = ["cache_dir", "is_warm", "jit", "kernel", "settled", "source_hash"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -31,6 +31,7 @@ _HERE = Path(__file__).parent
 # Of `sim/drive` only the control tick is made of kernels; links, servers and parameters are not.
 _PLAIN = ("drive", "params.py")
 _KERNELS_IN_DRIVE = "drive/tick*.py"
+_IN_PROTOCOL = ("messages.py", "signals.py", "streams.py")  # constants that kernels take in
 
 
 def _kernel_sources() -> list[Path]:
@@ -120,6 +121,26 @@ def kernel(function: F) -> F:
     atomic operation each time that an array is handed on.
     """
     return _compile(function, _nrt=False, forceinline=True)
+
+
+def settled(function: F) -> F:
+    """A compiled function that is always called with the same types: they are resolved at the first call only.
+
+    For nested tuples numba takes 30 us a call to find their types.
+    """
+    entry: Callable[..., Any] | None = None
+
+    def call(*arguments: Any) -> Any:
+        nonlocal entry
+        if entry is not None:
+            return entry(*arguments)
+        result = function(*arguments)
+        overloads = list(getattr(function, "overloads", {}).values())  # none with NUMBA_DISABLE_JIT
+        if len(overloads) == 1:
+            entry = overloads[0].entry_point
+        return result
+
+    return cast("F", call)
 
 
 def _compile(function: F, **options: bool) -> F:

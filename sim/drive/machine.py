@@ -1,71 +1,81 @@
 """The simulated bench as an object: motor, shaft, sensors, firmware and load machine, without a protocol.
 
-`advance` runs control periods in one compiled call and returns what they recorded. Commands and parameters take effect
-from the next call on. Nothing here knows frames, links or the real clock.
+`advance` runs control periods in one compiled call and returns what they recorded. Commands and parameters
+take effect from the next call on. The same seed, commands and periods give the same bits, in whatever portions.
+
+Nothing here knows frames, links, watchdogs or the real clock; limits of setpoints are kept by `sim.drive.apps`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.streams import pack_edges
+from protocol.streams import EDGE_RECORD
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
+from sim.numba_cache import settled
 from sim.observers import bank
 from sim.params import BenchParams
 from sim.plant import current_sensor, encoder, hall_sensor, integrator, inverter, mechanics, noise, pmsm
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]
 
-_EDGES_PER_PERIOD = 4  # places reserved; a shaft that fast has tripped long before
+_EDGES_PER_PERIOD = 4  # places reserved; no parameters allow a shaft that fast
 
 
-class Recorded(NamedTuple):
-    """What some periods recorded, as raw telemetry: n samples of drive and load machine, m edges (EDGE_RECORD)."""
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What n periods recorded, as raw telemetry: a sample each, and m edges."""
 
     index: int  # PWM period of the first sample
     tick: int  # of the first sample
-    samples: NDArray[np.void]
-    load_samples: NDArray[np.void]
-    edges: NDArray[np.void]
-    log: NDArray[np.float64]  # shape (n, len(tick.LOG_FIELDS)), unrounded; (0, ...) unless asked for
+    samples: NDArray[np.void]  # SAMPLE_DTYPE
+    load_samples: NDArray[np.void]  # LOAD_DTYPE
+    edges: NDArray[np.void]  # EDGE_RECORD, as on the wire
+    edge_tick: NDArray[np.int64]  # their ticks, not cut to 32 bits
+    log: NDArray[np.float64]  # shape (n, len(LOG_FIELDS)), unrounded; (0, ...) unless asked for
 
 
 class Truth(NamedTuple):
-    """The plant's state: electrical angle (unwrapped) and speed, mechanical speed, dq currents; SI units."""
+    """The plant's state at the last sample."""
 
-    theta_e: float
-    omega_e: float
-    omega_m: float
-    i_d: float
+    theta_e: float  # electrical rad, unwrapped
+    omega_e: float  # electrical rad/s
+    omega_m: float  # mechanical rad/s
+    i_d: float  # A
     i_q: float
+    tau_e: float  # N m
 
 
 class SimulatedBench:
-    """A bench with these figures; `seed` decides noise and jitter. Raises ConfigError for figures out of range."""
+    """A bench with these figures, just booted: IDLE, the rotor at rest, nothing sampled yet.
+
+    Args:
+        params: the bench.
+        seed: of noise and jitter; any integer.
+    """
 
     def __init__(self, params: BenchParams, seed: int = 0) -> None:
         self.params = params
         self.parameters = {name: _f32(value) for name, value in params.firmware.parameters().items()}
         self.load_parameters = {name: _f32(value) for name, value in params.load.parameters().items()}
         self._quantiles = noise.table()
-        self._params = self._make()
+        self._params = _make(self.params, self.parameters)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
         theta_e = math.radians(params.mechanics.theta_0_deg)
-        self._state = tick.init(
-            self._params, theta_e, params.clock.start_tick, self._quantiles, noise.seeded(seed)
-        )
-
-    # -- what it is doing ---------------------------------------------------------------------------------------
+        rng = noise.seeded(seed)
+        self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
 
     @property
     def n(self) -> int:
@@ -79,8 +89,13 @@ class SimulatedBench:
 
     @property
     def faults(self) -> Fault:
-        """Faults that the firmware has latched."""
+        """Faults that the firmware has latched; the outputs are off while there is one."""
         return Fault(int(self._state.firmware.faults))
+
+    @property
+    def fault_causes(self) -> Fault:
+        """Faults whose cause was there at the last sample."""
+        return Fault(int(self._state.firmware.causes))
 
     @property
     def outputs_on(self) -> bool:
@@ -98,26 +113,34 @@ class SimulatedBench:
             plant.omega_m,
             plant.cos * i_alpha + plant.sin * i_beta,
             plant.cos * i_beta - plant.sin * i_alpha,
+            pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta),
         )
 
-    # -- commands -----------------------------------------------------------------------------------------------
+    def enable(self, on: bool = True) -> None:
+        """Go from IDLE through ARMED to RUNNING, or back to IDLE."""
+        if on:
+            self.enter_state(DriveState.ARMED)
+        self.enter_state(DriveState.RUNNING if on else DriveState.IDLE)
 
     def enter_state(self, state: DriveState) -> None:
-        """Follow the drive's state: outputs on in RUNNING only, at zero current until a setpoint; ARMED resets observers."""
+        """Follow the drive's state; without a setpoint yet.
+
+        Outputs are on in RUNNING only, at zero current until a setpoint. ARMED initialises the observers.
+        """
         if state == DriveState.ARMED:
             self._reset = True
         self._drive = tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0)
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
-        """Drive: SPEED in mechanical rad/s, or CURRENT i_q, i_d in A."""
-        state = self._drive.state
+        """Drive: SPEED in mechanical rad/s, or CURRENT: i_q and i_d in A."""
+        command = tick_firmware.Command(self._drive.state, int(mode), 0.0, 0.0, 0.0)
         if mode == SetpointMode.SPEED:
-            self._drive = tick_firmware.Command(state, int(mode), value, 0.0, 0.0)
+            self._drive = command._replace(omega_m=float(value))
         else:
-            self._drive = tick_firmware.Command(state, int(mode), 0.0, value2, value)
+            self._drive = command._replace(i_q=float(value), i_d=float(value2))
 
     def clear_faults(self) -> None:
-        """Forget the latched faults; what still has a cause comes back at the next sample."""
+        """Forget the latched faults; what still has a cause comes back as soon as the drive is ARMED."""
         self._state = self._state._replace(firmware=self._state.firmware._replace(faults=0))
 
     def load_enter_state(self, state: DriveState) -> None:
@@ -127,99 +150,103 @@ class SimulatedBench:
 
     def load_setpoint(self, mode: SetpointMode, value: float) -> None:
         """Load machine: TORQUE in N·m against the positive direction, or SPEED, forced, in mechanical rad/s."""
-        torque, speed = (value, 0.0) if mode == SetpointMode.TORQUE else (0.0, value)
+        torque, speed = (float(value), 0.0) if mode == SetpointMode.TORQUE else (0.0, float(value))
         self._load = mechanics.Load(int(mode), torque, speed)
 
     def set_param(self, name: str, value: float) -> None:
         """Set a firmware parameter, as a float32; in use from the next period."""
+        if name not in self.parameters:
+            raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
         self.parameters[name] = _f32(value)
-        self._params = self._make()
+        self._params = _make(self.params, self.parameters)
 
     def get_param(self, name: str) -> float:
         """A firmware parameter as it is used."""
         return self.parameters[name]
 
-    # -- time ---------------------------------------------------------------------------------------------------
-
     def advance(self, n: int, log: bool = False) -> Recorded:
-        """Run `n` control periods."""
+        """Run `n` control periods; `log`: also keep estimates and truth unrounded."""
         places = _EDGES_PER_PERIOD * n + 4
         arrays = tick.Arrays(
-            np.zeros(n, SAMPLE_DTYPE),
-            np.zeros(n, LOAD_DTYPE),
-            np.zeros(places, np.int64),
-            np.zeros(places, np.uint8),
-            np.zeros(places, np.uint8),
-            np.zeros(places, np.uint16),
-            np.zeros((n if log else 0, len(tick.LOG_FIELDS))),
+            np.empty(n, SAMPLE_DTYPE),
+            np.empty(n, LOAD_DTYPE),
+            np.empty(places, EDGE_RECORD),
+            np.empty(places, np.int64),
+            np.empty(places, np.uint8),
+            np.empty((n if log else 0, len(tick.LOG_FIELDS))),
         )
         index, first_tick = self.n, self.tick
         command = tick.Command(self._drive, self._load, self._load_state, self._reset)
-        self._state, m = tick.advance(self._params, self._state, command, n, self._quantiles, arrays)
+        # numba hands a uint64 back as an int, and takes that for another type
+        state = self._state._replace(rng=np.uint64(self._state.rng))
+        self._state, m = _advance(self._params, state, command, n, self._quantiles, arrays)
         self._reset = self._reset and n == 0
-        old, new = arrays.edge_old[:m], arrays.edge_new[:m]
-        edges = pack_edges(arrays.edge_tick[:m], old, new, _illegal(old, new), arrays.edge_encoder[:m])
-        return Recorded(index, first_tick, arrays.samples, arrays.load_samples, edges, arrays.log)
-
-    def _make(self) -> tick.Params:
-        p = self.params
-        firmware = p.firmware
-        drive = self.parameters
-        period = 1.0 / p.clock.pwm_hz
-        shaft_encoder = encoder.make_params(
-            p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, period
+        return Recorded(
+            index,
+            first_tick,
+            arrays.samples,
+            arrays.load_samples,
+            arrays.edges[:m],
+            arrays.edge_tick[:m],
+            arrays.log,
         )
-        return tick.Params(
-            integrator.Params(
-                pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p),
-                inverter.make_params(
-                    p.inverter.u_dc,
-                    p.inverter.dead_time,
-                    p.inverter.u_device,
-                    p.inverter.i_smooth,
-                    p.inverter.u_diode,
-                    period,
-                ),
-                mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
-            ),
-            hall_sensor.make_params(p.hall.delta_deg, p.hall.hysteresis_deg, p.hall.jitter_deg),
-            current_sensor.make_params(
-                p.current_sensor.noise_rms,
-                p.current_sensor.offset,
-                p.current_sensor.gain_error,
-                p.current_sensor.range,
-                p.current_sensor.bits,
-            ),
-            tick_firmware.Params(
-                bank.make_params(p.clock.tick_hz, p.clock.pwm_hz, **{name: drive[name] for name in bank.PARAMETERS}),
-                current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current R_s_hat L_s_hat psi_f_hat")),
-                speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed k_i_speed i_max alpha_m_max")),
-                dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat dead_time_comp")),
-                shaft_encoder,
+
+
+_advance = settled(tick.advance)
+
+
+def _make(p: BenchParams, drive: Mapping[str, float]) -> tick.Params:
+    """The kernels' constants for a bench whose firmware has the parameters `drive`."""
+    firmware = p.firmware
+    period = 1.0 / p.clock.pwm_hz
+    shaft_encoder = encoder.make_params(
+        p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, period
+    )
+    return tick.Params(
+        integrator.Params(
+            pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p),
+            inverter.make_params(
+                p.inverter.u_dc,
+                p.inverter.dead_time,
+                p.inverter.u_device,
+                p.inverter.i_smooth,
+                p.inverter.u_diode,
                 period,
-                drive["n_p"],
-                int(drive["observer"]),
-                firmware.protection.i_trip,
-                firmware.protection.omega_m_trip * drive["n_p"],
-                firmware.protection.u_dc_min,
-                firmware.protection.u_dc_max,
-                max(1, round(firmware.protection.hall_fault_time * p.clock.pwm_hz)),
             ),
-            p.clock.period_ticks,
-            p.clock.substeps,
-            period / p.clock.substeps,
-        )
+            mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
+        ),
+        hall_sensor.make_params(p.hall.delta_deg, p.hall.hysteresis_deg, p.hall.jitter_deg),
+        current_sensor.make_params(
+            p.current_sensor.noise_rms,
+            p.current_sensor.offset,
+            p.current_sensor.gain_error,
+            p.current_sensor.range,
+            p.current_sensor.bits,
+        ),
+        tick_firmware.Params(
+            bank.make_params(p.clock.tick_hz, p.clock.pwm_hz, exact_inverse=True, **_some(drive, *bank.PARAMETERS)),
+            current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
+            speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
+            dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),
+            shaft_encoder,
+            period,
+            drive["n_p"],
+            int(drive["observer"]),
+            firmware.protection.i_trip,
+            firmware.protection.omega_m_trip * drive["n_p"],
+            firmware.protection.u_dc_min,
+            firmware.protection.u_dc_max,
+            max(1, round(firmware.protection.hall_fault_time * p.clock.pwm_hz)),
+        ),
+        p.clock.period_ticks,
+        p.clock.substeps,
+        period / p.clock.substeps,
+    )
 
 
-def _some(values: dict[str, float], names: str) -> dict[str, float]:
-    return {name: values[name] for name in names.split()}
+def _some(values: Mapping[str, float], *names: str) -> dict[str, float]:
+    return {name: values[name] for name in names}
 
 
 def _f32(value: float) -> float:
     return float(np.float32(value))
-
-
-def _illegal(old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where an edge leads to 000 or 111, or changes more than one sensor."""
-    changed = old ^ new
-    return (new == 0) | (new == 7) | (changed & (changed - 1) != 0)

@@ -27,6 +27,7 @@ from sim.drive.tick_record import (
     PER_UNIT,
     angle,
     clipped,
+    edge_codes,
     quantised,
     quantised_u16,
 )
@@ -78,14 +79,13 @@ class State(NamedTuple):
 
 
 class Arrays(NamedTuple):
-    """Where results go; edges have `edge_tick.shape[0]` places."""
+    """Where results go: n samples, and edges as far as there are places."""
 
-    samples: NDArray[np.void]
-    load_samples: NDArray[np.void]
-    edge_tick: NDArray[np.int64]
-    edge_old: NDArray[np.uint8]
-    edge_new: NDArray[np.uint8]
-    edge_encoder: NDArray[np.uint16]
+    samples: NDArray[np.void]  # SAMPLE_DTYPE
+    load_samples: NDArray[np.void]  # LOAD_DTYPE
+    edges: NDArray[np.void]  # EDGE_RECORD
+    edge_tick: NDArray[np.int64]  # the same edges for the observers
+    edge_hall: NDArray[np.uint8]
     log: NDArray[np.float64]  # shape (n, len(LOG_FIELDS)), or (0, ...) for none
 
 
@@ -147,11 +147,17 @@ def _edges(
         step_ticks = params.period_ticks / params.substeps
         late = math.floor(x * step_ticks - offset) + 1
         rng = noise.advance(rng)
-        arrays.edge_tick[m] = tick + min(late, 0)
-        arrays.edge_old[m] = hall_sensor.code(hall.number)
+        captured = tick + min(late, 0)
+        old = hall_sensor.code(hall.number)
         hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
-        arrays.edge_new[m] = hall_sensor.code(hall.number)
-        arrays.edge_encoder[m] = encoder.count(params.firmware.encoder, theta)
+        new = hall_sensor.code(hall.number)
+        arrays.edge_tick[m] = captured
+        arrays.edge_hall[m] = new
+        row = arrays.edges[m]
+        row["tick"] = captured & 0xFFFFFFFF
+        row["codes"] = edge_codes(old, new)
+        row["flags"] = 0
+        row["encoder"] = encoder.count(params.firmware.encoder, theta)
         m += 1
     return hall, m, rng
 
@@ -225,6 +231,7 @@ def _silenced(firmware: tick_firmware.State) -> tick_firmware.State:
         off,
         off,
         firmware.illegal,
+        firmware.causes,
         firmware.faults,
     )
 
@@ -244,6 +251,7 @@ def _with_bank(firmware: tick_firmware.State) -> tick_firmware.State:
         firmware.now,
         firmware.next,
         firmware.illegal,
+        firmware.causes,
         firmware.faults,
     )
 
@@ -279,7 +287,7 @@ def advance(
         if reset:
             before = _with_bank(before)
         firmware, result = tick_firmware.step(
-            params.firmware, before, command.drive, sensed, arrays.edge_tick, arrays.edge_new, first, m
+            params.firmware, before, command.drive, sensed, arrays.edge_tick, arrays.edge_hall, first, m
         )
 
         estimate = result.estimate
@@ -292,37 +300,37 @@ def advance(
         tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta)
         tau_load = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, state.alpha_m)
         row = arrays.samples[j]
-        row.hall = sensed.hall
-        row.status = status
-        row.theta_enc = angle(encoder.angle(params.firmware.encoder, sensed.counter))
-        row.omega_enc = clipped(result.omega_enc * PER_RAD_PER_S)
-        row.i_a = clipped(sensed.i_a * PER_UNIT)
-        row.i_b = clipped(sensed.i_b * PER_UNIT)
-        row.i_c = clipped(sensed.i_c * PER_UNIT)
-        row.u_alpha = clipped(before.now.u_alpha * PER_UNIT)
-        row.u_beta = clipped(before.now.u_beta * PER_UNIT)
-        row.u_dc = np.uint16(sensed.u_dc * PER_UNIT)
-        row.i_d = clipped(result.i_d * PER_UNIT)
-        row.i_q = clipped(result.i_q * PER_UNIT)
-        row.i_d_ref = clipped(before.i_d_ref * PER_UNIT)
-        row.i_q_ref = clipped(before.i_q_ref * PER_UNIT)
-        row.omega_ref = clipped(result.omega_ref * PER_RAD_PER_S)
-        row.theta_avg = angle(estimate.theta_avg)
-        row.omega_avg = clipped(estimate.omega_avg * PER_RAD_PER_S)
-        row.theta_vt = angle(estimate.theta_vt)
-        row.omega_vt = clipped(estimate.omega_vt * PER_RAD_PER_S)
-        row.delta_hat = angle(estimate.delta_hat)
-        row.e_alpha = clipped(estimate.e_alpha * PER_UNIT)
-        row.e_beta = clipped(estimate.e_beta * PER_UNIT)
-        row.theta_true = angle(plant.theta_e)
-        row.omega_true = clipped(n_p * plant.omega_m * PER_RAD_PER_S)
-        row.tau_e_true = clipped(tau_e * PER_NM)
-        row.tau_load_true = clipped(tau_load * PER_NM)
+        row["hall"] = sensed.hall
+        row["status"] = status
+        row["theta_enc"] = angle(encoder.angle(params.firmware.encoder, sensed.counter))
+        row["omega_enc"] = clipped(result.omega_enc * PER_RAD_PER_S)
+        row["i_a"] = clipped(sensed.i_a * PER_UNIT)
+        row["i_b"] = clipped(sensed.i_b * PER_UNIT)
+        row["i_c"] = clipped(sensed.i_c * PER_UNIT)
+        row["u_alpha"] = clipped(before.now.u_alpha * PER_UNIT)
+        row["u_beta"] = clipped(before.now.u_beta * PER_UNIT)
+        row["u_dc"] = np.uint16(sensed.u_dc * PER_UNIT)
+        row["i_d"] = clipped(result.i_d * PER_UNIT)
+        row["i_q"] = clipped(result.i_q * PER_UNIT)
+        row["i_d_ref"] = clipped(before.i_d_ref * PER_UNIT)
+        row["i_q_ref"] = clipped(before.i_q_ref * PER_UNIT)
+        row["omega_ref"] = clipped(result.omega_ref * PER_RAD_PER_S)
+        row["theta_avg"] = angle(estimate.theta_avg)
+        row["omega_avg"] = clipped(estimate.omega_avg * PER_RAD_PER_S)
+        row["theta_vt"] = angle(estimate.theta_vt)
+        row["omega_vt"] = clipped(estimate.omega_vt * PER_RAD_PER_S)
+        row["delta_hat"] = angle(estimate.delta_hat)
+        row["e_alpha"] = clipped(estimate.e_alpha * PER_UNIT)
+        row["e_beta"] = clipped(estimate.e_beta * PER_UNIT)
+        row["theta_true"] = angle(plant.theta_e)
+        row["omega_true"] = clipped(n_p * plant.omega_m * PER_RAD_PER_S)
+        row["tau_e_true"] = clipped(tau_e * PER_NM)
+        row["tau_load_true"] = clipped(tau_load * PER_NM)
 
         load_row = arrays.load_samples[j]
-        load_row.omega_m = plant.omega_m
-        load_row.tau_load = tau_load
-        load_row.status = command.load_state
+        load_row["omega_m"] = plant.omega_m
+        load_row["tau_load"] = tau_load
+        load_row["status"] = command.load_state
 
         if j < arrays.log.shape[0]:
             log = arrays.log[j]

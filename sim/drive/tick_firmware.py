@@ -1,9 +1,10 @@
 """The drive's firmware: what it does at each sample, from measured values to duties.
 
-Voltages and duties that are computed from the sample at k are in force from k + 1 to k + 2. All three angle sources are
-followed all the time; the control uses one, and changes over without a bump.
+Voltages and duties that are computed from the sample at k are in force from k + 1 to k + 2. All three angle
+sources are followed all the time; the control uses one, and changes over without a bump.
 
-It sees sensors only: rounded currents, Hall codes and edges, encoder counts, the DC link voltage. Never the plant.
+It sees sensors only: rounded currents, Hall codes and edges, encoder counts, the DC link voltage. Never the
+plant.
 """
 
 from __future__ import annotations
@@ -91,12 +92,13 @@ class State(NamedTuple):
     current: current_loop.State
     speed: speed_loop.State
     source: int  # of the last sample
-    mode: int  # of the last sample, 0: outputs off
+    mode: int  # SetpointMode at the last sample, 0: none
     i_d_ref: float  # in force since the last sample, A
     i_q_ref: float
     now: Output  # in force since the last sample
     next: Output  # in force from the coming sample on
     illegal: int  # periods in a row with an illegal Hall code
+    causes: int  # Fault bits whose cause is there now
     faults: int  # latched Fault bits
 
 
@@ -132,12 +134,13 @@ def init(counter: int) -> State:
         output_off(),
         0,
         0,
+        0,
     )
 
 
 @kernel
-def causes(params: Params, sensed: Sensed, omega_enc: float, illegal: int) -> int:
-    """The fault bits whose cause is there now."""
+def fault_causes(params: Params, sensed: Sensed, omega_enc: float, illegal: int) -> int:
+    """The Fault bits whose cause is there now."""
     bits = 0
     if max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)) > params.i_trip:
         bits |= OVERCURRENT
@@ -215,7 +218,8 @@ def step(
     first: int,
     last: int,
 ) -> tuple[State, Result]:
-    """One control period: observers with the edges [first, last) of the arrays, protection, loops, modulation.
+    """One control period: observers with the edges [first, last) of the arrays, protection, loops,
+    modulation.
 
     On return `state.now` is what is in force until the next sample.
     """
@@ -239,9 +243,10 @@ def step(
     theta, omega = _angle(params, params.source, sensed, omega_enc, estimate)
 
     illegal = state.illegal + 1 if sensed.hall == 0 or sensed.hall == 7 else 0
+    causes = fault_causes(params, sensed, omega_enc, illegal)
     faults = state.faults
     if command.state == ARMED or command.state == RUNNING:
-        faults |= causes(params, sensed, omega_enc, illegal)
+        faults |= causes
 
     i_alpha, i_beta = clarke(sensed.i_a, sensed.i_b, sensed.i_c)
     cos = math.cos(theta)
@@ -257,7 +262,7 @@ def step(
     output = output_off()
     if command.state == RUNNING and faults == 0:
         mode = command.mode
-        if state.source != params.source and state.mode != 0:
+        if state.source != params.source and state.next.on:
             theta_old, omega_old = _angle(params, state.source, sensed, omega_enc, estimate)
             current, speed = _change_over(params, current, speed, theta_old, omega_old, theta, omega)
         if mode == MODE_SPEED:
@@ -293,6 +298,7 @@ def step(
         now,
         output,
         illegal,
+        causes,
         faults,
     )
     return after, Result(estimate, omega_enc, i_d, i_q, omega_ref)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from protocol.signals import ANGLE, DRIVE_CHANNELS, LOAD_CHANNELS, MILLI, SPEED
+from protocol.streams import EDGE_ILLEGAL
 from sim.numba_cache import kernel
 
 SAMPLE_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in DRIVE_CHANNELS])
@@ -44,3 +45,11 @@ def quantised(value: float) -> float:
 def quantised_u16(value: float) -> float:
     """The same for the DC link voltage, within a u16."""
     return float(min(max(np.rint(value * PER_UNIT), 0.0), 65535.0)) * MILLI
+
+
+@kernel
+def edge_codes(old: int, new: int) -> int:
+    """The field `codes` of an EDGE_RECORD for an edge between two Hall codes."""
+    changed = old ^ new
+    illegal = new == 0 or new == 7 or changed & (changed - 1) != 0
+    return old | new << 3 | (EDGE_ILLEGAL if illegal else 0)

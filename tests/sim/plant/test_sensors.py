@@ -10,7 +10,7 @@ from sim.plant import current_sensor, encoder, hall_sensor, noise
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
 QUANTILES = noise.table()
-RNG = noise.advance(noise.seeded(1))
+RNG = np.uint64(noise.advance(noise.seeded(1)))
 CODES = {0: 0b001, 1: 0b011, 2: 0b010, 3: 0b110, 4: 0b100, 5: 0b101}
 
 
@@ -43,7 +43,7 @@ def test_jitter_has_its_rms_and_no_edge_is_met_twice():
     rng = RNG
     below, above = [], []
     for _ in range(4000):
-        rng = noise.advance(rng)
+        rng = np.uint64(noise.advance(rng))
         state = hall_sensor.enter(params, 0, math.radians(30.0), QUANTILES, rng)
         below.append(math.degrees(state.below))
         above.append(math.degrees(state.above) - 60.0)
@@ -109,7 +109,7 @@ def test_noise_is_normal_repeatable_and_seeded():
     def draw(seed, n=20000):
         rng, values = noise.seeded(seed), []
         for _ in range(n):
-            rng = noise.advance(rng)
+            rng = np.uint64(noise.advance(rng))
             values.append([f(QUANTILES, rng) for f in (noise.first, noise.second, noise.third)])
         return np.array(values)
 
