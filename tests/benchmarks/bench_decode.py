@@ -1,18 +1,14 @@
 """Decoding speed: bytes from a link -> frames -> CRC -> numpy columns, on one core.
 
-`python tests/benchmarks/bench_decode.py` prints a table. The goal is 5 M samples/s of 32 bytes.
+`python -m tests.benchmarks decode`. The goal is 5 M samples/s of 32 bytes.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from protocol.descriptor import Descriptor
 from protocol.device_app import Identity
@@ -22,6 +18,7 @@ from protocol.host import HostSession, StreamFrames
 from protocol.messages import Role, StreamEvent, StreamSet
 from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit
 from protocol.streams import SampleDecoder, StreamConfig
+from tests.benchmarks.table import Row
 
 GOAL = 5e6  # samples/s of 32 bytes
 TICKS = 1250
@@ -29,10 +26,8 @@ TICKS = 1250
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One row of the table. Rates in samples/s; `columns` includes every channel in float64."""
+    """Rates in samples/s; `columns` includes every channel in float64."""
 
-    name: str
-    sample_bytes: int
     decode: float
     columns: float
     encode: float
@@ -43,7 +38,7 @@ def i16_channels(n: int) -> tuple[Signal, ...]:
     return tuple(Signal(k + 1, f"x{k}", Unit.A, RawType.I16, 1 / 1024, Flag.CHANNEL, "") for k in range(n))
 
 
-def measure(name: str, channels: tuple[Signal, ...], n: int = 500_000, read: int = 65_536, repeat: int = 3) -> Result:
+def measure(channels: tuple[Signal, ...], n: int = 500_000, read: int = 65_536, repeat: int = 3) -> Result:
     """Time n samples of all channels, read in pieces of `read` bytes; the best of `repeat` runs."""
     identity = Identity(1, Role.DRIVE, "bench", "0", boot_id=1)
     descriptor = Descriptor.of(channels, ())
@@ -84,22 +79,21 @@ def measure(name: str, channels: tuple[Signal, ...], n: int = 500_000, read: int
         assert (joined == raw).all()
         assert decoder.counters.lost_by_index == decoder.counters.lost_by_seq == 0
         assert host.counters.framing.bad == 0
-    return Result(name, descriptor.dtype.itemsize, n / decode, n / (decode + columns), n / encode)
+    return Result(n / decode, n / (decode + columns), n / encode)
 
 
-def run() -> list[Result]:
-    """Return the rows of the table."""
+def rows() -> list[Row]:
+    """The figures, in M samples/s on one core."""
     return [
-        measure("16 x i16, reads of 64 KiB", i16_channels(16)),
-        measure("16 x i16, reads of 8 KiB", i16_channels(16), read=8192),
-        measure("all channels of the drive", DRIVE_CHANNELS),
-    ]
-
-
-if __name__ == "__main__":
-    print(f"{'':28} {'bytes':>5} {'decode':>12} {'of goal':>8} {'+ columns':>12} {'device side':>12}   M samples/s")
-    for row in run():
-        print(
-            f"{row.name:28} {row.sample_bytes:5} {row.decode / 1e6:12.2f} {row.decode / GOAL:7.1f}x"
-            f" {row.columns / 1e6:12.2f} {row.encode / 1e6:12.2f}"
+        row
+        for name, result, goal in (
+            ("32 B samples, reads of 64 KiB", measure(i16_channels(16)), GOAL / 1e6),
+            ("32 B samples, reads of 8 KiB", measure(i16_channels(16), read=8192), GOAL / 1e6),
+            ("all channels of the drive", measure(DRIVE_CHANNELS), None),
         )
+        for row in (
+            Row(f"{name}: decode", result.decode / 1e6, "M samples/s", goal),
+            Row(f"{name}: with every column in SI", result.columns / 1e6, "M samples/s"),
+            Row(f"{name}: device side", result.encode / 1e6, "M samples/s"),
+        )
+    ]

@@ -1,0 +1,35 @@
+"""`python -m tests.benchmarks [PART …] [--seconds S]`: every figure beside its goal, as a ratio."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+
+from tests.benchmarks import bench_decode, bench_live, bench_sim, bench_start
+from tests.benchmarks.table import show
+
+PARTS = {
+    "decode": ("Decode: bytes to numpy columns, CRC checked", lambda seconds: bench_decode.rows()),
+    "sim": ("Simulated drive in virtual time", lambda seconds: bench_sim.rows()),
+    "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),
+    "start": ("Start-up, caches warm", lambda seconds: bench_start.rows()),
+}
+
+
+def main() -> None:
+    """Run the parts that were asked for, all by default."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the live run")
+    given = parser.parse_args()
+    print(f"Python {platform.python_version()}, {os.cpu_count()} cores")
+    reached = True
+    for name in given.parts or PARTS:
+        title, rows = PARTS[name]
+        reached &= show(title, rows(given.seconds))
+    print("\nevery goal reached" if reached else "\nsome goals were MISSED")
+
+
+if __name__ == "__main__":
+    main()
