@@ -11,9 +11,9 @@ What the paper leaves open, and how it is settled here:
   direction is that of omega_h when the correction starts; from then on it is the sign of the filtered speed
   that the back-EMF shows along the estimate, with hysteresis, so that a rotor that turns back between two
   edges is followed. While the two disagree omega_h is stale and is not fed forward.
-- (6) takes omega_h, and tau = min(tau_max, 1/|omega_h|). The gain and phase of the sampled filter y += a (x
-  - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a; the paper's 1 + j tau omega, the
-  inverse of the continuous filter, leaves a bias that grows with speed (`exact_inverse` = 0).
+- (6) takes omega_h, and tau = min(tau_max, 1/|omega_h|). The gain and phase of the sampled filter
+  y += a (x - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a; the paper's 1 + j tau omega,
+  the inverse of the continuous filter, leaves a bias that grows with speed (`exact_inverse` = 0).
 - (7): below the back-EMF of `omega_on` the vector is not stretched to full length: noise would be.
 - Around zero speed the correction is off: it starts at an edge with |omega_h| >= omega_on, from that edge's
   angle, and stops once |omega_h| < omega_off. It is off as well while the reference voltage is exactly
