@@ -1,8 +1,8 @@
 """The simulated bench in real time behind a port: `serve` is what `bench sim` and `python -m sim` run.
 
-The server keeps the device in step with the clock, in portions of a few milliseconds, and moves bytes between it and
-its port. It never blocks on the port and never sprints: what it cannot catch up within `MAX_BEHIND` it skips and
-counts, while the device's own ticks go on without a gap.
+The server keeps the device in step with the clock, in portions of a few milliseconds, and moves bytes between it
+and its port. It never blocks on the port and never sprints: what it cannot catch up within `MAX_BEHIND` it skips
+and counts, while the device's own ticks go on without a gap.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from protocol.links.target import split_host_port
+from protocol.links.target import MAX_BAUD, MIN_BAUD, split_host_port
 from sim import numba_cache
 from sim.drive.ports import Port, PtyPort, TcpPort
 from sim.drive.uart import BITS_PER_CHARACTER, Pacer
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 STEP = 0.005  # s between portions
 MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
 TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
+MIN_TX_BYTES = 1 << 13
 _WRITE = 1 << 15
 
 CONTROLS = """test aids:
@@ -54,7 +55,7 @@ class ServeOptions:
     config: Path | None = None
     overrides: Mapping[str, Value] = field(default_factory=dict)
     seed: int | None = None
-    """Of noise, jitter and boot_id; None = another one each time."""
+    """Of noise and jitter; None = another one each time."""
     store: Path | None = None
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
     exit_with_parent: bool = False
@@ -170,7 +171,7 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
     try:
         tell(f"target: {port.target}")
         if not numba_cache.is_warm():
-            tell("compiling the simulation (once, about half a minute) ...")
+            tell("compiling the simulation (once, some ten seconds) ...")
         device = _make_device(params, options, tell)
         channels = sum(len(session.app.channels) for session in device.sessions[:1])
         tell(
@@ -228,6 +229,8 @@ def _signals() -> Iterator[set[int]]:
 
 
 def _make_port(options: ServeOptions) -> Port:
+    if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
+        raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
     if options.tcp is None:
         return PtyPort(options.link, options.baud)
     if options.link is not None or options.baud is not None:
@@ -236,14 +239,24 @@ def _make_port(options: ServeOptions) -> Port:
 
 
 def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
-    from sim.drive.device import SimulatedDevice  # numba: after the target is printed
+    from sim.drive.device import SimulatedDevice, random_boot_id  # numba: after the target is printed
 
     capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
-    seed = int.from_bytes(os.urandom(4), "little") if options.seed is None else options.seed
-    device = SimulatedDevice(params, seed, store=options.store, tx_bytes=TX_BYTES, capacity=capacity, notice=tell)
-    SimulatedDevice(params, seed).advance(1)  # compiles, or loads what was compiled
+    device = SimulatedDevice(
+        params,
+        random_boot_id() if options.seed is None else options.seed,
+        boot_id=random_boot_id(),
+        store=options.store,
+        tx_bytes=TX_BYTES if capacity is None else min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity))),
+        capacity=capacity,
+        notice=tell,
+    )
+    SimulatedDevice(params).advance(1)  # compiles, or loads what was compiled
     return device
 
 
 def _print(line: str) -> None:
-    print(line, flush=True)
+    try:
+        print(line, flush=True)
+    except BrokenPipeError:  # whoever read this has gone: nothing else may fail for it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,183 @@
+"""The two devices of the simulated bench as their sessions see them: the drive and the load machine.
+
+Each checks what the host asks against its limits and passes it on to the `SimulatedBench`; neither knows frames or
+time.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from protocol.errors import Refused
+from protocol.messages import DriveState, ErrorCode, Fault, SetpointMode
+from protocol.signals import (
+    DRIVE_CHANNELS,
+    DRIVE_PARAMETERS,
+    LOAD_CHANNELS,
+    LOAD_PARAMETERS,
+    Parameter,
+    Signal,
+)
+from sim.drive.machine import SimulatedBench
+from sim.params import ConfigError
+
+
+class DriveApp:
+    """The drive (a `protocol.device_app.DeviceApp`).
+
+    Args:
+        store: file that keeps the parameters over a boot; they are read from it now and written by `commit`.
+
+    Raises:
+        ConfigError: the store holds something else than this drive's parameters.
+    """
+
+    def __init__(self, bench: SimulatedBench, store: Path | None = None) -> None:
+        self._bench = bench
+        self._defaults = dict(bench.parameters)
+        self._store = store
+        if store is not None and store.exists():
+            for name, value in _read_store(store).items():
+                bench.set_param(name, value)
+
+    @property
+    def channels(self) -> Sequence[Signal]:
+        """See `DeviceApp`."""
+        return DRIVE_CHANNELS
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """See `DeviceApp`."""
+        return DRIVE_PARAMETERS
+
+    @property
+    def outputs_on(self) -> bool:
+        """See `DeviceApp`."""
+        return self._bench.outputs_on
+
+    def enter_state(self, state: DriveState) -> None:
+        """See `DeviceApp`."""
+        self._bench.enter_state(state)
+
+    def clear_faults(self, faults: Fault) -> Fault:
+        """See `DeviceApp`; a fault whose cause is still there comes back with the next ARM."""
+        self._bench.clear_faults()
+        return Fault(0)
+
+    def setpoint(self, mode: SetpointMode, value: float, value2: float) -> None:
+        """SPEED (mechanical rad/s) up to `omega_m_max`, CURRENT (i_q, i_d in A) up to `i_max` together."""
+        if mode is SetpointMode.SPEED:
+            _limit("speed", abs(value), self.get_param("omega_m_max"))
+        elif mode is SetpointMode.CURRENT:
+            _limit("current", math.hypot(value, value2), self.get_param("i_max"))
+        else:
+            raise Refused(f"a drive has no setpoint {mode.name}", ErrorCode.BAD_VALUE, mode)
+        self._bench.setpoint(mode, value, value2)
+
+    def get_param(self, name: str) -> float:
+        """See `DeviceApp`."""
+        return self._bench.get_param(name)
+
+    def default_param(self, name: str) -> float:
+        """See `DeviceApp`."""
+        return self._defaults[name]
+
+    def set_param(self, name: str, value: float) -> None:
+        """See `DeviceApp`."""
+        self._bench.set_param(name, value)
+
+    def commit(self) -> None:
+        """Write the store, whole or not at all."""
+        if self._store is None:
+            raise Refused("this drive has no store", ErrorCode.NOT_SUPPORTED)
+        new = self._store.with_name(self._store.name + ".new")
+        try:
+            new.write_text(json.dumps(self._bench.parameters, indent=1) + "\n")
+            os.replace(new, self._store)
+        except OSError as error:
+            raise Refused(f"cannot write {self._store}: {error.strerror}", ErrorCode.STORE_FAILED) from None
+
+
+class LoadApp:
+    """The load machine on the drive's shaft (a `protocol.device_app.DeviceApp`)."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        self._bench = bench
+        self._defaults = dict(bench.load_parameters)
+        self._running = False
+
+    @property
+    def channels(self) -> Sequence[Signal]:
+        """See `DeviceApp`."""
+        return LOAD_CHANNELS
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """See `DeviceApp`."""
+        return LOAD_PARAMETERS
+
+    @property
+    def outputs_on(self) -> bool:
+        """See `DeviceApp`."""
+        return self._running
+
+    def enter_state(self, state: DriveState) -> None:
+        """See `DeviceApp`."""
+        self._running = state is DriveState.RUNNING
+        self._bench.load_enter_state(state)
+
+    def clear_faults(self, faults: Fault) -> Fault:
+        """See `DeviceApp`."""
+        return Fault(0)
+
+    def setpoint(self, mode: SetpointMode, value: float, value2: float) -> None:
+        """TORQUE (N·m against the positive direction) up to `tau_max`, SPEED (forced, mechanical rad/s)."""
+        if mode is SetpointMode.TORQUE:
+            _limit("torque", abs(value), self.get_param("tau_max"))
+        elif mode is SetpointMode.SPEED:
+            _limit("speed", abs(value), self.get_param("omega_m_max"))
+        else:
+            raise Refused(f"a load machine has no setpoint {mode.name}", ErrorCode.BAD_VALUE, mode)
+        self._bench.load_setpoint(mode, value)
+
+    def get_param(self, name: str) -> float:
+        """See `DeviceApp`."""
+        return self._bench.load_parameters[name]
+
+    def default_param(self, name: str) -> float:
+        """See `DeviceApp`."""
+        return self._defaults[name]
+
+    def set_param(self, name: str, value: float) -> None:
+        """See `DeviceApp`."""
+        self._bench.load_parameters[name] = value
+
+    def commit(self) -> None:
+        """Refused: the load machine keeps nothing."""
+        raise Refused("the load machine has no store", ErrorCode.NOT_SUPPORTED)
+
+
+def _limit(what: str, size: float, limit: float) -> None:
+    if size > limit:
+        raise Refused(f"{what} {size:g} is above {limit:g}", ErrorCode.OUT_OF_RANGE, limit)
+
+
+def _read_store(path: Path) -> dict[str, float]:
+    try:
+        stored = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read the parameters in {path}: {error}; remove the file") from None
+    known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
+    if not isinstance(stored, dict):
+        raise ConfigError(f"{path} holds no parameters; remove the file")
+    for name, value in stored.items():
+        if name not in known:
+            raise ConfigError(f"unknown parameter {name} in {path}; remove the file")
+        lo, hi = known[name].lo, known[name].hi
+        if isinstance(value, bool) or not isinstance(value, int | float) or not lo <= value <= hi:
+            raise ConfigError(f"{name} must be between {lo:g} and {hi:g}, got {value!r} in {path}")
+    return stored

@@ -1,0 +1,329 @@
+"""The simulated bench behind its link: identity, parameters, states, watchdog to the millisecond, faults, store."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_host import SmallHost
+
+from protocol.errors import Refused
+from protocol.messages import (
+    Alive,
+    Command,
+    DriveState,
+    ErrorCode,
+    EventCode,
+    Fault,
+    Feature,
+    ParamCommit,
+    Role,
+    SetpointMode,
+)
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS
+from sim.drive.device import SimulatedDevice
+from sim.drive.virtual import VirtualLink
+from sim.params import BenchParams, ConfigError, load_params
+
+PARAMS = load_params()
+
+
+def make(params: BenchParams = PARAMS, **arguments: object) -> tuple[SmallHost, SimulatedDevice]:
+    device = SimulatedDevice(params, **arguments)  # type: ignore[arg-type]
+    return SmallHost(VirtualLink(device, step=0.002)), device
+
+
+def code(caught: pytest.ExceptionInfo[Refused]) -> tuple[ErrorCode, float]:
+    return ErrorCode(caught.value.code), caught.value.detail
+
+
+def test_both_nodes_say_who_they_are() -> None:
+    host, _ = make()
+    drive, load = host.connect(), host.connect(node=2)
+    assert (drive.node, drive.role, drive.name) == (1, Role.DRIVE, "simulated drive")
+    assert (load.node, load.role, load.name) == (2, Role.LOAD, "load machine")
+    assert drive.firmware == load.firmware == "hallbench-sim"
+    assert drive.nodes == load.nodes == 2
+    assert drive.boot_id == load.boot_id
+    assert (drive.tick_hz, drive.pwm_hz, drive.ticks_per_period) == (20_000_000, 16_000, 1250)
+    assert drive.features == Feature.EDGES | Feature.SIMULATED
+    assert load.features == Feature.SIMULATED
+    assert drive.state is DriveState.IDLE
+
+
+def test_boot_id_follows_the_seed() -> None:
+    ids = [make(seed=seed)[0].connect().boot_id for seed in (1, 1, 2)]
+    assert ids[0] == ids[1] != ids[2]
+    assert make(boot_id=77)[0].connect().boot_id == 77
+
+
+def test_descriptors_are_the_signal_tables() -> None:
+    host, _ = make()
+    for node, channels, parameters in (
+        (1, DRIVE_CHANNELS, DRIVE_PARAMETERS),
+        (2, LOAD_CHANNELS, LOAD_PARAMETERS),
+    ):
+        descriptor = host.descriptor(node)
+        assert [c.name for c in descriptor.channels] == [c.name for c in channels]
+        assert [p.name for p in descriptor.parameters] == [p.name for p in parameters]
+        assert host.connect(node=node).schema_crc == descriptor.crc
+
+
+def test_parameters_are_those_of_the_configuration_as_float32() -> None:
+    host, device = make(load_params(None, {"firmware.vector_tracking.k_p_vt": 1000.1}))
+    reply = host.get("k_p_vt")
+    assert reply.value == reply.default == float(np.float32(1000.1))
+    assert host.set("k_p_vt", 900.1) == float(np.float32(900.1)) == device.bench.get_param("k_p_vt")
+    assert host.get("k_p_vt").default == reply.value
+    assert host.set("tau_max", 0.5, node=2) == 0.5
+    assert host.get("tau_max", node=2).value == 0.5
+
+
+@pytest.mark.parametrize("name", [parameter.name for parameter in DRIVE_PARAMETERS])
+def test_every_parameter_of_the_drive_takes_its_limits(name: str) -> None:
+    host, device = make()
+    reply = host.get(name)
+    for value in (reply.lo, reply.hi, reply.default):
+        assert host.set(name, value) == value
+        device.advance(2)
+
+
+def test_arm_start_turn_and_stop() -> None:
+    host, device = make()
+    host.start()
+    assert device.bench.outputs_on
+    host.setpoint(SetpointMode.SPEED, 20.0)
+    host.run(0.4)
+    assert device.bench.truth.omega_m == pytest.approx(20.0, abs=1.0)
+    assert host.heartbeats[1].outputs_on
+    assert host.heartbeats[1].state is DriveState.RUNNING
+    assert host.command(Command.STOP) is DriveState.IDLE
+    assert not device.bench.outputs_on
+
+
+@pytest.mark.parametrize("node", [1, 2])
+def test_watchdog_switches_off_to_the_millisecond(node: int) -> None:
+    lines: list[str] = []
+    device = SimulatedDevice(PARAMS, notice=lines.append)
+    host = SmallHost(VirtualLink(device))
+    host.start(node)
+    session = device.sessions[node - 1]
+    host.session.send(Alive(1), node)
+    host.link.write(host.session.data_to_send())
+    fed = device.tick
+    device.advance(round(0.199 * 16000))
+    assert session.state is DriveState.RUNNING
+    device.advance(round(0.005 * 16000))
+    assert session.state is DriveState.FAULT
+    assert session.machine.faults is Fault.WATCHDOG
+    assert not session.app.outputs_on
+    assert lines[-1].startswith("outputs off 20")
+    assert "watchdog" in lines[-1]
+    assert 0.2 <= float(lines[-1].split()[2]) / 1000 <= 0.202
+    assert device.tick - fed < 0.205 * 20e6
+
+
+def test_watchdog_is_on_time_in_one_long_advance() -> None:
+    host, device = make()
+    host.stream(["status"], edges=False)
+    host.start()
+    host.alive()
+    host.link.write(host.session.data_to_send())
+    start = device.periods
+    device.advance(16000)
+    host.poll()
+    status = np.concatenate([chunk.raw["status"] & 7 for chunk in host.samples[1, 0]])
+    index = np.concatenate([chunk.index for chunk in host.samples[1, 0]])
+    off = int(index[np.argmax(status == DriveState.FAULT)]) - start
+    assert 0.200 * 16000 <= off <= 0.202 * 16000
+
+
+def test_arm_lapses() -> None:
+    host, device = make()
+    hello = host.connect()
+    host.command(Command.ARM, hello.boot_id)
+    host.run(5.1)
+    assert device.drive.state is DriveState.IDLE
+    assert (EventCode.ARM_LAPSED, 5.0) in host.codes()
+
+
+@pytest.mark.parametrize(
+    ("node", "mode", "value", "value2", "expected"),
+    [
+        (1, SetpointMode.SPEED, -331.0, 0.0, ErrorCode.OUT_OF_RANGE),
+        (1, SetpointMode.SPEED, 331.0, 0.0, ErrorCode.OUT_OF_RANGE),
+        (1, SetpointMode.CURRENT, 8.1, 0.0, ErrorCode.OUT_OF_RANGE),
+        (1, SetpointMode.CURRENT, 6.0, -6.0, ErrorCode.OUT_OF_RANGE),
+        (1, SetpointMode.CURRENT, math.nan, 0.0, ErrorCode.BAD_VALUE),
+        (1, SetpointMode.TORQUE, 0.1, 0.0, ErrorCode.BAD_VALUE),
+        (2, SetpointMode.TORQUE, 1.1, 0.0, ErrorCode.OUT_OF_RANGE),
+        (2, SetpointMode.SPEED, 351.0, 0.0, ErrorCode.OUT_OF_RANGE),
+        (2, SetpointMode.CURRENT, 1.0, 0.0, ErrorCode.BAD_VALUE),
+    ],
+)
+def test_setpoints_out_of_limits_change_nothing(
+    node: int, mode: SetpointMode, value: float, value2: float, expected: ErrorCode
+) -> None:
+    host, device = make()
+    host.start(node)
+    before = (device.bench._drive, device.bench._load)
+    host.setpoint(mode, value, value2, node)
+    host.run(0.15)
+    assert (device.bench._drive, device.bench._load) == before
+    assert (EventCode.SETPOINT_REJECTED, float(expected)) in host.codes(node)
+    assert host.heartbeats[node].setpoints_rejected == 1
+
+
+@pytest.mark.parametrize(
+    ("node", "mode", "value", "value2"),
+    [
+        (1, SetpointMode.SPEED, 330.0, 0.0),
+        (1, SetpointMode.CURRENT, 8.0, 0.0),
+        (1, SetpointMode.CURRENT, 0.0, -8.0),
+        (2, SetpointMode.TORQUE, -1.0, 0.0),
+        (2, SetpointMode.SPEED, 350.0, 0.0),
+    ],
+)
+def test_setpoints_at_the_limits_are_taken(node: int, mode: SetpointMode, value: float, value2: float) -> None:
+    host, _ = make()
+    host.start(node)
+    host.setpoint(mode, value, value2, node)
+    host.run(0.15)
+    assert host.heartbeats[node].setpoints_rejected == 0
+    assert host.heartbeats[node].setpoint_counter == 1
+
+
+def test_load_machine_forces_the_speed_and_reports_it() -> None:
+    host, device = make()
+    host.stream(node=2, edges=False)
+    host.start(2)
+    host.setpoint(SetpointMode.SPEED, 52.36, node=2)
+    host.run(0.2)
+    last = host.samples[2, 0][-1]
+    assert last.raw["omega_m"][-1] == pytest.approx(52.36, rel=1e-6)
+    assert device.bench.truth.omega_m == pytest.approx(52.36, rel=1e-6)
+    assert last.raw["status"][-1] == DriveState.RUNNING
+
+
+def test_overspeed_of_the_machine_becomes_a_latched_fault() -> None:
+    params = load_params(None, {"firmware.protection.omega_m_trip": 30.0})
+    lines: list[str] = []
+    host, device = make(params, notice=lines.append)
+    host.start()
+    host.setpoint(SetpointMode.CURRENT, 4.0)
+    host.run(0.3)
+    assert device.drive.state is DriveState.FAULT
+    assert device.drive.machine.first_fault is Fault.OVERSPEED
+    assert (EventCode.FAULT, float(Fault.OVERSPEED)) in host.codes()
+    assert "outputs off: OVERSPEED (node 1, simulated drive)" in lines
+    with pytest.raises(Refused) as caught:
+        host.command(Command.FAULT_CLEAR, Fault.WATCHDOG)
+    assert code(caught)[0] is ErrorCode.FAULTS_CHANGED
+    host.run(1.0)  # coast down
+    assert host.command(Command.FAULT_CLEAR, Fault.OVERSPEED) is DriveState.IDLE
+    host.run(0.05)
+    assert device.drive.state is DriveState.IDLE
+
+
+def test_a_fault_whose_cause_stays_comes_back() -> None:
+    params = load_params(None, {"inverter.u_dc": 10.0})
+    host, device = make(params)
+    for _ in range(2):
+        host.start()
+        host.run(0.02)
+        assert device.drive.state is DriveState.FAULT
+        assert device.drive.machine.faults is Fault.UNDERVOLTAGE
+        host.command(Command.FAULT_CLEAR, Fault.UNDERVOLTAGE)
+
+
+def test_commit_survives_a_boot(tmp_path: Path) -> None:
+    store = tmp_path / "drive.json"
+    host, _ = make(store=store)
+    assert host.connect().features & Feature.COMMIT
+    host.set("k_p_vt", 777.0)
+    host.request(ParamCommit())
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.json"]
+    host, _ = make(store=store)
+    reply = host.get("k_p_vt")
+    assert (reply.value, reply.default) == (777.0, 1268.0)
+
+
+def test_commit_without_a_store_or_a_place_to_write_is_refused(tmp_path: Path) -> None:
+    for store, expected in (
+        (None, ErrorCode.NOT_SUPPORTED),
+        (tmp_path / "none" / "drive.json", ErrorCode.STORE_FAILED),
+    ):
+        host, _ = make(store=store)
+        with pytest.raises(Refused) as caught:
+            host.request(ParamCommit())
+        assert code(caught)[0] is expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rubbish", "cannot read the parameters in"),
+        ("[]", "holds no parameters"),
+        (json.dumps({"R_s": 1.0}), "unknown parameter R_s"),
+        (json.dumps({"i_max": -1.0}), "i_max must be between 0 and 30, got -1.0"),
+        (json.dumps({"i_max": True}), "got True"),
+    ],
+)
+def test_a_bad_store_is_named(tmp_path: Path, text: str, message: str) -> None:
+    store = tmp_path / "drive.json"
+    store.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        make(store=store)
+
+
+def test_same_seed_same_bytes() -> None:
+    def run(seed: int) -> bytes:
+        host, device = make(seed=seed)
+        host.stream()
+        host.start()
+        host.setpoint(SetpointMode.SPEED, 30.0)
+        host.run(0.1)
+        device.advance(1600)
+        return device.data_to_send()
+
+    first = run(3)
+    assert len(first) > 10_000
+    assert first == run(3)
+    assert first != run(4)
+
+
+def test_a_full_queue_drops_whole_frames_and_says_so() -> None:
+    host, device = make(tx_bytes=20_000)
+    host.stream()
+    device.advance(16000)  # a second, 850 kB
+    assert device.frames_dropped > 700
+    host.run(0.25)
+    loss = host.decoders[1, 0].counters
+    assert loss.lost_by_seq == device.frames_dropped == host.heartbeats[1].tx_dropped
+    assert loss.overruns == 1
+    counted = loss.samples + loss.lost_by_index
+    assert host.samples[1, 0][-1].index[-1] - host.samples[1, 0][0].index[0] + 1 == counted
+
+
+def test_a_slow_line_refuses_what_does_not_fit() -> None:
+    host, _ = make(capacity=115200 / 10)
+    with pytest.raises(Refused) as caught:
+        host.stream(edges=False)
+    which, fits = code(caught)
+    assert which is ErrorCode.DOES_NOT_FIT
+    host.stream(edges=False, decimation=int(fits))
+
+
+def test_random_bytes_change_nothing() -> None:
+    host, device = make()
+    host.connect()
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        device.receive(rng.bytes(1000))
+    assert device.drive.state is DriveState.IDLE
+    assert host.connect().state is DriveState.IDLE
+    assert dataclasses.asdict(device.link.deframer.counters)["bad_crc"] > 0

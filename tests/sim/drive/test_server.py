@@ -1,0 +1,290 @@
+"""The real-time server: its schedule, and a whole conversation over a real pty and loopback TCP.
+
+Here the server is stepped by hand on a clock of the test's own, so that nothing waits; the processes are in
+`test_server_process.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_host import SmallHost
+
+from protocol.errors import LinkBusy, LinkClosed, LinkNotFound, TargetError
+from protocol.links import open_link
+from protocol.messages import Command, DriveState, Fault, SetpointMode
+from sim.drive.device import SimulatedDevice
+from sim.drive.ports import Port, PtyPort, TcpPort
+from sim.drive.server import MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
+from sim.params import ConfigError, load_params
+
+PARAMS = load_params()
+
+
+class Bench:
+    """A server on a port, and a clock that moves by one step of the server at a time."""
+
+    def __init__(self, port: Port, baud: int | None = None, **arguments: object) -> None:
+        self.now = 100.0
+        self.port = port
+        self.device = SimulatedDevice(PARAMS, **arguments)  # type: ignore[arg-type]
+        self.server = Server(self.device, port, self.now, baud)
+        self.hosts: list[SmallHost] = []
+
+    def step(self) -> None:
+        self.now += STEP
+        self.server.step(self.now)
+
+    def host(self, target: str | None = None) -> SmallHost:
+        host = SmallHost(open_link(target or self.port.target), self.step, wait=0.001)
+        self.hosts.append(host)
+        self.step()
+        return host
+
+    def run(self, host: SmallHost, seconds: float, feed: bool = True) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            if feed:
+                host.alive()
+            host.poll()
+
+    def close(self) -> None:
+        for host in self.hosts:
+            host.link.close()
+        self.port.close()
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def build(kind: str, baud: int | None = None, **arguments: object) -> Bench:
+        port = TcpPort("127.0.0.1", 0) if kind == "tcp" else PtyPort(tmp_path / "ttySIM", baud)
+        bench = Bench(port, baud, **arguments)
+        made.append(bench)
+        return bench
+
+    yield build
+    for bench in made:
+        bench.close()
+
+
+def test_schedule_keeps_the_rate_however_it_is_asked() -> None:
+    rng = np.random.default_rng(1)
+    schedule, now, done = Schedule(16000, 50.0), 50.0, 0
+    for _ in range(2000):
+        now += rng.uniform(0.0, 0.02)
+        done += schedule.due(now)
+        assert 0.0 <= (now - 50.0) * 16000 - done < 1.0
+    assert schedule.late == 0
+
+
+def test_schedule_skips_what_it_cannot_catch_up() -> None:
+    schedule = Schedule(16000, 0.0)
+    assert schedule.due(0.005) == 80
+    n = schedule.due(10.0)  # suspended
+    assert n == pytest.approx(MAX_BEHIND * 16000, abs=1)
+    assert schedule.late == 1
+    assert schedule.skipped == pytest.approx(9.995 - MAX_BEHIND)
+    assert schedule.due(10.005) == pytest.approx(80, abs=1)
+    assert schedule.late == 1
+
+
+def test_schedule_of_a_clock_that_steps_back_waits() -> None:
+    schedule = Schedule(16000, 0.0)
+    schedule.due(0.01)
+    assert schedule.due(0.0) == 0
+    assert schedule.due(0.02) == 160
+
+
+@pytest.mark.parametrize("kind", ["pty", "tcp"])
+def test_all_channels_and_edges_arrive_without_loss(make: Callable[..., Bench], kind: str) -> None:
+    bench = make(kind)
+    host = bench.host()
+    host.stream()
+    host.start()
+    host.setpoint(SetpointMode.SPEED, 50.0)
+    bench.run(host, 1.0)
+    loss = host.decoders[1, 0].counters
+    assert loss.samples > 15_000
+    assert (loss.lost_by_index, loss.lost_by_seq, loss.overruns) == (0, 0, 0)
+    assert bench.device.frames_dropped == 0
+    index = np.concatenate([chunk.index for chunk in host.samples[1, 0]])
+    assert (np.diff(index) == 1).all()
+    assert sum(map(len, host.edges)) > 20
+    assert host.session.counters.framing.bad == 0
+    assert bench.server.schedule.late == 0
+
+
+@pytest.mark.parametrize("kind", ["pty", "tcp"])
+def test_a_host_that_vanishes_ends_in_the_watchdog_and_the_next_one_finds_out(
+    make: Callable[..., Bench], kind: str
+) -> None:
+    lines: list[str] = []
+    bench = make(kind, notice=lines.append)
+    host = bench.host()
+    host.stream()
+    host.start()
+    host.setpoint(SetpointMode.SPEED, 50.0)
+    bench.run(host, 0.2)
+    assert bench.device.bench.outputs_on
+    host.link.close()  # as a kill -9 does
+    start = bench.now
+    while bench.device.bench.outputs_on:
+        bench.step()
+    assert bench.now - start <= 0.21
+    assert "ms after the last ALIVE: watchdog (node 1, simulated drive)" in lines[-1]
+    for _ in range(200):  # nobody reads: nothing hangs
+        bench.step()
+    host = bench.host()
+    assert host.connect().state is DriveState.FAULT
+    assert host.command(Command.FAULT_CLEAR, Fault.WATCHDOG) is DriveState.IDLE
+    host.stream()
+    bench.run(host, 0.1)
+    assert host.decoders[1, 0].counters.lost_by_index == 0
+
+
+def test_nobody_reads_a_pty_costs_counted_frames_only(make: Callable[..., Bench]) -> None:
+    bench = make("pty", tx_bytes=50_000)
+    host = bench.host()
+    host.stream()
+    for _ in range(200):
+        bench.step()
+    assert bench.device.frames_dropped > 0
+    bench.run(host, 0.3)
+    loss = host.decoders[1, 0].counters
+    assert loss.lost_by_seq == host.heartbeats[1].tx_dropped == bench.device.frames_dropped
+    chunks = host.samples[1, 0]
+    span = chunks[-1].index[-1] - chunks[0].index[0] + 1
+    assert span == loss.samples + loss.lost_by_index
+    assert host.session.counters.framing.bad == 0
+
+
+def test_unplug_and_replug_of_the_pty(make: Callable[..., Bench]) -> None:
+    bench = make("pty")
+    host = bench.host()
+    host.stream()
+    bench.run(host, 0.1)
+    before = host.decoders[1, 0].counters.samples
+    bench.port.unplug()
+    with pytest.raises(LinkClosed, match="ttySIM is gone"):
+        host.run(5.0)
+    with pytest.raises(LinkNotFound, match="ttySIM"):
+        host.link.reopen()
+    for _ in range(40):
+        bench.step()
+    bench.port.plug()
+    host.link.reopen()
+    host.session.deframer.reset()
+    bench.run(host, 0.2)  # the stream is still running: the gap is exact
+    loss = host.decoders[1, 0].counters
+    assert loss.samples > before
+    assert loss.lost_by_index >= 0.2 * 16000
+    chunks = host.samples[1, 0]
+    assert chunks[-1].index[-1] - chunks[0].index[0] + 1 == loss.samples + loss.lost_by_index
+
+
+def test_noise_and_half_frames_from_the_host_side(make: Callable[..., Bench]) -> None:
+    bench = make("pty")
+    host = bench.host()
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        host.link.write(rng.bytes(300))
+        bench.step()
+        hello = host.connect()
+        assert hello.state is DriveState.IDLE
+    assert bench.device.link.deframer.counters.bad > 0
+
+
+def test_another_program_that_reads_the_port_costs_frames_not_samples(make: Callable[..., Bench]) -> None:
+    bench = make("pty")
+    host = bench.host()
+    host.stream()
+    thief = os.open(bench.port.target.removeprefix("serial:"), os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    bench.run(host, 0.1)
+    stolen = 0
+    for _ in range(20):
+        for _ in range(3):
+            bench.step()
+        with contextlib.suppress(BlockingIOError):
+            stolen += len(os.read(thief, 700))
+        bench.run(host, 0.01)
+    os.close(thief)
+    bench.run(host, 0.1)
+    loss = host.decoders[1, 0].counters
+    assert stolen > 1000
+    assert loss.lost_by_index > 0
+    chunks = host.samples[1, 0]
+    assert chunks[-1].index[-1] - chunks[0].index[0] + 1 == loss.samples + loss.lost_by_index
+    truth = np.concatenate([chunk.raw["u_dc"] for chunk in chunks])
+    assert (truth == 24 * 1024).all()
+
+
+def test_a_second_program_is_told_that_the_port_is_held(make: Callable[..., Bench]) -> None:
+    bench = make("pty")
+    bench.host()
+    with pytest.raises(LinkBusy, match="held by another program"):
+        open_link(bench.port.target)
+
+
+def test_uart_rate_is_paced_and_the_wrong_one_gets_nothing_through(make: Callable[..., Bench]) -> None:
+    bench = make("pty", baud=115200, capacity=11520.0)
+    host = bench.host()
+    host.connect()
+    host.stream(["theta_true"], edges=False, decimation=16)
+    frames = bench.device.frames_sent
+    start = bench.now
+    bench.run(host, 1.0, feed=False)
+    assert host.decoders[1, 0].counters.lost_by_index == 0
+    assert bench.device.frames_sent > frames
+    assert bench.now - start < 1.1
+    host.link.close()
+
+    wrong = bench.host(bench.port.target.replace("115200", "9600") + "?baud=9600")
+    wrong.session.connect(1, wrong.link.clock())
+    for _ in range(100):
+        wrong.poll()
+    assert wrong.session.hellos == {}
+
+
+def test_tcp_second_client_is_turned_away(make: Callable[..., Bench]) -> None:
+    bench = make("tcp")
+    host = bench.host()
+    host.connect()
+    second = bench.host()
+    with pytest.raises(LinkClosed, match="is another program connected"):
+        second.poll()
+    host.connect()
+
+
+@pytest.mark.parametrize(
+    ("text", "pair"),
+    [
+        ("motor.R_s=0.2", ("motor.R_s", 0.2)),
+        ("firmware.observer = 1", ("firmware.observer", 1)),
+        ("hall.delta_deg=[0, 0, 0, 0, 0, 0.5]", ("hall.delta_deg", [0, 0, 0, 0, 0, 0.5])),
+    ],
+)
+def test_overrides(text: str, pair: tuple[str, object]) -> None:
+    assert parse_override(text) == pair
+
+
+@pytest.mark.parametrize("text", ["motor.R_s", "=1", "motor.R_s=", "motor.R_s=fast", "motor.R_s=1\nx=2"])
+def test_bad_overrides(text: str) -> None:
+    with pytest.raises(ConfigError):
+        load_params(None, dict([parse_override(text)]))
+
+
+def test_options_that_contradict_each_other(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--link and --baud go with a pty"):
+        serve(ServeOptions(tcp="127.0.0.1:0", baud=9600))
+    with pytest.raises(TargetError, match="HOST:PORT"):
+        serve(ServeOptions(tcp="127.0.0.1"))
+    with pytest.raises(ConfigError, match="R_s must be > 0 ohm, got -1"):
+        serve(ServeOptions(link=tmp_path / "x", overrides={"motor.R_s": -1}))
+    assert list(tmp_path.iterdir()) == []
