@@ -39,11 +39,11 @@ def command(target: str, as_json: bool) -> None:
 
 
 def _show(target: str, node: dict[str, Any]) -> None:
-    from bench.cli.output import table
+    from bench.cli.output import pairs, table
 
     identity, health = node["identity"], node["health"]
     title = f"node {identity['node']}: {identity['name']} ({identity['role']}) on {target}"
-    table([title, ""], [[key.replace("_", " "), str(value)] for key, value in (identity | health).items()])
+    pairs(title, [[key.replace("_", " "), _text(value)] for key, value in (identity | health).items()])
     click.echo()
     table(
         ["channel", "id", "unit", "type", "scale", "flags"],
@@ -58,3 +58,11 @@ def _show(target: str, node: dict[str, Any]) -> None:
         ],
     )
     click.echo()
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    return str(value)

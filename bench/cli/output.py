@@ -34,6 +34,24 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str = ""
         click.echo("  ".join(cells).rstrip())
 
 
+def pairs(title: str, rows: Sequence[Sequence[str]]) -> None:
+    """Print names and values under a title, both to the left."""
+    if sys.stdout.isatty():
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        shown = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 1))
+        for name, value in rows:
+            shown.add_row(Text(name, style="dim"), Text(value))
+        Console().print(shown)
+        return
+    width = max(len(name) for name, _ in rows)
+    click.echo(title)
+    for name, value in rows:
+        click.echo(f"  {name.ljust(width)}  {value}".rstrip())
+
+
 def note(text: str) -> None:
     """One line of progress on standard error."""
     click.echo(text, err=True)
@@ -114,4 +132,4 @@ def print_summary(summary: Summary) -> None:
     if errors:
         table(ERROR_HEADERS, errors)
         click.echo()
-    table(["run", ""], run_rows(summary))
+    pairs(f"run on {summary.target}", run_rows(summary))
