@@ -342,10 +342,10 @@ class LiveRun:
         if self.client.health.down_since is not None:
             return f"{self.client.link.name} is gone, waiting for it to come back"
         losses = self.client.losses(self.drive.number).samples
-        speed = stats.last.get("omega_enc", math.nan) / RPM / self._pole_pairs
+        speed = stats.mean.get("omega_enc", math.nan) / RPM / self._pole_pairs
         return (
             f"{stats.segment} | {self.drive.state.name} {speed:.0f} r/min, "
-            f"i_q {stats.last.get('i_q', math.nan):.2f} A | "
+            f"i_q {stats.mean.get('i_q', math.nan):.2f} A | "
             f"{stats.samples_seen} samples, {stats.edges_seen} edges, {losses.lost_by_index} lost"
         )
 

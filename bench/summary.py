@@ -35,7 +35,7 @@ class RunStatistics:
         self.tx_dropped_last = 0
         self.host_compared = 0
         self.host_differ = 0
-        self.last: dict[str, float] = {}
+        self.mean: dict[str, float] = {}  # over the last chunk
         self._observers = observers
 
     def samples(self, chunk: SampleChunk) -> None:
@@ -57,7 +57,7 @@ class RunStatistics:
             self.host_differ += differ
         for name in ("omega_enc", "i_q"):
             if n and name in names:
-                self.last[name] = float(chunk.physical(name)[-1])
+                self.mean[name] = float(chunk.physical(name).mean())
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Count."""
