@@ -30,7 +30,7 @@ def command(
 ) -> None:
     """Run the simulated drive and load machine in real time; print the target string to connect with.
 
-    Lines on standard input: `unplug` and `plug` pull the cable and put it back. Ctrl-C ends it.
+    kill -USR1 PID pulls the cable, kill -USR2 PID puts it back, under the same --link or port. Ctrl-C ends it.
 
     \b
     Examples:
