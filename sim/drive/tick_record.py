@@ -5,6 +5,7 @@ Values round half to even and saturate at the ends of their type; angles wrap. N
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ SAMPLE_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in DRIVE_
 LOAD_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in LOAD_CHANNELS])
 
 _SCALES = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+TWO_PI = 2.0 * math.pi
 PER_RAD = 1.0 / ANGLE
 PER_RAD_PER_S = 1.0 / SPEED
 PER_UNIT = 1.0 / MILLI
@@ -25,7 +27,9 @@ PER_NM = 1.0 / _SCALES["tau_e_true"]
 
 @kernel
 def angle(value: float) -> Any:
-    """An angle (rad, wrapped or not) as an i16 that covers a turn."""
+    """An angle (rad, wrapped or not) as an i16 that covers a turn; the scale is no exact part of a turn."""
+    if not -math.pi <= value < math.pi:
+        value -= TWO_PI * math.floor((value + math.pi) / TWO_PI)
     return np.int16(np.int64(np.rint(value * PER_RAD)))
 
 

@@ -1,0 +1,226 @@
+"""The bench as an object: repeatable, faults with their causes, outputs off, parameters, load machine."""
+
+import numpy as np
+import pytest
+
+from protocol.messages import DriveState, Fault, SetpointMode
+from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
+from sim.drive.machine import SimulatedBench
+from sim.params import load_params
+
+SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+
+
+def bench_of(seed=0, **overrides):
+    return SimulatedBench(load_params(None, overrides), seed)
+
+
+def spinning(omega_m=52.36, seconds=0.5, **overrides):
+    bench = bench_of(**overrides)
+    bench.enable()
+    bench.setpoint(SetpointMode.SPEED, omega_m)
+    bench.advance(round(16000 * seconds))
+    return bench
+
+
+def states(recorded):
+    return recorded.samples["status"] & STATUS_STATE_MASK
+
+
+def current(recorded):
+    return np.abs(np.array([recorded.samples[f"i_{x}"] for x in "abc"]).astype(float)).max(axis=0) / 1024
+
+
+def test_same_seed_same_bits_whatever_the_portions():
+    def record(portions, seed):
+        bench = bench_of(seed)
+        bench.enable()
+        bench.setpoint(SetpointMode.SPEED, 100.0)
+        runs = [bench.advance(n, log=True) for n in portions]
+        assert bench.n == sum(portions)
+        return [
+            np.concatenate([getattr(run, name) for run in runs]).tobytes()
+            for name in ("samples", "load_samples", "edges", "edge_tick", "log")
+        ]
+
+    portions = [1, 0, 7, 256, 1000, 255, 2, 479]
+    whole = record([2000], 3)
+    assert record(portions, 3) == whole
+    assert record([2000], 4)[0] != whole[0]
+    assert record([2000], -1)[0] != whole[0]
+
+
+def test_ticks_go_on_past_32_bits():
+    start = 2**32 - 5000
+    bench = bench_of(**{"clock.start_tick": start})
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.SPEED, 300.0)
+    recorded = bench.advance(4000)
+    assert recorded.tick == start
+    assert bench.tick == start + 4000 * 1250
+    assert recorded.edge_tick[-1] > 2**32
+    assert recorded.edges["tick"][-1] == recorded.edge_tick[-1] - 2**32
+    assert abs(recorded.samples["omega_avg"][-1] * 0.125 - 1800.0) < 300.0
+
+
+def test_states_show_in_the_status_and_arming_initialises_the_observers():
+    bench = bench_of()
+    assert list(states(bench.advance(2))) == [DriveState.IDLE] * 2
+    bench.enter_state(DriveState.ARMED)
+    armed = bench.advance(3)
+    assert list(states(armed)) == [DriveState.ARMED] * 3
+    assert list(armed.samples["status"] & Status.OBSERVERS_RESET > 0) == [True, False, False]
+    assert not bench.outputs_on
+    bench.enter_state(DriveState.RUNNING)
+    assert bench.outputs_on
+    running = bench.advance(3)
+    assert list(states(running)) == [DriveState.RUNNING] * 3
+    assert not np.any(running.samples["status"] & Status.OBSERVERS_RESET)
+    assert set(running.samples["status"] >> STATUS_SOURCE_SHIFT) == {2}
+
+
+def test_running_without_a_setpoint_makes_no_torque():
+    bench = bench_of()
+    bench.enable()
+    recorded = bench.advance(1600)
+    assert current(recorded).max() < 0.2
+    assert bench.truth.omega_m == 0.0
+
+
+def test_speed_control_reaches_its_reference_on_its_ramp():
+    bench = spinning(100.0, 0.05)
+    assert bench.truth.omega_m == pytest.approx(50.0, abs=8.0)  # 1000 rad/s2
+    recorded = bench.advance(8000)
+    assert bench.truth.omega_m == pytest.approx(100.0, abs=2.0)
+    assert recorded.samples["omega_ref"][-1] * 0.125 == pytest.approx(600.0)
+    bench.setpoint(SetpointMode.SPEED, -100.0)
+    bench.advance(12000)
+    assert bench.truth.omega_m == pytest.approx(-100.0, abs=2.0)
+
+
+def test_outputs_off_ends_the_current_and_the_torque_and_lets_the_shaft_coast():
+    bench = spinning()
+    bench.setpoint(SetpointMode.CURRENT, 6.0, -3.0)
+    bench.advance(100)
+    before = bench.truth
+    assert before.i_q == pytest.approx(6.0, abs=1.0)
+    bench.enable(False)
+    assert not bench.outputs_on
+    recorded = bench.advance(160)
+    assert current(recorded)[5:].max() < 0.15
+    assert np.abs(recorded.samples["tau_e_true"])[5:].max() == 0
+    assert np.all(recorded.samples["u_alpha"] == 0)
+    assert 0.9 * before.omega_m < bench.truth.omega_m < before.omega_m + 1.0
+
+
+def test_restart_on_a_turning_shaft_draws_no_surge():
+    bench = spinning(200.0, 1.0)
+    bench.enable(False)
+    bench.advance(160)
+    bench.enable()
+    bench.setpoint(SetpointMode.SPEED, 190.0)
+    recorded = bench.advance(800)
+    assert bench.faults == 0
+    assert current(recorded).max() < 10.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "fault"),
+    [
+        ({"inverter.u_dc": 11.0}, Fault.UNDERVOLTAGE),
+        ({"inverter.u_dc": 33.0}, Fault.OVERVOLTAGE),
+    ],
+)
+def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(overrides, fault):
+    bench = bench_of(**overrides)
+    bench.advance(10)
+    assert bench.faults == 0  # no fault while idle, but its cause shows
+    assert bench.fault_causes == fault
+    bench.enable()
+    recorded = bench.advance(10)
+    assert bench.faults == fault
+    assert not bench.outputs_on
+    assert list(states(recorded)) == [DriveState.FAULT] * 10
+    bench.enter_state(DriveState.FAULT)
+    bench.clear_faults()
+    bench.enable()
+    bench.advance(1)
+    assert bench.faults == fault
+
+
+def test_overcurrent_opens_the_outputs_in_the_same_period():
+    bench = spinning(**{"firmware.protection.i_trip": 7.0})
+    assert bench.faults == 0
+    bench.setpoint(SetpointMode.CURRENT, 8.0)
+    recorded = bench.advance(400)
+    trip = np.flatnonzero(states(recorded) == DriveState.FAULT)[0]
+    assert bench.faults == Fault.OVERCURRENT
+    assert current(recorded)[trip] > 7.0
+    assert current(recorded)[:trip].max() <= 7.0
+    assert current(recorded)[trip + 3 :].max() < 0.15
+    assert bench.fault_causes == 0
+    bench.clear_faults()
+    assert bench.faults == 0
+    bench.enable()
+    bench.setpoint(SetpointMode.CURRENT, 2.0)
+    assert states(bench.advance(100))[-1] == DriveState.RUNNING
+
+
+def test_overspeed_trips_by_the_encoder():
+    bench = bench_of(**{"firmware.protection.omega_m_trip": 100.0})
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.SPEED, -150.0)
+    bench.advance(4000)
+    assert bench.faults == 0
+    bench.enable()
+    bench.advance(1)
+    assert bench.faults == Fault.OVERSPEED
+
+
+def test_parameters_are_float32_and_known_by_name():
+    bench = bench_of()
+    bench.set_param("R_s_hat", 0.1234567890123)
+    assert bench.get_param("R_s_hat") == float(np.float32(0.1234567890123))
+    with pytest.raises(KeyError, match="no parameter 'R_s'; there are: n_p"):
+        bench.set_param("R_s", 1.0)
+
+
+def test_a_change_of_the_angle_source_is_bumpless():
+    bench = spinning(100.0, 1.0)
+    rng = np.random.default_rng(1)
+    steps = []
+    for source in (0, 1, 2, 1, 0, 2) * 4:
+        before = bench.advance(1600 + int(rng.integers(100)))
+        bench.set_param("observer", source)
+        recorded = bench.advance(4)
+        assert set(recorded.samples["status"] >> STATUS_SOURCE_SHIFT) == {source}
+        torque = np.append(before.samples["tau_e_true"][-1:], recorded.samples["tau_e_true"]) / 16384
+        steps.append(np.abs(np.diff(torque)).max())
+        assert bench.truth.omega_m == pytest.approx(100.0, abs=8.0)
+    assert np.median(steps) < 0.02
+    assert max(steps) < 0.05
+
+
+def test_load_torque_step_is_held_by_the_speed_loop():
+    bench = spinning(52.36, 1.0)
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.TORQUE, 0.236)
+    recorded = bench.advance(16000)
+    assert bench.truth.omega_m == pytest.approx(52.36, abs=1.0)
+    assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.236 + 0.01, abs=2e-3)
+    assert recorded.samples["tau_load_true"][-1] / 16384 == pytest.approx(0.236, abs=1e-4)
+    bench.load_enter_state(DriveState.IDLE)
+    recorded = bench.advance(16000)
+    assert recorded.samples["tau_load_true"][-1] == 0
+    assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.01, abs=2e-3)
+
+
+def test_truth_is_the_plants_state_at_the_last_sample():
+    bench = spinning()
+    recorded = bench.advance(100, log=True)
+    truth = bench.truth
+    assert truth.omega_e == 6 * truth.omega_m
+    assert recorded.log[-1, 7] == truth.theta_e
+    assert recorded.log[-1, 8] == truth.omega_e
+    assert recorded.samples["tau_e_true"][-1] / 16384 == pytest.approx(truth.tau_e, abs=1e-4)
+    assert recorded.log[:0].shape[1] == bench.advance(1).log.shape[1]

@@ -1,0 +1,248 @@
+"""The compiled tick: records, edges, time relations, and that it computes what its source says."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from protocol.messages import DriveState, SetpointMode
+from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Status
+from sim.drive.machine import SimulatedBench
+from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE, angle, clipped, edge_codes, quantised
+from sim.params import load_params
+
+SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+IDEAL = {
+    "hall.hysteresis_deg": 0.0,
+    "hall.jitter_deg": 0.0,
+    "inverter.dead_time": 0.0,
+    "firmware.dead_time.dead_time_hat": 0.0,
+    "current_sensor.noise_rms": 0.0,
+    "current_sensor.bits": 24,
+    "load.alpha_m_max": 0.0,
+    "mechanics.theta_0_deg": 30.0,
+}
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+CODES = [0b001, 0b011, 0b010, 0b110, 0b100, 0b101]
+
+
+def bench_of(seed=0, **overrides):
+    return SimulatedBench(load_params(None, overrides), seed)
+
+
+def forced(bench, omega_m, i_q=None):
+    """Load machine at `omega_m`; the drive at `i_q`, or off."""
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.SPEED, omega_m)
+    if i_q is not None:
+        bench.enable()
+        bench.setpoint(SetpointMode.CURRENT, i_q)
+    return bench
+
+
+def physical(recorded, name):
+    return recorded.samples[name].astype(float) * SCALE[name]
+
+
+def test_records_are_the_protocols_channels_packed():
+    assert list(SAMPLE_DTYPE.names) == [channel.name for channel in DRIVE_CHANNELS]
+    assert SAMPLE_DTYPE.itemsize == sum(np.dtype(channel.raw.dtype).itemsize for channel in DRIVE_CHANNELS)
+    assert list(LOAD_DTYPE.names) == [channel.name for channel in LOAD_CHANNELS]
+
+
+def test_raw_values_round_half_to_even_wrap_and_saturate():
+    assert [clipped(x) for x in (0.5, 1.5, -0.5, -2.5, 40000.0, -40000.0)] == [0, 2, 0, -2, 32767, -32768]
+    assert [angle(x) for x in (0.0, math.pi / 2, math.pi, -math.pi, 3 * math.pi, 1e6 * 2 * math.pi)] == [
+        0, 16384, -32768, -32768, -32768, 0,
+    ]  # fmt: skip
+    assert quantised(1.0004) == 1.0
+    assert quantised(99.0) == 32767 / 1024
+    assert edge_codes(0b001, 0b011) == 0b001 | 0b011 << 3
+    for old, new in ((0b001, 0b010), (0b001, 0b111), (0b101, 0b000)):
+        assert edge_codes(old, new) == old | new << 3 | 0x40
+
+
+def test_edges_come_where_and_when_the_rotor_passes_them():
+    """Forced speed from standstill at once: the angle is known in closed form, so is every edge to a tick."""
+    omega_m, n = 40.0, 1600
+    for sign in (1, -1):
+        bench = forced(bench_of(**IDEAL), sign * omega_m)
+        recorded = bench.advance(n)
+        rate = sign * 6 * omega_m  # electrical rad/s; the first substep of 1/32000 s is the jump to it
+        lost = 0.5 / 32000.0
+        expected = []
+        for number in range(-200, 200):
+            edge = math.radians(60.0 * number - TABLE_I[number % 6])
+            t = (edge - math.radians(30.0)) / rate + lost
+            if 0.0 < t <= (n - 1) / 16000.0:
+                new = number if sign > 0 else number - 1
+                expected.append((t * 20e6, CODES[(new - sign) % 6], CODES[new % 6], edge))
+        expected.sort()
+        assert len(recorded.edges) == len(expected) > 20
+        for record, tick, (exact, old, new, edge) in zip(recorded.edges, recorded.edge_tick, expected, strict=True):
+            assert 0.0 <= tick - exact <= 1.0 + 1e-3
+            assert record["tick"] == tick
+            assert record["codes"] == old | new << 3
+            assert (edge / 6 / (2 * math.pi) * 14400 - record["encoder"] + 7200) % 14400 - 7200 == pytest.approx(
+                0.5, abs=0.501
+            )
+
+
+def test_an_edge_belongs_to_the_sample_that_shows_its_code():
+    recorded = forced(bench_of(), 200.0).advance(4000)
+    ticks = recorded.tick + 1250 * np.arange(4000)
+    last = np.searchsorted(recorded.edge_tick, ticks, side="right") - 1
+    seen = last >= 0
+    codes = recorded.edges["codes"] >> 3 & 7
+    assert np.array_equal(codes[last[seen]], recorded.samples["hall"][seen])
+    assert np.all(np.diff(recorded.edge_tick) > 0)
+    assert set(recorded.samples["hall"][~seen]) == {CODES[0]}
+
+
+def test_hysteresis_and_jitter_move_the_edges():
+    def means(sign, **overrides):
+        recorded = forced(bench_of(**{**IDEAL, **overrides}), sign * 50.0).advance(32000)
+        angles = recorded.edge_tick / 20e6 * 300.0 - 300.0 * 0.5 / 32000.0
+        at = np.degrees(sign * angles) + 30.0
+        codes = recorded.edges["codes"] >> 3 & 7
+        new = np.array([CODES.index(code) for code in codes])
+        number = new if sign > 0 else new + 1
+        nominal = 60.0 * number - np.array(TABLE_I)[number % 6]
+        return (at - nominal + 180.0) % 360.0 - 180.0
+
+    forwards, backwards = means(1, **{"hall.hysteresis_deg": 2.0}), means(-1, **{"hall.hysteresis_deg": 2.0})
+    assert np.abs(forwards - 1.0).max() < 1e-3
+    assert np.abs(backwards + 1.0).max() < 1e-3
+    jittered = means(1, **{"hall.jitter_deg": 0.3})
+    assert jittered.std() == pytest.approx(0.3, rel=0.1)
+    assert abs(jittered.mean()) < 0.05
+
+
+def test_a_voltage_pairs_with_the_currents_of_the_period_that_ends_at_its_sample():
+    """Held rotor, ideal inverter: L di/dt = u - R i must close for (u_k, i_k, i_{k-1}), and for no other shift."""
+    bench = forced(bench_of(**IDEAL), 0.0, 0.0)
+    bench.set_param("observer", 0)
+    bench.advance(100)
+    bench.setpoint(SetpointMode.CURRENT, 6.0)
+    recorded = bench.advance(40)
+    i = physical(recorded, "i_q") + 1j * 0
+    axes = np.exp(2j * np.pi / 3 * np.arange(3))
+    i = 2 / 3 * (axes @ [physical(recorded, f"i_{phase}") for phase in "abc"])
+    u = physical(recorded, "u_alpha") + 1j * physical(recorded, "u_beta")
+
+    def residual(shift):
+        predicted = i[2:-2] + (np.roll(u, -shift)[3:-1] - 0.158 * (i[2:-2] + i[3:-1]) / 2) / (176e-6 * 16000)
+        return np.abs(predicted - i[3:-1]).max()
+
+    assert np.abs(i[-1]) == pytest.approx(6.0, abs=0.05)
+    assert residual(0) < 3e-3
+    assert residual(1) > 0.5
+    assert residual(-1) > 0.5
+
+
+def test_references_are_those_that_the_recorded_voltage_answers():
+    """A step of the reference shows in i_q_ref one sample later, in u two later, in the current three later."""
+    bench = forced(bench_of(**IDEAL), 0.0, 0.0)
+    bench.advance(100)
+    bench.setpoint(SetpointMode.CURRENT, 6.0)
+    recorded = bench.advance(10)
+    u = np.hypot(physical(recorded, "u_alpha"), physical(recorded, "u_beta"))
+    i = np.hypot(physical(recorded, "i_d"), physical(recorded, "i_q"))
+    assert np.flatnonzero(physical(recorded, "i_q_ref") > 5.9)[0] == 1
+    assert np.flatnonzero(u > 1.0)[0] == 2
+    assert np.flatnonzero(i > 0.5)[0] == 2
+    assert i[1] < 0.05
+
+
+def test_current_step_answers_like_a_first_order_low_pass():
+    bench = forced(bench_of(**IDEAL), 100.0, 0.0)
+    bench.set_param("observer", 0)
+    bench.advance(400)
+    bench.setpoint(SetpointMode.CURRENT, 4.0)
+    recorded = bench.advance(160)
+    i_q, i_d = physical(recorded, "i_q"), physical(recorded, "i_d")
+    rise = np.flatnonzero(i_q > 4.0 * (1 - math.exp(-1)))[0]
+    assert 3 <= rise <= 7  # 1 / (2 pi 800 Hz) is 3.2 periods, and the delay 1.5
+    assert i_q.max() < 4.0 * 1.25
+    assert np.abs(i_d).max() < 0.5
+    assert i_q[80:].mean() == pytest.approx(4.0, abs=0.01)
+
+
+def test_encoder_channels_follow_the_truth():
+    recorded = forced(bench_of(**IDEAL, **{"encoder.offset_deg": 10.0}), 52.36).advance(8000)
+    error = (physical(recorded, "theta_enc") - physical(recorded, "theta_true") + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(np.degrees(error) - 10.0).max() < 0.09
+    assert np.abs(physical(recorded, "omega_enc")[2000:] - 6 * 52.36).max() < 2.0
+    assert physical(recorded, "omega_true")[-1] == pytest.approx(6 * 52.36, abs=0.07)
+
+
+def test_noise_offset_and_steps_of_the_current_sensors_are_recorded():
+    recorded = forced(bench_of(**{"current_sensor.offset": [0.1, 0.0, -0.2]}), 0.0).advance(8000)
+    for phase, offset in (("a", 0.1), ("b", 0.0), ("c", -0.2)):
+        i = physical(recorded, f"i_{phase}")
+        assert i.mean() == pytest.approx(offset, abs=2e-3)
+        assert i.std() == pytest.approx(math.hypot(0.02, 20 / 2048 / math.sqrt(12)), rel=0.05)
+        assert set(recorded.samples[f"i_{phase}"] % 10) == {0}  # 20 A / 2048 is ten counts
+
+
+def test_torques_balance_on_the_shaft():
+    bench = forced(bench_of(**IDEAL), 60.0, 5.0)
+    bench.set_param("observer", 0)
+    recorded = bench.advance(3000)
+    tau_e, tau_load = physical(recorded, "tau_e_true")[-1000:], physical(recorded, "tau_load_true")[-1000:]
+    assert tau_e.mean() == pytest.approx(1.5 * 6 * 6.55e-3 * 5.0, abs=1e-3)
+    assert (tau_e - tau_load).mean() == pytest.approx(5e-3 + 1e-4 * 60.0, abs=2e-4)
+    assert recorded.load_samples["omega_m"][-1] == np.float32(60.0)
+    assert recorded.load_samples["tau_load"][-1] == pytest.approx(tau_load[-1], abs=1e-4)
+    assert recorded.load_samples["status"][-1] == DriveState.RUNNING
+
+
+def test_first_sample_is_the_boot():
+    recorded = bench_of().advance(2)
+    assert recorded.index == 0
+    assert recorded.samples["status"][0] & Status.OBSERVERS_RESET
+    assert not recorded.samples["status"][1] & Status.OBSERVERS_RESET
+    error = physical(recorded, "theta_true") - physical(recorded, "theta_vt")
+    assert np.degrees(error) == pytest.approx([30.0, 30.0], abs=0.01)  # the largest that Hall sensors leave
+    assert list(recorded.samples["hall"]) == [CODES[0]] * 2
+
+
+PLAIN = """
+import json, sys
+import numpy as np
+from protocol.messages import SetpointMode, DriveState
+from sim.drive.machine import SimulatedBench
+from sim.params import load_params
+bench = SimulatedBench(load_params(None, {"motor.L_q": 2e-4}), 5)
+bench.load_enter_state(DriveState.RUNNING)
+bench.load_setpoint(SetpointMode.SPEED, 300.0)
+bench.enable()
+bench.setpoint(SetpointMode.CURRENT, 4.0)
+one = bench.advance(250, log=True)
+bench.enable(False)
+two = bench.advance(30, log=True)
+print(json.dumps([
+    [r.samples.tobytes().hex(), r.edges.tobytes().hex(), r.load_samples.tobytes().hex(), r.log.tobytes().hex()]
+    for r in (one, two)
+]))
+"""
+
+
+def test_compiled_and_plain_python_agree_bit_for_bit():
+    outputs = []
+    for disable in ("0", "1"):
+        done = subprocess.run(
+            [sys.executable, "-c", PLAIN],
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        outputs.append(json.loads(done.stdout))
+    assert outputs[0] == outputs[1]
+    assert len(outputs[0][0][1]) > 0  # there were edges
