@@ -23,7 +23,7 @@ from bench.errors import BenchError, Interrupted
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rerunio.schema import RunInfo
-from bench.show import SHOW, Act
+from bench.show import SHOW, SIM_ARGUMENTS, Act
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
@@ -421,7 +421,9 @@ def run(
         target = options.target or "sim"
         embedded = None
         if options.embedded:
-            embedded = stack.enter_context(EmbeddedDrive(options.sim_arguments, screen.note))
+            embedded = stack.enter_context(
+                EmbeddedDrive((*options.sim_arguments, *(SIM_ARGUMENTS if options.show else ())), screen.note)
+            )
             target = embedded.target
         link = open_link(target)
         stack.callback(link.close)
