@@ -120,7 +120,7 @@ def kernel(function: F) -> F:
     It must not make an array. Nearly a hundred nanoseconds a period are in it: a reference is counted with an
     atomic operation each time that an array is handed on.
     """
-    return _compile(function, _nrt=False, forceinline=True)
+    return _compile(function, _nrt=False, forceinline=True, no_cfunc_wrapper=True)
 
 
 def settled(function: F) -> F:

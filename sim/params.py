@@ -223,9 +223,7 @@ class Clock(_Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.tick_hz % self.pwm_hz:
-            raise ConfigError(
-                f"tick_hz must be a whole multiple of pwm_hz = {self.pwm_hz} Hz, got {self.tick_hz}"
-            )
+            raise ConfigError(f"tick_hz must be a whole multiple of pwm_hz = {self.pwm_hz} Hz, got {self.tick_hz}")
 
     @property
     def period_ticks(self) -> int:
@@ -258,9 +256,7 @@ class VectorTracking(_Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.omega_off > self.omega_on:
-            raise ConfigError(
-                f"omega_off must be <= omega_on = {self.omega_on:g} rad/s, got {self.omega_off:g}"
-            )
+            raise ConfigError(f"omega_off must be <= omega_on = {self.omega_on:g} rad/s, got {self.omega_off:g}")
 
 
 @dataclass(frozen=True)
@@ -340,6 +336,24 @@ class BenchParams(_Checked):
     current_sensor: CurrentSensor
     clock: Clock
     firmware: Firmware
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        h = 1.0 / (self.clock.pwm_hz * self.clock.substeps)
+        motor, inverter = self.motor, self.inverter
+        lost = inverter.u_dc * inverter.dead_time * self.clock.pwm_hz + inverter.u_device
+        # Runge-Kutta steps are stable up to 2.78 of these time constants, and good up to about one
+        for name, value, least, unit in (
+            ("motor.L_d", motor.L_d, motor.R_s * h, "H"),
+            ("motor.L_q", motor.L_q, motor.R_s * h, "H"),
+            ("mechanics.J", self.mechanics.J, self.mechanics.b * h, "kg m2"),
+            ("inverter.i_smooth", inverter.i_smooth, lost * h / min(motor.L_d, motor.L_q) / 2.0, "A"),
+        ):
+            if value < least:
+                raise ConfigError(
+                    f"{name} must be >= {least:.3g} {unit} for integration steps of {h:.3g} s, got {value:g}; "
+                    f"take more clock.substeps"
+                )
 
 
 _SECTIONS: dict[str, type[_Checked]] = {

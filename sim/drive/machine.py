@@ -28,7 +28,7 @@ from sim.plant import current_sensor, encoder, hall_sensor, integrator, inverter
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]
 
-_EDGES_PER_PERIOD = 4  # places reserved; no parameters allow a shaft that fast
+_FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,7 @@ class SimulatedBench:
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
+        self._edges_per_period = 2 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
         theta_e = math.radians(params.mechanics.theta_0_deg)
         rng = noise.seeded(seed)
         self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
@@ -166,7 +167,7 @@ class SimulatedBench:
 
     def advance(self, n: int, log: bool = False) -> Recorded:
         """Run `n` control periods; `log`: also keep estimates and truth unrounded."""
-        places = _EDGES_PER_PERIOD * n + 4
+        places = self._edges_per_period * n
         arrays = tick.Arrays(
             np.empty(n, SAMPLE_DTYPE),
             np.empty(n, LOAD_DTYPE),

@@ -271,7 +271,7 @@ def advance(
     """
     motor = params.plant.motor
     n_p = motor.n_p
-    m = 0
+    m = int(np.int64(0))  # numba would compile a version of everything for the literal 0 too
     if command.drive.state != tick_firmware.RUNNING or state.firmware.faults != 0:
         state = State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, _silenced(state.firmware))
     for j in range(n):

@@ -79,8 +79,7 @@ def refusal(key: str, value: object) -> str:
         (
             "firmware.vector_tracking.kp_vt",
             1,
-            "unknown key firmware.vector_tracking.kp_vt in overrides; did you mean "
-            "firmware.vector_tracking.k_p_vt?",
+            "unknown key firmware.vector_tracking.kp_vt in overrides; did you mean firmware.vector_tracking.k_p_vt?",
         ),
         (
             "mechanics.colour",
@@ -109,10 +108,15 @@ def test_refusals_name_value_range_and_key(key: str, value: object, message: str
     assert refusal(key, value) == message
 
 
+@pytest.mark.parametrize("key", ["motor.L_d", "motor.L_q", "mechanics.J", "inverter.i_smooth"])
+def test_too_fast_for_the_integration_step(key: str) -> None:
+    overrides = {key: {"inverter.i_smooth": 1e-3}.get(key, 1e-9), "mechanics.b": 1e-3}
+    with pytest.raises(ConfigError, match=rf"^{key} must be >= \S+ \S+.* for integration steps of .*substeps"):
+        load_params(None, overrides)
+
+
 def test_sectors_may_not_vanish() -> None:
-    assert "sector 2 only 3 deg wide" in refusal(
-        "hall", {"delta_deg": [0, -28, 29, 0, 0, 0], "hysteresis_deg": 5}
-    )
+    assert "sector 2 only 3 deg wide" in refusal("hall", {"delta_deg": [0, -28, 29, 0, 0, 0], "hysteresis_deg": 5})
 
 
 def test_refusal_names_the_file(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
+from sim.drive import tick_firmware
 from sim.drive.machine import SimulatedBench
 from sim.params import load_params
 
@@ -175,6 +176,26 @@ def test_overspeed_trips_by_the_encoder():
     bench.enable()
     bench.advance(1)
     assert bench.faults == Fault.OVERSPEED
+
+
+def test_illegal_hall_code_is_a_fault_once_it_has_stood():
+    bench = bench_of()
+    firmware = bench._params.firmware
+    sensed = tick_firmware.Sensed(0, 7, 0, 0.0, 0.0, 0.0, 24.0)
+    assert firmware.hall_periods == 80  # 5 ms
+    assert tick_firmware.fault_causes(firmware, sensed, 0.0, 79) == 0
+    assert tick_firmware.fault_causes(firmware, sensed, 0.0, 80) == Fault.HALL
+
+
+def test_every_edge_of_the_fastest_shaft_finds_room():
+    bench = bench_of(
+        **{"motor.n_p": 64, "load.omega_m_max": 600.0, "load.alpha_m_max": 0.0, "clock.pwm_hz": 1000,
+           "clock.substeps": 20}
+    )  # fmt: skip
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.SPEED, 600.0)
+    recorded = bench.advance(100)
+    assert len(recorded.edges) == pytest.approx(600.0 * 64 * 0.099 / (np.pi / 3), abs=3)
 
 
 def test_parameters_are_float32_and_known_by_name():
