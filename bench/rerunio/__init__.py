@@ -1,0 +1,13 @@
+"""Rerun: the live view and the recording of a run. The only package that imports rerun.
+
+    schema      names, units, colours and storage of everything that is logged; imports no rerun
+    blocks      collects what arrives into blocks of about 50 ms
+    log         writes blocks as rerun data
+    dashboard   the views (blueprint)
+    sinks       FileSink and LiveSink: a thread and a stream of their own each
+    viewer      starts, watches and ends viewer processes
+    recording   reads a recorded run back, exactly
+
+Importing this package costs nothing; `log`, `dashboard` and `recording` import rerun (0.35 s), the others only once
+they are used.
+"""

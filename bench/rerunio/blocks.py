@@ -1,0 +1,202 @@
+"""Collects what arrives from the drive into blocks, so that rerun gets few and large messages.
+
+A block closes when it holds `period` seconds of device time, or when its first item is `period` seconds old by the
+host's clock: a drive that only sends heartbeats is logged too. Adding costs a list append; nothing is copied, and
+nothing is decided here about queues, threads or rerun. Losses are counted here, as chunks arrive, so that blocks that
+a live view has to drop do not spoil the account.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.rerunio import schema
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+
+StreamKey = tuple[object, ...]
+Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
+
+
+@dataclass(slots=True)
+class Block:
+    """What arrived during one period.
+
+    `arrivals`: host time of each chunk of samples. `losses`: counters of the run so far.
+    """
+
+    samples: list[SampleChunk] = field(default_factory=list)
+    edges: list[EdgeChunk] = field(default_factory=list)
+    heartbeats: list[tuple[int, Heartbeat]] = field(default_factory=list)
+    events: list[tuple[int, DeviceEvent]] = field(default_factory=list)
+    notes: list[tuple[str, str]] = field(default_factory=list)
+    arrivals: list[float] = field(default_factory=list)
+    losses: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def n_samples(self) -> int:
+        """Samples of all streams."""
+        return sum(len(chunk) for chunk in self.samples)
+
+    @property
+    def n_edges(self) -> int:
+        """Edges of all streams."""
+        return sum(len(chunk) for chunk in self.edges)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays hold, roughly."""
+        samples = sum(chunk.raw.nbytes + chunk.index.nbytes + chunk.tick.nbytes for chunk in self.samples)
+        return samples + 21 * self.n_edges + 100 * (len(self.heartbeats) + len(self.events) + len(self.notes))
+
+
+class LossAccount:
+    """Counts what is missing: by index and by sequence from the gaps, by the device from its heartbeats."""
+
+    def __init__(self) -> None:
+        self.counters: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
+        self._next_index: dict[tuple[int, int, bool], int] = {}
+        self._tx_dropped: dict[int, int] = {}
+
+    def chunk(self, chunk: Chunk) -> Chunk:
+        """Count a chunk's gaps; return it, with one more gap if its index jumps and no gap says so (an outage)."""
+        config = chunk.config
+        key = (config.node, config.stream, bool(config.channels))
+        step = index_step(config)
+        first, expected = int(chunk.index[0]), self._next_index.get(key)
+        self._next_index[key] = int(chunk.index[-1]) + step
+        reported = bool(chunk.gaps) and chunk.gaps[0].position == 0
+        if expected is not None and first > expected and not reported:
+            chunk = replace(chunk, gaps=(Gap(0, (first - expected) // step, 0, False), *chunk.gaps))
+        records, frames = ("lost:samples", "lost:sample_frames") if config.channels else ("lost:edges", None)
+        for gap in chunk.gaps:
+            self.counters[records] += gap.lost_samples
+            if frames:
+                self.counters[frames] += gap.lost_frames
+        return chunk
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Take over what the device of `node` had to drop itself."""
+        self._tx_dropped[node] = heartbeat.tx_dropped
+        self.counters["lost:by_device"] = sum(self._tx_dropped.values())
+
+
+class BlockBuilder:
+    """Fills one block after the other. `take(now)` gives the block once it is due, else None."""
+
+    def __init__(self, period: float, tick_hz: float) -> None:
+        self.account = LossAccount()
+        self._period = period
+        self._ticks = period * tick_hz
+        self._block = Block()
+        self._opened: float | None = None
+        self._first_tick: int | None = None
+        self._last_tick = 0
+
+    def samples(self, chunk: SampleChunk, now: float) -> None:
+        """Add samples that arrived at `now`, in s of the host's clock."""
+        if len(chunk) == 0:
+            return
+        self._touch(now)
+        self._block.samples.append(self.account.chunk(chunk))
+        self._block.arrivals.append(now)
+        if self._first_tick is None:
+            self._first_tick = int(chunk.tick[0])
+        self._last_tick = int(chunk.tick[-1])
+
+    def edges(self, chunk: EdgeChunk, now: float) -> None:
+        """Add Hall edges."""
+        if len(chunk):
+            self._touch(now)
+            self._block.edges.append(self.account.chunk(chunk))
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat, now: float) -> None:
+        """Add a heartbeat."""
+        self._touch(now)
+        self.account.heartbeat(node, heartbeat)
+        self._block.heartbeats.append((node, heartbeat))
+
+    def event(self, node: int, event: DeviceEvent, now: float) -> None:
+        """Add an event of the drive."""
+        self._touch(now)
+        self._block.events.append((node, event))
+
+    def note(self, text: str, level: str, now: float) -> None:
+        """Add a line of the host's."""
+        self._touch(now)
+        self._block.notes.append((text, level))
+
+    def _touch(self, now: float) -> None:
+        if self._opened is None:
+            self._opened = now
+
+    def take(self, now: float, everything: bool = False) -> Block | None:
+        """Return the block if it is due (or `everything` is asked for and there is something), and start the next."""
+        if self._opened is None:
+            return None
+        span = 0 if self._first_tick is None else self._last_tick - self._first_tick
+        if not everything and span < self._ticks and now - self._opened < self._period:
+            return None
+        block, self._block = self._block, Block()
+        block.losses = dict(self.account.counters)
+        self._opened = self._first_tick = None
+        return block
+
+
+def index_step(config: StreamConfig) -> int:
+    """How far the index advances from record to record of a stream."""
+    return config.decimation if config.channels else 1
+
+
+def stream_key(config: StreamConfig) -> StreamKey:
+    """What makes two configurations one stream: all but the number that the device gave them."""
+    return config.node, config.stream, config.event, config.decimation, config.channels
+
+
+def join_samples(chunks: Sequence[SampleChunk]) -> SampleChunk:
+    """Join chunks of one stream into one, gaps in place."""
+    if len(chunks) == 1:
+        return chunks[0]
+    return SampleChunk(
+        config=chunks[0].config,
+        index=np.concatenate([chunk.index for chunk in chunks]),
+        tick=np.concatenate([chunk.tick for chunk in chunks]),
+        raw=_join_records([chunk.raw for chunk in chunks]),
+        gaps=_joined_gaps(chunks),
+    )
+
+
+def _join_records(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """Concatenate structured arrays as plain bytes: numpy would compare and promote every field (13 us a part)."""
+    plain = np.dtype((np.void, parts[0].dtype.itemsize))
+    return np.concatenate([part.view(plain) for part in parts]).view(parts[0].dtype)
+
+
+def join_edges(chunks: Sequence[EdgeChunk]) -> EdgeChunk:
+    """Join chunks of one edge stream into one, gaps in place."""
+    if len(chunks) == 1:
+        return chunks[0]
+    return EdgeChunk(
+        config=chunks[0].config,
+        tick=np.concatenate([chunk.tick for chunk in chunks]),
+        hall_old=np.concatenate([chunk.hall_old for chunk in chunks]),
+        hall_new=np.concatenate([chunk.hall_new for chunk in chunks]),
+        illegal=np.concatenate([chunk.illegal for chunk in chunks]),
+        encoder=np.concatenate([chunk.encoder for chunk in chunks]),
+        index=np.concatenate([chunk.index for chunk in chunks]),
+        gaps=_joined_gaps(chunks),
+    )
+
+
+def _joined_gaps(chunks: Sequence[SampleChunk] | Sequence[EdgeChunk]) -> tuple[Gap, ...]:
+    gaps: list[Gap] = []
+    start = 0
+    for chunk in chunks:
+        gaps += [Gap(start + g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps]
+        start += len(chunk)
+    return tuple(gaps)

@@ -1,0 +1,353 @@
+"""Writes a run to a rerun stream: blocks of telemetry in, record batches and a few log calls out.
+
+A `RunLog` belongs to one thread and one `RecordingStream`; it decides what is logged where, never when or whether.
+Device time is the only time line. All samples of a block go out as one message, its edges as another; what the long
+plots and the stator plane need is logged at most ten times a second, health once a second, because a viewer lags by
+messages, not by samples.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from bench.rerunio import schema, states
+from bench.rerunio.blocks import Block, Chunk, StreamKey, index_step, join_edges, join_samples, stream_key
+from bench.rerunio.plane import Plane
+from bench.rerunio.trend import Rows, TrendBinner
+from bench.statistics import wrap
+from protocol.messages import DeviceEvent, EventCode, Heartbeat
+from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
+from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+
+REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
+PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
+TREND_BIN = 0.01  # s
+
+Values = NDArray[Any]
+_STATE_METADATA = {
+    "rerun:archetype": "rerun.archetypes.StateChange",
+    "rerun:component": "StateChange:state",
+    "rerun:component_type": "rerun.components.Text",
+}
+
+
+class RunLog:
+    """Logs one run to `stream`."""
+
+    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo) -> None:
+        self.run = run
+        self._stream = stream
+        self._now_ns = 0  # newest device time seen
+        self._streams: dict[StreamKey, _Stream] = {}
+        self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
+        self._lanes: dict[str, str] = dict.fromkeys(states.LANES, "")
+        self._lanes_ns = 0
+        self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
+        self._heartbeat_seen: Heartbeat | None = None
+        self._status: int | None = None  # last value of the status channel
+        self._next_health_ns = self._next_plane_ns = 0
+        self._trend = TrendBinner(round(TREND_BIN * 1e9))
+        self._trend_names: tuple[str, ...] = ()
+        self._plane = Plane(run)
+
+    # -- static -------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Log what does not change: identity, colours of states, the stator plane's frame."""
+        log = self._stream.log
+        log(schema.META, _json(schema.RUN_JSON, self.run.to_json()), static=True)
+        self.summary(identity_text(self.run))
+        for entity in states.STATE_COLOURS:
+            log(entity, states.configuration(entity), static=True)
+        for entity, parts in self._plane.frame():
+            log(entity, parts, static=True)
+
+    def summary(self, markdown: str) -> None:
+        """Replace the summary document."""
+        self._stream.log(schema.SUMMARY, _markdown(markdown), static=True)
+
+    # -- blocks -------------------------------------------------------------------------------------------------
+
+    def block(self, block: Block) -> None:
+        """Log everything in `block`."""
+        self._losses |= block.losses
+        for stream, edges in self._by_stream(block.edges):
+            self._edges(stream, join_edges(edges))
+        for stream, samples in self._by_stream(block.samples):
+            self._samples(stream, join_samples(samples))
+        for node, event in block.events:
+            self._event(node, event)
+        for node, heartbeat in block.heartbeats:
+            self._heartbeat(node, heartbeat)
+        for text, level in block.notes:
+            self._at(self._now_ns)
+            self._stream.log(schema.NOTES, rr.TextLog(text, level=level))
+        self._repeat_lanes()
+        self._health()
+
+    def finish(self) -> None:
+        """Log what was held back for a bin or a second that is not full yet."""
+        self._send_trend(self._trend.rest())
+        self._next_health_ns = 0
+        self._health()
+
+    def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
+        t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
+        self._now_ns = max(self._now_ns, int(t_ns[-1]))
+        values = {channel.name: schema.physical(channel, chunk.raw[channel.name]) for channel in stream.channels}
+        columns = {schema.value_component(name): pa.array(value) for name, value in values.items()}
+        if stream.entity != schema.FAST:
+            self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+            return
+        errors = self._errors(values)
+        columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+        self._telemetry_lane(t_ns, chunk.gaps)
+        self._status_lanes(chunk, t_ns)
+        self._trend_terms(t_ns, values, errors)
+        if t_ns[-1] >= self._next_plane_ns:
+            self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
+            self._at(int(t_ns[-1]))
+            newest = {name: float(value[-1]) for name, value in values.items()}
+            for entity, parts in self._plane.picture(newest, {n: float(e[-1]) for n, e in errors.items()}):
+                self._stream.log(entity, parts)
+
+    def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
+        columns: dict[str, pa.Array] = {
+            schema.EDGE_OLD: pa.array(chunk.hall_old),
+            schema.EDGE_NEW: pa.array(chunk.hall_new),
+            schema.EDGE_ILLEGAL: pa.array(chunk.illegal),
+            schema.EDGE_ENCODER: pa.array(chunk.encoder),
+        }
+        t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
+        self._now_ns = max(self._now_ns, int(t_ns[-1]))
+        lanes = states.HALL_LANES.take(pa.array(chunk.hall_new & 7))
+        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk), lanes)
+
+    def _by_stream(self, chunks: Sequence[Chunk]) -> list[tuple[_Stream, list[Chunk]]]:
+        groups: dict[str, tuple[_Stream, list[Chunk]]] = {}
+        for chunk in chunks:
+            stream = self._by_config.get(id(chunk.config)) or self._stream_of(chunk.config)
+            groups.setdefault(stream.entity, (stream, []))[1].append(chunk)
+        return list(groups.values())
+
+    def _stream_of(self, config: StreamConfig) -> _Stream:
+        key = stream_key(config)
+        stream = self._streams.get(key)
+        if stream is None:
+            if config.node != self.run.node:
+                entity = f"node{config.node}/stream{config.stream}"
+            else:
+                entity = schema.FAST if config.channels else schema.HALL
+            while entity in (known.entity for known in self._streams.values()):
+                entity += "_"
+            stream = self._streams[key] = _Stream(entity, config.channels)
+            described = _json(schema.STREAM_JSON, schema.stream_to_json(config, entity))
+            self._stream.log(f"{schema.STREAMS}/{entity}", described, static=True)
+        stream.configs.append(config)  # keeps it alive, so that its id stays its own
+        self._by_config[id(config)] = stream
+        return stream
+
+    def _at(self, t_ns: int) -> None:
+        self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
+
+    def _send(
+        self,
+        entity: str,
+        t_ns: NDArray[np.int64],
+        columns: Mapping[str, pa.Array],
+        lanes: pa.Array | None = None,
+    ) -> None:
+        arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
+        names = [schema.TIMELINE, *columns]
+        fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
+        if lanes is not None:
+            arrays.append(lanes)
+            fields.append(pa.field("StateChange:state", lanes.type, metadata=_STATE_METADATA))
+        batch = pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields))
+        self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
+
+    def _errors(self, values: Mapping[str, Values]) -> dict[str, Values]:
+        """Position errors, actual minus estimated, in electrical degrees by estimate."""
+        reference = self.run.position_reference
+        if reference is None:
+            return {}
+        return {
+            name: (wrap(values[reference] - values[name]) * schema.DEG).astype(np.float32, copy=False)
+            for name in self.run.position_estimates
+        }
+
+    def _trend_terms(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
+        """Add what the long plots show: errors in degrees, speeds in r/min, d and q currents in A."""
+        terms = {schema.error_component(name): error for name, error in errors.items()}
+        for name in self.run.speeds:
+            component = schema.speed_component(name, self.run.n_p is not None)
+            terms[component] = values[name] * np.float32(self.run.rpm_per_rad_s)
+        for name in schema.DQ_CURRENTS:
+            if name in values:
+                terms[schema.value_component(name)] = values[name]
+        if terms:
+            self._trend_names = tuple(terms)
+            self._send_trend(self._trend.add(t_ns, np.stack(list(terms.values())).astype(np.float32, copy=False)))
+
+    def _send_trend(self, rows: Rows | None) -> None:
+        if rows is not None:
+            t_ns, values = rows
+            columns = {name: pa.array(row) for name, row in zip(self._trend_names, values, strict=True)}
+            self._send(schema.TREND, t_ns, columns)
+
+    # -- states, events, health ---------------------------------------------------------------------------------
+
+    def _lane(self, t_ns: int, **words: str) -> None:
+        """Log the drive's lanes if one of them changes."""
+        if any(self._lanes[lane] != word for lane, word in words.items()):
+            self._lanes |= words
+            self._log_lanes(t_ns)
+
+    def _log_lanes(self, t_ns: int) -> None:
+        self._lanes_ns = t_ns
+        self._at(t_ns)
+        self._stream.log(schema.DRIVE, rr.StateChange(state=list(self._lanes.values())))
+
+    def _repeat_lanes(self) -> None:
+        if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
+            self._log_lanes(self._now_ns)
+
+    def _telemetry_lane(self, t_ns: NDArray[np.int64], gaps: Sequence[Gap]) -> None:
+        step = int(t_ns[-1] - t_ns[-2]) if len(t_ns) > 1 else 0
+        for gap in gaps:
+            end = int(t_ns[gap.position])
+            if gap.lost_samples:
+                self._lane(max(0, end - gap.lost_samples * step), telemetry=states.GAP)
+            self._lane(end, telemetry=states.COMPLETE)
+        self._lane(int(t_ns[0]), telemetry=states.COMPLETE)
+
+    def _status_lanes(self, chunk: SampleChunk, t_ns: NDArray[np.int64]) -> None:
+        if not self.run.has("status"):
+            return
+        words = chunk.raw["status"] & (0xFF & ~int(Status.OBSERVERS_RESET))
+        before = words[0] ^ 0xFF if self._status is None else np.uint8(self._status)
+        for row in np.flatnonzero(np.diff(words, prepend=before)).tolist():
+            word, at = int(words[row]), int(t_ns[row])
+            self._lane(
+                at,
+                state=states.state_name(word & STATUS_STATE_MASK),
+                source=states.source_name(word >> STATUS_SOURCE_SHIFT & 3),
+                correction=states.CORRECTION[bool(word & Status.CORRECTION_ON)],
+            )
+        self._status = int(words[-1])
+
+    def _event(self, node: int, event: DeviceEvent) -> None:
+        t_ns = int(schema.ns_from_tick(event.tick, self.run.tick_hz))
+        self._now_ns = max(self._now_ns, t_ns)
+        self._at(t_ns)
+        raw = (np.int64(event.tick), np.int32(event.code), np.int32(node), np.float64(event.arg))
+        self._stream.log(
+            schema.EVENTS,
+            rr.TextLog(states.event_text(node, event), level=states.EVENT_LEVELS.get(event.code, "INFO")),
+            _any(dict(zip(schema.EVENT_FIELDS, raw, strict=True))),
+        )
+        if event.code == EventCode.STATE_CHANGED and node == self.run.node and self._status is None:
+            self._lane(t_ns, state=states.state_name(int(event.arg)))
+
+    def _heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        if node != self.run.node:
+            return
+        t_ns = int(schema.ns_from_tick(heartbeat.tick, self.run.tick_hz))
+        self._now_ns = max(self._now_ns, t_ns)
+        self._heartbeat_seen = heartbeat
+        if self._status is None:  # no status channel, or no samples yet
+            self._lane(t_ns, state=heartbeat.state.name)
+        self._lane(t_ns, faults=states.fault_text(heartbeat.faults | heartbeat.first_fault))
+
+    def _health(self) -> None:
+        if self._now_ns < self._next_health_ns or (self._heartbeat_seen is None and not self._streams):
+            return
+        self._next_health_ns = self._now_ns + 1_000_000_000
+        values: dict[str, int] = dict(self._losses)
+        if self._heartbeat_seen is not None:
+            values["health:rx_bad"] = self._heartbeat_seen.rx_bad
+            values["health:setpoints_rejected"] = self._heartbeat_seen.setpoints_rejected
+        columns = {name: pa.array(np.array([value], np.float64)) for name, value in values.items()}
+        self._send(schema.HEALTH, np.array([self._now_ns], np.int64), columns)
+        self._at(self._now_ns)
+        self._stream.log(schema.HEALTH_TEXT, _markdown(health_text(values)))
+
+
+@dataclass(slots=True)
+class _Stream:
+    """Where a stream goes, and the configurations under which it came."""
+
+    entity: str
+    channels: tuple[schema.AnyChannel, ...]
+    configs: list[StreamConfig] = field(default_factory=list)
+
+
+def identity_text(run: schema.RunInfo) -> str:
+    """The summary document before there is a summary: what is running."""
+    rows: list[tuple[str, object]] = [
+        ("started", run.started),
+        ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
+        ("PWM", f"{run.pwm_hz / 1e3:g} kHz"),
+        *run.identity.items(),
+    ]
+    return "\n".join(["### Run in progress", "", "| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows)])
+
+
+def health_text(values: Mapping[str, int]) -> str:
+    """Losses and errors so far as a small table; `values` by component name."""
+    v = {name: f"**{value}**" if value else "0" for name, value in values.items()}
+    damaged, rejected = (v.get(f"health:{name}", "–") for name in ("rx_bad", "setpoints_rejected"))
+    return "\n".join(
+        [
+            "| lost so far | by index | by sequence | by the device |",
+            "|---|---|---|---|",
+            f"| samples | {v['lost:samples']} | {v['lost:sample_frames']} frames | {v['lost:by_device']} frames |",
+            f"| Hall edges | {v['lost:edges']} | – | – |",
+            f"| live view only | {v['lost:live_blocks']} blocks | – | – |",
+            f"| to the drive | {damaged} damaged frames | {rejected} setpoints rejected | – |",
+        ]
+    )
+
+
+def _markdown(text: str) -> rr.TextDocument:
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def _json(component: str, data: Mapping[str, Any]) -> rr.AnyValues:
+    return _any({component: json.dumps(data)})
+
+
+def _any(components: Mapping[str, Any]) -> rr.AnyValues:
+    values = rr.AnyValues()
+    for name, value in components.items():
+        values.with_component_from_data(name, value)
+    return values
+
+
+def _bookkeeping(chunk: SampleChunk | EdgeChunk) -> dict[str, pa.Array]:
+    """Sparse columns that make index and gaps exact: a value on the first row of each stretch, null elsewhere."""
+    n = len(chunk)
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(chunk.index) != index_step(chunk.config)) + 1])
+    columns = {schema.INDEX: _sparse(n, starts, chunk.index[starts])}
+    if chunk.gaps:
+        rows = np.array([gap.position for gap in chunk.gaps])
+        values = np.array([(g.lost_samples, g.lost_frames, int(g.overrun)) for g in chunk.gaps], np.int64)
+        columns |= {name: _sparse(n, rows, values[:, k]) for k, name in enumerate(schema.GAP_FIELDS)}
+    return columns
+
+
+def _sparse(n: int, rows: NDArray[np.int64], values: NDArray[np.int64]) -> pa.Array:
+    full = np.zeros(n, np.int64)
+    full[rows] = values
+    missing = np.ones(n, bool)
+    missing[rows] = False
+    return pa.array(full, mask=missing)

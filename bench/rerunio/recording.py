@@ -1,0 +1,197 @@
+"""Reads a recorded run back: every sample and every edge as it came over the wire, exactly.
+
+Also reads files that were cut short (kill -9, disk full, still being written): everything up to the cut. Never writes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from rerun.chunk import Chunk, RrdReader
+
+from bench.errors import BenchError
+from bench.rerunio import schema
+from protocol.messages import DeviceEvent, StreamEvent
+from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+
+I64 = NDArray[np.int64]
+_NOT_READ = [f"/{entity}/**" for entity in (schema.TREND, schema.DRIVE, schema.HEALTH, "stator")]  # only to look at
+
+
+class NotARecordingError(BenchError):
+    """A file that is no recording of a run, or of a newer version than this program reads."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recorded run. `streams` and `edge_streams` by entity; `summary` is markdown."""
+
+    path: Path
+    info: schema.RunInfo
+    streams: dict[str, SampleChunk]
+    edge_streams: dict[str, EdgeChunk]
+    events: tuple[DeviceEvent, ...]
+    notes: tuple[tuple[int, str], ...]
+    summary: str
+
+    @property
+    def samples(self) -> SampleChunk:
+        """The drive's samples. KeyError if none were recorded."""
+        return self.streams[schema.FAST]
+
+    @property
+    def edges(self) -> EdgeChunk:
+        """The drive's Hall edges. KeyError if none were recorded."""
+        return self.edge_streams[schema.HALL]
+
+
+def read_run(path: str | Path) -> Run:
+    """Read a recording. Raises NotARecordingError if `path` is not one."""
+    path = Path(path)
+    tables = _tables(path)
+    meta = tables.get(f"/{schema.META}", [])
+    if not meta:
+        raise NotARecordingError(f"{path} holds no run: it was cut before its first second, or it is not of this bench")
+    described, recording_id = json.loads(_last_text(meta, schema.RUN_JSON)), _recording_id(path)
+    if described["schema"] > schema.SCHEMA:
+        raise NotARecordingError(
+            f"{path} was written by a newer version (schema {described['schema']}, this one reads "
+            f"{schema.SCHEMA}): update hallbench"
+        )
+    info = schema.RunInfo.from_json(described, recording_id)
+    streams: dict[str, SampleChunk] = {}
+    edge_streams: dict[str, EdgeChunk] = {}
+    for name, rows in tables.items():
+        if not name.startswith(f"/{schema.STREAMS}/"):
+            continue
+        data = json.loads(_last_text(rows, schema.STREAM_JSON))
+        config, entity = schema.stream_from_json(data), data["entity"]
+        parts = tables.get(f"/{entity}", [])
+        parts = [part for part in parts if schema.TIMELINE in part.schema.names]
+        if config.event == StreamEvent.EDGES:
+            edge_streams[entity] = _edges(config, parts, info.tick_hz)
+        else:
+            streams[entity] = _samples(config, parts, info.tick_hz)
+    summaries = tables.get(f"/{schema.SUMMARY}", [])
+    return Run(
+        path=path,
+        info=info,
+        streams=streams,
+        edge_streams=edge_streams,
+        events=_events(tables.get(f"/{schema.EVENTS}", [])),
+        notes=_notes(tables.get(f"/{schema.NOTES}", []), info.tick_hz),
+        summary=_last_text(summaries, "TextDocument:text") if summaries else "",
+    )
+
+
+def _recording_id(path: Path) -> str:
+    return str(RrdReader(path).recordings()[0].recording_id)
+
+
+def _tables(path: Path) -> dict[str, list[pa.RecordBatch]]:
+    """All chunks of the file's recording by entity, in the order in which they were written."""
+    if not path.is_file():
+        raise NotARecordingError(f"{path}: no such file")
+    try:
+        reader = RrdReader(path)
+        ours = [entry for entry in reader.recordings() if entry.application_id == schema.APPLICATION]
+        chunks: Iterable[Chunk] = reader.stream(store=ours[0]).drop(content=_NOT_READ).to_chunks() if ours else ()
+    except (ValueError, RuntimeError, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise NotARecordingError(f"{path} is not a rerun recording: {reason}") from None
+    if not ours:
+        raise NotARecordingError(f"{path} is a rerun recording, but not of this bench")
+    tables: dict[str, list[pa.RecordBatch]] = {}
+    for chunk in chunks:
+        tables.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
+    return tables
+
+
+def _samples(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) -> SampleChunk:
+    tick = _ticks(parts, tick_hz)
+    raw = np.empty(len(tick), config.dtype)
+    for channel in config.channels:
+        values = _column(parts, schema.value_component(channel.name), np.float64)
+        raw[channel.name] = schema.raw_from_physical(channel, values)
+    index = _index(parts, config.decimation)
+    return SampleChunk(config, index, tick, raw, _gaps(parts))
+
+
+def _edges(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) -> EdgeChunk:
+    return EdgeChunk(
+        config=config,
+        tick=_ticks(parts, tick_hz),
+        hall_old=_column(parts, schema.EDGE_OLD, np.uint8),
+        hall_new=_column(parts, schema.EDGE_NEW, np.uint8),
+        illegal=_column(parts, schema.EDGE_ILLEGAL, np.bool_),
+        encoder=_column(parts, schema.EDGE_ENCODER, np.uint16),
+        index=_index(parts, 1),
+        gaps=_gaps(parts),
+    )
+
+
+def _ticks(parts: list[pa.RecordBatch], tick_hz: int) -> I64:
+    times = [part.column(schema.TIMELINE).cast(pa.int64()).to_numpy() for part in parts]
+    return schema.tick_from_ns(np.concatenate([np.empty(0, np.int64), *times]), tick_hz)
+
+
+def _column(parts: list[pa.RecordBatch], name: str, dtype: Any) -> NDArray[Any]:
+    """A component with one value in every row, shape (rows,)."""
+    values = [part.column(name).flatten().to_numpy(zero_copy_only=False).astype(dtype) for part in parts]
+    return np.concatenate([np.empty(0, dtype), *values])
+
+
+def _sparse(parts: list[pa.RecordBatch], name: str) -> tuple[I64, I64]:
+    """Rows that have a value of a component, and the values."""
+    rows, values, start = [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
+    for part in parts:
+        if name in part.schema.names:
+            column = part.column(name)
+            rows.append(start + np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False)))
+            values.append(column.flatten().to_numpy(zero_copy_only=False).astype(np.int64))
+        start += part.num_rows
+    return np.concatenate(rows), np.concatenate(values)
+
+
+def _index(parts: list[pa.RecordBatch], step: int) -> I64:
+    rows, first = _sparse(parts, schema.INDEX)
+    n = sum(part.num_rows for part in parts)
+    lengths = np.diff(np.append(rows, n))
+    index: I64 = np.repeat(first - rows * step, lengths) + np.arange(n, dtype=np.int64) * step
+    return index
+
+
+def _gaps(parts: list[pa.RecordBatch]) -> tuple[Gap, ...]:
+    rows, samples = _sparse(parts, schema.GAP_FIELDS[0])
+    frames, overrun = (_sparse(parts, name)[1] for name in schema.GAP_FIELDS[1:])
+    return tuple(
+        Gap(position, lost, lost_frames, bool(flag))
+        for position, lost, lost_frames, flag in zip(
+            rows.tolist(), samples.tolist(), frames.tolist(), overrun.tolist(), strict=True
+        )
+    )
+
+
+def _events(parts: list[pa.RecordBatch]) -> tuple[DeviceEvent, ...]:
+    kinds: tuple[Callable[[Any], Any], ...] = (int, int, int, float)
+    columns = [
+        [kind(v) for v in _column(parts, name, object)] for kind, name in zip(kinds, schema.EVENT_FIELDS, strict=True)
+    ]
+    return tuple(DeviceEvent(*values) for values in zip(*columns, strict=True))
+
+
+def _notes(parts: list[pa.RecordBatch], tick_hz: int) -> tuple[tuple[int, str], ...]:
+    texts = [str(text) for text in _column(parts, "TextLog:text", object)]
+    return tuple(zip(_ticks(parts, tick_hz).tolist(), texts, strict=True))
+
+
+def _last_text(parts: list[pa.RecordBatch], component: str) -> str:
+    texts = [part.column(component) for part in parts if component in part.schema.names]
+    return str(texts[-1].flatten()[-1].as_py())

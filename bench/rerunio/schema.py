@@ -1,0 +1,324 @@
+"""What a recording holds and how it is named: entities, components, units, colours, number formats.
+
+Writer, reader and dashboard share this module, so they cannot drift apart. It imports no rerun.
+
+Every channel of a stream is a float column in its physical unit. Whole raw values are recovered exactly from it:
+float32 holds them where its rounding stays below a quarter of a count, float64 elsewhere (`storage`). Device ticks
+become nanoseconds on the time line `t`, and come back exactly for any tick rate below 1 GHz.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.descriptor import Channel
+from protocol.messages import StreamEvent
+from protocol.signals import Flag, RawType, Signal, Unit
+from protocol.streams import StreamConfig
+
+APPLICATION = "hallbench"
+SCHEMA = 1  # version of everything below; a reader refuses a newer one
+TIMELINE = "device_time"
+
+# entities
+META = "meta"  # static: the run's identity
+STREAMS = "meta/streams"  # static: one description a stream, as META/<entity>
+FAST = "fast"  # the drive's samples at full rate, and the position errors
+TREND = "trend"  # minima and maxima over 10 ms of what the long plots show
+HALL = "hall"  # Hall edges, tick-exact
+EVENTS = "log/drive"
+NOTES = "log/host"
+HEALTH = "health"  # loss and error counters, once a second
+HEALTH_TEXT = "health/text"  # the same for people
+DRIVE = "drive"  # state, faults, angle source, correction, telemetry: one lane each
+PLANE = "stator/plane"
+VECTORS = "stator/vectors"
+SUMMARY = "summary"
+
+# components
+RUN_JSON = "hallbench:run"
+STREAM_JSON = "hallbench:stream"
+INDEX = "index:first"  # index of this row, on the first row of each contiguous stretch
+GAP_FIELDS = ("gap:lost_samples", "gap:lost_frames", "gap:overrun")  # on the first row after a gap
+EDGE_OLD, EDGE_NEW, EDGE_ILLEGAL, EDGE_ENCODER = (
+    "edge:hall_old",
+    "edge:hall_new",
+    "edge:illegal",
+    "edge:encoder",
+)
+EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
+LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
+
+DQ_CURRENTS = ("i_d", "i_q", "i_d_ref", "i_q_ref")
+
+RPM = 60 / (2 * math.pi)
+DEG = 180 / math.pi
+
+
+def value_component(channel: str) -> str:
+    """Component of a channel's physical value."""
+    return f"value:{channel}"
+
+
+def error_component(channel: str) -> str:
+    """Component of a position estimate's error, actual minus estimated, in electrical degrees."""
+    return f"error_deg:{channel}"
+
+
+def speed_component(channel: str, mechanical: bool) -> str:
+    """Component of a speed in r/min, mechanical where the pole pairs are known, else electrical."""
+    return f"{'mech' if mechanical else 'elec'}_rpm:{channel}"
+
+
+# One colour a quantity, in every view (dark background; Okabe and Ito's palette, told apart by colour-blind eyes too).
+WHITE, GREY = (235, 235, 235), (130, 130, 130)
+ORANGE, SKY, GREEN, YELLOW, PURPLE, VERMILION, LILAC = (
+    (240, 165, 30),
+    (80, 180, 250),
+    (30, 190, 140),
+    (240, 228, 66),
+    (225, 130, 185),
+    (240, 100, 50),
+    (160, 145, 250),
+)
+COLOURS: dict[str, tuple[int, int, int]] = {
+    "theta_enc": WHITE,
+    "omega_enc": WHITE,
+    "theta_true": GREY,
+    "omega_true": GREY,
+    "theta_avg": ORANGE,
+    "omega_avg": ORANGE,
+    "theta_vt": SKY,
+    "omega_vt": SKY,
+    "omega_ref": YELLOW,
+    "i_a": VERMILION,
+    "i_b": GREEN,
+    "i_c": LILAC,
+    "i_d": GREEN,
+    "i_q": PURPLE,
+    "i_d_ref": WHITE,
+    "i_q_ref": YELLOW,
+    "current": PURPLE,
+    "voltage": YELLOW,
+    "back_emf": GREEN,
+}
+SPARE_COLOURS = (VERMILION, LILAC, PURPLE, GREEN)
+LABELS = {
+    "theta_enc": "encoder",
+    "omega_enc": "encoder",
+    "theta_true": "plant",
+    "omega_true": "plant",
+    "theta_avg": "average speed",
+    "omega_avg": "Hall average",
+    "theta_vt": "vector tracking",
+    "omega_vt": "vector tracking",
+    "omega_ref": "reference",
+    "i_d_ref": "i_d reference",
+    "i_q_ref": "i_q reference",
+}
+
+AnyChannel = Channel | Signal
+
+
+def colour(name: str) -> tuple[int, int, int]:
+    """Colour of a quantity: fixed for the known ones, steady for a name that is not known."""
+    return COLOURS.get(name) or SPARE_COLOURS[sum(name.encode()) % len(SPARE_COLOURS)]
+
+
+def label(name: str) -> str:
+    """What a plot calls a channel."""
+    return LABELS.get(name, name)
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What is known of a run before its first sample.
+
+    `channels` are those of the stream that the dashboard shows (node `node`), `parameters` the drive's by name in SI
+    units, `identity` anything else that tells what was tested (HELLO's fields, target, host version), as plain JSON.
+    """
+
+    tick_hz: int
+    pwm_hz: int
+    channels: tuple[AnyChannel, ...]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    node: int = 1
+    recording_id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    started: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+
+    @cached_property
+    def n_p(self) -> int | None:
+        """Pole pairs, if the drive says."""
+        return int(self.parameters["n_p"]) if "n_p" in self.parameters else None
+
+    @property
+    def i_max(self) -> float:
+        """Largest current reference in A, 10 if the drive does not say."""
+        return self.parameters.get("i_max", 0.0) or 10.0
+
+    def has(self, *names: str) -> bool:
+        """Whether all these channels are streamed."""
+        return self._names.issuperset(names)
+
+    @cached_property
+    def _names(self) -> frozenset[str]:
+        return frozenset(channel.name for channel in self.channels)
+
+    @cached_property
+    def position_estimates(self) -> tuple[str, ...]:
+        """Channels flagged as position estimates."""
+        return self._flagged(Flag.ESTIMATE, Unit.RAD)
+
+    @cached_property
+    def position_reference(self) -> str | None:
+        """The channel that position estimates are compared with."""
+        return next(iter(self._flagged(Flag.REFERENCE, Unit.RAD)), None)
+
+    @cached_property
+    def speeds(self) -> tuple[str, ...]:
+        """Electrical speeds worth a line in the speed plot, in drawing order: estimates, encoder, reference."""
+        commanded = ("omega_ref",) if self.has("omega_ref") else ()
+        return (
+            *self._flagged(Flag.ESTIMATE, Unit.RAD_PER_S),
+            *self._flagged(Flag.REFERENCE, Unit.RAD_PER_S),
+            *commanded,
+        )
+
+    def _flagged(self, flag: Flag, unit: Unit) -> tuple[str, ...]:
+        return tuple(c.name for c in self.channels if c.flags & flag and c.unit == unit)
+
+    @cached_property
+    def rpm_per_rad_s(self) -> float:
+        """Factor from electrical rad/s to the r/min that are shown."""
+        return RPM / (self.n_p or 1)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as plain JSON, for the recording."""
+        return {
+            "schema": SCHEMA,
+            "tick_hz": self.tick_hz,
+            "pwm_hz": self.pwm_hz,
+            "node": self.node,
+            "started": self.started,
+            "parameters": {name: float(value) for name, value in self.parameters.items()},
+            "channels": [channel_to_json(channel) for channel in self.channels],
+            "identity": dict(self.identity),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], recording_id: str) -> RunInfo:
+        """The inverse of `to_json`."""
+        return cls(
+            tick_hz=data["tick_hz"],
+            pwm_hz=data["pwm_hz"],
+            channels=tuple(channel_from_json(channel) for channel in data["channels"]),
+            parameters=data["parameters"],
+            identity=data["identity"],
+            node=data["node"],
+            recording_id=recording_id,
+            started=data["started"],
+        )
+
+
+def channel_to_json(channel: AnyChannel) -> dict[str, Any]:
+    """Describe a channel, with the number format of its column."""
+    return {
+        "id": channel.id,
+        "name": channel.name,
+        "unit": int(channel.unit),
+        "symbol": channel.unit.symbol,
+        "raw": int(channel.raw),
+        "scale": channel.scale,
+        "offset": channel.offset,
+        "flags": int(channel.flags),
+        "storage": np.dtype(storage(channel)).name,
+    }
+
+
+def channel_from_json(data: Mapping[str, Any]) -> Channel:
+    """The inverse of `channel_to_json`."""
+    return Channel(
+        data["id"],
+        data["name"],
+        Unit(data["unit"]),
+        RawType(data["raw"]),
+        data["scale"],
+        Flag(data["flags"]),
+        data["offset"],
+    )
+
+
+def stream_to_json(config: StreamConfig, entity: str) -> dict[str, Any]:
+    """Describe a stream that is logged under `entity`."""
+    return {
+        "entity": entity,
+        "node": config.node,
+        "stream": config.stream,
+        "cfg_id": config.cfg_id,
+        "event": int(config.event),
+        "decimation": config.decimation,
+        "block": config.block,
+        "channels": [channel_to_json(channel) for channel in config.channels],
+    }
+
+
+def stream_from_json(data: Mapping[str, Any]) -> StreamConfig:
+    """The inverse of `stream_to_json`, without the entity."""
+    return StreamConfig(
+        node=data["node"],
+        stream=data["stream"],
+        cfg_id=data["cfg_id"],
+        event=StreamEvent(data["event"]),
+        decimation=data["decimation"],
+        channels=tuple(channel_from_json(channel) for channel in data["channels"]),
+        block=data["block"],
+    )
+
+
+@cache
+def storage(channel: AnyChannel) -> type[np.float32] | type[np.float64]:
+    """Number format of a channel's column: the smaller one from which its raw values come back exactly."""
+    if channel.raw == RawType.F32:
+        return np.float32 if channel.scale == 1 and channel.offset == 0 else np.float64
+    info = np.iinfo(channel.raw.dtype)
+    largest = max(abs(int(info.min)), int(info.max)) + abs(channel.offset / channel.scale)  # in counts
+    return np.float32 if largest * float(np.finfo(np.float32).eps) < 0.25 else np.float64
+
+
+def physical(channel: AnyChannel, raw: NDArray[Any]) -> NDArray[Any]:
+    """The column of a channel: raw * scale + offset, in the channel's `storage` format."""
+    kind = storage(channel)
+    values: NDArray[Any] = np.multiply(raw, kind(channel.scale), dtype=kind)
+    return values + kind(channel.offset) if channel.offset else values
+
+
+def raw_from_physical(channel: AnyChannel, values: NDArray[Any]) -> NDArray[Any]:
+    """Raw wire values for a column of physical ones, in the channel's own type; exact by the choice of `storage`."""
+    if channel.raw == RawType.F32 and storage(channel) is np.float32:
+        return values.astype(np.float32)
+    counts = (values.astype(np.float64) - channel.offset) / channel.scale
+    return (counts if channel.raw == RawType.F32 else np.rint(counts)).astype(channel.raw.dtype)
+
+
+def ns_from_tick(tick: NDArray[np.int64] | int, tick_hz: int) -> NDArray[np.int64]:
+    """Nanoseconds since the device's tick 0, rounded to the nearest; exact integers, no overflow below 292 years."""
+    seconds, rest = np.divmod(np.asarray(tick, np.int64), np.int64(tick_hz))
+    ns: NDArray[np.int64] = seconds * 1_000_000_000 + (rest * 1_000_000_000 + tick_hz // 2) // tick_hz
+    return ns
+
+
+def tick_from_ns(ns: NDArray[np.int64], tick_hz: int) -> NDArray[np.int64]:
+    """The inverse of `ns_from_tick`, exact for `tick_hz` below 1 GHz."""
+    seconds, rest = np.divmod(np.asarray(ns, np.int64), np.int64(1_000_000_000))
+    tick: NDArray[np.int64] = seconds * tick_hz + (rest * tick_hz + 500_000_000) // 1_000_000_000
+    return tick

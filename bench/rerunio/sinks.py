@@ -1,0 +1,345 @@
+"""The two ends of a run's data: a recording and a live view, each with a thread and a rerun stream of its own.
+
+The acquisition thread calls `samples`, `edges`, … here and never waits: rerun is only called from the sinks' threads.
+The recording's queue takes everything (its size is watched); the live view's is short, and what does not fit is
+dropped and counted. So a slow, stopped or dead viewer costs live frames, never recorded samples.
+
+A recording that cannot be written (disk full, device gone) raises `RecordingError` out of the next call, once: the run
+ends with an error, and the calls that stop the drive still go through. kill -9 leaves a readable file.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.errors import BenchError
+from bench.rerunio import schema
+from bench.rerunio.blocks import Block, BlockBuilder
+from bench.statistics import Percentiles
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from bench.rerunio.dashboard import Windows
+    from bench.rerunio.log import RunLog
+
+BLOCK_PERIOD = 0.05  # s of signal a message
+SLOW_BLOCK_PERIOD = 0.2  # s, for viewers that draw a few frames a second
+FLUSH_PERIOD = 1.0  # s: how soon a full disk is noticed, and how much a power cut can cost
+FLUSH_TIMEOUT = 10.0  # s
+BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: four minutes of 16 kHz x 26 channels
+LIVE_QUEUE = 20  # blocks
+CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
+LIVE_CLOSE_TIMEOUT = 2.0  # s for a viewer to take what is left
+
+Now = Callable[[], float]
+_Item = Block | str | None  # a block, the text of the summary, or the end
+
+
+class RecordingError(BenchError):
+    """The recording cannot be written."""
+
+    exit_code = 3
+
+
+class _BlockSink:
+    """Sink of `bench.client`: collects blocks and passes them on to `_put`, which must not wait.
+
+    `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
+    sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
+    """
+
+    host_time: Callable[[float], float] | None = None
+
+    def __init__(self, run: schema.RunInfo, period: float, now: Now) -> None:
+        self.run = run
+        self.latency = Percentiles()
+        self.logged_samples = 0
+        self.logged_edges = 0
+        self._now = now
+        self._builder = BlockBuilder(period, run.tick_hz)
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Take samples."""
+        now = self._now()
+        self._builder.samples(chunk, now)
+        self._pass_on(now)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take Hall edges; they go out no later than the samples that follow them."""
+        self._builder.edges(chunk, self._now())
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Take a heartbeat."""
+        now = self._now()
+        self._builder.heartbeat(node, heartbeat, now)
+        self._pass_on(now)
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Take an event of the drive."""
+        self._builder.event(node, event, self._now())
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR."""
+        self._builder.note(text, level, self._now())
+
+    def _pass_on(self, now: float, everything: bool = False) -> None:
+        block = self._builder.take(now, everything)
+        if block is not None:
+            self._put(block)
+
+    def _put(self, item: _Item) -> None:
+        raise NotImplementedError
+
+    def _log(self, log: RunLog, item: Block | str) -> None:
+        """Hand one item to rerun; on the sink's own thread."""
+        if isinstance(item, str):
+            log.summary(item)
+            return
+        log.block(item)
+        now, host_time = self._now(), self.host_time
+        for chunk, arrived in zip(item.samples, item.arrivals, strict=True):
+            self.latency.add(now - (host_time(float(chunk.tick[0])) if host_time else arrived), len(chunk))
+        self.logged_samples += item.n_samples
+        self.logged_edges += item.n_edges
+
+
+class FileSink(_BlockSink):
+    """Records a run to an .rrd file that opens with the dashboard.
+
+    `live_drops` tells how many blocks the live view has lost, for the record. With `wait` a caller that is faster
+    than the disk is held back instead of failing: for virtual time only. The `footer` makes a large file open at once,
+    and costs 0.8 GB of memory an hour while it is written. Raises RecordingError if the file exists
+    (unless `overwrite`) or cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        run: schema.RunInfo,
+        *,
+        overwrite: bool = False,
+        wait: bool = False,
+        footer: bool = True,
+        live_drops: Callable[[], int] = lambda: 0,
+        windows: Windows | None = None,
+        now: Now = time.monotonic,
+    ) -> None:
+        super().__init__(run, BLOCK_PERIOD, now)
+        self.path = Path(path)
+        self.error: RecordingError | None = None
+        self.lost_blocks = 0  # that came after the error
+        self._raised = False
+        self._wait = wait
+        self._live_drops = live_drops
+        self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+        self._backlog = 0
+        self._room = threading.Condition()
+        _claim(self.path, overwrite)
+        self._stream = _open_file(self.path, run, windows, footer)
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def backlog_bytes(self) -> int:
+        """What waits for the disk."""
+        return self._backlog
+
+    def summary(self, markdown: str) -> None:
+        """Put the summary into the recording."""
+        self._put(markdown)
+
+    def close(self) -> None:
+        """Write what is left and finish the file. Raises RecordingError if that fails and nothing was raised before."""
+        self._pass_on(self._now(), everything=True)
+        self._queue.put(None)
+        self._thread.join(CLOSE_TIMEOUT)
+        if self._thread.is_alive():
+            self._fail(f"{self._backlog >> 20} MiB were not written within {CLOSE_TIMEOUT:g} s; the end is missing")
+        self._raise_once()
+
+    def _put(self, item: _Item) -> None:
+        if self.error is not None:
+            self.lost_blocks += isinstance(item, Block)
+            self._raise_once()
+            return
+        size = item.nbytes if isinstance(item, Block) else 0
+        with self._room:
+            if self._wait:
+                self._room.wait_for(lambda: self._backlog < BACKLOG_LIMIT or self.error is not None)
+            elif self._backlog > BACKLOG_LIMIT:
+                self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
+            self._backlog += size
+        self._queue.put(item)
+
+    def _raise_once(self) -> None:
+        if self.error is not None and not self._raised:
+            self._raised = True
+            raise self.error
+
+    def _fail(self, what: str, cause: Exception | None = None) -> None:
+        self.error = RecordingError(f"recording {self.path}: {what}")
+        self.error.__cause__ = cause
+        with self._room:
+            self._room.notify_all()
+
+    def _work(self) -> None:
+        from bench.rerunio.log import RunLog
+
+        try:
+            log = RunLog(self._stream, self.run)
+            log.start()
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
+            flushed = time.monotonic()
+            while True:
+                try:
+                    item = self._queue.get(timeout=FLUSH_PERIOD)
+                except queue.Empty:
+                    item = Block()
+                if item is None:
+                    break
+                if isinstance(item, Block):
+                    item.losses["lost:live_blocks"] = self._live_drops()
+                self._log(log, item)
+                if isinstance(item, Block):
+                    with self._room:
+                        self._backlog -= item.nbytes
+                        self._room.notify_all()
+                if time.monotonic() - flushed >= FLUSH_PERIOD:
+                    self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
+                    flushed = time.monotonic()
+            log.finish()
+            self._stream.flush(timeout_sec=CLOSE_TIMEOUT)
+            self._stream.disconnect()
+        except Exception as error:
+            self._fail(_why(self.path, error), error)
+
+
+class LiveSink(_BlockSink):
+    """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
+
+    Viewers may come, stall and go at any time. `dropped_blocks` and `dropped_samples` tell what they did not get.
+    """
+
+    def __init__(
+        self,
+        run: schema.RunInfo,
+        port: int,
+        *,
+        slow: bool = False,
+        queue_blocks: int = LIVE_QUEUE,
+        now: Now = time.monotonic,
+    ) -> None:
+        super().__init__(run, SLOW_BLOCK_PERIOD if slow else BLOCK_PERIOD, now)
+        self.dropped_blocks = 0
+        self.dropped_samples = 0
+        self.error: str | None = None
+        self._queue: queue.Queue[_Item] = queue.Queue(queue_blocks)
+        self._closing = threading.Event()
+        self._stream, self.url = _serve(run, port, slow)
+        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
+        self._thread.start()
+
+    def summary(self, markdown: str) -> None:
+        """Show the summary."""
+        self._put(markdown)
+
+    def close(self) -> bool:
+        """Give viewers what is queued and end the server; False if a stalled viewer keeps it from ending in time."""
+        self._pass_on(self._now(), everything=True)
+        self._closing.set()
+        self._thread.join(LIVE_CLOSE_TIMEOUT)
+        return not self._thread.is_alive()
+
+    def _put(self, item: _Item) -> None:
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            if isinstance(item, Block):
+                self.dropped_blocks += 1
+                self.dropped_samples += item.n_samples
+
+    def _work(self) -> None:
+        from bench.rerunio.log import RunLog
+
+        try:
+            log = RunLog(self._stream, self.run)
+            log.start()
+            while True:
+                try:
+                    item = self._queue.get(timeout=0.1)
+                except queue.Empty:
+                    if self._closing.is_set():
+                        break
+                    continue
+                if isinstance(item, Block):
+                    item.losses["lost:live_blocks"] = self.dropped_blocks
+                if item is not None:
+                    self._log(log, item)
+            log.finish()
+            self._stream.flush(timeout_sec=LIVE_CLOSE_TIMEOUT)
+            self._stream.disconnect()
+        except Exception as error:  # the live view is a convenience: the run goes on without it
+            self.error = str(error)
+
+
+def _claim(path: Path, overwrite: bool) -> None:
+    try:
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if overwrite else os.O_EXCL), 0o644))
+    except FileExistsError:
+        raise RecordingError(f"{path} exists: choose another name, or --overwrite to replace it") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be created: {error.strerror}") from None
+
+
+def _new_stream(run: schema.RunInfo) -> rr.RecordingStream:
+    import rerun as rr
+
+    stream = rr.RecordingStream(schema.APPLICATION, recording_id=run.recording_id)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
+
+
+def _open_file(path: Path, run: schema.RunInfo, windows: Windows | None, footer: bool) -> rr.RecordingStream:
+    from bench.rerunio import dashboard
+
+    stream = _new_stream(run)
+    try:
+        stream.save(path, write_footer=footer)
+        stream.send_blueprint(dashboard.blueprint(run, windows or dashboard.NORMAL))
+    except RuntimeError as error:
+        raise RecordingError(f"recording {path}: {_why(path, error)}") from None
+    return stream
+
+
+def _serve(run: schema.RunInfo, port: int, slow: bool) -> tuple[rr.RecordingStream, str]:
+    import rerun as rr
+
+    from bench.rerunio import dashboard
+
+    stream = _new_stream(run)
+    server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="128MiB")
+    stream.set_sinks(server)
+    stream.send_blueprint(dashboard.blueprint(run, dashboard.SLOW if slow else dashboard.NORMAL))
+    return stream, server.uri
+
+
+def _why(path: Path, error: Exception) -> str:
+    """Rerun says that its writer has ended, not why: look for the usual reason."""
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:
+        free = -1
+    if 0 <= free < 1 << 20 or "os error 28" in str(error):
+        return f"the disk is full ({max(free, 0) >> 10} KiB free); free some space or record elsewhere"
+    return f"cannot be written ({error}); what was written before is readable"

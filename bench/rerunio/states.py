@@ -1,0 +1,112 @@
+"""How states look in the timelines: words, colours and lanes for the drive, its faults and the Hall sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from bench.rerunio import schema
+from protocol.messages import DeviceEvent, DriveState, EventCode, Fault
+from protocol.signals import AngleSource
+
+SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)  # sector 0..5 by Hall code, SPEC.md's Hall bit order
+SECTORS = ("I", "II", "III", "IV", "V", "VI")
+ILLEGAL = "illegal"
+
+Colour = tuple[int, int, int]
+_DARK, _DIM, _RED = (52, 52, 52), (84, 84, 84), (230, 40, 40)
+_GREEN, _AMBER = (40, 130, 76), (200, 140, 20)
+
+HALL_COLOURS: dict[str, Colour] = {
+    **{f"{sensor}=0": _DARK for sensor in "abc"},
+    **{f"{sensor}=1": schema.COLOURS[f"i_{sensor}"] for sensor in "abc"},
+    **{sector: (_DIM, (110, 110, 110))[i % 2] for i, sector in enumerate(SECTORS)},
+    ILLEGAL: _RED,
+}
+_HALL_LABELS = {"a=0": "0", "b=0": "0", "c=0": "0", "a=1": "a", "b=1": "b", "c=1": "c"}
+
+# Lanes of the drive: every word tells by itself which lane it stands in.
+LANES = ("state", "faults", "source", "correction", "telemetry")
+NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
+CORRECTION = ("back-EMF correction off", "back-EMF correction on")
+_SOURCES = {
+    AngleSource.ENCODER: "angle: encoder",
+    AngleSource.AVERAGE_SPEED: "angle: average speed",
+    AngleSource.VECTOR_TRACKING: "angle: vector tracking",
+}
+DRIVE_COLOURS: dict[str, Colour] = {
+    DriveState.BOOT.name: _DIM,
+    DriveState.IDLE.name: _DIM,
+    DriveState.ARMED.name: _AMBER,
+    DriveState.RUNNING.name: _GREEN,
+    DriveState.FAULT.name: _RED,
+    NO_FAULT: _DARK,
+    **{fault.name or "": _RED for fault in Fault},
+    _SOURCES[AngleSource.ENCODER]: _DIM,
+    _SOURCES[AngleSource.AVERAGE_SPEED]: (176, 116, 10),
+    _SOURCES[AngleSource.VECTOR_TRACKING]: (40, 120, 180),
+    CORRECTION[0]: _DARK,
+    CORRECTION[1]: (60, 84, 140),
+    COMPLETE: _DARK,
+    GAP: _RED,
+}
+STATE_COLOURS: dict[str, dict[str, Colour]] = {schema.HALL: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
+
+
+def _hall_lanes() -> pa.Array:
+    lanes = []
+    for code in range(8):
+        sector = SECTOR_OF_CODE[code]
+        sensors = [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")]
+        lanes.append([*sensors, SECTORS[sector] if sector >= 0 else ILLEGAL])
+    return pa.array(lanes, pa.list_(pa.string()))
+
+
+HALL_LANES = _hall_lanes()  # by Hall code: states of the lanes a, b, c and sector
+
+
+def configuration(entity: str) -> rr.StateConfiguration:
+    """Colours and labels of the states of `entity`."""
+    colours = STATE_COLOURS[entity]
+    packed = np.array([r << 24 | g << 16 | b << 8 | 0xFF for r, g, b in colours.values()], np.uint32)
+    labels = [_HALL_LABELS.get(value, value) for value in colours]
+    return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed)
+
+
+def state_name(value: int) -> str:
+    """Name of a DriveState; an unknown one keeps its number."""
+    return DriveState(value).name if value in DriveState._value2member_map_ else f"state {value}"
+
+
+def source_name(value: int) -> str:
+    """Words for an AngleSource; an unknown one keeps its number."""
+    return _SOURCES[AngleSource(value)] if value in AngleSource._value2member_map_ else f"angle: source {value}"
+
+
+def fault_text(faults: int) -> str:
+    """Names of the fault bits."""
+    return " ".join(fault.name or "?" for fault in Fault if fault & faults) or NO_FAULT
+
+
+EVENT_LEVELS: dict[int, str] = {
+    EventCode.FAULT: "ERROR",
+    EventCode.SETPOINT_REJECTED: "WARN",
+    EventCode.ARM_LAPSED: "WARN",
+}
+
+
+def event_text(node: int, event: DeviceEvent) -> str:
+    """One line for an event of node `node`."""
+    match event.code:
+        case EventCode.STATE_CHANGED:
+            text = f"state {state_name(int(event.arg))}"
+        case EventCode.FAULT:
+            text = f"FAULT {fault_text(int(event.arg))}"
+        case EventCode.SETPOINT_REJECTED:
+            text = f"setpoint rejected (error {event.arg:g})"
+        case EventCode.ARM_LAPSED:
+            text = f"ARMED lapsed after {event.arg:g} s without START"
+        case _:
+            text = f"event {event.code} ({event.arg:g})"
+    return f"node {node}: {text}"
