@@ -19,7 +19,7 @@ from sim.drive.machine import SimulatedBench
 from sim.params import BenchParams
 
 FIRMWARE = "hallbench-sim"
-PORTION = 0.02  # s that the bench runs at most before its sessions look at the time
+PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 _WATCHDOG_OFF = 0xFFFF
 
 
@@ -73,13 +73,14 @@ class SimulatedDevice:
         self.load: DeviceSession = self.link.add(
             LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
         )
+        self._sessions = (self.drive, self.load)
         self._were_on = [False, False]
         self.link.advance(self.bench.tick)
 
     @property
     def sessions(self) -> tuple[DeviceSession, DeviceSession]:
         """Drive and load machine."""
-        return self.drive, self.load
+        return self._sessions
 
     @property
     def tick(self) -> int:
@@ -94,33 +95,41 @@ class SimulatedDevice:
     def receive(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere, at the present tick."""
         self.link.receive(data)
-        self._report([0.0, 0.0])
+        if self._notice:
+            self._report([0.0, 0.0], self._notice)
 
     def advance(self, periods: int) -> None:
         """Run control periods; what they produce waits in `data_to_send`."""
         while periods > 0:
             n = min(periods, self._portion, self._until_watchdog())
-            unfed = [self._unfed(session) + n / self.pwm_hz for session in self.sessions]
+            unfed = [self._unfed(session) + n / self.pwm_hz for session in self._sessions] if self._notice else []
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
             self.drive.push_edges(recorded.edges)
             self.drive.push_samples(recorded.index, recorded.tick, recorded.samples)
             self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
+            self.link.advance(self.tick)
             if self.bench.faults:
                 self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
-            self.link.advance(self.tick)
-            self._report(unfed)
+            if self._notice:
+                self._report(unfed, self._notice)
+
+    @property
+    def has_data(self) -> bool:
+        """Whether anything waits for the link."""
+        return len(self.link.tx) > 0
 
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
-        data = self.link.data_to_send(limit)
+        fits = limit is None or len(self.link.tx) <= limit
+        data = self.link.data_to_send(None if fits else limit)  # all at once is quicker than frame by frame
         self.frames_sent += data.count(0) // 2  # zeros are delimiters, two a frame
         return data
 
     def _until_watchdog(self) -> int:
         """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""
-        left = min(session.machine.watchdog_ms(self.tick) for session in self.sessions)
+        left = min(session.machine.watchdog_ms(self.tick) for session in self._sessions)
         return math.ceil((left + 1) * self.pwm_hz / 1000)
 
     def _unfed(self, session: DeviceSession) -> float:
@@ -128,10 +137,8 @@ class SimulatedDevice:
         left = session.machine.watchdog_ms(self.tick)
         return 0.0 if left == _WATCHDOG_OFF else session.app.get_param("watchdog") - left / 1000
 
-    def _report(self, unfed: list[float]) -> None:
-        if self._notice is None:
-            return
-        for n, session in enumerate(self.sessions):
+    def _report(self, unfed: list[float], notice: Callable[[str], None]) -> None:
+        for n, session in enumerate(self._sessions):
             on = session.app.outputs_on
             if on == self._were_on[n]:
                 continue
@@ -139,11 +146,11 @@ class SimulatedDevice:
             name = f"node {session.identity.node}, {session.identity.name}"
             faults = session.machine.faults
             if on:
-                self._notice(f"outputs on ({name})")
+                notice(f"outputs on ({name})")
             elif faults & Fault.WATCHDOG:
-                self._notice(f"outputs off {unfed[n] * 1000:.0f} ms after the last ALIVE: watchdog ({name})")
+                notice(f"outputs off {unfed[n] * 1000:.0f} ms after the last ALIVE: watchdog ({name})")
             else:
-                self._notice(f"outputs off: {faults.name if faults else 'STOP'} ({name})")
+                notice(f"outputs off: {faults.name if faults else 'STOP'} ({name})")
 
 
 def random_boot_id() -> int:

@@ -10,9 +10,10 @@ import math
 
 from protocol.errors import LinkClosed
 from protocol.links.base import MAX_READ
-from sim.drive.device import SimulatedDevice
+from sim.drive.device import PORTION, SimulatedDevice
 from sim.params import BenchParams
 
+STEP = PORTION  # s: sessions cost as much as 5 ms of simulation each time they look
 TX_BYTES = 1 << 22  # nothing is dropped however long a step
 
 
@@ -21,17 +22,17 @@ class VirtualLink:
 
     Args:
         device: the simulated bench, of which this link becomes the only driver.
-        step: seconds that the simulation moves on at most before a waiting `read` looks for bytes; large steps
-            cost latency (in virtual time) and save computing time.
+        step: seconds that the simulation moves on at most before a waiting `read` looks for bytes; never more than
+            its time-out. Small steps bring bytes sooner in virtual time, large ones save computing time.
     """
 
-    def __init__(self, device: SimulatedDevice, step: float = 0.005) -> None:
+    def __init__(self, device: SimulatedDevice, step: float = STEP) -> None:
         self.device = device
         self._step = max(1, round(step * device.pwm_hz))
         self._open = True
 
     @classmethod
-    def of(cls, params: BenchParams, seed: int = 0, step: float = 0.005) -> VirtualLink:
+    def of(cls, params: BenchParams, seed: int = 0, step: float = STEP) -> VirtualLink:
         """A link to a new bench."""
         return cls(SimulatedDevice(params, seed, tx_bytes=TX_BYTES), step)
 
@@ -47,17 +48,16 @@ class VirtualLink:
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`; seconds are virtual."""
         self._require_open()
-        left = self._periods(timeout)
-        data = self.device.data_to_send(MAX_READ)
-        while not data and left > 0:
+        device = self.device
+        left, settling = self._periods(timeout), self._periods(settle)
+        while left > 0 and not device.has_data:
             n = min(left, self._step)
-            self.device.advance(n)
+            device.advance(n)
             left -= n
-            data = self.device.data_to_send(MAX_READ)
-        if data and settle > 0.0:
-            self.device.advance(self._periods(settle))
-            data += self.device.data_to_send(MAX_READ - len(data))
-        return data
+            settling = max(0, self._periods(settle) - n)  # bytes may have come at the start of the step
+        if settling > 0 and device.has_data:
+            device.advance(settling)
+        return device.data_to_send(MAX_READ)
 
     def write(self, data: bytes) -> None:
         """See `Link.write`."""
