@@ -29,7 +29,7 @@ KEPT = 6  # cache directories of other source states that are left alone: branch
 _HERE = Path(__file__).parent
 
 # Of `sim/drive` only the control tick is made of kernels; links, servers and parameters are not.
-_PLAIN = ("drive", "params.py")
+_PLAIN = ("drive", "params.py", "ranges.py", "__main__.py")
 _KERNELS_IN_DRIVE = "drive/tick*.py"
 _IN_PROTOCOL = ("messages.py", "signals.py", "streams.py")  # constants that kernels take in
 
