@@ -23,8 +23,8 @@ class Act:
 
 AVERAGE, TRACKING = AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING
 
-# A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog in
-# time. Nothing turns in the show, so its drive may wait for a second.
+# A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
+# in time. Nothing turns in the show, so its drive may wait for a second.
 SIM_ARGUMENTS = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")
 
 SHOW: tuple[Act, ...] = (
