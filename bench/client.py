@@ -72,6 +72,25 @@ class Sink(Protocol):
         """Something happened on the host: a line for the log."""
 
 
+class SinkBase:
+    """A sink that ignores everything."""
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Ignored."""
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Ignored."""
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Ignored."""
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Ignored."""
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Ignored."""
+
+
 @dataclass(slots=True)
 class LinkHealth:
     """What the link did to us."""

@@ -10,6 +10,10 @@ class BenchError(Exception):
     exit_code = 2
 
 
+class NodeError(BenchError):
+    """A device on the link would not do what it was told."""
+
+
 class UnsafeError(BenchError):
     """Refused because it would energise a drive without an explicit act."""
 

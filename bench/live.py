@@ -16,10 +16,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 from bench import __version__
-from bench.client import POLL, Client
+from bench.client import POLL, Client, SinkBase
 from bench.embedded import COMPILE_TIMEOUT, EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
-from bench.errors import BenchError, Interrupted
+from bench.errors import BenchError, Interrupted, NodeError
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rerunio.schema import RunInfo
@@ -83,6 +83,17 @@ class Screen(Protocol):
         """The line that tells what is going on now."""
 
 
+class _ScreenNotes(SinkBase):
+    """Sink that puts the notes of client and run on the screen."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Show it."""
+        self._screen.note(text)
+
+
 @dataclass(frozen=True)
 class Ended:
     """How a run ended."""
@@ -98,6 +109,7 @@ class LiveRun:
         self.options = options
         self.target = target
         self.screen = screen
+        self._notes = _ScreenNotes(screen)
         self.client = Client(link)
         self.drive = Node(self.client, 0)
         self.load: Node | None = None
@@ -211,7 +223,7 @@ class LiveRun:
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
-            self.client.sinks = [stats, *outputs.sinks]
+            self.client.sinks = [self._notes, stats, *outputs.sinks]
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency)
             summary.result = result
@@ -283,7 +295,7 @@ class LiveRun:
                     self.load.torque(self._torque_constant() * act.load_a)
                 if self._energised:
                     self.drive.speed(act.speed_rpm * RPM)
-            except (HbpError, BenchError) as error:
+            except (HbpError, NodeError) as error:
                 self._trip(str(error))
         self.watch(act.seconds, stats)
 
@@ -299,13 +311,24 @@ class LiveRun:
             self._look(stats)
 
     def make_safe(self) -> None:
-        """Outputs off on every node that was energised. Never raises; says so where STOP could not be confirmed."""
-        for node in reversed(self._energised):
+        """Outputs off on every node that was energised; says so where STOP could not be confirmed.
+
+        Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
+        """
+        failure: Exception | None = None
+        while self._energised:
+            node = self._energised[-1]
             try:
                 node.stop()
-            except (HbpError, BenchError) as error:
+            except HbpError as error:
                 self.note(f"STOP not confirmed ({error}); the drive's watchdog switches its outputs off", "ERROR")
-        self._energised.clear()
+            except Exception as error:
+                if failure is None:
+                    failure, self.client.sinks = error, [self._notes]
+                    continue  # again, without the sinks
+            self._energised.pop()
+        if failure is not None:
+            raise failure
 
     # -- what is looked at while it runs ------------------------------------------------------------------------
 
@@ -359,7 +382,6 @@ class LiveRun:
 
     def note(self, text: str, level: str = "INFO") -> None:
         """Tell the screen and every sink."""
-        self.screen.note(text)
         for sink in self.client.sinks:
             sink.note(text, level)
 
@@ -401,6 +423,11 @@ def _undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def _undisturbed_call(action: Callable[[], None]) -> None:
+    with _undisturbed():
+        action()
+
+
 def run(
     options: LiveOptions,
     screen: Screen,
@@ -428,6 +455,7 @@ def run(
         link = open_link(target)
         stack.callback(link.close)
         live = LiveRun(options, link, target, screen)
+        stack.callback(_undisturbed_call, live.make_safe)  # in case a second signal came before STOP
         try:
             live.connect(CONNECT_TIMEOUT if embedded is None else COMPILE_TIMEOUT)
         except LinkError:

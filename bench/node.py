@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from bench.client import Client
-from bench.errors import BenchError
+from bench.errors import NodeError
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import NoReply, Refused
 from protocol.messages import (
@@ -71,7 +71,6 @@ class Node:
         self.number = number
         self._identity: HelloReply | None = None
         self._descriptor: Descriptor | None = None
-        self._counter = 0
         self._streams: dict[int, tuple[StreamSet, StreamReply]] = {}
 
     # -- identity and parameters --------------------------------------------------------------------------------
@@ -102,11 +101,11 @@ class Node:
             reply = self.client.request(BlobRead(id=0, length=_BLOB_PART, offset=len(blob)), self.number, BlobReply)
             total = reply.total
             if not reply.data:
-                raise BenchError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
+                raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
             blob += reply.data
         descriptor = Descriptor.unpack(blob)
         if descriptor.crc != self.identity.schema_crc:
-            raise BenchError(
+            raise NodeError(
                 f"the descriptor of node {self.number} has CRC {descriptor.crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
@@ -125,14 +124,14 @@ class Node:
         return {record.name: self.parameter(record.name).value for record in self.descriptor.parameters}
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter; returns the value that the device stored. Raises BenchError with the range if refused."""
+        """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
         try:
             return self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
         except Refused as refusal:
             if refusal.code == ErrorCode.OUT_OF_RANGE:
                 now = self.parameter(name)
-                raise BenchError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
-            raise BenchError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
+                raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+            raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
 
     def _parameter_id(self, name: str) -> int:
         return self._record(self.descriptor.parameters, name, "parameter").id
@@ -151,7 +150,7 @@ class Node:
         names = [record.name for record in records]
         near = difflib.get_close_matches(name, names, 1)
         hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names) or 'none'}"
-        raise BenchError(f"node {self.number} has no {kind} '{name}': {hint}")
+        raise NodeError(f"node {self.number} has no {kind} '{name}': {hint}")
 
     # -- states and setpoints -----------------------------------------------------------------------------------
 
@@ -173,11 +172,11 @@ class Node:
         except Refused as refusal:
             self.client.feed(self.number, on=False)
             if refusal.code == ErrorCode.WRONG_STATE and refusal.detail == DriveState.FAULT:
-                raise BenchError(
+                raise NodeError(
                     f"node {self.number} has a latched fault ({self.fault_text()}): look into its cause, "
                     "then clear it with --clear-faults"
                 ) from None
-            raise BenchError(f"node {self.number} refused to arm: {refusal}") from None
+            raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
 
     def start(self) -> None:
         """ARMED to RUNNING: the outputs go on."""
@@ -197,9 +196,10 @@ class Node:
             try:
                 self.command(Command.FAULT_CLEAR, int(heartbeat.faults))
             except Refused as refusal:
-                raise BenchError(
+                raise NodeError(
                     f"node {self.number} would not clear {self.fault_text()}: {refusal}; its cause may persist"
                 ) from None
+            self.next_heartbeat()  # the last one still shows the fault
 
     def fault_text(self) -> str:
         """The active faults by name, the first one marked."""
@@ -217,11 +217,10 @@ class Node:
         return self.client.heartbeats.get(self.number)
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
-        """Send a setpoint until a heartbeat confirms it; BenchError if it is rejected, NoReply if not confirmed."""
+        """Send a setpoint until a heartbeat confirms it; NodeError if it is rejected, NoReply if not confirmed."""
         for _ in range(3):
-            self._counter = self._counter % 0xFFFF + 1
-            counter = self._counter
-            heartbeat = self.client.heartbeats.get(self.number)
+            heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+            counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
             self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
 
@@ -233,7 +232,7 @@ class Node:
                 confirmed = self.client.heartbeats[self.number]
                 if confirmed.setpoint_counter == counter:
                     return
-                raise BenchError(
+                raise NodeError(
                     f"node {self.number} rejected the setpoint {mode.name} {value:g} (state {confirmed.state.name}, "
                     f"faults: {self.fault_text()})"
                 )
@@ -270,7 +269,7 @@ class Node:
         self._streams.clear()
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
-        """Configure the sample stream. Raises BenchError with what would fit when the link cannot carry it."""
+        """Configure the sample stream. Raises NodeError with what would fit when the link cannot carry it."""
         ids = tuple(channel.id for channel in channels)
         return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids), channels)
 
@@ -299,7 +298,7 @@ class Node:
         try:
             reply = self.client.request(request, self.number, StreamReply)
         except Refused as refusal:
-            raise BenchError(self._why_not(refusal, request)) from None
+            raise NodeError(self._why_not(refusal, request)) from None
         config = StreamConfig(
             self.number,
             request.stream,

@@ -66,12 +66,13 @@ class RunStatistics:
             self._observers.edges(chunk)
 
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Follow the drive's own drop count."""
+        """Follow the drive's own drop count, and its faults."""
         if node != self.drive:
             return
         if self.tx_dropped_first is None:
             self.tx_dropped_first = heartbeat.tx_dropped
         self.tx_dropped_last = heartbeat.tx_dropped
+        self.faults |= heartbeat.faults  # its event may have been lost with the link
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Remember faults."""

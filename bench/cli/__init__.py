@@ -6,12 +6,14 @@ Subcommands are imported when they are called, so that `bench --help` stays quic
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 from typing import Any, NoReturn
 
 import click
 
 from bench import __version__
+from bench.errors import BenchError, Interrupted
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
@@ -68,9 +70,16 @@ def main(args: list[str] | None = None) -> Any:
         sys.exit(exit_.exit_code)
     except click.Abort:
         fail("aborted", 130)
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(error.exit_code)
+    except click.UsageError as error:
+        hint = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
+        fail(error.format_message().rstrip(".") + hint, error.exit_code)
+    except click.ClickException as error:
+        fail(error.format_message(), 2)
+    except Interrupted as interrupt:
+        fail(f"interrupted by {signal.Signals(interrupt.signum).name}", 128 + interrupt.signum)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone: nothing left to say
         sys.exit(141)
@@ -79,7 +88,6 @@ def main(args: list[str] | None = None) -> Any:
 
 
 def _explain(error: Exception) -> NoReturn:
-    from bench.errors import BenchError
     from protocol.errors import HbpError
 
     if isinstance(error, (BenchError, HbpError)):

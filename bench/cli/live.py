@@ -77,6 +77,10 @@ def command(
     """
     from bench import live
 
+    if config and target not in (None, "sim"):
+        raise click.UsageError(f"--config is for the simulated drive, not for {target}")
+    if json_file not in (None, "-"):
+        _claim(Path(json_file))
     options = live.LiveOptions(
         target=target,
         speed_rpm=given["speed"],  # type: ignore[arg-type]
@@ -113,8 +117,24 @@ def command(
             return
         print_summary(summary)
         if json_file:
-            Path(json_file).write_text(text + "\n")
+            _write(Path(json_file), text + "\n")
 
     with Progress() as screen:
         ended = live.run(options, screen, confirm, report, hold=sys.stdin.isatty() and sys.stderr.isatty())
     sys.exit(ended.exit_code)
+
+
+def _claim(path: Path) -> None:
+    """Find out now, not after the run, that the summary cannot be written."""
+    new = not path.exists()
+    _write(path, "", "a")
+    if new:
+        path.unlink()
+
+
+def _write(path: Path, text: str, mode: str = "w") -> None:
+    try:
+        with path.open(mode) as file:
+            file.write(text)
+    except OSError as error:
+        raise click.ClickException(f"--json {path} cannot be written: {error.strerror}") from None

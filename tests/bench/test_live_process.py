@@ -1,0 +1,141 @@
+"""`bench sim` and `bench live` as two processes on a real pty: the run, its recording, and every way to end it."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import Program, Sim
+
+from bench.rerunio.recording import read_run
+
+Start = Callable[..., Program]
+StartSim = Callable[..., Sim]
+PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")  # other programs may want the machine
+TURNING = r"RUNNING \d{3,} r/min"
+
+
+def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
+    start: Start, start_sim: StartSim, tmp_path: Path
+) -> None:
+    sim = start_sim("--pty", *PATIENT)
+    recording, summary_file = tmp_path / "a.rrd", tmp_path / "a.json"
+    for _ in range(3):  # in real time, whoever takes both cores for 0.3 s makes the drive drop samples
+        live = start(
+            "live", sim.target, "--speed", "500", "--yes", "--duration", "3", "--save", str(recording),
+            "--overwrite", "--viewer", "none", "--json", str(summary_file), "--host-observers",
+        )  # fmt: skip
+        assert live.end() == 0, live.err
+        summary = json.loads(summary_file.read_text())
+        if not any(summary["lost"].values()):
+            break
+    assert summary["lost"] == {
+        "samples_by_index": 0, "edges_by_index": 0, "frames_by_sequence": 0, "frames_by_device": 0,
+    }  # fmt: skip
+    assert summary["samples"] >= 2.9 * 16000
+    assert 3 * 250 < summary["edges"] < 3 * 350  # 500 r/min, 6 pole pairs: 300 edges/s
+    assert summary["link"]["damaged"] == summary["link"]["outages"] == summary["link"]["reboots"] == 0
+    assert summary["host_observers"]["different"] == 0
+    assert summary["host_observers"]["compared"] > 2.5 * 16000
+    run = read_run(recording)
+    assert len(run.samples) == summary["samples"] == summary["recording"]["samples"]
+    assert len(run.edges.tick) == summary["edges"] == summary["recording"]["edges"]
+    assert (np.diff(run.samples.index) == 1).all()
+    assert (np.diff(run.samples.tick) == 1250).all()
+    assert (np.diff(run.edges.index) == 1).all()
+    assert run.samples.gaps == run.edges.gaps == ()
+    assert len(run.samples.config.channels) == 26
+    # every change of the sampled code has its edge: the recorded edges are those of the run, not of another
+    sampled = run.samples.raw["hall"]
+    since = np.searchsorted(run.edges.tick, run.samples.tick, side="right") - 1
+    covered = since >= 0
+    assert (run.edges.hall_new[since[covered]] == sampled[covered]).mean() > 0.999
+    sim.line(r"outputs off: STOP \(node 1")
+
+
+def test_a_killed_host_ends_in_outputs_off_by_the_watchdog(start: Start, start_sim: StartSim) -> None:
+    sim = start_sim("--pty")
+    live = start("live", sim.target, "--speed", "500", "--viewer", "none")
+    live.line(TURNING)
+    killed = time.monotonic()
+    live.process.kill()
+    unfed = int(sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1").group(1))
+    assert 200 <= unfed <= 250
+    assert time.monotonic() - killed < 2.0
+
+
+@pytest.mark.parametrize(
+    ("number", "duration", "code"),
+    [
+        (signal.SIGTERM, (), 143),
+        (signal.SIGHUP, (), 129),
+        (signal.SIGINT, (), 0),
+        (signal.SIGINT, ("--duration", "60"), 130),
+    ],
+)
+def test_a_signal_ends_in_stop(
+    start: Start, start_sim: StartSim, number: signal.Signals, duration: tuple[str, ...], code: int
+) -> None:
+    sim = start_sim("--pty", *PATIENT)
+    live = start("live", sim.target, "--speed", "500", "--load", "1", "--viewer", "none", "--json", "-", *duration)
+    live.line(TURNING)
+    live.send(number)
+    sim.line(r"outputs off: STOP \(node 1")
+    sim.line(r"outputs off: STOP \(node 2")
+    assert live.end() == code
+    summary = json.loads("\n".join(live.out))
+    assert summary["result"] == f"ended by {number.name}"
+    assert not any("Traceback" in line for line in live.err)
+
+
+def test_a_full_disk_ends_in_stop_and_one_line(start: Start, start_sim: StartSim, tmp_path: Path) -> None:
+    sim = start_sim("--pty")
+    live = start(
+        "live", sim.target, "--speed", "500", "--viewer", "none", "--save", str(tmp_path / "a.rrd"),
+        limit_resources=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 19, 1 << 19)),
+    )  # fmt: skip
+    sim.line(r"outputs on \(node 1")
+    sim.line(r"outputs off: STOP \(node 1")
+    assert live.end() == 3
+    errors = [line for line in live.err if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "a.rrd" in errors[0]
+    assert not any("Traceback" in line for line in live.err)
+    assert len(read_run(tmp_path / "a.rrd").samples) > 1000  # what fitted is there
+
+
+def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
+    start: Start, start_sim: StartSim, tmp_path: Path
+) -> None:
+    sim = start_sim("--pty", "--link", str(tmp_path / "tty"))
+    recording = tmp_path / "a.rrd"
+    live = start(
+        "live", sim.target, "--speed", "500", "--viewer", "none", "--json", "-", "--save", str(recording)
+    )
+    live.line(TURNING)
+    sim.send(signal.SIGUSR1)
+    sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1")
+    live.line("is gone.*; waiting up to 30 s")
+    sim.send(signal.SIGUSR2)
+    live.line("the drive tripped: WATCHDOG")
+    live.line(r"FAULT \d+ r/min")  # it goes on watching
+    live.send(signal.SIGINT)
+    assert live.end() == 1
+    summary = json.loads("\n".join(live.out))
+    assert summary["result"] == "the drive tripped: WATCHDOG"
+    assert summary["link"]["outages"] == 1
+    assert summary["link"]["downtime_s"] > 0.15
+    assert summary["link"]["reboots"] == 0
+    assert summary["faults"] == ["WATCHDOG"]
+    assert summary["lost"]["samples_by_index"] > 0.15 * 16000
+    assert sum("outputs on" in line for line in sim.out) == 1
+    run = read_run(recording)
+    assert len(run.samples) == summary["samples"]
+    steps = np.diff(run.samples.index)
+    assert (steps - 1).sum() == summary["lost"]["samples_by_index"] == sum(g.lost_samples for g in run.samples.gaps)

@@ -1,0 +1,300 @@
+"""What ends with the outputs off, and what is never energised: in virtual time, at every point of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+
+import pytest
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
+
+from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.node import Node
+from bench.statistics import position_errors
+from protocol.errors import LinkClosed
+from protocol.links import Link
+from protocol.messages import DriveState, Fault
+from sim.drive.device import SimulatedDevice
+
+
+def handled(number: signal.Signals) -> object:
+    return signal.getsignal(number)
+
+
+# -- signals ----------------------------------------------------------------------------------------------------
+
+
+def calls_of_a_run() -> list[DriveState]:
+    link = WatchedLink(simulated())
+    assert run(link, load_a=1.0, duration=0.1).exit_code == 0
+    assert at_rest(link.device)
+    return link.states
+
+
+def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
+    states = calls_of_a_run()
+    armed, on = states.index(DriveState.ARMED), states.index(DriveState.RUNNING)
+    off = len(states) - states[::-1].index(DriveState.RUNNING)
+    points = [*range(1, armed - 4, 7), *range(armed - 4, on + 9), *range(on + 9, off - 2, 5), *range(off - 2, len(states))]
+    assert armed < on < off < len(states)
+    before = [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    for number, point in enumerate(points):
+        kind = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)[number % 3]
+
+        def at_point(call: int, point: int = point, kind: signal.Signals = kind) -> None:
+            if call == point:
+                signal.raise_signal(kind)
+
+        link = WatchedLink(simulated(), at_point)
+        try:
+            ended = run(link, load_a=1.0, duration=0.1)
+        except (KeyboardInterrupt, Interrupted):
+            assert DriveState.ARMED not in link.states, point  # before the run, which would have summed up
+        else:
+            assert ended.exit_code in (0, 128 + kind), point
+            assert point >= off or ended.exit_code == 128 + kind, point
+        assert at_rest(link.device), (point, link.states[-1])
+        assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
+    assert [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+
+
+def test_signals_in_a_burst_end_with_the_outputs_off() -> None:
+    states = calls_of_a_run()
+    on = states.index(DriveState.RUNNING)
+    for point in range(on - 6, on + 12):
+
+        def burst(call: int, point: int = point) -> None:
+            if call >= point:
+                signal.raise_signal((signal.SIGHUP, signal.SIGTERM, signal.SIGINT)[call % 3])
+
+        link = WatchedLink(simulated(), burst)
+        with contextlib.suppress(KeyboardInterrupt, Interrupted):
+            run(link, load_a=1.0, duration=0.1)
+        assert at_rest(link.device), point
+        assert link.device.drive.machine.faults == Fault(0), point
+
+
+# -- exceptions -------------------------------------------------------------------------------------------------
+
+
+def failing_after(samples: int, error: Exception, times: int = 1):
+    """`position_errors`, which every chunk passes through, failing as a broken sink would."""
+    seen = failures = 0
+
+    def fails(chunk):
+        nonlocal seen, failures
+        seen += len(chunk)
+        if seen > samples and failures < times:
+            failures += 1
+            raise error
+        return position_errors(chunk)
+
+    return fails
+
+
+@pytest.mark.parametrize("error", [BenchError("the disk is full"), ValueError("a bug"), OSError(5, "EIO")])
+@pytest.mark.parametrize("times", [1, 2, 1000])
+def test_an_exception_inside_the_run_ends_in_stop(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, times: int
+) -> None:
+    monkeypatch.setattr("bench.summary.position_errors", failing_after(3000, error, times))
+    link = WatchedLink(simulated())
+    with pytest.raises(type(error)):
+        run(link, load_a=1.0, duration=1.0)
+    assert at_rest(link.device)
+    assert link.device.drive.machine.faults == Fault(0)
+    assert link.clock() < 1.0
+
+
+class SlowLink(WatchedLink):
+    """A virtual link on which a request takes 5 ms: telemetry comes before its reply."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        super().__init__(device)
+        self._under_way = b""
+
+    def write(self, data: bytes) -> None:
+        self._under_way += data
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        self.device.advance(80)
+        super().write(self._under_way)
+        self._under_way = b""
+        before = self.device.data_to_send()
+        return before or super().read(timeout, settle)
+
+
+@pytest.mark.parametrize("times", [1, 1000])
+def test_a_sink_that_fails_during_the_stop_itself_keeps_no_node_on(
+    monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    link = SlowLink(simulated())
+    stopping: list[str] = []
+    stop = Node.stop
+
+    def noted(node: Node) -> DriveState:
+        stopping.append("")
+        return stop(node)
+
+    fails = failing_after(-1, BenchError("the disk is full"), times)
+    monkeypatch.setattr(Node, "stop", noted)
+    monkeypatch.setattr("bench.summary.position_errors", lambda chunk: fails(chunk) if stopping else {})
+    with pytest.raises(BenchError, match="the disk is full"):
+        run(link, load_a=1.0, duration=0.2)
+    assert len(stopping) == 3  # the drive twice, the load machine once
+    assert at_rest(link.device)
+    assert link.device.load.machine.faults == Fault(0)
+
+
+# -- trips and lost links ---------------------------------------------------------------------------------------
+
+
+class Cable(WatchedLink):
+    """A virtual link that is pulled at `pull` and back at `plug`, in seconds; the bench goes on meanwhile."""
+
+    def __init__(self, device, pull: float, plug: float) -> None:
+        super().__init__(device)
+        self.pull, self.plug = pull, plug
+
+    def _down(self) -> bool:
+        return self.pull <= self.clock() < self.plug
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if self._down():
+            self.close()
+        return super().read(timeout, settle)
+
+    def write(self, data: bytes) -> None:
+        if self._down():
+            self.close()
+        super().write(data)
+
+    def reopen(self) -> None:
+        self.device.advance(160)
+        self.device.data_to_send()  # what is sent into an open end is lost
+        if self._down():
+            raise LinkClosed("the port is not there")
+        super().reopen()
+
+
+@pytest.fixture
+def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.client.REOPEN_PERIOD", 0.0)
+
+
+@pytest.mark.usefixtures("no_waiting")
+def test_an_outage_is_counted_and_the_motor_is_not_started_again() -> None:
+    link = Cable(simulated(), 0.8, 1.5)
+    screen = RecordingScreen()
+    ended = run(link, duration=2.0, screen=screen)
+    assert ended.exit_code == 1
+    assert ended.summary.result == "the drive tripped: WATCHDOG"
+    assert ended.summary.faults == ["WATCHDOG"]
+    assert ended.summary.link["outages"] == 1
+    assert ended.summary.link["downtime_s"] == pytest.approx(0.7, abs=0.05)
+    assert ended.summary.lost.samples_by_index == pytest.approx(0.7 * 16000, rel=0.1)
+    assert ended.summary.samples > 16000
+    assert not any(session.app.outputs_on for session in link.device.sessions)
+    assert link.device.drive.state == DriveState.FAULT  # latched: nothing has cleared or started it
+    assert any("is closed; waiting up to 30 s" in note for note in screen.notes)
+    assert any("the drive is back" in note for note in screen.notes)
+
+
+@pytest.mark.usefixtures("no_waiting")
+def test_a_link_that_does_not_come_back_ends_the_run() -> None:
+    link = Cable(simulated(), 0.8, 1e9)
+    ended = run(link, duration=100.0)
+    assert ended.exit_code == 1
+    assert ended.summary.result.startswith("link lost: virtual: did not come back within 30 s")
+    assert not any(session.app.outputs_on for session in link.device.sessions)
+
+
+@pytest.mark.usefixtures("no_waiting")
+def test_a_glitch_shorter_than_the_watchdog_is_survived() -> None:
+    link = Cable(simulated(), 0.8, 0.85)
+    ended = run(link, duration=1.0)
+    assert ended.exit_code == 0
+    assert ended.summary.link["outages"] == 1
+    assert ended.summary.lost.samples_by_index > 0
+    assert at_rest(link.device)
+
+
+def test_a_trip_during_the_run_ends_with_the_fault_named() -> None:
+    device = simulated()
+
+    def overspeed(call: int) -> None:
+        if device.drive.state == DriveState.RUNNING and link.clock() > 0.6:
+            device.drive.fault(Fault.OVERSPEED)
+
+    link = WatchedLink(device, overspeed)
+    ended = run(link, load_a=1.0, duration=1.0)
+    assert ended.exit_code == 1
+    assert ended.summary.result == "the drive tripped: OVERSPEED"
+    assert not device.load.app.outputs_on
+    with pytest.raises(BenchError, match=r"latched fault \(OVERSPEED\).*--clear-faults"):
+        run(WatchedLink(device))
+    assert device.drive.state == DriveState.FAULT
+    assert run(WatchedLink(device), clear_faults=True).exit_code == 0
+
+
+# -- consent ----------------------------------------------------------------------------------------------------
+
+
+def never_armed(link: WatchedLink) -> bool:
+    return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
+
+
+def test_a_physical_drive_is_not_energised_where_nobody_can_be_asked() -> None:
+    link = WatchedLink(physical())
+    with pytest.raises(UnsafeError, match=r"will not spin simulated drive .* on serial:/dev/ttyTEST.*--yes"):
+        run(link, confirm=None)
+    assert never_armed(link)
+
+
+def test_a_physical_drive_is_not_energised_against_a_no_and_the_question_says_what_is_at_stake() -> None:
+    link = WatchedLink(physical())
+    asked: list[str] = []
+
+    def no(question: str) -> bool:
+        asked.append(question)
+        return False
+
+    with pytest.raises(UnsafeError, match="not confirmed"):
+        run(link, confirm=no, speed_rpm=-750.0)
+    assert never_armed(link)
+    (question,) = asked
+    i_max = link.device.drive.app.get_param("i_max")
+    for part in ("simulated drive", f"{link.device.drive.identity.boot_id:08x}", "serial:/dev/ttyTEST", "750 r/min",
+                 f"{i_max:g} A", "clear?"):  # fmt: skip
+        assert part in question
+
+
+@pytest.mark.parametrize("how", [{"confirm": lambda question: True}, {"yes": True}])
+def test_a_physical_drive_turns_after_a_yes(how: dict[str, object]) -> None:
+    link = WatchedLink(physical())
+    assert run(link, **how).exit_code == 0  # type: ignore[arg-type]
+    assert DriveState.RUNNING in link.states
+    assert at_rest(link.device)
+
+
+def test_watching_a_physical_drive_needs_no_yes_and_arms_nothing() -> None:
+    link = WatchedLink(physical())
+    ended = run(link, speed_rpm=None, duration=1.0)
+    assert ended.exit_code == 0
+    assert ended.summary.samples > 15000
+    assert never_armed(link)
+
+
+def test_a_load_alone_needs_consent_too() -> None:
+    link = WatchedLink(physical())
+    with pytest.raises(UnsafeError):
+        run(link, confirm=None, speed_rpm=None, load_a=1.0)
+    assert never_armed(link)
+
+
+def test_the_link_is_closed_however_a_run_ends() -> None:
+    link: Link = WatchedLink(physical())
+    with pytest.raises(UnsafeError):
+        run(link)
+    with pytest.raises(LinkClosed):
+        link.read(0.0)

@@ -1,0 +1,99 @@
+"""`bench.live.run` on a simulated bench in virtual time, in this process: its options, its screen, its link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from unittest.mock import patch
+
+from bench import live
+from bench.summary import Summary
+from protocol.links import Link
+from protocol.messages import DriveState, Feature
+from sim.drive.device import SimulatedDevice
+from sim.drive.virtual import TX_BYTES, VirtualLink
+from sim.params import load_params
+
+TARGET = "serial:/dev/ttyTEST"
+
+
+def simulated(seed: int = 1, **settings: float) -> SimulatedDevice:
+    """A bench in virtual time; settings as `section__name=value`."""
+    overrides = {key.replace("__", "."): value for key, value in settings.items()}
+    return SimulatedDevice(load_params(None, overrides), seed, tx_bytes=TX_BYTES)
+
+
+def physical(seed: int = 1) -> SimulatedDevice:
+    """The same, but it does not say that it is simulated: for all that a host can know, there is a motor."""
+    device = simulated(seed)
+    for session in device.sessions:
+        session.identity = replace(session.identity, features=session.identity.features & ~Feature.SIMULATED)
+    return device
+
+
+@dataclass
+class RecordingScreen:
+    """Keeps what a person would have seen."""
+
+    notes: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def progress(self, text: str) -> None:
+        self.lines.append(text)
+
+
+class WatchedLink(VirtualLink):
+    """A virtual link that calls `on_call(number)` before each read and write, and keeps the drive's states."""
+
+    def __init__(self, device: SimulatedDevice, on_call: Callable[[int], None] = lambda number: None) -> None:
+        super().__init__(device)
+        self.calls = 0
+        self.states: list[DriveState] = []  # at each call
+        self._on_call = on_call
+
+    def _count(self) -> None:
+        self.calls += 1
+        self.states.append(self.device.drive.state)
+        self._on_call(self.calls)
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        self._count()
+        return super().read(timeout, settle)
+
+    def write(self, data: bytes) -> None:
+        self._count()
+        super().write(data)
+
+
+@contextmanager
+def reached_by(link: Link) -> Iterator[None]:
+    """Whatever target is opened, it is this link."""
+    with patch("bench.live.open_link", lambda target: link), patch("bench.inspect.open_link", lambda target: link):
+        yield
+
+
+def run(
+    link: Link, confirm: Callable[[str], bool] | None = None, screen: RecordingScreen | None = None, **options: object
+) -> live.Ended:
+    """Run `bench live` on `link`: 0.3 virtual seconds at 500 r/min unless told otherwise."""
+    given = live.LiveOptions(
+        **({"target": TARGET, "viewer": "none", "speed_rpm": 500.0, "duration": 0.3} | options)  # type: ignore[arg-type]
+    )
+
+    def report(summary: Summary) -> None:
+        pass
+
+    with reached_by(link):
+        return live.run(given, screen or RecordingScreen(), confirm, report)
+
+
+def at_rest(device: SimulatedDevice) -> bool:
+    """No outputs on, and none armed."""
+    return not any(
+        session.app.outputs_on or session.state in (DriveState.ARMED, DriveState.RUNNING)
+        for session in device.sessions
+    )
