@@ -14,10 +14,11 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from protocol.links.target import MAX_BAUD, MIN_BAUD, split_host_port
@@ -34,6 +35,7 @@ MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in t
 TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
 MIN_TX_BYTES = 1 << 13
 _WRITE = 1 << 15
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 CONTROLS = """test aids:
   kill -USR1 PID   pull the cable: the pty vanishes, or the TCP connection and its port
@@ -172,36 +174,34 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
         tell(f"target: {port.target}")
         if not numba_cache.is_warm():
             tell("compiling the simulation (once, some ten seconds) ...")
-        device = _make_device(params, options, tell)
+        with _handlers(lambda *_: _stop_at_once(port, tell), _STOPS):
+            device = _make_device(params, options, tell)
         channels = sum(len(session.app.channels) for session in device.sessions[:1])
         tell(
             f"simulated drive (node 1) and load machine (node 2): {channels} channels at "
             f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
         )
         server = Server(device, port, time.monotonic(), options.baud)
-        with _signals() as received:
+        received: set[int] = set()
+        with _handlers(lambda number, _: received.add(number), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
             _run(server, received, options.exit_with_parent, tell)
         tell(server.summary())
-    except KeyboardInterrupt:  # while it compiled
-        tell("stopped")
     finally:
         port.close()
 
 
 def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) -> None:
-    stops = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     parent = [sys.stdin.fileno()] if exit_with_parent else []
     next_step = time.monotonic()
-    while not received & stops:
+    while not received.intersection(_STOPS):
         fds = [*server.port.read_fds(), *parent]
         ready = select.select(fds, [], [], max(0.0, next_step - time.monotonic()))[0]
         if parent and parent[0] in ready and not os.read(parent[0], 4096):
             return
         now = time.monotonic()
         server.step(now)
-        next_step += STEP
-        if next_step < now:
-            next_step = now + STEP
+        if now >= next_step:  # else bytes from the host woke it
+            next_step = max(next_step + STEP, now)
         if signal.SIGUSR1 in received:
             received.discard(signal.SIGUSR1)
             server.port.unplug()
@@ -212,20 +212,25 @@ def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) 
             tell(f"target: {server.port.target}")
 
 
+def _stop_at_once(port: Port, tell: Say) -> None:
+    """End while it compiles: an exception out of the compiler's callbacks would end in a traceback."""
+    port.close()
+    tell("stopped")
+    os._exit(0)
+
+
 @contextmanager
-def _signals() -> Iterator[set[int]]:
-    """Collect signals in a set instead of being interrupted; only the main thread can."""
-    received: set[int] = set()
+def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Iterable[int]) -> Iterator[None]:
+    """Handle these signals so for a while; only the main thread can, elsewhere nothing changes."""
     if threading.current_thread() is not threading.main_thread():
-        yield received
+        yield
         return
-    caught = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
-    before = {number: signal.signal(number, lambda number, _: received.add(number)) for number in caught}
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
-        yield received
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, old in before.items():
+            signal.signal(number, old)
 
 
 def _make_port(options: ServeOptions) -> Port:

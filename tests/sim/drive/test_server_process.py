@@ -17,7 +17,7 @@ from small_host import SmallHost
 
 from protocol.errors import LinkClosed, LinkNotFound
 from protocol.links import open_link
-from protocol.messages import DriveState, SetpointMode
+from protocol.messages import DriveState, SetpointMode, TimeSync
 
 LIMIT = 60.0  # s, for whatever is awaited; compiling is the longest
 
@@ -88,6 +88,18 @@ def test_tcp_first_line_is_the_target_and_sigterm_ends_it_cleanly(start: Callabl
     assert process.end() == 0
     with pytest.raises(LinkClosed):
         host.run(1.0)
+
+
+def test_a_busy_host_does_not_upset_the_pace(start: Callable[..., Process]) -> None:
+    process = start("--tcp", "127.0.0.1:0")
+    host = SmallHost(open_link(process.target()))
+    host.connect()
+    for _ in range(400):  # each wakes the server between its steps
+        host.request(TimeSync())
+    host.stream(["status"], edges=False)
+    host.run(0.4, alive=False)
+    assert host.decoders[1, 0].counters.samples > 0.2 * 16000
+    host.link.close()
 
 
 def test_end_of_stdin_ends_the_embedded_drive(start: Callable[..., Process]) -> None:
