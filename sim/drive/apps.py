@@ -64,9 +64,11 @@ class DriveApp:
         self._bench.enter_state(state)
 
     def clear_faults(self, faults: Fault) -> Fault:
-        """See `DeviceApp`; a fault whose cause is still there comes back with the next ARM."""
-        self._bench.clear_faults()
-        return Fault(0)
+        """See `DeviceApp`."""
+        persisting = self._bench.fault_causes & faults
+        if not persisting:
+            self._bench.clear_faults()
+        return persisting
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float) -> None:
         """SPEED (mechanical rad/s) up to `omega_m_max`, CURRENT (i_q, i_d in A) up to `i_max` together."""

@@ -16,6 +16,8 @@ ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 @kernel
 def wrap(angle: float) -> float:
     """The same angle (rad) in [-pi, pi)."""
+    if -math.pi <= angle < math.pi:
+        return angle
     wrapped = angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)
     return wrapped if -math.pi <= wrapped < math.pi else -math.pi  # rounding, at the seam
 

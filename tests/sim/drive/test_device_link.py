@@ -229,15 +229,15 @@ def test_overspeed_of_the_machine_becomes_a_latched_fault() -> None:
     assert device.drive.state is DriveState.IDLE
 
 
-def test_a_fault_whose_cause_stays_comes_back() -> None:
-    params = load_params(None, {"inverter.u_dc": 10.0})
-    host, device = make(params)
-    for _ in range(2):
-        host.start()
-        host.run(0.02)
-        assert device.drive.state is DriveState.FAULT
-        assert device.drive.machine.faults is Fault.UNDERVOLTAGE
+def test_a_fault_whose_cause_stays_is_not_cleared() -> None:
+    host, device = make(load_params(None, {"inverter.u_dc": 10.0}))
+    host.start()
+    host.run(0.02)
+    assert device.drive.machine.faults is Fault.UNDERVOLTAGE
+    with pytest.raises(Refused) as refusal:
         host.command(Command.FAULT_CLEAR, Fault.UNDERVOLTAGE)
+    assert (refusal.value.code, refusal.value.detail) == (ErrorCode.FAULT_PERSISTS, Fault.UNDERVOLTAGE)
+    assert device.drive.state is DriveState.FAULT
 
 
 def test_commit_survives_a_boot(tmp_path: Path) -> None:
