@@ -182,7 +182,7 @@ class Client:
         self.session.connect(self.nonce(), self.now())
         if not self.wait(lambda: self.hello is not None, timeout):
             framing = self.session.counters.framing
-            advice = "check power, cable and target"
+            advice = "check power, cable, target and baud rate"
             if self.bytes_in:
                 advice = "check the baud rate, and that it is an HBP device"
             raise NoReply(

@@ -37,6 +37,13 @@ class HostObservers:
         self._synchronised = False
         self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
         self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Compile, or load what was compiled, now: while a motor turns there is no time for it."""
+        x = np.zeros(1)
+        sample = np.zeros(1, np.int64), np.ones(1, np.uint8), x, x, x, x, x, x
+        bank.run(self._params, self._state, *sample, self._edge_tick, self._edge_hall, np.ones(1, bool))
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""

@@ -39,6 +39,7 @@ RECONNECT = 30.0  # s that a lost link is waited for
 CONNECT_TIMEOUT = 3.0  # s that a drive has to answer the first HELLO
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
+MAX_DECIMATION = 65535  # a u16 on the wire
 SILENCE = 2.0  # s without samples after which a note says so
 
 
@@ -390,6 +391,8 @@ def _decimation(pwm_hz: int, rate_hz: float | None) -> int:
     if rate_hz is None:
         return 1
     decimation = round(pwm_hz / rate_hz)
+    if decimation > MAX_DECIMATION:
+        raise BenchError(f"--rate {rate_hz:g} Hz is too low; the lowest is {pwm_hz / MAX_DECIMATION:g} Hz")
     if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=1e-9):
         near = pwm_hz / max(decimation, 1)
         raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")

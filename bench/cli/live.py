@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from bench.cli.number import Number
 from bench.cli.target import TARGET
 
 OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
@@ -15,18 +16,18 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
 
 @click.command("live")
 @click.argument("target", required=False, type=TARGET)
-@click.option("--speed", metavar="RPM", type=float, help="Spin the motor at this speed, r/min.")
+@click.option("--speed", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min.")
 @click.option(
     "--load",
     metavar="A",
-    type=float,
+    type=Number(),
     help="Load torque, as the q current that it takes, A; needs a load machine.",
 )
 @click.option("--observer", type=click.Choice(OBSERVERS), help="Angle that the drive's control uses.")
 @click.option(
     "--duration",
     metavar="S",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(above=0),
     help="End by itself after S seconds.",
 )
 @click.option("--save", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="Record to this .rrd.")
@@ -42,7 +43,7 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
 @click.option(
     "--rate",
     metavar="HZ",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(above=0),
     help="Sample rate (default: every PWM period).",
 )
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
@@ -79,6 +80,11 @@ def command(
 
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
+    if given["observer"] and given["speed"] is None and given["load"] is None:
+        raise click.UsageError("--observer goes with --speed or --load: without them the drive is only watched")
+    names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
+    if names == ():
+        raise click.UsageError("--channels names none: give names separated by commas")
     if json_file not in (None, "-"):
         _claim(Path(json_file))
     options = live.LiveOptions(
@@ -90,7 +96,7 @@ def command(
         save=given["save"],  # type: ignore[arg-type]
         overwrite=bool(given["overwrite"]),
         viewer=str(given["viewer"]),
-        channels=tuple(name.strip() for name in channels.split(",") if name.strip()) if channels else None,
+        channels=names,
         rate_hz=given["rate"],  # type: ignore[arg-type]
         yes=bool(given["yes"]),
         clear_faults=bool(given["clear_faults"]),

@@ -1,0 +1,295 @@
+"""What a user can get wrong, and what can be wrong with a link: one line, an exit code, nothing energised."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import re
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from processes import ENVIRONMENT, LIMIT, Program, Sim
+from virtual_run import WatchedLink, reached_by, simulated
+
+from bench.cli import main
+from protocol.links import Link
+from protocol.messages import DriveState, Role
+
+Fail = Callable[..., str]
+
+
+@pytest.fixture
+def fail(capsys: pytest.CaptureFixture[str]) -> Fail:
+    """Run `bench ARGUMENTS…` in this process and return its one line of error; `link` stands for any target."""
+
+    def run(*arguments: str, link: Link | None = None, code: int = 2) -> str:
+        reached = contextlib.nullcontext() if link is None else reached_by(link)
+        with reached, pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        assert ended.value.code == code
+        return one_error(capsys.readouterr().err)
+
+    return run
+
+
+def one_error(err: str) -> str:
+    errors = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1, err
+    assert err.splitlines()[-1] == errors[0]
+    assert "Traceback" not in err
+    return errors[0]
+
+
+def run_bench(*arguments: str) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "bench", *arguments],
+        capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+# -- targets ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("target", "says"),
+    [
+        ("serial:/dev/ttyNOWHERE", r"no port /dev/ttyNOWHERE"),
+        ("tcp:127.0.0.1:1", r"nothing listens on port 1 of 127\.0\.0\.1"),
+        ("seriall:/dev/ttyACM0", r"did you mean serial:\?"),
+        ("/dev/ttyACM0", r"write serial:/dev/ttyACM0"),
+        ("serial:/dev/ttyACM0?boud=9600", r"unknown key 'boud' \(the known one is baud\)"),
+        ("serial:/dev/ttyACM0?baud=fast", r"baud must be a whole number.*got 'fast'"),
+        ("tcp:127.0.0.1", r"HOST:PORT"),
+        ("nonsense", r"unknown target 'nonsense': write serial:"),
+    ],
+)
+@pytest.mark.parametrize("command", ["live", "info"])
+def test_a_target_that_is_not_there(fail: Fail, command: str, target: str, says: str) -> None:
+    assert re.search(says, fail(command, target))
+
+
+def test_a_file_is_not_a_port(fail: Fail, tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("")
+    assert "is not a serial port" in fail("live", f"serial:{path}")
+
+
+def test_a_port_held_by_another_program(fail: Fail) -> None:
+    import serial
+
+    controller, port = os.openpty()
+    try:
+        with serial.Serial(os.ttyname(port), exclusive=True):
+            assert "held by another program" in fail("live", f"serial:{os.ttyname(port)}")
+    finally:
+        os.close(controller)
+        os.close(port)
+
+
+def test_a_wrong_baud_rate(start_sim: Callable[..., Sim], fail: Fail) -> None:
+    sim = start_sim("--pty", "--baud", "3000000")
+    assert sim.target.endswith("?baud=3000000")
+    error = fail("live", sim.target.partition("?")[0], "--speed", "500", "--viewer", "none")
+    assert re.search(r"no HBP device answered .*\(\d+ bytes heard.*check .*baud rate", error)
+    assert not any("outputs on" in line for line in sim.out)
+
+
+class Server:
+    """A TCP server on loopback that answers each client with `talk`."""
+
+    def __init__(self, talk: Callable[[socket.socket], None]) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.target = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
+        self.connected = threading.Event()
+        self._talk = talk
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            while True:
+                client, _ = self._listener.accept()
+                self.connected.set()
+                with client:
+                    self._talk(client)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(5.0)
+
+
+def listen(client: socket.socket) -> None:
+    while client.recv(4096):
+        pass
+
+
+def babble(client: socket.socket) -> None:
+    client.sendall(random.Random(1).randbytes(20_000))
+    listen(client)
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Callable[[socket.socket], None]], Server]]:
+    servers: list[Server] = []
+
+    def build(talk: Callable[[socket.socket], None]) -> Server:
+        servers.append(Server(talk))
+        return servers[-1]
+
+    yield build
+    for server in servers:
+        server.close()
+
+
+def test_something_silent_at_the_other_end(fail: Fail, serve: Callable[..., Server]) -> None:
+    server = serve(listen)
+    error = fail("live", server.target)
+    assert re.search(r"no HBP device answered on .* within 3 s \(0 bytes heard.*check power, cable, target and", error)
+
+
+def test_something_that_is_not_hbp_at_the_other_end(fail: Fail, serve: Callable[..., Server]) -> None:
+    server = serve(babble)
+    error = fail("info", server.target)
+    assert re.search(r"no HBP device answered .*\(20000 bytes heard, 0 good frames, [1-9]\d* damaged\)", error)
+
+
+def test_something_that_hangs_up(fail: Fail, serve: Callable[..., Server]) -> None:
+    server = serve(lambda client: None)
+    assert re.search("closed|was lost", fail("live", server.target))
+
+
+def test_a_signal_while_connecting(start: Callable[..., Program], serve: Callable[..., Server]) -> None:
+    import signal
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        server = serve(listen)
+        live = start("live", server.target, "--viewer", "none")
+        assert server.connected.wait(LIMIT)
+        live.send(number)
+        assert live.end() == 128 + number
+        assert one_error("\n".join(live.err))
+
+
+def test_a_device_that_is_no_drive(fail: Fail) -> None:
+    device = simulated()
+    device.drive.identity = replace(device.drive.identity, role=Role.LOAD)
+    link = WatchedLink(device)
+    assert "answers as LOAD, not as a drive" in fail("live", "serial:x", "--speed", "500", link=link)
+    assert DriveState.ARMED not in link.states
+
+
+# -- options ----------------------------------------------------------------------------------------------------
+
+SPIN = ("live", "serial:x", "--viewer", "none", "--duration", "0.2", "--speed", "100")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--speed", "99999"), r"--speed 99999 is beyond the drive's limit of 3151 r/min .*omega_m_max"),
+        (("--speed", "-99999"), r"--speed .*beyond"),
+        (("--speed", "nan"), r"--speed.*'nan' is not a finite number"),
+        (("--speed", "inf"), r"--speed.*not a finite number"),
+        (("--load", "99"), r"--load 99 is beyond the drive's limit of 8 A"),
+        (("--load", "nan"), r"--load.*not a finite number"),
+        (("--channels", "nonsense"), r"no channel 'nonsense'"),
+        (("--channels", "theta_ecn"), r"did you mean theta_enc\?"),
+        (("--channels", ","), r"--channels"),
+        (("--rate", "3000"), r"--rate 3000 Hz is not the PWM rate over a whole number; the nearest is 3200 Hz"),
+        (("--rate", "64000"), r"--rate 64000.*nearest is 16000"),
+        (("--rate", "nan"), r"--rate"),
+        (("--rate", "0.1"), r"--rate"),
+        (("--duration", "nan"), r"--duration"),
+        (("--duration", "0"), r"--duration"),
+        (("--host-observers", "--channels", "i_a"), r"--host-observers needs every PWM period and the channels hall"),
+        (("--save", "{tmp}/there.rrd"), r"there\.rrd exists: choose another name, or --overwrite"),
+        (("--save", "{tmp}/no/dir.rrd"), r"no/dir\.rrd cannot be created: No such file or directory"),
+        (("--save", "{tmp}"), r"--save.*directory"),
+        (("--json", "{tmp}/no/dir.json"), r"--json .*no/dir\.json cannot be written: No such file"),
+        (("--config", "{tmp}/there.rrd"), r"--config is for the simulated drive, not for serial:x"),
+        (("--observer", "sliding-mode"), r"'sliding-mode' is not one of 'encoder', 'average-speed', 'vector-tracking'"),
+        (("--viewer", "ascii"), r"'ascii' is not one of"),
+        (("--bogus",), r"--bogus.*bench live --help"),
+        (("--web-port", "70000"), r"--web-port"),
+    ],
+)  # fmt: skip
+def test_an_option_that_cannot_be(fail: Fail, tmp_path: Path, arguments: tuple[str, ...], says: str) -> None:
+    (tmp_path / "there.rrd").write_text("precious")
+    link = WatchedLink(simulated())
+    code = 3 if "no/dir.rrd" in arguments[-1] else 2
+    error = fail(*SPIN, *(text.format(tmp=tmp_path) for text in arguments), link=link, code=code)
+    assert re.search(says, error)
+    assert not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
+    assert (tmp_path / "there.rrd").read_text() == "precious"
+    assert [path.name for path in tmp_path.iterdir()] == ["there.rrd"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_directory_that_cannot_be_written(fail: Fail, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    assert "Permission denied" in fail(*SPIN, "--save", str(tmp_path / "a.rrd"), link=WatchedLink(simulated()), code=3)
+
+
+def test_a_recording_on_a_full_disk(fail: Fail) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    assert "exists" in fail(*SPIN, "--save", "/dev/full", link=WatchedLink(simulated()))
+
+
+def test_the_web_viewers_port_in_use(fail: Fail) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        link = WatchedLink(simulated())
+        error = fail(*SPIN, "--viewer", "web", "--web-port", str(port), link=link, code=4)
+    assert f"port {port} for the web viewer is in use" in error
+    assert DriveState.ARMED not in link.states
+
+
+def test_an_observer_for_a_drive_that_is_only_watched(fail: Fail) -> None:
+    assert "--observer goes with --speed or --load" in fail("live", "serial:x", "--observer", "encoder")
+
+
+# -- the simulated drive's configuration ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [("sim", "--pty"), ("live", "sim"), ("live",)])
+def test_a_configuration_with_a_negative_resistance(tmp_path: Path, command: tuple[str, ...]) -> None:
+    config = tmp_path / "bad.toml"
+    config.write_text("[motor]\nR_s = -1\n")
+    code, err = run_bench(*command, "--config", str(config))
+    assert code == 2
+    assert one_error(err) == f"error: R_s must be > 0 ohm, got -1 (motor.R_s in {config.name})"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--config", "/nowhere.toml"), r"/nowhere\.toml"),
+        (("--set", "motor.Rs=1"), r"unknown key motor\.Rs.*R_s"),
+        (("--set", "motor.R_s"), r"section\.name=value"),
+        (("--pty", "--tcp", "127.0.0.1:0"), r"choose --pty or --tcp, not both"),
+        (("--tcp", "127.0.0.1"), r"HOST:PORT"),
+        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud go with a pty"),
+        (("--link", "/nowhere/tty"), r"cannot make the link /nowhere/tty: No such file"),
+        (("--baud", "0"), r"baud must be between"),
+    ],
+)
+def test_a_simulated_drive_that_cannot_be(fail: Fail, arguments: tuple[str, ...], says: str) -> None:
+    assert re.search(says, fail("sim", *arguments))
+
+
+def test_a_taken_tcp_port(fail: Fail) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        assert f"cannot listen on tcp:{address}: Address already in use" in fail("sim", "--tcp", address)
