@@ -6,28 +6,25 @@ cannot outlive the bench, however the bench ends.
 
 from __future__ import annotations
 
-import queue
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import IO, Self
+from typing import Self
 
 from bench.errors import BenchError
 
-START_TIMEOUT = 30.0  # s until the target is known
-COMPILE_TIMEOUT = 180.0  # s until it answers: with a cold numba cache it compiles first
-
 
 class EmbeddedDrive:
-    """Context manager: starts the child, gives its `target`, ends it. `note` gets what it says before it answers."""
+    """Context manager: starts the child, gives its `target`, ends it.
+
+    `note` gets what the child says before it is ready: that it compiles, when numba's cache is cold. Raises BenchError
+    with the child's own words if it does not start.
+    """
 
     def __init__(self, arguments: Sequence[str] = (), note: Callable[[str], None] = lambda text: None) -> None:
         self.target = ""
         self._note = note
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._errors: list[str] = []
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,
@@ -35,24 +32,13 @@ class EmbeddedDrive:
             stderr=subprocess.PIPE,
             text=True,
         )
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        self._readers = [
-            threading.Thread(target=self._read_output, args=(self._process.stdout,), daemon=True),
-            threading.Thread(target=self._read_errors, args=(self._process.stderr,), daemon=True),
-        ]
-        for reader in self._readers:
-            reader.start()
 
     def __enter__(self) -> Self:
         try:
-            first = self._lines.get(timeout=START_TIMEOUT)
-        except queue.Empty:
-            first = ""
-        if not first.startswith("target: "):
+            self.target = self._await_target()
+        except BaseException:
             self._end()
-            raise self.failure()
-        self.target = first.removeprefix("target: ")
+            raise
         return self
 
     def __exit__(
@@ -60,26 +46,14 @@ class EmbeddedDrive:
     ) -> None:
         self._end()
 
-    @property
-    def pid(self) -> int:
-        """Process id of the child."""
-        return self._process.pid
-
-    def failure(self) -> BenchError:
-        """Why the child failed, in its own words."""
-        words = self._errors[-1].removeprefix("sim: ") if self._errors else "the simulated drive did not start"
-        return BenchError(words)
-
-    def _read_output(self, output: IO[str]) -> None:
-        for number, line in enumerate(output):
-            if number == 0:
-                self._lines.put(line.strip())
-            elif line.startswith("compiling"):
-                self._note(line.strip())
-        self._lines.put("")
-
-    def _read_errors(self, errors: IO[str]) -> None:
-        self._errors += [line.strip() for line in errors if line.strip()]
+    def _await_target(self) -> str:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith("target: "):
+                return line.removeprefix("target: ").strip()
+            self._note(line.strip())
+        words = self._process.communicate()[1].strip().splitlines()
+        raise BenchError(words[-1].removeprefix("sim: ") if words else "the simulated drive did not start")
 
     def _end(self) -> None:
         if self._process.stdin:
@@ -89,8 +63,6 @@ class EmbeddedDrive:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        for reader in self._readers:
-            reader.join(1.0)
         for pipe in (self._process.stdout, self._process.stderr):
             if pipe:
                 pipe.close()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from bench import __version__
 from bench.client import POLL, Client, SinkBase
-from bench.embedded import COMPILE_TIMEOUT, EmbeddedDrive
+from bench.embedded import EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
 from bench.errors import BenchError, Interrupted, NodeError
 from bench.node import LOAD, Node
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 OBSERVERS = {source.name.lower().replace("_", "-"): source for source in AngleSource}
 RECONNECT = 30.0  # s that a lost link is waited for
-CONNECT_TIMEOUT = 3.0  # s that a drive has to answer the first HELLO
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
 MAX_DECIMATION = 65535  # a u16 on the wire
@@ -125,9 +124,9 @@ class LiveRun:
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
-    def connect(self, timeout: float) -> None:
+    def connect(self) -> None:
         """Find drive and, where a load is asked for, load machine. Leaves the motor alone."""
-        hello = self.client.connect(timeout)
+        hello = self.client.connect()
         if hello.role != Role.DRIVE:
             raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
         self.drive = Node(self.client, hello.node)
@@ -449,22 +448,14 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(_signals_as_exceptions())
         target = options.target or "sim"
-        embedded = None
         if options.embedded:
-            embedded = stack.enter_context(
-                EmbeddedDrive((*options.sim_arguments, *(SIM_ARGUMENTS if options.show else ())), screen.note)
-            )
-            target = embedded.target
+            arguments = (*options.sim_arguments, *(SIM_ARGUMENTS if options.show else ()))
+            target = stack.enter_context(EmbeddedDrive(arguments, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)
         live = LiveRun(options, link, target, screen)
         stack.callback(_undisturbed_call, live.make_safe)  # in case a second signal came before STOP
-        try:
-            live.connect(CONNECT_TIMEOUT if embedded is None else COMPILE_TIMEOUT)
-        except LinkError:
-            if embedded is None:
-                raise
-            raise embedded.failure() from None
+        live.connect()
         acts = live.acts()
         live.check(acts, confirm)
         return live.go(acts, report, hold)

@@ -156,9 +156,9 @@ class Node:
 
     @property
     def state(self) -> DriveState:
-        """State by the last heartbeat; BOOT before the first."""
+        """State by the last heartbeat, by HELLO before the first."""
         heartbeat = self.client.heartbeats.get(self.number)
-        return heartbeat.state if heartbeat else DriveState.BOOT
+        return heartbeat.state if heartbeat else self.identity.state
 
     def command(self, command: Command, argument: int = 0) -> DriveState:
         """Send a state command and return the state after it."""
@@ -288,11 +288,6 @@ class Node:
             for request, _ in tuple(self._streams.values()):
                 self._configure(request, tuple(c for c in self.descriptor.channels if c.id in request.channels))
             self.start_streams()
-
-    @property
-    def predicted_load(self) -> float:
-        """Share of the link's capacity that the configured streams need, by the device; 0 where it does not know."""
-        return sum(reply.load for _, reply in self._streams.values())
 
     def _configure(self, request: StreamSet, channels: tuple[Channel, ...]) -> StreamConfig:
         try:

@@ -161,7 +161,7 @@ class Server:
 def serve(options: ServeOptions, say: Say | None = None) -> None:
     """Serve until SIGINT, SIGTERM, SIGHUP or, if so told, the end of stdin.
 
-    Prints `target: …` first, through `say` (default: stdout, flushed).
+    Prints `target: …` once it answers, through `say` (default: stdout, flushed); before that, only that it compiles.
 
     Raises:
         ConfigError: the configuration or an option is wrong.
@@ -171,11 +171,11 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
     params = load_params(options.config, options.overrides)
     port = _make_port(options)
     try:
-        tell(f"target: {port.target}")
         if not numba_cache.is_warm():
             tell("compiling the simulation (once, some ten seconds) ...")
-        with _handlers(lambda *_: _stop_at_once(port, tell), _STOPS):
+        with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
             device = _make_device(params, options, tell)
+        tell(f"target: {port.target}")
         channels = sum(len(session.app.channels) for session in device.sessions[:1])
         tell(
             f"simulated drive (node 1) and load machine (node 2): {channels} channels at "
@@ -244,7 +244,7 @@ def _make_port(options: ServeOptions) -> Port:
 
 
 def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
-    from sim.drive.device import SimulatedDevice, random_boot_id  # numba: after the target is printed
+    from sim.drive.device import SimulatedDevice, random_boot_id  # numba: after it is said that it compiles
 
     capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
     device = SimulatedDevice(
