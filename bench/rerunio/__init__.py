@@ -6,6 +6,7 @@
     dashboard   the views (blueprint)
     sinks       FileSink and LiveSink: a thread and a stream of their own each
     viewer      starts, watches and ends viewer processes
+    salvage     finds the end of what was written whole in a file that was cut short
     recording   reads a recorded run back, exactly
 
 Importing this package costs nothing; `log`, `dashboard` and `recording` import rerun (0.35 s), the others only once

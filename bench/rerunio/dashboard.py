@@ -59,9 +59,18 @@ def plots(run: schema.RunInfo, windows: Windows = NORMAL) -> dict[str, Plot]:
     estimates = run.position_estimates if run.position_reference else ()
     errors = tuple(Line(schema.error_component(n), f"{schema.label(n)} [°]", schema.colour(n)) for n in estimates)
     mechanical = run.n_p is not None
-    speeds = tuple(
+    speeds = [
         Line(schema.speed_component(n, mechanical), f"{schema.label(n)} [r/min]", schema.colour(n)) for n in run.speeds
-    )
+    ]
+    if run.has(schema.SPEED_REFERENCE):
+        component = schema.mean_component(schema.speed_component(schema.SPEED_REFERENCE, mechanical))
+        speeds.append(Line(component, "reference, mean [r/min]", schema.colour(schema.SPEED_REFERENCE)))
+    currents = [Line(schema.value_component(n), f"{n} [A]", schema.colour(n)) for n in schema.DQ_CURRENTS if run.has(n)]
+    currents += [
+        Line(schema.mean_component(schema.value_component(n)), f"{schema.label(n)}, mean [A]", schema.colour(n))
+        for n in schema.DQ_REFERENCES
+        if run.has(n)
+    ]
     angles = [n for n in (run.position_reference, *run.position_estimates) if n]
     amperes = 1.08 * plane.nice_ceiling(run.i_max)
     kind = "mechanical" if mechanical else "electrical"
@@ -70,13 +79,8 @@ def plots(run: schema.RunInfo, windows: Windows = NORMAL) -> dict[str, Plot]:
         "error_trend": Plot(
             f"Position error, electrical [°], min/max, {last}", schema.TREND, errors, windows.trend, ERROR_RANGE
         ),
-        "speed": Plot(f"Speed, {kind} [r/min], min/max, {last}", schema.TREND, speeds, windows.trend),
-        "dq": Plot(
-            f"d/q currents [A], min/max, {last}",
-            schema.TREND,
-            _values(run, schema.DQ_CURRENTS, "A"),
-            windows.trend,
-        ),
+        "speed": Plot(f"Speed, {kind} [r/min], min/max, {last}", schema.TREND, tuple(speeds), windows.trend),
+        "dq": Plot(f"d/q currents [A], min/max, {last}", schema.TREND, tuple(currents), windows.trend),
         "position": Plot(
             f"Rotor position, electrical [rad], {now}",
             schema.FAST,

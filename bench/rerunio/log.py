@@ -31,7 +31,9 @@ REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newe
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
 
+_SHOWN_STATUS = np.uint8(0xFF & ~Status.OBSERVERS_RESET)
 Values = NDArray[Any]
+Term = tuple[str, str, float]  # channel, whether its value or its error, factor
 _STATE_METADATA = {
     "rerun:archetype": "rerun.archetypes.StateChange",
     "rerun:component": "StateChange:state",
@@ -48,14 +50,16 @@ class RunLog:
         self._now_ns = 0  # newest device time seen
         self._streams: dict[StreamKey, _Stream] = {}
         self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
-        self._lanes: dict[str, str] = dict.fromkeys(states.LANES, "")
+        self._layouts: dict[tuple[str, ...], pa.Schema] = {}
+        self._lanes: dict[str, str] = dict.fromkeys(states.LANES, states.UNKNOWN)
         self._lanes_ns = 0
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._heartbeat_seen: Heartbeat | None = None
         self._status: int | None = None  # last value of the status channel
         self._next_health_ns = self._next_plane_ns = 0
-        self._trend = TrendBinner(round(TREND_BIN * 1e9))
-        self._trend_names: tuple[str, ...] = ()
+        bands, means = trend_terms(run)
+        self._trend_terms = {**bands, **means}
+        self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands))
         self._plane = Plane(run)
 
     # -- static -------------------------------------------------------------------------------------------------
@@ -63,7 +67,7 @@ class RunLog:
     def start(self) -> None:
         """Log what does not change: identity, colours of states, the stator plane's frame."""
         log = self._stream.log
-        log(schema.META, _json(schema.RUN_JSON, self.run.to_json()), static=True)
+        self._describe(schema.META, schema.RUN_JSON, self.run.to_json())
         self.summary(identity_text(self.run))
         for entity in states.STATE_COLOURS:
             log(entity, states.configuration(entity), static=True)
@@ -102,8 +106,8 @@ class RunLog:
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
         self._now_ns = max(self._now_ns, int(t_ns[-1]))
-        values = {channel.name: schema.physical(channel, chunk.raw[channel.name]) for channel in stream.channels}
-        columns = {schema.value_component(name): pa.array(value) for name, value in values.items()}
+        values = {column.name: column.physical(chunk.raw) for column in stream.columns}
+        columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
             self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
             return
@@ -112,7 +116,7 @@ class RunLog:
         self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
         self._telemetry_lane(t_ns, chunk.gaps)
         self._status_lanes(chunk, t_ns)
-        self._trend_terms(t_ns, values, errors)
+        self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
             self._at(int(t_ns[-1]))
@@ -149,12 +153,17 @@ class RunLog:
                 entity = schema.FAST if config.channels else schema.HALL
             while entity in (known.entity for known in self._streams.values()):
                 entity += "_"
-            stream = self._streams[key] = _Stream(entity, config.channels)
-            described = _json(schema.STREAM_JSON, schema.stream_to_json(config, entity))
-            self._stream.log(f"{schema.STREAMS}/{entity}", described, static=True)
+            stream = self._streams[key] = _Stream(entity, tuple(map(_Column, config.channels)))
+            description = schema.stream_to_json(config, entity)
+            self._describe(f"{schema.STREAMS}/{entity}", schema.STREAM_JSON, description)
         stream.configs.append(config)  # keeps it alive, so that its id stays its own
         self._by_config[id(config)] = stream
         return stream
+
+    def _describe(self, entity: str, component: str, data: Mapping[str, Any]) -> None:
+        """Send static JSON. A record batch is written at once: a description must precede what it describes."""
+        batch = pa.RecordBatch.from_arrays([pa.array([json.dumps(data)])], names=[component])
+        self._stream.send_record_batch(batch, index=None, entity_path=entity)
 
     def _at(self, t_ns: int) -> None:
         self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
@@ -167,12 +176,17 @@ class RunLog:
         lanes: pa.Array | None = None,
     ) -> None:
         arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
-        names = [schema.TIMELINE, *columns]
-        fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
         if lanes is not None:
             arrays.append(lanes)
-            fields.append(pa.field("StateChange:state", lanes.type, metadata=_STATE_METADATA))
-        batch = pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields))
+        shape = (entity, *columns)
+        layout = self._layouts.get(shape)
+        if layout is None:
+            names = [schema.TIMELINE, *columns]
+            fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=False)]
+            if lanes is not None:
+                fields.append(pa.field("StateChange:state", lanes.type, metadata=_STATE_METADATA))
+            layout = self._layouts[shape] = pa.schema(fields)
+        batch = pa.RecordBatch.from_arrays(arrays, schema=layout)
         self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
 
     def _errors(self, values: Mapping[str, Values]) -> dict[str, Values]:
@@ -185,23 +199,18 @@ class RunLog:
             for name in self.run.position_estimates
         }
 
-    def _trend_terms(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
-        """Add what the long plots show: errors in degrees, speeds in r/min, d and q currents in A."""
-        terms = {schema.error_component(name): error for name, error in errors.items()}
-        for name in self.run.speeds:
-            component = schema.speed_component(name, self.run.n_p is not None)
-            terms[component] = values[name] * np.float32(self.run.rpm_per_rad_s)
-        for name in schema.DQ_CURRENTS:
-            if name in values:
-                terms[schema.value_component(name)] = values[name]
-        if terms:
-            self._trend_names = tuple(terms)
-            self._send_trend(self._trend.add(t_ns, np.stack(list(terms.values())).astype(np.float32, copy=False)))
+    def _add_trend(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
+        if self._trend_terms:
+            found = [
+                errors[name] if kind == "error" else values[name] * np.float32(factor)
+                for name, kind, factor in self._trend_terms.values()
+            ]
+            self._send_trend(self._trend.add(t_ns, np.stack(found).astype(np.float32, copy=False)))
 
     def _send_trend(self, rows: Rows | None) -> None:
         if rows is not None:
             t_ns, values = rows
-            columns = {name: pa.array(row) for name, row in zip(self._trend_names, values, strict=True)}
+            columns = {name: pa.array(row) for name, row in zip(self._trend_terms, values, strict=True)}
             self._send(schema.TREND, t_ns, columns)
 
     # -- states, events, health ---------------------------------------------------------------------------------
@@ -222,6 +231,8 @@ class RunLog:
             self._log_lanes(self._now_ns)
 
     def _telemetry_lane(self, t_ns: NDArray[np.int64], gaps: Sequence[Gap]) -> None:
+        if not gaps and self._lanes["telemetry"] == states.COMPLETE:
+            return
         step = int(t_ns[-1] - t_ns[-2]) if len(t_ns) > 1 else 0
         for gap in gaps:
             end = int(t_ns[gap.position])
@@ -233,9 +244,11 @@ class RunLog:
     def _status_lanes(self, chunk: SampleChunk, t_ns: NDArray[np.int64]) -> None:
         if not self.run.has("status"):
             return
-        words = chunk.raw["status"] & (0xFF & ~int(Status.OBSERVERS_RESET))
-        before = words[0] ^ 0xFF if self._status is None else np.uint8(self._status)
-        for row in np.flatnonzero(np.diff(words, prepend=before)).tolist():
+        words = chunk.raw["status"] & _SHOWN_STATUS
+        rows = (np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()
+        if words[0] != self._status:
+            rows = [0, *rows]
+        for row in rows:
             word, at = int(words[row]), int(t_ns[row])
             self._lane(
                 at,
@@ -282,13 +295,46 @@ class RunLog:
         self._stream.log(schema.HEALTH_TEXT, _markdown(health_text(values)))
 
 
+class _Column:
+    """A channel's column, its constants looked up once."""
+
+    def __init__(self, channel: schema.AnyChannel) -> None:
+        self.name = channel.name
+        self.component = schema.value_component(channel.name)
+        self._kind = schema.storage(channel)
+        self._scale, self._offset = self._kind(channel.scale), self._kind(channel.offset)
+
+    def physical(self, raw: NDArray[np.void]) -> Values:
+        """raw * scale + offset in the channel's `storage` format, shape (n,)."""
+        values: Values = np.multiply(raw[self.name], self._scale, dtype=self._kind)
+        return values + self._offset if self._offset else values
+
+
 @dataclass(slots=True)
 class _Stream:
     """Where a stream goes, and the configurations under which it came."""
 
     entity: str
-    channels: tuple[schema.AnyChannel, ...]
+    columns: tuple[_Column, ...]
     configs: list[StreamConfig] = field(default_factory=list)
+
+
+def trend_terms(run: schema.RunInfo) -> tuple[dict[str, Term], dict[str, Term]]:
+    """What the long plots show, by component: errors, speeds, d and q currents as bands; references as means."""
+    mechanical, rpm = run.n_p is not None, run.rpm_per_rad_s
+    errors = run.position_estimates if run.position_reference else ()
+    bands: dict[str, Term] = {schema.error_component(name): (name, "error", 1.0) for name in errors}
+    bands |= {schema.speed_component(name, mechanical): (name, "value", rpm) for name in run.speeds}
+    bands |= {schema.value_component(name): (name, "value", 1.0) for name in schema.DQ_CURRENTS if run.has(name)}
+    means: dict[str, Term] = {
+        schema.mean_component(schema.value_component(name)): (name, "value", 1.0)
+        for name in schema.DQ_REFERENCES
+        if run.has(name)
+    }
+    if run.has(schema.SPEED_REFERENCE):
+        component = schema.speed_component(schema.SPEED_REFERENCE, mechanical)
+        means[schema.mean_component(component)] = (schema.SPEED_REFERENCE, "value", rpm)
+    return bands, means
 
 
 def identity_text(run: schema.RunInfo) -> str:
@@ -320,10 +366,6 @@ def health_text(values: Mapping[str, int]) -> str:
 
 def _markdown(text: str) -> rr.TextDocument:
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-
-
-def _json(component: str, data: Mapping[str, Any]) -> rr.AnyValues:
-    return _any({component: json.dumps(data)})
 
 
 def _any(components: Mapping[str, Any]) -> rr.AnyValues:

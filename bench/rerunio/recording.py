@@ -6,18 +6,21 @@ Also reads files that were cut short (kill -9, disk full, still being written): 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import rerun as rr
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, RrdReader
+from rerun.chunk import RrdReader
 
 from bench.errors import BenchError
 from bench.rerunio import schema
+from bench.rerunio.salvage import readable
 from protocol.messages import DeviceEvent, StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
@@ -55,11 +58,11 @@ class Run:
 def read_run(path: str | Path) -> Run:
     """Read a recording. Raises NotARecordingError if `path` is not one."""
     path = Path(path)
-    tables = _tables(path)
+    recording_id, tables = _tables(path)
     meta = tables.get(f"/{schema.META}", [])
     if not meta:
         raise NotARecordingError(f"{path} holds no run: it was cut before its first second, or it is not of this bench")
-    described, recording_id = json.loads(_last_text(meta, schema.RUN_JSON)), _recording_id(path)
+    described = json.loads(_last_text(meta, schema.RUN_JSON))
     if described["schema"] > schema.SCHEMA:
         raise NotARecordingError(
             f"{path} was written by a newer version (schema {described['schema']}, this one reads "
@@ -91,18 +94,16 @@ def read_run(path: str | Path) -> Run:
     )
 
 
-def _recording_id(path: Path) -> str:
-    return str(RrdReader(path).recordings()[0].recording_id)
-
-
-def _tables(path: Path) -> dict[str, list[pa.RecordBatch]]:
-    """All chunks of the file's recording by entity, in the order in which they were written."""
+def _tables(path: Path) -> tuple[str, dict[str, list[pa.RecordBatch]]]:
+    """The recording's id, and its chunks by entity, in the order in which they were written."""
     if not path.is_file():
         raise NotARecordingError(f"{path}: no such file")
     try:
-        reader = RrdReader(path)
-        ours = [entry for entry in reader.recordings() if entry.application_id == schema.APPLICATION]
-        chunks: Iterable[Chunk] = reader.stream(store=ours[0]).drop(content=_NOT_READ).to_chunks() if ours else ()
+        with readable(path) as whole, warnings.catch_warnings():
+            warnings.simplefilter("ignore", rr.error_utils.RerunWarning)  # it warns of a missing footer
+            reader = RrdReader(whole)
+            ours = [entry for entry in reader.recordings() if entry.application_id == schema.APPLICATION]
+            chunks = reader.stream(store=ours[0]).drop(content=_NOT_READ).to_chunks() if ours else []
     except (ValueError, RuntimeError, OSError) as error:
         reason = str(error).splitlines()[0]
         raise NotARecordingError(f"{path} is not a rerun recording: {reason}") from None
@@ -111,7 +112,7 @@ def _tables(path: Path) -> dict[str, list[pa.RecordBatch]]:
     tables: dict[str, list[pa.RecordBatch]] = {}
     for chunk in chunks:
         tables.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
-    return tables
+    return str(ours[0].recording_id), tables
 
 
 def _samples(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) -> SampleChunk:

@@ -58,8 +58,10 @@ EDGE_OLD, EDGE_NEW, EDGE_ILLEGAL, EDGE_ENCODER = (
 EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
-DQ_CURRENTS = ("i_d", "i_q", "i_d_ref", "i_q_ref")
+DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
+SPEED_REFERENCE = "omega_ref"
 
+_NS = 1_000_000_000
 RPM = 60 / (2 * math.pi)
 DEG = 180 / math.pi
 
@@ -77,6 +79,11 @@ def error_component(channel: str) -> str:
 def speed_component(channel: str, mechanical: bool) -> str:
     """Component of a speed in r/min, mechanical where the pole pairs are known, else electrical."""
     return f"{'mech' if mechanical else 'elec'}_rpm:{channel}"
+
+
+def mean_component(component: str) -> str:
+    """Component of the mean over a bin of what `component` holds."""
+    return f"mean_{component}"
 
 
 # One colour a quantity, in every view (dark background; Okabe and Ito's palette, told apart by colour-blind eyes too).
@@ -186,12 +193,10 @@ class RunInfo:
 
     @cached_property
     def speeds(self) -> tuple[str, ...]:
-        """Electrical speeds worth a line in the speed plot, in drawing order: estimates, encoder, reference."""
-        commanded = ("omega_ref",) if self.has("omega_ref") else ()
+        """Measured and estimated electrical speeds, in drawing order."""
         return (
             *self._flagged(Flag.ESTIMATE, Unit.RAD_PER_S),
             *self._flagged(Flag.REFERENCE, Unit.RAD_PER_S),
-            *commanded,
         )
 
     def _flagged(self, flag: Flag, unit: Unit) -> tuple[str, ...]:
@@ -295,13 +300,6 @@ def storage(channel: AnyChannel) -> type[np.float32] | type[np.float64]:
     return np.float32 if largest * float(np.finfo(np.float32).eps) < 0.25 else np.float64
 
 
-def physical(channel: AnyChannel, raw: NDArray[Any]) -> NDArray[Any]:
-    """The column of a channel: raw * scale + offset, in the channel's `storage` format."""
-    kind = storage(channel)
-    values: NDArray[Any] = np.multiply(raw, kind(channel.scale), dtype=kind)
-    return values + kind(channel.offset) if channel.offset else values
-
-
 def raw_from_physical(channel: AnyChannel, values: NDArray[Any]) -> NDArray[Any]:
     """Raw wire values for a column of physical ones, in the channel's own type; exact by the choice of `storage`."""
     if channel.raw == RawType.F32 and storage(channel) is np.float32:
@@ -312,13 +310,15 @@ def raw_from_physical(channel: AnyChannel, values: NDArray[Any]) -> NDArray[Any]
 
 def ns_from_tick(tick: NDArray[np.int64] | int, tick_hz: int) -> NDArray[np.int64]:
     """Nanoseconds since the device's tick 0, rounded to the nearest; exact integers, no overflow below 292 years."""
+    if _NS % tick_hz == 0:
+        return np.asarray(tick, np.int64) * (_NS // tick_hz)
     seconds, rest = np.divmod(np.asarray(tick, np.int64), np.int64(tick_hz))
-    ns: NDArray[np.int64] = seconds * 1_000_000_000 + (rest * 1_000_000_000 + tick_hz // 2) // tick_hz
+    ns: NDArray[np.int64] = seconds * _NS + (rest * _NS + tick_hz // 2) // tick_hz
     return ns
 
 
 def tick_from_ns(ns: NDArray[np.int64], tick_hz: int) -> NDArray[np.int64]:
     """The inverse of `ns_from_tick`, exact for `tick_hz` below 1 GHz."""
-    seconds, rest = np.divmod(np.asarray(ns, np.int64), np.int64(1_000_000_000))
-    tick: NDArray[np.int64] = seconds * tick_hz + (rest * tick_hz + 500_000_000) // 1_000_000_000
+    seconds, rest = np.divmod(np.asarray(ns, np.int64), np.int64(_NS))
+    tick: NDArray[np.int64] = seconds * tick_hz + (rest * tick_hz + _NS // 2) // _NS
     return tick

@@ -16,12 +16,14 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.errors import BenchError
 from bench.rerunio import schema
 from bench.rerunio.blocks import Block, BlockBuilder
+from bench.rerunio.salvage import mend
 from bench.statistics import Percentiles
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
@@ -221,6 +223,8 @@ class FileSink(_BlockSink):
             self._stream.flush(timeout_sec=CLOSE_TIMEOUT)
             self._stream.disconnect()
         except Exception as error:
+            with suppress(OSError):
+                mend(self.path)
             self._fail(_why(self.path, error), error)
 
 

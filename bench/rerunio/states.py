@@ -28,6 +28,7 @@ _HALL_LABELS = {"a=0": "0", "b=0": "0", "c=0": "0", "a=1": "a", "b=1": "b", "c=1
 
 # Lanes of the drive: every word tells by itself which lane it stands in.
 LANES = ("state", "faults", "source", "correction", "telemetry")
+UNKNOWN = "unknown"
 NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
 CORRECTION = ("back-EMF correction off", "back-EMF correction on")
 _SOURCES = {
@@ -36,6 +37,7 @@ _SOURCES = {
     AngleSource.VECTOR_TRACKING: "angle: vector tracking",
 }
 DRIVE_COLOURS: dict[str, Colour] = {
+    UNKNOWN: _DARK,
     DriveState.BOOT.name: _DIM,
     DriveState.IDLE.name: _DIM,
     DriveState.ARMED.name: _AMBER,
@@ -70,8 +72,9 @@ def configuration(entity: str) -> rr.StateConfiguration:
     """Colours and labels of the states of `entity`."""
     colours = STATE_COLOURS[entity]
     packed = np.array([r << 24 | g << 16 | b << 8 | 0xFF for r, g, b in colours.values()], np.uint32)
+    visible = [value != UNKNOWN for value in colours]
     labels = [_HALL_LABELS.get(value, value) for value in colours]
-    return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed)
+    return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed, visible=visible)
 
 
 def state_name(value: int) -> str:

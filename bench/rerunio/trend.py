@@ -1,7 +1,8 @@
 """Minima and maxima over short bins: what the plots of the last half minute show instead of every sample.
 
 Averages would shrink the peaks that the bench is there to find. Per bin two rows come out, the minimum at the bin's
-start and the maximum at its middle, so that a line through them draws the band that the signal fills.
+start and the maximum at its middle, so that a line through them draws the band that the signal fills. References are
+the exception: their bands would hide what follows them, so both rows hold the mean.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ Rows = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 
 class TrendBinner:
-    """Cuts a run into bins of `bin_ns` nanoseconds and hands them out in lots of `lot` bins or more."""
+    """Cuts a run into bins of `bin_ns` nanoseconds and hands them out in lots of `lot` bins or more.
 
-    def __init__(self, bin_ns: int, lot: int = 10) -> None:
+    The first `bands` terms come out as minimum and maximum, the others as mean.
+    """
+
+    def __init__(self, bin_ns: int, bands: int, lot: int = 10) -> None:
         self._bin_ns = bin_ns
+        self._bands = bands
         self._lot = lot
         self._t: list[NDArray[np.int64]] = []
         self._values: list[NDArray[np.float32]] = []
@@ -44,7 +49,10 @@ class TrendBinner:
         starts = np.concatenate([[0], np.flatnonzero(np.diff(bins[:n])) + 1])
         times = np.repeat(bins[starts] * self._bin_ns, 2)
         times[1::2] += self._bin_ns // 2
+        bands, others = values[: self._bands, :n], values[self._bands :, :n]
         rows = np.empty((len(values), len(times)), np.float32)
-        rows[:, ::2] = np.minimum.reduceat(values[:, :n], starts, axis=1)
-        rows[:, 1::2] = np.maximum.reduceat(values[:, :n], starts, axis=1)
+        rows[: self._bands, ::2] = np.minimum.reduceat(bands, starts, axis=1)
+        rows[: self._bands, 1::2] = np.maximum.reduceat(bands, starts, axis=1)
+        means = np.add.reduceat(others, starts, axis=1) / np.diff(starts, append=n).astype(np.float32)
+        rows[self._bands :] = np.repeat(means, 2, axis=1)
         return times, rows

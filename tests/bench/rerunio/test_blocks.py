@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import synthetic
+
+from bench.rerunio.blocks import BlockBuilder, join_edges, join_samples
+from protocol.streams import EdgeChunk, Gap, SampleChunk
+
+
+def sample_chunks(run: synthetic.SyntheticRun, samples: int) -> list[SampleChunk]:
+    return [chunk for chunk in run.chunks(samples) if isinstance(chunk, SampleChunk)]
+
+
+def test_a_block_closes_after_its_period_of_device_time() -> None:
+    builder = BlockBuilder(0.05, synthetic.TICK_HZ)
+    sizes = []
+    for chunk in sample_chunks(synthetic.SyntheticRun(0.5), 160):
+        builder.samples(chunk, now=0.0)  # the host's clock stands still
+        if block := builder.take(0.0):
+            sizes.append(block.n_samples)
+    assert sizes == [960] * 8
+    rest = builder.take(0.0, everything=True)
+    assert rest is not None
+    assert rest.n_samples == 320
+    assert builder.take(0.0, everything=True) is None
+
+
+def test_without_samples_a_block_closes_by_the_hosts_clock() -> None:
+    builder = BlockBuilder(0.05, synthetic.TICK_HZ)
+    builder.heartbeat(1, synthetic.heartbeat(5), now=10.0)
+    builder.note("something", "INFO", now=10.01)
+    assert builder.take(10.04) is None
+    block = builder.take(10.05)
+    assert block is not None
+    assert len(block.heartbeats) == len(block.notes) == 1
+
+
+def test_joined_chunks_are_the_whole_with_gaps_in_place(made: synthetic.SyntheticRun) -> None:
+    chunks = [replace(c, gaps=(Gap(3, 5, 1, True),)) if k == 2 else c for k, c in enumerate(sample_chunks(made, 100))]
+    whole = join_samples(chunks)
+    assert whole.raw.dtype == made.raw.dtype
+    assert (whole.raw == made.raw).all()
+    assert (whole.tick == made.tick).all()
+    assert (whole.index == made.index).all()
+    assert whole.gaps == (Gap(203, 5, 1, True),)
+    edges = join_edges([chunk for chunk in made.chunks() if isinstance(chunk, EdgeChunk)])
+    assert (edges.tick == made.edge_tick[: len(edges)]).all()
+    assert (np.diff(edges.index) == 1).all()
+
+
+def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthetic.SyntheticRun) -> None:
+    builder = BlockBuilder(1e9, synthetic.TICK_HZ)
+    chunks = sample_chunks(made, 100)
+    builder.samples(chunks[0], 0.0)
+    builder.samples(replace(chunks[2], gaps=(Gap(0, 100, 7, False),)), 0.0)
+    edges = made.edge_chunk(4, 8)
+    builder.edges(replace(edges, gaps=(Gap(2, 3, 1, False),)), 0.0)
+    builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=2), 0.0)
+    builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=3), 0.0)
+    builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=4), 0.0)
+    block = builder.take(0.0, everything=True)
+    assert block is not None
+    assert block.losses == {
+        "lost:samples": 100,
+        "lost:sample_frames": 7,
+        "lost:edges": 3,
+        "lost:by_device": 7,
+        "lost:live_blocks": 0,
+    }
+
+
+def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun) -> None:
+    """After a lost link streams start anew: the decoder has no gap to tell of, the index has."""
+    builder = BlockBuilder(1e9, synthetic.TICK_HZ)
+    chunks = sample_chunks(made, 100)
+    for chunk in (chunks[0], chunks[5], replace(chunks[1])):  # the last one goes back: a reboot is no loss
+        builder.samples(chunk, 0.0)
+    block = builder.take(0.0, everything=True)
+    assert block is not None
+    assert [chunk.gaps for chunk in block.samples] == [(), (Gap(0, 400, 0, False),), ()]
+    assert block.losses["lost:samples"] == 400

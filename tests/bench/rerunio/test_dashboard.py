@@ -1,0 +1,120 @@
+"""The dashboard in rerun's headless viewer: every view is there, healthy, and shows something."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+from rerun.chunk import RrdReader
+from viewers import headless, needs_graphics
+
+from bench.rerunio import dashboard, schema
+from bench.rerunio.sinks import FileSink
+
+VIEWS = {
+    "TimeSeries": 6,
+    "StateTimeline": 2,
+    "2D": 1,
+    "TextDocument": 2,
+    "TextLog": 1,
+}
+
+
+def components(path: Path) -> dict[str, dict[str, int]]:
+    """Entities of a recording, their components, and how many values each of them has."""
+    found: dict[str, dict[str, int]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        entity = found.setdefault(chunk.entity_path, {})
+        for name in batch.schema.names:
+            entity[name] = entity.get(name, 0) + len(batch) - batch.column(name).null_count
+    return found
+
+
+def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.SyntheticRun) -> None:
+    plots = dashboard.plots(synthetic.run_info())
+    assert set(plots) == {"error_trend", "speed", "dq", "position", "error", "phases"}
+    found = components(recording)
+    for plot in plots.values():
+        for line in plot.lines:
+            n = found[f"/{plot.entity}"][line.component]
+            assert n == (len(made.index) if plot.entity == schema.FAST else 600), line
+    assert found["/hall"]["StateChange:state"] == len(made.edge_tick)
+    assert found["/drive"]["StateChange:state"] >= 4
+    assert found["/stator/vectors"]["Arrows2D:vectors"] == 25  # a 60 ms block holds one picture at most: every second
+    assert found["/health/text"]["TextDocument:text"] == 4
+    assert found["/log/drive"]["TextLog:text"] == found["/log/host"]["TextLog:text"] == 1
+    assert found["/stator/plane/lines"]
+    assert found["/summary"]
+
+
+def test_names_carry_units() -> None:
+    for plot in dashboard.plots(synthetic.run_info()).values():
+        assert "[" in plot.name
+        assert all(line.name.endswith("]") for line in plot.lines)
+
+
+def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
+    colours: dict[str, set[tuple[int, int, int]]] = {}
+    for plot in dashboard.plots(synthetic.run_info()).values():
+        for line in plot.lines:
+            colours.setdefault(line.name.split(" [")[0], set()).add(line.colour)
+    assert {name for name, found in colours.items() if len(found) > 1} == set()
+
+
+@needs_graphics
+def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Path) -> None:
+    with headless("--window-size", "1600x900") as viewer:
+        viewer.client.open(str(recording))
+        state = viewer.await_recording()
+        picture = tmp_path / "dashboard.png"
+        viewer.client.save_screenshot(str(picture))
+        state = viewer.client.get_state()
+    counts = {kind: sum(view.view_class == kind for view in state.views) for kind in VIEWS}
+    assert counts == VIEWS
+    assert len(state.views) == sum(VIEWS.values())
+    assert [(view.name, view.reports) for view in state.views if view.reports] == []
+    assert {view.name for view in state.views if not view.visible} <= {"Run and summary"}
+    (timeline,) = state.recordings[0].timelines
+    assert (timeline.name, timeline.time_type) == (schema.TIMELINE, "duration")
+    assert timeline.start == 100_000_000_000
+    assert picture.stat().st_size > 50_000
+
+
+@needs_graphics
+@pytest.mark.parametrize(
+    "names",
+    [("i_a", "i_b", "i_c"), ("theta_enc", "theta_vt"), ("hall",), ("u_dc", "status", "omega_ref")],
+)
+def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ...], tmp_path: Path) -> None:
+    channels = tuple(channel for channel in synthetic.CHANNELS if channel.name in names)
+    run = synthetic.run_info(channels=channels, parameters={})
+    path = tmp_path / "few.rrd"
+    sink = FileSink(path, run, wait=True)
+    synthetic.SyntheticRun(0.5, config=synthetic.config(channels)).feed(sink)
+    sink.close()
+    found = components(path)
+    for plot in dashboard.plots(run).values():
+        assert plot.lines
+        assert all(found[f"/{plot.entity}"][line.component] > 0 for line in plot.lines)
+    with headless() as viewer:
+        viewer.client.open(str(path))
+        state = viewer.await_recording()
+        assert [(view.name, view.reports) for view in state.views if view.reports] == []
+
+
+def test_positions_are_compared_with_the_reference_and_wrapped(recording: Path, made: synthetic.SyntheticRun) -> None:
+    chunks = RrdReader(recording).stream().filter(content="/fast").to_chunks()
+    shown = np.concatenate(
+        [
+            chunk.to_record_batch().column(schema.error_component("theta_vt")).flatten().to_numpy()
+            for chunk in chunks
+            if not chunk.is_static
+        ]
+    )
+    scale = made.config.channel("theta_enc").scale
+    error = (made.raw["theta_enc"].astype(float) - made.raw["theta_vt"]) * scale
+    error -= 2 * np.pi * np.round(error / (2 * np.pi))
+    np.testing.assert_allclose(shown, np.degrees(error), atol=1e-4)

@@ -1,0 +1,168 @@
+"""A recording read back is the run, bit for bit, however it was cut up and however the process ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+import synthetic
+
+from bench.rerunio.recording import NotARecordingError, read_run
+from bench.rerunio.sinks import FileSink, RecordingError
+from protocol.descriptor import Descriptor
+from protocol.messages import DeviceEvent, EventCode, StreamEvent
+from protocol.signals import LOAD_CHANNELS
+from protocol.streams import Gap, SampleChunk, StreamConfig
+
+
+def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
+    run = read_run(recording)
+    samples, edges = run.samples, run.edges
+    assert samples.config == made.config
+    assert samples.raw.tobytes() == made.raw.tobytes()
+    assert (samples.tick == made.tick).all()
+    assert (samples.index == made.index).all()
+    assert samples.gaps == edges.gaps == ()
+    assert edges.config == synthetic.EDGE_CONFIG
+    whole = made.edge_chunk(0, len(made.edge_tick))
+    for name in ("tick", "hall_old", "hall_new", "illegal", "encoder", "index"):
+        assert (getattr(edges, name) == getattr(whole, name)).all(), name
+        assert getattr(edges, name).dtype == getattr(whole, name).dtype
+
+
+def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
+    run = read_run(recording)
+    assert run.info.parameters == {"n_p": 6.0, "i_max": 8.0}
+    assert run.info.identity["drive"] == "synthetic"
+    assert run.info.channels == synthetic.CHANNELS
+    assert run.events == (DeviceEvent(int(made.tick[0]), EventCode.STATE_CHANGED, 1, 3.0),)
+    assert [text for _, text in run.notes] == ["all of it"]
+    assert run.summary == "# Summary\n\nall well"
+
+
+def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    chunks = [chunk for chunk in made.chunks(100) if isinstance(chunk, SampleChunk)][:60]
+    again = synthetic.config(cfg_id=9)  # as after a reconnect: same stream, another number
+    chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
+    sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    for chunk in sent:
+        sink.samples(chunk)
+    sink.close()
+    run = read_run(tmp_path / "a.rrd")
+    assert list(run.streams) == ["fast"]
+    assert (run.samples.index == np.concatenate([chunk.index for chunk in sent])).all()
+    assert (run.samples.raw == np.concatenate([chunk.raw for chunk in sent])).all()
+    assert run.samples.gaps == (Gap(540, 3, 1, True), Gap(1000, 2000, 0, False))
+
+
+def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:
+    few = synthetic.SyntheticRun(0.1, config=synthetic.config(synthetic.CHANNELS[:3]))
+    more = synthetic.SyntheticRun(0.1, start=101, config=synthetic.config(synthetic.CHANNELS[:7]))
+    load = StreamConfig(2, 0, 3, StreamEvent.PWM, 16, Descriptor.of(LOAD_CHANNELS, ()).channels, 10)
+    raw = np.zeros(50, load.dtype)
+    raw["omega_m"] = np.random.default_rng(0).normal(size=50)
+    index = np.arange(50, dtype=np.int64) * 16
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=few.config.channels), wait=True)
+    few.feed(sink)
+    more.feed(sink)
+    sink.samples(SampleChunk(load, index, index * 1250, raw, ()))
+    sink.close()
+    run = read_run(tmp_path / "a.rrd")
+    assert set(run.streams) == {"fast", "fast_", "node2/stream0"}
+    assert run.samples.raw.tobytes() == few.raw.tobytes()
+    assert run.streams["fast_"].raw.tobytes() == more.raw.tobytes()
+    assert run.streams["node2/stream0"].raw.tobytes() == raw.tobytes()
+    assert (run.streams["node2/stream0"].index == index).all()
+
+
+def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info())
+    sink.heartbeat(1, synthetic.heartbeat(77))
+    sink.close()
+    run = read_run(tmp_path / "a.rrd")
+    assert run.streams == run.edge_streams == {}
+    assert "Run in progress" in run.summary
+
+
+def test_an_existing_file_is_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match=r"a\.rrd exists: .*--overwrite"):
+        FileSink(path, synthetic.run_info())
+    assert path.read_bytes() == b"precious"
+    FileSink(path, synthetic.run_info(), overwrite=True).close()
+    assert read_run(path).info.n_p == 6
+
+
+def test_a_file_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be created: No such file or directory"):
+        FileSink(tmp_path / "missing" / "a.rrd", synthetic.run_info())
+
+
+def test_files_that_are_no_recordings_of_ours_are_named(tmp_path: Path) -> None:
+    noise = tmp_path / "noise.rrd"
+    noise.write_bytes(os.urandom(4096))
+    foreign = tmp_path / "foreign.rrd"
+    stream = rr.RecordingStream("someone_else")
+    stream.save(foreign)
+    stream.log("x", rr.Scalars(1.0))
+    stream.disconnect()
+    for path, what in (
+        (noise, "not a rerun recording"),
+        (foreign, "not of this bench"),
+        (tmp_path / "none.rrd", "no such file"),
+        (tmp_path, "no such file"),
+    ):
+        with pytest.raises(NotARecordingError, match=what) as caught:
+            read_run(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_a_file_cut_short_reads_up_to_the_cut(
+    recording: Path, made: synthetic.SyntheticRun, tmp_path: Path, share: float
+) -> None:
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(recording.read_bytes()[: int(recording.stat().st_size * share)])
+    run = read_run(cut)
+    n = len(run.samples)
+    assert 0.2 * share * len(made.index) < n < len(made.index)
+    assert run.samples.raw.tobytes() == made.raw[:n].tobytes()
+    assert (run.edges.tick == made.edge_tick[: len(run.edges)]).all()
+
+
+CHILD = """
+import sys
+sys.path.insert(0, {tests!r})
+import synthetic
+from bench.rerunio.sinks import FileSink
+sink = FileSink({path!r}, synthetic.run_info(), wait=True)
+run = synthetic.SyntheticRun(2.0)
+run.feed(sink)
+while sink.logged_samples < 30000: pass
+sink._stream.flush(timeout_sec=10)
+print("written", flush=True)
+input()
+"""
+
+
+def test_kill_9_leaves_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "killed.rrd"
+    code = CHILD.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"written\n"
+        child.send_signal(signal.SIGKILL)
+    run = read_run(path)
+    made = synthetic.SyntheticRun(2.0)
+    assert len(run.samples) >= 30000
+    assert run.samples.raw.tobytes() == made.raw[: len(run.samples)].tobytes()

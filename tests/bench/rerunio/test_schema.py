@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import synthetic
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.rerunio import schema, states
+from bench.rerunio.log import _Column
+from protocol.descriptor import Channel, Descriptor
+from protocol.signals import LOAD_CHANNELS, Flag, RawType, Unit
+from sim.observers.hall_speed import SECTOR_OF_CODE
+
+INTEGERS = [kind for kind in RawType if kind != RawType.F32]
+
+
+def column(channel: Channel, raw: np.ndarray) -> np.ndarray:
+    records = np.zeros(len(raw), [(channel.name, channel.raw.dtype)])
+    records[channel.name] = raw
+    return _Column(channel).physical(records)
+
+
+@given(
+    kind=st.sampled_from(INTEGERS),
+    scale=st.floats(2**-20, 2**20, width=32),
+    offset=st.one_of(st.just(0.0), st.floats(-(2**20), 2**20, width=32)),
+    data=st.data(),
+)
+def test_every_raw_integer_comes_back_from_its_physical_column(kind, scale, offset, data) -> None:
+    info = np.iinfo(kind.dtype)
+    values = data.draw(st.lists(st.integers(info.min, info.max), min_size=1, max_size=20))
+    raw = np.array([info.min, info.max, *values], kind.dtype)
+    channel = Channel(1, "x", Unit.A, kind, scale, Flag.CHANNEL, offset)
+    back = schema.raw_from_physical(channel, column(channel, raw))
+    assert back.dtype == raw.dtype
+    assert (back == raw).all()
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1))
+def test_raw_floats_come_back(values: list[float]) -> None:
+    raw = np.array(values, np.float32)
+    for channel in Descriptor.of(LOAD_CHANNELS, ()).channels[:1]:
+        assert schema.raw_from_physical(channel, column(channel, raw)).tobytes() == raw.tobytes()
+
+
+def test_sixteen_bits_are_stored_as_float32_and_thirty_two_as_float64() -> None:
+    kinds = {kind: schema.storage(Channel(1, "x", Unit.A, kind, 0.5, Flag.CHANNEL)) for kind in INTEGERS}
+    wide = {RawType.U32, RawType.I32}
+    assert kinds == {kind: np.float64 if kind in wide else np.float32 for kind in INTEGERS}
+
+
+@given(tick_hz=st.integers(1, 999_999_999), seconds=st.floats(0, 9e9))
+def test_ticks_come_back_from_nanoseconds(tick_hz: int, seconds: float) -> None:
+    tick = int(seconds * tick_hz)
+    ns = int(schema.ns_from_tick(tick, tick_hz))
+    assert ns == (tick * 10**9 + tick_hz // 2) // tick_hz  # Python's integers do not overflow
+    assert int(schema.tick_from_ns(np.array([ns]), tick_hz)[0]) == tick
+
+
+def test_a_run_and_its_streams_survive_json() -> None:
+    run = synthetic.run_info()
+    back = schema.RunInfo.from_json(json.loads(json.dumps(run.to_json())), run.recording_id)
+    assert back == run
+    for config in (synthetic.config(), synthetic.EDGE_CONFIG):
+        described = json.loads(json.dumps(schema.stream_to_json(config, "fast")))
+        assert schema.stream_from_json(described) == config
+
+
+def test_speeds_are_mechanical_where_the_pole_pairs_are_known() -> None:
+    assert abs(100.0 * synthetic.run_info().rpm_per_rad_s - 100 * 60 / (2 * np.pi) / 6) < 1e-12
+    assert abs(100.0 * synthetic.run_info(parameters={}).rpm_per_rad_s - 100 * 60 / (2 * np.pi)) < 1e-12
+
+
+def test_one_colour_a_quantity() -> None:
+    for angle, speed in (("theta_avg", "omega_avg"), ("theta_vt", "omega_vt"), ("theta_enc", "omega_enc")):
+        assert schema.colour(angle) == schema.colour(speed)
+    assert schema.colour("never_heard_of") == schema.colour("never_heard_of")
+
+
+def test_hall_lanes_follow_the_bit_order() -> None:
+    assert tuple(SECTOR_OF_CODE) == states.SECTOR_OF_CODE
+    assert states.HALL_LANES[0b011].as_py() == ["a=1", "b=1", "c=0", "II"]
+    assert states.HALL_LANES[0b111].as_py()[3] == states.HALL_LANES[0].as_py()[3] == "illegal"

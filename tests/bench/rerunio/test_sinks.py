@@ -1,0 +1,176 @@
+"""A slow, stopped, dead or absent viewer costs live frames, never recorded samples; a full disk is said once."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+import rerun as rr
+import synthetic
+from viewers import headless, needs_graphics
+
+from bench.rerunio import sinks
+from bench.rerunio.recording import read_run
+from bench.rerunio.sinks import FileSink, LiveSink, RecordingError
+from bench.rerunio.viewer import free_port
+
+
+def whole(path: Path, made: synthetic.SyntheticRun) -> bool:
+    run = read_run(path)
+    return bool(run.samples.raw.tobytes() == made.raw.tobytes() and len(run.edges) == len(made.edge_tick))
+
+
+def every_sample_is_accounted_for(live: LiveSink, made: synthetic.SyntheticRun) -> bool:
+    return live.logged_samples + live.dropped_samples == len(made.index)
+
+
+def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    live = LiveSink(synthetic.run_info(), free_port(19800))
+    file = FileSink(tmp_path / "a.rrd", live.run, wait=True, live_drops=lambda: live.dropped_blocks)
+    made.feed(live, file)
+    file.close()
+    assert live.close()
+    assert live.error is None
+    assert every_sample_is_accounted_for(live, made)
+    assert whole(tmp_path / "a.rrd", made)
+    assert file.logged_samples == len(made.index)
+    assert file.logged_edges == len(made.edge_tick)
+
+
+@needs_graphics
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_stopped_or_killed_viewer_costs_live_frames_only(
+    tmp_path: Path, made: synthetic.SyntheticRun, number: signal.Signals
+) -> None:
+    live = LiveSink(synthetic.run_info(), free_port(19820))
+    file = FileSink(tmp_path / "a.rrd", live.run, wait=True)
+    with headless("--connect", live.url) as viewer:
+        made.feed(live)
+        viewer.await_recording()
+        viewer.send_signal(number)
+        later = synthetic.SyntheticRun(3.0, start=103.0)
+        later.feed(live, file)
+        file.close()
+        live.close()
+    assert live.logged_samples + live.dropped_samples <= 2 * len(made.index)
+    assert whole(tmp_path / "a.rrd", later)
+
+
+class Stuck:
+    """A rerun stream whose calls never return, as with a stalled client once rerun's buffer is full."""
+
+    def __init__(self) -> None:
+        self.free = threading.Event()
+
+    def __getattr__(self, name: str):
+        return lambda *_, **__: self.free.wait()
+
+
+def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(
+    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck = Stuck()
+    monkeypatch.setattr(sinks, "_serve", lambda *_: (stuck, "nowhere"))
+    monkeypatch.setattr(sinks, "LIVE_CLOSE_TIMEOUT", 0.05)
+    live = LiveSink(synthetic.run_info(), 0)
+    file = FileSink(tmp_path / "a.rrd", live.run, wait=True, live_drops=lambda: live.dropped_blocks)
+    made.feed(live, file)  # would hang here
+    file.close()
+    assert live.close() is False
+    assert live.dropped_samples == len(made.index) - 960 * sinks.LIVE_QUEUE  # blocks of 60 ms
+    assert live.dropped_blocks == 50 - sinks.LIVE_QUEUE + 1  # the last one holds but a note
+    assert whole(tmp_path / "a.rrd", made)
+    stuck.free.set()
+
+
+def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.SyntheticRun) -> None:
+    seen: list[dict[str, int]] = []
+    gate = threading.Event()
+
+    class Log:
+        def block(self, block: sinks.Block) -> None:
+            gate.wait()
+            seen.append(block.losses)
+
+    live = LiveSink(synthetic.run_info(), free_port(19840), queue_blocks=2)
+    original = live._log
+    live._log = lambda log, item: original(Log(), item)  # type: ignore[assignment,arg-type,method-assign]
+    made.feed(live)
+    gate.set()
+    live.close()
+    assert seen[-1]["lost:samples"] == 0
+    assert seen[-1]["lost:live_blocks"] == live.dropped_blocks > 40
+
+
+def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    clock = {"now": 50.0}
+    file = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True, now=lambda: clock["now"])
+    file.host_time = lambda tick: tick / synthetic.TICK_HZ - 51.0  # device time 100 s is host time 49 s
+    first = next(chunk for chunk in made.chunks(960) if hasattr(chunk, "raw"))
+    file.samples(first)
+    file.close()
+    assert file.latency.n == 960
+    assert 1.0 <= file.latency.at(99) <= 1.02
+
+
+def test_a_full_disk_is_said_once_and_what_fitted_is_readable(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import synthetic
+from bench.rerunio import sinks
+sinks.FLUSH_PERIOD = 0.0
+made = synthetic.SyntheticRun(3.0)
+sink = sinks.FileSink(sys.argv[1], synthetic.run_info(), wait=True)
+said = []
+for chunk in made.chunks():
+    try:
+        (sink.samples if hasattr(chunk, "raw") else sink.edges)(chunk)
+    except sinks.RecordingError as error:
+        said.append(str(error))
+sink._thread.join()
+try:
+    sink.close()
+except sinks.RecordingError as error:
+    said.append(str(error))
+print(len(said), said[0])
+"""
+    path = tmp_path / "a.rrd"
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(path)],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_500_000, 1_500_000)),
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert ended.stdout.startswith(f"1 recording {path}: cannot be written")
+    run = read_run(path)
+    assert 8000 < len(run.samples) < len(made.index)
+    assert run.samples.raw.tobytes() == made.raw[: len(run.samples)].tobytes()
+
+
+def test_a_disk_with_no_room_at_all_is_said_at_once() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    with pytest.raises(RecordingError, match="/dev/full: the disk is full"):
+        FileSink("/dev/full", synthetic.run_info(), overwrite=True)
+
+
+def test_a_caller_faster_than_the_disk_is_told(
+    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sinks, "BACKLOG_LIMIT", 200_000)
+    hold = threading.Event()
+    monkeypatch.setattr(rr.RecordingStream, "flush", lambda *_, **__: hold.wait(20))
+    file = FileSink(tmp_path / "a.rrd", synthetic.run_info())
+    with pytest.raises(RecordingError, match="wait to be written; use a faster disk"):
+        made.feed(file)
+    hold.set()
+    file.close()  # it was said
+    assert file.error is not None

@@ -1,0 +1,83 @@
+"""rerun's headless viewer for tests, driven through its own client."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from rerun.experimental import ViewerClient, ViewerState
+
+from bench.rerunio.viewer import HOST, binary, free_port
+
+TIMEOUT = 60.0  # s; a viewer that draws in software on a busy machine takes its time
+REQUIRED = "HALLBENCH_REQUIRE_VIEWER"  # set in CI, where the graphics driver is installed
+
+
+class HeadlessViewer:
+    def __init__(self, process: subprocess.Popen[bytes], port: int) -> None:
+        self._process = process
+        self.client = self._until(lambda: ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy"))
+
+    def _until(self, attempt):
+        end = time.monotonic() + TIMEOUT
+        while True:
+            try:
+                found = attempt()
+            except ConnectionError:
+                found = None
+            if found:
+                return found
+            assert self._process.poll() is None, "the viewer has ended"
+            assert time.monotonic() < end, "the viewer does not answer"
+            time.sleep(0.05)
+
+    def await_recording(self) -> ViewerState:
+        """The viewer's state once a recording with data is loaded and its views are drawn."""
+
+        def loaded() -> ViewerState | None:
+            state = self.client.get_state()
+            ready = not state.loading and state.views and state.recordings and state.recordings[0].timelines
+            return state if ready else None
+
+        return self._until(loaded)
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+
+@contextmanager
+def headless(*arguments: str) -> Iterator[HeadlessViewer]:
+    port = free_port(19900)
+    process = subprocess.Popen(
+        [str(binary()), "--headless", "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield HeadlessViewer(process, port)
+    finally:
+        process.kill()
+        process.wait()
+
+
+@functools.cache
+def graphics() -> bool:
+    """Whether the headless viewer can draw here: it needs a Vulkan driver, Mesa's software one will do."""
+    try:
+        with headless() as viewer:
+            return bool(re.match(r"\d", viewer.client.get_state().viewer_version or ""))
+    except AssertionError:
+        return False
+
+
+needs_graphics = pytest.mark.skipif(
+    "not __import__('viewers').graphics()" if not os.environ.get(REQUIRED) else "False",
+    reason="rerun's headless viewer needs a Vulkan driver (Debian: mesa-vulkan-drivers)",
+)
