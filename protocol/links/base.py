@@ -16,6 +16,9 @@ from protocol.errors import LinkClosed, LinkError
 MAX_READ = 65536
 """Most bytes that one `read` returns."""
 
+REFILL = 0.0005
+"""Seconds that a settled read waits for the kernel to refill the buffer that it has just emptied."""
+
 WRITE_TIMEOUT = 0.5
 """Seconds that `write` may take; a link that takes nothing for so long has failed."""
 
@@ -120,6 +123,9 @@ class DescriptorLink(ABC):
             try:
                 part = self._receive(free)
             except BlockingIOError:
+                # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
+                if settle > 0.0 and select.select([fd], [], [], REFILL)[0]:
+                    continue
                 break
             except OSError as error:
                 if parts:  # the caller gets the tail now and the error at the next read
