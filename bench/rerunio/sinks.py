@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from bench.rerunio.dashboard import Windows
     from bench.rerunio.log import RunLog
 
-BLOCK_PERIOD = 0.05  # s of signal a message
+BLOCK_PERIOD = 0.05  # s of signal a message of the live view
+FILE_BLOCK_PERIOD = 0.035  # the same of the recording: sooner in the file, for a little more computing
+READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
 SLOW_BLOCK_PERIOD = 0.2  # s, for viewers that draw a few frames a second
 FLUSH_PERIOD = 1.0  # s: how soon a full disk is noticed, and how much a power cut can cost
 FLUSH_TIMEOUT = 10.0  # s
@@ -62,12 +64,15 @@ class _BlockSink:
 
     host_time: Callable[[float], float] | None = None
 
+    _thread: threading.Thread
+
     def __init__(self, run: schema.RunInfo, period: float, now: Now) -> None:
         self.run = run
         self.latency = Percentiles()
         self.logged_samples = 0
         self.logged_edges = 0
         self._now = now
+        self._ready = threading.Event()
         self._builder = BlockBuilder(period, run.tick_hz)
 
     def samples(self, chunk: SampleChunk) -> None:
@@ -93,6 +98,11 @@ class _BlockSink:
     def note(self, text: str, level: str = "INFO") -> None:
         """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR."""
         self._builder.note(text, level, self._now())
+
+    def _start(self) -> None:
+        """Start the thread; wait until it has imported and opened what it needs, because streaming data would not."""
+        self._thread.start()
+        self._ready.wait(READY_TIMEOUT)
 
     def _pass_on(self, now: float, everything: bool = False) -> None:
         block = self._builder.take(now, everything)
@@ -136,7 +146,7 @@ class FileSink(_BlockSink):
         windows: Windows | None = None,
         now: Now = time.monotonic,
     ) -> None:
-        super().__init__(run, BLOCK_PERIOD, now)
+        super().__init__(run, FILE_BLOCK_PERIOD, now)
         self.path = Path(path)
         self.error: RecordingError | None = None
         self.lost_blocks = 0  # that came after the error
@@ -149,7 +159,8 @@ class FileSink(_BlockSink):
         _claim(self.path, overwrite)
         self._stream = _open_file(self.path, run, windows, footer)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
-        self._thread.start()
+        self._start()
+        self._raise_once()
 
     @property
     def backlog_bytes(self) -> int:
@@ -201,6 +212,7 @@ class FileSink(_BlockSink):
             log = RunLog(self._stream, self.run)
             log.start()
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
+            self._ready.set()
             flushed = time.monotonic()
             while True:
                 try:
@@ -226,6 +238,8 @@ class FileSink(_BlockSink):
             with suppress(OSError):
                 mend(self.path)
             self._fail(_why(self.path, error), error)
+        finally:
+            self._ready.set()
 
 
 class LiveSink(_BlockSink):
@@ -251,7 +265,7 @@ class LiveSink(_BlockSink):
         self._closing = threading.Event()
         self._stream, self.url = _serve(run, port, slow)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
-        self._thread.start()
+        self._start()
 
     def summary(self, markdown: str) -> None:
         """Show the summary."""
@@ -278,6 +292,7 @@ class LiveSink(_BlockSink):
         try:
             log = RunLog(self._stream, self.run)
             log.start()
+            self._ready.set()
             while True:
                 try:
                     item = self._queue.get(timeout=0.1)
@@ -294,6 +309,8 @@ class LiveSink(_BlockSink):
             self._stream.disconnect()
         except Exception as error:  # the live view is a convenience: the run goes on without it
             self.error = str(error)
+        finally:
+            self._ready.set()
 
 
 def _claim(path: Path, overwrite: bool) -> None:
