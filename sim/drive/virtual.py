@@ -74,7 +74,7 @@ class VirtualLink:
 
     def _periods(self, seconds: float) -> int:
         """Periods that take `seconds`, rounded up: a wait of any length moves the time on."""
-        return max(0, math.ceil(seconds * self.device.pwm_hz - 1e-6))
+        return max(1, math.ceil(seconds * self.device.pwm_hz - 1e-6)) if seconds > 0.0 else 0
 
     def _require_open(self) -> None:
         if not self._open:

@@ -1,0 +1,80 @@
+"""A sink that keeps everything, and whole runs put together from it or cut up anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bench.client import Client, SinkBase
+from bench.node import DRIVE, LOAD, Node
+from protocol.links import Link
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk
+
+EDGE_FIELDS = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
+
+
+class Collector(SinkBase):
+    def __init__(self) -> None:
+        self.chunks: list[SampleChunk | EdgeChunk] = []  # in the order in which they came
+        self.events: list[tuple[int, DeviceEvent]] = []
+        self.heartbeats: list[tuple[int, Heartbeat]] = []
+        self.notes: list[str] = []
+
+    def samples(self, chunk: SampleChunk) -> None:
+        self.chunks.append(chunk)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        self.chunks.append(chunk)
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        self.events.append((node, event))
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        self.heartbeats.append((node, heartbeat))
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        self.notes.append(text)
+
+    def all_samples(self) -> SampleChunk:
+        chunks = [chunk for chunk in self.chunks if isinstance(chunk, SampleChunk)]
+        assert not any(chunk.gaps for chunk in chunks)
+        return replace(
+            chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in ("index", "tick", "raw")}
+        )
+
+    def all_edges(self) -> EdgeChunk:
+        chunks = [chunk for chunk in self.chunks if isinstance(chunk, EdgeChunk)]
+        assert not any(chunk.gaps for chunk in chunks)
+        return replace(
+            chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in EDGE_FIELDS}
+        )
+
+
+def cut(chunk, first: int, last: int):
+    """Records [first, last) of a chunk without gaps."""
+    names = EDGE_FIELDS if isinstance(chunk, EdgeChunk) else ("index", "tick", "raw")
+    return replace(chunk, **{name: getattr(chunk, name)[first:last] for name in names})
+
+
+class Bench:
+    """Client, drive and load machine on one link, with a collector."""
+
+    def __init__(self, link: Link) -> None:
+        self.client = Client(link)
+        self.collector = Collector()
+        self.client.sinks = [self.collector]
+        self.hello = self.client.connect()
+        self.drive, self.load = Node(self.client, DRIVE), Node(self.client, LOAD)
+
+    def stream(self, names: tuple[str, ...] | None = None, decimation: int = 1) -> None:
+        self.drive.stop_streams()
+        self.drive.set_edges()
+        self.drive.set_samples(self.drive.channels(names), decimation)
+        self.drive.start_streams()
+
+    def turn(self, omega_m: float) -> None:
+        self.drive.arm()
+        self.drive.start()
+        self.drive.speed(omega_m)

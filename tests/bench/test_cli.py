@@ -1,0 +1,143 @@
+"""The command line: help with examples, JSON for scripts, plain lines when piped, completion."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+from processes import ENVIRONMENT, LIMIT
+from virtual_run import WatchedLink, reached_by, simulated
+
+from bench import __version__
+from bench.cli import cli, main
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS
+
+COMMANDS = ["live", "sim", "devices", "info", "completion"]
+
+
+def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:
+    with contextlib.suppress(SystemExit):
+        main(list(arguments))
+    read = capsys.readouterr()
+    assert "error:" not in read.err
+    return read.out, read.err
+
+
+def test_the_commands_are_these() -> None:
+    assert cli.list_commands(click.Context(cli)) == COMMANDS
+
+
+@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)])
+def test_help_has_an_example_that_parses(capsys: pytest.CaptureFixture[str], command: tuple[str, ...]) -> None:
+    out, _ = bench(capsys, *command, "--help")
+    assert out.startswith("Usage: bench")
+    examples = [line.split() for line in out.splitlines() if line.startswith("  ") and " bench " in f"{line} "]
+    assert any(words[:1] == ["bench"] for words in examples)
+    assert bench(capsys, *command, "-h")[0] == out
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench(capsys, "--version")[0] == f"bench, version {__version__}\n"
+
+
+def test_devices_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    ports = json.loads(bench(capsys, "devices", "--json")[0])
+    assert isinstance(ports, list)
+    for port in ports:
+        assert port["target"].startswith("serial:")
+        assert set(port) == {"target", "description", "manufacturer", "serial_number", "usb_id"}
+
+
+def test_info_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    link = WatchedLink(simulated())
+    with reached_by(link):
+        out, err = bench(capsys, "info", "serial:x", "--json")
+    info = json.loads(out)
+    drive, load = info["nodes"]
+    assert (info["target"], drive["identity"]["role"], load["identity"]["role"]) == ("serial:x", "drive", "load")
+    assert drive["identity"]["boot_id"] == f"{link.device.drive.identity.boot_id:08x}"
+    assert drive["identity"]["pwm_hz"] == 16000
+    assert "simulated" in drive["identity"]["features"]
+    assert [c["name"] for c in drive["channels"]] == [c.name for c in DRIVE_CHANNELS]
+    assert [c["name"] for c in load["channels"]] == [c.name for c in LOAD_CHANNELS]
+    parameters = {p["name"]: p for p in drive["parameters"]}
+    assert list(parameters) == [p.name for p in DRIVE_PARAMETERS]
+    assert parameters["i_max"]["lo"] <= parameters["i_max"]["value"] == 8.0 <= parameters["i_max"]["hi"]
+    assert drive["health"]["state"] == "IDLE"
+    assert drive["health"]["outputs_on"] is False
+    assert drive["health"]["faults"] == []
+    assert err == ""
+
+
+def test_info_for_people_is_plain_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    with reached_by(WatchedLink(simulated())):
+        out, _ = bench(capsys, "info", "serial:x")
+    assert "\x1b" not in out
+    assert "node 1: simulated drive (drive) on serial:x" in out
+    for name in ("theta_vt", "psi_f_hat", "rad/s"):
+        assert name in out
+
+
+def test_live_as_json_is_all_that_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    with reached_by(WatchedLink(simulated())):
+        out, err = bench(
+            capsys, "live", "serial:x", "--speed", "500", "--load", "1", "--duration", "0.5", "--viewer", "none",
+            "--json", "-", "--host-observers",
+        )  # fmt: skip
+    summary = json.loads(out)
+    assert summary["result"] == "ok"
+    assert summary["duration_s"] == pytest.approx(0.5, abs=0.3)
+    assert summary["identity"]["name"] == "simulated drive"
+    assert set(summary["lost"].values()) == {0}
+    errors = summary["position_error_deg"]["500 r/min, 1 A"]
+    assert set(errors) == {"theta_avg", "theta_vt"}
+    assert set(errors["theta_vt"]) == {"n", "mean", "std", "max"}
+    assert 0 <= errors["theta_vt"]["std"] < 60
+    assert "\x1b" not in out + err
+
+
+def test_live_for_people_is_plain_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    with reached_by(WatchedLink(simulated())):
+        out, err = bench(capsys, "live", "serial:x", "--duration", "0.5", "--viewer", "none")
+    assert "\x1b" not in out + err
+    for text in ("0 samples, 0 edges", "0 frames", "result"):
+        assert text in out
+    assert "simulated drive hallbench-sim on serial:x" in err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts(capsys: pytest.CaptureFixture[str], shell: str) -> None:
+    out, _ = bench(capsys, "completion", shell)
+    assert "_BENCH_COMPLETE" in out
+
+
+def complete(line: str) -> list[str]:
+    words = line.split()
+    count = len(words) if line.endswith(" ") else len(words) - 1
+    done = subprocess.run(
+        [sys.executable, "-c", "from bench.cli import main; main()"],
+        env=ENVIRONMENT | {"_BENCH_COMPLETE": "bash_complete", "COMP_WORDS": line, "COMP_CWORD": str(count)},
+        capture_output=True, text=True, timeout=LIMIT,
+    )  # fmt: skip
+    return [entry.partition(",")[2] for entry in done.stdout.split()]
+
+
+def test_completion_knows_commands_options_and_targets() -> None:
+    assert complete("bench ") == COMMANDS
+    assert "--host-observers" in complete("bench live --h")
+    assert complete("bench live --viewer n") == ["native", "none"]
+    assert "sim" in complete("bench info s")
+
+
+def test_help_imports_neither_numba_nor_rerun() -> None:
+    code = (
+        "import sys\nfrom bench.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "print(sorted({'numba', 'rerun', 'numpy', 'pyarrow'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT)
+    assert done.stdout.splitlines()[-1] == "[]"

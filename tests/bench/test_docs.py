@@ -1,0 +1,81 @@
+"""README and docs name only commands, options and files that exist, and the README's CI commands are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from bench.cli import cli
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+IN_LINE = re.compile(r"`(bench [^`\n]*)`")
+AT_START = re.compile(r"^(?:\S+/)?(bench [^#\n]*)", re.MULTILINE)
+
+
+def commands(page: Path) -> list[str]:
+    """Every `bench …` of a page: in code blocks and in running text."""
+    text = page.read_text()
+    blocks = re.findall(r"```(?:sh)?\n(.*?)```", text, re.DOTALL)
+    lines = [part.strip() for block in blocks for line in block.splitlines() for part in line.split("&&")]
+    found = [match.group(1) for line in lines if (match := AT_START.match(line))]
+    return found + IN_LINE.findall(re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+
+
+def known_options(command: click.Command) -> set[str]:
+    return {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)} | {
+        "--help", "-h",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_bench_commands_exist_with_their_options(page: Path) -> None:
+    for text in commands(page):
+        words = [word for word in shlex.split(text) if word not in ("…", "...")]
+        if len(words) == 1 or words[1].startswith("-"):
+            assert set(words[1:]) <= {"--help", "--version"}, text
+            continue
+        command = cli.get_command(click.Context(cli), words[1])
+        assert command is not None, text
+        options = {word.partition("=")[0] for word in words[2:] if word.startswith("-")}
+        assert options <= known_options(command), f"{page.name}: {text}"
+        if not any(word in text for word in ("…", "TARGET", "FILE")):
+            command.make_parser(click.Context(command)).parse_args(words[2:])
+
+
+def test_the_readme_has_commands_at_all() -> None:
+    found = commands(ROOT / "README.md")
+    assert "bench live" in found
+    assert len(found) >= 8
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_options_named_in_running_text_exist(page: Path) -> None:
+    every = {"--version"}
+    for name in cli.list_commands(click.Context(cli)):
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None
+        every |= known_options(command)
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    named = set(re.findall(r"`(--[a-z][a-z-]*)", text))
+    assert named <= every
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_pictures_are_there(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if "://" not in link:
+            assert (page.parent / link).exists(), link
+
+
+def test_both_ci_commands_stand_in_the_readme() -> None:
+    text = (ROOT / "README.md").read_text()
+    for name, ends in (("show", "bench live"), ("test", "pytest")):
+        match = re.search(rf"<!-- ci: {name} -->\n```sh\n(.+)\n```", text)
+        assert match, name
+        assert match.group(1).endswith(ends)
+        assert "pip install" in match.group(1)

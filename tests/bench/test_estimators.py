@@ -1,0 +1,176 @@
+"""Host and drive run the same observers: bit for bit, over manoeuvres, chunk boundaries, recordings and gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collect import Bench, Collector, cut
+from virtual_run import WatchedLink, run, simulated
+
+from bench.estimators import CHECKED, HostObservers
+from bench.rerunio.recording import read_run
+from protocol.signals import AngleSource, Status
+from protocol.streams import EdgeChunk, Gap, SampleChunk
+from sim.observers import bank
+
+
+def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
+    """Give a run to the observers in pieces: each piece's edges first, as a client delivers them."""
+    compared = differ = sent = 0
+    for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
+        if first == last:
+            continue
+        piece = cut(samples, first, last)
+        due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right"))
+        if due > sent:
+            observers.edges(cut(edges, sent, due))
+            sent = due
+        n, bad = observers.compare(piece)
+        compared += n
+        differ += bad
+    return compared, differ
+
+
+def host_observers(bench: Bench) -> HostObservers:
+    return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz)
+
+
+@pytest.mark.parametrize("compensation", [0, 1])
+@pytest.mark.parametrize("source", [AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING])
+def test_host_and_drive_agree_bit_for_bit(source: AngleSource, compensation: int) -> None:
+    bench = Bench(WatchedLink(simulated(seed=3)))
+    bench.drive.set("observer", source)
+    bench.drive.set("load_angle_comp", compensation)
+    bench.drive.set("k_pc", 0.01 * compensation)
+    observers = host_observers(bench)
+    bench.stream()
+    bench.load.arm()
+    bench.load.start()
+    bench.turn(50.0)  # start-up from an unknown angle
+    bench.client.run_for(0.5)
+    bench.drive.speed(100.0)  # speed step
+    bench.client.run_for(0.4)
+    bench.load.torque(0.2)  # load step
+    bench.client.run_for(0.4)
+    bench.drive.set("observer", AngleSource.AVERAGE_SPEED + AngleSource.VECTOR_TRACKING - source)
+    bench.client.run_for(0.2)
+    bench.load.torque(0.0)
+    bench.drive.speed(-60.0)  # reversal
+    bench.client.run_for(0.6)
+    bench.drive.stop()
+    bench.load.stop()
+    bench.client.run_for(0.1)
+    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    reset = np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)
+    assert len(reset) == 1  # where ARMED begins
+    assert len(edges) > 500
+    assert samples.physical("omega_enc").min() < -300
+    rng = np.random.default_rng(1)
+    cuts = np.sort(rng.choice(len(samples), 400, replace=False))
+    assert feed(observers, samples, edges, cuts) == (len(samples) - reset[0], 0)
+    assert feed(host_observers(bench), samples, edges, np.array([], int)) == (len(samples) - reset[0], 0)
+    assert len(bank.run.signatures) == 1  # compiled once, before the motor turned
+
+
+def test_another_parameter_shows_as_a_difference() -> None:
+    bench = Bench(WatchedLink(simulated()))
+    parameters = bench.drive.parameters()
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    for name in ("k_p_vt", "k_i_vt", "L_s_hat", "bw_omega_lpf"):
+        observers = HostObservers(parameters | {name: parameters[name] * 2}, bench.hello.tick_hz, bench.hello.pwm_hz)
+        collected = bench.collector
+        compared, differ = feed(observers, collected.all_samples(), collected.all_edges(), np.array([], int))
+        assert compared > differ > 1000, name
+
+
+def test_each_checked_channel_is_checked() -> None:
+    bench = Bench(WatchedLink(simulated()))
+    observers = host_observers(bench)
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.4)
+    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    for name in CHECKED:
+        raw = samples.raw.copy()
+        raw[name][-7] += 1
+        assert feed(host_observers(bench), replace(samples, raw=raw), edges, np.array([], int))[1] == 1, name
+    assert feed(observers, samples, edges, np.array([], int))[1] == 0
+
+
+@pytest.mark.parametrize("kind", ["samples", "edges"])
+def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> None:
+    bench = Bench(WatchedLink(simulated()))
+    bench.stream()
+    for _ in range(2):
+        bench.turn(50.0)
+        bench.client.run_for(0.4)
+        bench.drive.stop()
+        bench.client.run_for(0.3)
+    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    resets = np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)
+    assert len(resets) == 2
+    gap = int(resets[0]) + 3000
+    assert gap + 1000 < resets[1]
+    observers = host_observers(bench)
+    before = cut(samples, 0, gap)
+    covered = int(np.searchsorted(edges.tick, before.tick[-1], side="right"))
+    observers.edges(cut(edges, 0, covered))
+    assert observers.compare(before) == (gap - resets[0], 0)
+    if kind == "samples":
+        observers.edges(cut(edges, covered, len(edges)))
+        after = replace(cut(samples, gap + 100, len(samples)), gaps=(Gap(0, 100, 5, False),))
+    else:
+        observers.edges(replace(cut(edges, covered + 2, len(edges)), gaps=(Gap(0, 2, 1, False),)))
+        after = cut(samples, gap, len(samples))
+    compared, differ = observers.compare(after)
+    assert compared == len(samples) - resets[1]
+    assert differ == 0
+
+
+def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
+    bench = Bench(WatchedLink(simulated()))
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.4)
+    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    reset = int(np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)[0])
+    gap = reset + 2000
+    keep = np.r_[0:gap, gap + 50 : len(samples)]
+    parts = {name: getattr(samples, name)[keep] for name in ("index", "tick", "raw")}
+    holed = replace(samples, gaps=(Gap(gap, 50, 3, False),), **parts)
+    observers = host_observers(bench)
+    observers.edges(edges)
+    assert observers.compare(holed) == (gap - reset, 0)
+    later = cut(samples, len(samples) - 10, len(samples))
+    assert observers.compare(later) == (0, 0)
+
+
+def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
+    link = WatchedLink(simulated())
+    ended = run(link, duration=1.0, load_a=1.0, host_observers=True, save=tmp_path / "a.rrd")
+    seen = ended.summary.host_observers
+    assert seen is not None
+    assert seen["different"] == 0
+    recorded = read_run(tmp_path / "a.rrd")
+    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz)
+    cuts = np.sort(np.random.default_rng(2).choice(len(recorded.samples), 50, replace=False))
+    assert feed(observers, recorded.samples, recorded.edges, cuts) == (seen["compared"], 0)
+
+
+def test_collected_chunks_bring_edges_before_the_samples_that_cover_them() -> None:
+    bench = Bench(WatchedLink(simulated()))
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    collector: Collector = bench.collector
+    covered = -1
+    for chunk in collector.chunks:
+        if isinstance(chunk, EdgeChunk):
+            assert chunk.tick[0] > covered
+        else:
+            covered = int(chunk.tick[-1])

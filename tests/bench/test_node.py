@@ -1,0 +1,281 @@
+"""Client and nodes against the simulated bench, in virtual time; the cheap half over a real pty and TCP as well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from collect import Bench
+from processes import Sim
+from virtual_run import WatchedLink, simulated
+
+from bench.client import Client
+from bench.errors import NodeError
+from bench.node import Node
+from protocol.errors import LinkClosed, NoReply
+from protocol.links import Link, open_link
+from protocol.messages import DriveState, EventCode, Fault, Feature, Role
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
+from protocol.streams import SampleChunk
+from sim.drive.device import SimulatedDevice
+
+
+def virtual(seed: int = 1, **settings: float) -> Bench:
+    return Bench(WatchedLink(simulated(seed, **settings)))
+
+
+def device(bench: Bench) -> SimulatedDevice:
+    assert isinstance(bench.client.link, WatchedLink)
+    return bench.client.link.device
+
+
+@pytest.fixture(params=["virtual", "pty", "tcp"])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """The same bench over each kind of link."""
+    if request.param == "virtual":
+        yield virtual()
+        return
+    where = ("--pty",) if request.param == "pty" else ("--tcp", "127.0.0.1:0")
+    start_sim: Callable[..., Sim] = request.getfixturevalue("start_sim")
+    link: Link = open_link(start_sim(*where, "--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0").target)
+    yield Bench(link)
+    link.close()
+
+
+def test_a_whole_session_over_each_link(bench: Bench) -> None:
+    drive, load = bench.drive, bench.load
+    assert (drive.identity.role, load.identity.role) == (Role.DRIVE, Role.LOAD)
+    assert drive.identity.features & Feature.SIMULATED
+    assert [channel.name for channel in drive.descriptor.channels] == [s.name for s in DRIVE_CHANNELS]
+    assert set(drive.parameters()) == {p.name for p in DRIVE_PARAMETERS}
+    assert drive.parameter("R_s_hat").value == np.float32(0.158)
+    assert drive.set("R_s_hat", 0.2) == np.float32(0.2) == drive.parameter("R_s_hat").value
+    with pytest.raises(NodeError, match=r"i_max must be 0\.\.30, got 99"):
+        drive.set("i_max", 99)
+    with pytest.raises(NodeError, match="no parameter 'R_hat': did you mean R_s_hat"):
+        drive.set("R_hat", 1)
+    bench.stream()
+    bench.turn(50.0)
+    assert drive.state == DriveState.RUNNING
+    bench.client.run_for(0.3)
+    with pytest.raises(NodeError, match="i_max = 5 was refused"):
+        drive.set("i_max", 5)  # only while the outputs are off
+    assert drive.stop() == DriveState.IDLE
+    drive.stop_streams()
+    heartbeat = drive.next_heartbeat()
+    assert heartbeat is not None
+    assert not heartbeat.outputs_on
+    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    assert (np.diff(samples.index) == 1).all()
+    assert (np.diff(edges.index) == 1).all()
+    losses = bench.client.losses(1)
+    assert losses.samples.samples == len(samples) > 4000
+    assert losses.edges.samples == len(edges) > 10
+    for counters in (losses.samples, losses.edges):
+        assert counters.lost_by_index == counters.lost_by_seq == counters.overruns == counters.stale == 0
+    assert heartbeat.tx_dropped == 0
+    assert samples.physical("omega_enc")[-100] == pytest.approx(6 * 50, rel=0.3)
+
+
+def test_setpoints_are_confirmed_or_the_rejection_is_raised() -> None:
+    bench = virtual()
+    with pytest.raises(NodeError, match=r"rejected the setpoint SPEED 10 \(state IDLE"):
+        bench.drive.speed(10.0)
+    bench.turn(50.0)
+    bench.drive.current(2.0, -1.0)
+    with pytest.raises(NodeError, match="rejected the setpoint CURRENT 50"):
+        bench.drive.current(50.0)
+    with pytest.raises(NodeError, match="rejected the setpoint SPEED 1000"):
+        bench.drive.speed(1000.0)
+    with pytest.raises(NodeError, match="rejected the setpoint TORQUE"):
+        bench.drive.torque(0.1)
+    assert bench.drive.state == DriveState.RUNNING
+    rejected = [event for node, event in bench.collector.events if event.code == EventCode.SETPOINT_REJECTED]
+    assert len(rejected) == 4
+
+
+def test_a_setpoint_counts_as_confirmed_only_when_this_host_sent_it() -> None:
+    first = virtual()
+    first.turn(50.0)
+    first.drive.stop()
+    second = Bench(first.client.link)  # the drive remembers the counter of the first host
+    second.client.wait(lambda: 1 in second.client.heartbeats, 1.0)
+    with pytest.raises(NodeError, match="state IDLE"):
+        second.drive.speed(50.0)
+
+
+def test_arm_needs_a_sound_drive_and_start_needs_arm() -> None:
+    bench = virtual()
+    with pytest.raises(Exception, match=r"STATE_CMD was refused.*WRONG_STATE"):
+        bench.drive.start()
+    device(bench).drive.fault(Fault.OVERCURRENT)
+    bench.drive.next_heartbeat()
+    with pytest.raises(NodeError, match=r"latched fault \(OVERCURRENT\).*--clear-faults"):
+        bench.drive.arm()
+    assert bench.drive.state == DriveState.FAULT
+    bench.drive.clear_faults()
+    assert bench.drive.state == DriveState.IDLE
+    bench.drive.arm()
+    assert device(bench).drive.state == DriveState.ARMED
+
+
+def test_armed_lapses_when_it_is_not_started() -> None:
+    bench = virtual()
+    bench.drive.arm()
+    bench.client.run_for(5.2)
+    assert bench.drive.state == DriveState.IDLE
+    assert EventCode.ARM_LAPSED in [event.code for _, event in bench.collector.events]
+
+
+def test_the_load_machine_forces_a_speed_and_brakes_with_a_torque() -> None:
+    bench = virtual(load__alpha_m_max=5000.0)
+    bench.stream(("omega_true", "tau_load_true", "theta_enc"))
+    bench.load.arm()
+    bench.load.start()
+    bench.load.speed(30.0)
+    bench.client.run_for(0.3)
+    assert bench.collector.all_samples().physical("omega_true")[-1] == pytest.approx(6 * 30.0, rel=0.01)
+    assert device(bench).drive.state == DriveState.IDLE
+    bench.turn(30.0)
+    bench.load.torque(0.1)
+    bench.client.run_for(0.3)
+    assert bench.collector.all_samples().physical("tau_load_true")[-1] == pytest.approx(0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize("decimation", [2, 16, 1000])
+def test_decimated_streams_keep_every_nth_sample(decimation: int) -> None:
+    bench = virtual()
+    bench.stream(("hall", "i_a"), decimation)
+    bench.client.run_for(1.0)
+    samples = bench.collector.all_samples()
+    assert samples.raw.dtype.names == ("hall", "i_a")
+    assert (np.diff(samples.index) == decimation).all()
+    assert (np.diff(samples.tick) == 1250 * decimation).all()
+    assert len(samples) == pytest.approx(16000 / decimation, rel=0.1)
+    assert bench.client.losses(1).samples.lost_by_index == 0
+
+
+def test_channels_come_in_the_drives_order_and_unknown_ones_are_named() -> None:
+    bench = virtual()
+    assert [c.name for c in bench.drive.channels(["i_b", "hall", "i_b"])] == ["hall", "i_b"]
+    with pytest.raises(NodeError, match="node 1 has no channel 'theta_ecn': did you mean theta_enc"):
+        bench.drive.channels(["theta_ecn"])
+
+
+def test_losses_add_up_over_reconfigurations() -> None:
+    bench = virtual()
+    for names in (("hall",), ("i_a", "i_b"), None):
+        bench.stream(names)
+        bench.client.run_for(0.2)
+    seen = sum(len(chunk) for chunk in bench.collector.chunks if isinstance(chunk, SampleChunk))
+    assert bench.client.losses(1).samples.samples == seen
+    assert bench.client.losses(1).samples.lost_by_seq == 0
+
+
+# -- the watchdog -----------------------------------------------------------------------------------------------
+
+
+def test_a_client_that_stops_polling_trips_the_drive_after_its_watchdog() -> None:
+    bench = virtual()
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    assert device(bench).drive.state == DriveState.RUNNING
+    start = device(bench).periods
+    device(bench).advance(round(0.13 * 16000))
+    assert device(bench).drive.app.outputs_on
+    device(bench).advance(round(0.08 * 16000))
+    assert not device(bench).drive.app.outputs_on
+    assert device(bench).drive.machine.faults == Fault.WATCHDOG
+    assert device(bench).periods - start < 0.25 * 16000
+
+
+def test_a_client_that_polls_but_does_not_feed_trips_the_drive_too() -> None:
+    bench = virtual()
+    bench.turn(50.0)
+    bench.stream()
+    bench.client.feed(1, on=False)
+    bench.client.run_for(0.3)
+    assert device(bench).drive.machine.faults == Fault.WATCHDOG
+    assert bench.drive.state == DriveState.FAULT
+    assert "WATCHDOG" in bench.drive.fault_text()
+
+
+class DeafLink(WatchedLink):
+    """Loses what the drive sends, once `deaf`."""
+
+    deaf = False
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if not self.deaf:
+            return super().read(timeout, settle)
+        self.device.advance(max(1, self._periods(timeout)))
+        self.device.data_to_send()
+        return b""
+
+
+def test_a_host_that_no_longer_hears_the_drive_stops_feeding_its_watchdog() -> None:
+    link = DeafLink(simulated())
+    bench = Bench(link)
+    bench.turn(50.0)
+    bench.client.run_for(0.2)
+    assert link.device.drive.state == DriveState.RUNNING
+    link.deaf = True
+    start = link.clock()
+    bench.client.wait(lambda: link.device.drive.state == DriveState.FAULT, 5.0)
+    assert link.clock() - start < 0.3 + 0.2 + 0.1  # telemetry is stale after 0.3 s, the watchdog waits for 0.2 s
+    assert link.device.drive.machine.faults == Fault.WATCHDOG
+    assert not link.device.drive.app.outputs_on
+
+
+# -- links that fail --------------------------------------------------------------------------------------------
+
+
+def test_a_mute_node_is_named() -> None:
+    bench = virtual()
+    with pytest.raises(Exception, match="HELLO was refused: UNKNOWN_NODE"):
+        _ = Node(bench.client, 9).identity
+    link = DeafLink(simulated())
+    bench = Bench(link)
+    link.deaf = True
+    with pytest.raises(NoReply, match="node 1 on virtual: did not answer TIME_SYNC in 3 tries"):
+        bench.drive.clock_fit()
+
+
+def test_a_lost_link_is_raised_at_once_where_nobody_waits_for_it() -> None:
+    bench = virtual()
+    bench.client.link.close()
+    with pytest.raises(LinkClosed):
+        bench.client.poll()
+    client = Client(bench.client.link, reconnect=1.0)
+    client.poll()
+    assert client.health.outages == 1
+    with pytest.raises(LinkClosed, match="is gone: HELLO was not sent"):
+        _ = Node(client, 1).identity
+
+
+def test_the_clock_fit_puts_a_tick_at_its_time() -> None:
+    bench = virtual()
+    fit = bench.drive.clock_fit()
+    assert fit.tick_hz == 20_000_000
+    assert fit.host_time(fit.tick + 20_000_000) == pytest.approx(fit.host + 1.0)
+    assert fit.host == pytest.approx(fit.tick / fit.tick_hz, abs=0.03)
+
+
+def test_the_same_seed_gives_the_same_run() -> None:
+    runs = []
+    for _ in range(2):
+        bench = virtual(seed=5)
+        bench.client.nonce = lambda: 7  # type: ignore[method-assign]
+        bench.stream()
+        bench.turn(50.0)
+        bench.client.run_for(0.3)
+        runs.append(bench.collector.all_samples())
+    assert runs[0].raw.tobytes() == runs[1].raw.tobytes()
+
+
+def test_a_wait_of_any_length_moves_virtual_time_on() -> None:
+    link = WatchedLink(simulated())
+    assert link.read(0.0) != b""  # what it says at boot
+    assert (link.read(0.0), link.clock()) == (b"", 0.0)
+    assert (link.read(1e-18), link.clock()) == (b"", 1 / 16000)
