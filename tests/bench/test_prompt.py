@@ -1,0 +1,106 @@
+"""The question on a real terminal: a drive that does not say that it is simulated, behind a pty, and `bench`."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from processes import ENVIRONMENT, LIMIT
+from virtual_run import physical
+
+from protocol.messages import DriveState
+from sim.drive.device import SimulatedDevice
+from sim.drive.ports import PtyPort
+from sim.drive.server import STEP, Server
+
+
+class PhysicalDrive:
+    """A thread that runs such a drive in real time behind a pty, and keeps the states that it was in."""
+
+    def __init__(self) -> None:
+        self.device: SimulatedDevice = physical()
+        for app in (session.app for session in self.device.sessions):
+            app.set_param("watchdog", 1.0)
+        self.port = PtyPort()
+        self.states: set[DriveState] = set()
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        server = Server(self.device, self.port, time.monotonic())
+        while not self._end.wait(STEP):
+            server.step(time.monotonic())
+            self.states.add(self.device.drive.state)
+
+    def close(self) -> None:
+        self._end.set()
+        self._thread.join()
+        self.port.close()
+
+
+@pytest.fixture
+def drive() -> Iterator[PhysicalDrive]:
+    drive = PhysicalDrive()
+    yield drive
+    drive.close()
+
+
+def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
+    """Run `bench live` on a terminal, answer its question; returns its exit code and all that it wrote."""
+    controller, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bench", "live", drive.port.target, "--speed", "300", "--duration", "0.5",
+         "--viewer", "none"],
+        stdin=terminal, stdout=terminal, stderr=terminal, env=ENVIRONMENT | {"TERM": "xterm", "COLUMNS": "200"},
+        start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )  # fmt: skip
+    os.close(terminal)
+    text, asked = b"", False
+    end = time.monotonic() + LIMIT
+    try:
+        while time.monotonic() < end:
+            if not select.select([controller], [], [], 0.1)[0]:
+                continue
+            try:
+                data = os.read(controller, 4096)
+            except OSError:  # the other end has gone
+                break
+            text += data
+            if not asked and b"[y/N]" in text:
+                asked = True
+                assert drive.states <= {DriveState.BOOT, DriveState.IDLE}
+                os.write(controller, reply)
+        return process.wait(LIMIT), text.decode()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(controller)
+
+
+@pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\n", 2), (b"\x03", 130)])
+def test_anything_but_yes_leaves_the_drive_alone(drive: PhysicalDrive, reply: bytes, code: int) -> None:
+    ended, text = answer(drive, reply)
+    assert re.search(r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, .*up to 8 A\. "
+                     r"Is the shaft clear\? \[y/N\]", text)  # fmt: skip
+    assert ended == code
+    assert drive.states <= {DriveState.BOOT, DriveState.IDLE}
+    assert "Traceback" not in text
+
+
+def test_yes_spins_it(drive: PhysicalDrive) -> None:
+    ended, text = answer(drive, b"y\n")
+    assert ended == 0, text
+    assert DriveState.RUNNING in drive.states
+    assert drive.device.drive.state == DriveState.IDLE
+    assert not drive.device.drive.app.outputs_on
