@@ -10,5 +10,10 @@
     recording   reads a recorded run back, exactly
 
 Importing this package costs nothing; `log`, `dashboard` and `recording` import rerun (0.35 s), the others only once
-they are used.
+they are used. Rerun's own log on standard error is off unless RUST_LOG asks for it: what matters in it is said by our
+errors.
 """
+
+import os
+
+os.environ.setdefault("RUST_LOG", "off")  # read by rerun when it is imported
