@@ -191,12 +191,13 @@ class LiveRun:
         self.drive.set_samples(channels, decimation)
         return channels
 
-    def go(self, acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool) -> Ended:
+    def go(
+        self, channels: tuple[Channel, ...], acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool
+    ) -> Ended:
         """Stream, perform the acts, switch off, sum up."""
         options, identity = self.options, self.drive.identity
         parameters = self.drive.parameters()
         self._pole_pairs = parameters.get("n_p", 1.0)
-        channels = self.configure()
         observers = None
         if options.host_observers:
             from bench.estimators import HostObservers
@@ -340,8 +341,10 @@ class LiveRun:
                 self._trip("the drive has rebooted")
                 self.drive.resume_streams(rebooted=True)
             self._look_at_samples(now, stats)
-            if self._energised and self.drive.state == DriveState.FAULT and not self.tripped:
-                self._trip(f"the drive tripped: {self.drive.fault_text()}")
+            faulty = next((node for node in self._energised if node.state == DriveState.FAULT), None)
+            if faulty is not None and not self.tripped:
+                what = "the drive" if faulty is self.drive else "the load machine"
+                self._trip(f"{what} tripped: {faulty.fault_text()}")
             if now >= self._next_clock:
                 self._next_clock = now + CLOCK_PERIOD
                 try:
@@ -456,6 +459,6 @@ def run(
         live = LiveRun(options, link, target, screen)
         stack.callback(_undisturbed_call, live.make_safe)  # in case a second signal came before STOP
         live.connect()
-        acts = live.acts()
+        channels, acts = live.configure(), live.acts()
         live.check(acts, confirm)
-        return live.go(acts, report, hold)
+        return live.go(channels, acts, report, hold)
