@@ -50,9 +50,7 @@ class Descriptor:
     def of(cls, signals: Iterable[Signal], parameters: Iterable[Parameter]) -> Self:
         """Return the descriptor of a device with these tables."""
         return cls(
-            tuple(
-                Channel(s.id, s.name, s.unit, s.raw, _f32(s.scale), s.flags, _f32(s.offset)) for s in signals
-            ),
+            tuple(Channel(s.id, s.name, s.unit, s.raw, _f32(s.scale), s.flags, _f32(s.offset)) for s in signals),
             tuple(Channel(p.id, p.name, p.unit, RawType.F32, 1.0, p.flags) for p in parameters),
         )
 

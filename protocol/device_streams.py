@@ -35,9 +35,7 @@ class _Stream:
 
     TYPE: MessageType
 
-    def __init__(
-        self, node: int, stream: int, cfg_id: int, record_bytes: int, block: int, tx: TxQueue
-    ) -> None:
+    def __init__(self, node: int, stream: int, cfg_id: int, record_bytes: int, block: int, tx: TxQueue) -> None:
         self.running = False
         self.dropped = 0
         self.block = block
@@ -50,9 +48,7 @@ class _Stream:
         self._flags = 0
         self._pending = b""
 
-    def _emit(
-        self, data: bytes, first: int, n: int, block: int, start: tuple[int, int], step: tuple[int, int]
-    ) -> None:
+    def _emit(self, data: bytes, first: int, n: int, block: int, start: tuple[int, int], step: tuple[int, int]) -> None:
         """Send n records of `data` from record `first`, `block` to a frame.
 
         `start` and `step` are index and tick of the record `first`, and their increments from record to

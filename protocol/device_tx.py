@@ -17,9 +17,7 @@ class TxQueue:
     stream), is to need of it.
     """
 
-    def __init__(
-        self, bulk_limit: int = 1 << 16, control_limit: int = 1 << 13, capacity: float | None = None
-    ) -> None:
+    def __init__(self, bulk_limit: int = 1 << 16, control_limit: int = 1 << 13, capacity: float | None = None) -> None:
         self.bulk_limit = bulk_limit
         self.control_limit = control_limit
         self.capacity = capacity

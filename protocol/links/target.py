@@ -108,9 +108,7 @@ def _parse_serial(text: str, port: str, options: Mapping[str, str]) -> SerialTar
         raise TargetError(f"target '{text}' names no port: write serial:/dev/ttyACM0")
     value = options.get("baud", str(DEFAULT_BAUD))
     if not value.isascii() or not value.isdigit() or not MIN_BAUD <= int(value) <= MAX_BAUD:
-        raise TargetError(
-            f"target '{text}': baud must be a whole number from {MIN_BAUD} to {MAX_BAUD}, got '{value}'"
-        )
+        raise TargetError(f"target '{text}': baud must be a whole number from {MIN_BAUD} to {MAX_BAUD}, got '{value}'")
     return SerialTarget(port, int(value))
 
 

@@ -38,9 +38,7 @@ class State(NamedTuple):
     u_q_i: float
 
 
-def make_params(
-    pwm_hz: float, *, bw_current: float, R_s_hat: float, L_s_hat: float, psi_f_hat: float
-) -> Params:
+def make_params(pwm_hz: float, *, bw_current: float, R_s_hat: float, L_s_hat: float, psi_f_hat: float) -> Params:
     """Constants from the drive's parameters of the same names (Hz, ohm, H, V s)."""
     alpha = 2.0 * math.pi * float(bw_current)
     return Params(

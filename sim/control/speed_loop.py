@@ -30,9 +30,7 @@ class State(NamedTuple):
     i_q_i: float  # A, integral part
 
 
-def make_params(
-    pwm_hz: float, *, k_p_speed: float, k_i_speed: float, i_max: float, alpha_m_max: float
-) -> Params:
+def make_params(pwm_hz: float, *, k_p_speed: float, k_i_speed: float, i_max: float, alpha_m_max: float) -> Params:
     """Constants from the drive's parameters of the same names (A s/rad, A/rad, A, rad/s2)."""
     T_s = 1.0 / float(pwm_hz)
     return Params(float(k_p_speed), float(k_i_speed) * T_s, float(i_max), float(alpha_m_max) * T_s)

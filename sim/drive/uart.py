@@ -9,9 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 BITS_PER_CHARACTER = 10  # start, 8 data, stop
-RATE_TOLERANCE = (
-    0.03  # receivers centre their samples on the bits: half a bit in ten may be lost, less margins
-)
+RATE_TOLERANCE = 0.03  # receivers centre their samples on the bits: half a bit in ten may be lost, less margins
 _BURST = 0.02  # s of line time that may be sent at once after a pause
 
 

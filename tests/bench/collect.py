@@ -47,9 +47,7 @@ class Collector(SinkBase):
     def all_edges(self) -> EdgeChunk:
         chunks = [chunk for chunk in self.chunks if isinstance(chunk, EdgeChunk)]
         assert not any(chunk.gaps for chunk in chunks)
-        return replace(
-            chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in EDGE_FIELDS}
-        )
+        return replace(chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in EDGE_FIELDS})
 
 
 def cut(chunk, first: int, last: int):

@@ -114,9 +114,7 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
 ) -> None:
     sim = start_sim("--pty", "--link", str(tmp_path / "tty"))
     recording = tmp_path / "a.rrd"
-    live = start(
-        "live", sim.target, "--speed", "500", "--viewer", "none", "--json", "-", "--save", str(recording)
-    )
+    live = start("live", sim.target, "--speed", "500", "--viewer", "none", "--json", "-", "--save", str(recording))
     live.line(TURNING)
     sim.send(signal.SIGUSR1)
     sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1")

@@ -125,9 +125,7 @@ class SlowLink(WatchedLink):
 
 
 @pytest.mark.parametrize("times", [1, 1000])
-def test_a_sink_that_fails_during_the_stop_itself_keeps_no_node_on(
-    monkeypatch: pytest.MonkeyPatch, times: int
-) -> None:
+def test_a_sink_that_fails_during_the_stop_itself_keeps_no_node_on(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
     link = SlowLink(simulated())
     stopping: list[str] = []
     stop = Node.stop

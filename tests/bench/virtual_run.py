@@ -94,6 +94,5 @@ def run(
 def at_rest(device: SimulatedDevice) -> bool:
     """No outputs on, and none armed."""
     return not any(
-        session.app.outputs_on or session.state in (DriveState.ARMED, DriveState.RUNNING)
-        for session in device.sessions
+        session.app.outputs_on or session.state in (DriveState.ARMED, DriveState.RUNNING) for session in device.sessions
     )

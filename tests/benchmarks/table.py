@@ -34,8 +34,7 @@ def show(title: str, rows: Iterable[Row]) -> bool:
         goal = "" if row.goal is None else f"{'at most' if row.at_most else 'at least'} {row.goal:,.6g}"
         ratio = "" if row.goal in (None, 0) else f"{row.ratio:.2f} x"
         missed = row.goal is not None and row.ratio < 1
-        print(
-            f"  {row.what:<44} {row.measured:>12,.5g} {row.unit:<12} {goal:<18} {ratio:>8}{'  MISSED' if missed else ''}"
-        )
+        figure = f"{row.what:<44} {row.measured:>12,.5g} {row.unit:<12}"
+        print(f"  {figure} {goal:<18} {ratio:>8}{'  MISSED' if missed else ''}")
         reached &= not missed
     return reached
