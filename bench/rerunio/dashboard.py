@@ -19,15 +19,21 @@ from bench.rerunio import plane, schema
 
 @dataclass(frozen=True)
 class Windows:
-    """Seconds that the views show. A viewer that draws a few frames a second needs longer ones."""
+    """Seconds that the views show.
+
+    With `legend_room` the oldest part of a plot is kept free of data, for its legend. That takes a fixed time axis, and
+    while it follows a live run rerun draws lines some frames behind such an axis: in a viewer that draws two frames a
+    second they miss it by more than a second.
+    """
 
     trend: float = 25.0
     wave: float = 0.2
     hall: float = 0.1
+    legend_room: bool = True
 
 
 NORMAL = Windows()
-SLOW = Windows(wave=2.0, hall=1.0)
+SLOW = Windows(wave=1.0, hall=1.0, legend_room=False)
 ERROR_RANGE = (-32.0, 32.0)  # degrees: the start from an unknown position in a sector errs by up to 30
 DARK = (14, 16, 17)  # what the colours are made for, also in a light theme
 LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
@@ -100,23 +106,29 @@ def plots(run: schema.RunInfo, windows: Windows = NORMAL) -> dict[str, Plot]:
     return {key: plot for key, plot in found.items() if plot.lines}
 
 
+def shown_samples(run: schema.RunInfo) -> frozenset[str]:
+    """Components of the samples that the plots show."""
+    shown = (plot for plot in plots(run).values() if plot.entity == schema.FAST)
+    return frozenset(line.component for plot in shown for line in plot.lines)
+
+
 def blueprint(run: schema.RunInfo, windows: Windows = NORMAL) -> rrb.Blueprint:
     """The dashboard of a run."""
-    found = {key: _view(plot) for key, plot in plots(run, windows).items()}
+    found = {key: _view(plot, windows.legend_room) for key, plot in plots(run, windows).items()}
     last = f"last {windows.trend:g} s"
     states = rrb.StateTimelineView(
         name=f"Drive, {last}",
         origin="/",
         contents=[f"/{schema.DRIVE}"],
         time_ranges=_queried(windows.trend),
-        time_view=_shown(windows.trend),
+        time_view=_shown(windows.trend, windows.legend_room),
     )
     hall = rrb.StateTimelineView(
         name=f"Hall sensors a, b, c and sector, last {windows.hall:g} s",
         origin="/",
         contents=[f"/{schema.HALL}"],
         time_ranges=_queried(windows.hall),
-        time_view=_shown(windows.hall, legend=False),
+        time_view=_shown(windows.hall, legend_room=False),
     )
     stator = rrb.Spatial2DView(
         name="Stator plane: rotor axes, current [A], voltage and back-EMF [V]",
@@ -160,7 +172,7 @@ def _values(run: schema.RunInfo, names: Iterable[str], unit: str) -> tuple[Line,
     )
 
 
-def _view(plot: Plot) -> rrb.TimeSeriesView:
+def _view(plot: Plot, legend_room: bool) -> rrb.TimeSeriesView:
     lines = [
         rr.SeriesLines(names=line.name, colors=line.colour, widths=line.width, aggregation_policy="MinMax").visualizer(
             mappings=[
@@ -182,7 +194,7 @@ def _view(plot: Plot) -> rrb.TimeSeriesView:
         background=rrb.archetypes.PlotBackground(color=DARK, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
         time_ranges=_queried(plot.seconds),
-        axis_x=_shown(plot.seconds),
+        axis_x=_shown(plot.seconds) if legend_room else None,
     )
 
 
@@ -195,6 +207,6 @@ def _queried(seconds: float) -> rrb.VisibleTimeRange:
     return rrb.VisibleTimeRange(schema.TIMELINE, start=start, end=end)
 
 
-def _shown(seconds: float, legend: bool = True) -> rrb.TimeAxis:
-    start, end = _span(seconds / (1 - LEGEND_SHARE) if legend else seconds)
+def _shown(seconds: float, legend_room: bool = True) -> rrb.TimeAxis:
+    start, end = _span(seconds / (1 - LEGEND_SHARE) if legend_room else seconds)
     return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 BLOCK_PERIOD = 0.05  # s of signal a message of the live view
 FILE_BLOCK_PERIOD = 0.035  # the same of the recording: sooner in the file, for a little more computing
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
-SLOW_BLOCK_PERIOD = 0.2  # s, for viewers that draw a few frames a second
+SLOW_BLOCK_PERIOD = 0.5  # s, for viewers that draw a few frames a second
 FLUSH_PERIOD = 1.0  # s: how soon a full disk is noticed, and how much a power cut can cost
 FLUSH_TIMEOUT = 10.0  # s
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: four minutes of 16 kHz x 26 channels
@@ -245,7 +245,9 @@ class FileSink(_BlockSink):
 class LiveSink(_BlockSink):
     """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
 
-    Viewers may come, stall and go at any time. `dropped_blocks` and `dropped_samples` tell what they did not get.
+    Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. A
+    `slow` one (a web viewer that draws in software) gets larger blocks, longer windows, and of the samples only what
+    the dashboard shows, at 4 kHz.
     """
 
     def __init__(
@@ -263,6 +265,7 @@ class LiveSink(_BlockSink):
         self.error: str | None = None
         self._queue: queue.Queue[_Item] = queue.Queue(queue_blocks)
         self._closing = threading.Event()
+        self._slow = slow
         self._stream, self.url = _serve(run, port, slow)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._start()
@@ -287,10 +290,12 @@ class LiveSink(_BlockSink):
                 self.dropped_samples += item.n_samples
 
     def _work(self) -> None:
-        from bench.rerunio.log import RunLog
+        from bench.rerunio import dashboard
+        from bench.rerunio.log import RunLog, Thinned
 
         try:
-            log = RunLog(self._stream, self.run)
+            shown = dashboard.shown_samples(self.run)
+            log = RunLog(self._stream, self.run, Thinned(shown) if self._slow else None)
             log.start()
             self._ready.set()
             while True:

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 import rerun as rr
 import synthetic
+from rerun.chunk import RrdReader
 
+from bench.rerunio import schema
 from bench.rerunio.recording import NotARecordingError, read_run
 from bench.rerunio.sinks import FileSink, RecordingError
 from protocol.descriptor import Descriptor
@@ -45,6 +47,23 @@ def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun)
     assert run.events == (DeviceEvent(int(made.tick[0]), EventCode.STATE_CHANGED, 1, 3.0),)
     assert [text for _, text in run.notes] == ["all of it"]
     assert run.summary == "# Summary\n\nall well"
+
+
+def test_the_drives_lanes_follow_its_status_word(recording: Path, made: synthetic.SyntheticRun) -> None:
+    """State, angle source and correction change in the timeline at the very sample that says so."""
+    changed: dict[int, list[str]] = {}
+    for chunk in RrdReader(recording).stream().filter(content="/drive").to_chunks():
+        batch = chunk.to_record_batch()
+        if "StateChange:state" in batch.schema.names:
+            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
+            changed |= zip(times, batch.column("StateChange:state").to_pylist(), strict=True)
+    at = np.array(sorted(changed))
+    status = made.raw["status"].astype(int)
+    for sample, t_ns in enumerate(schema.ns_from_tick(made.tick, synthetic.TICK_HZ)):
+        words = changed[at[np.searchsorted(at, t_ns, side="right") - 1]]
+        assert words[0] == "RUNNING"
+        assert words[2] == ("angle: average speed", "angle: vector tracking")[(status[sample] >> 5) - 1]
+        assert words[3] == "back-EMF correction " + ("off", "on")[status[sample] >> 4 & 1]
 
 
 def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: synthetic.SyntheticRun) -> None:

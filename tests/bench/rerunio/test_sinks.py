@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 import rerun as rr
 import synthetic
-from viewers import headless, needs_graphics
+from rerun.chunk import RrdReader
+from viewers import any_port, headless, needs_graphics
 
-from bench.rerunio import sinks
+from bench.rerunio import dashboard, schema, sinks
 from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink, LiveSink, RecordingError
-from bench.rerunio.viewer import free_port
 
 
 def whole(path: Path, made: synthetic.SyntheticRun) -> bool:
@@ -30,7 +30,7 @@ def every_sample_is_accounted_for(live: LiveSink, made: synthetic.SyntheticRun) 
 
 
 def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    live = LiveSink(synthetic.run_info(), free_port(19800))
+    live = LiveSink(synthetic.run_info(), any_port())
     file = FileSink(tmp_path / "a.rrd", live.run, wait=True, live_drops=lambda: live.dropped_blocks)
     made.feed(live, file)
     file.close()
@@ -47,7 +47,7 @@ def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.Sy
 def test_a_stopped_or_killed_viewer_costs_live_frames_only(
     tmp_path: Path, made: synthetic.SyntheticRun, number: signal.Signals
 ) -> None:
-    live = LiveSink(synthetic.run_info(), free_port(19820))
+    live = LiveSink(synthetic.run_info(), any_port())
     file = FileSink(tmp_path / "a.rrd", live.run, wait=True)
     with headless("--connect", live.url) as viewer:
         made.feed(live)
@@ -97,7 +97,7 @@ def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.Synthet
             gate.wait()
             seen.append(block.losses)
 
-    live = LiveSink(synthetic.run_info(), free_port(19840), queue_blocks=2)
+    live = LiveSink(synthetic.run_info(), any_port(), queue_blocks=2)
     original = live._log
     live._log = lambda log, item: original(Log(), item)  # type: ignore[assignment,arg-type,method-assign]
     made.feed(live)
@@ -105,6 +105,28 @@ def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.Synthet
     live.close()
     assert seen[-1]["lost:samples"] == 0
     assert seen[-1]["lost:live_blocks"] == live.dropped_blocks > 40
+
+
+def test_a_slow_viewer_gets_what_is_shown_and_no_more(
+    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The live stream goes into a file here, so that it can be looked at."""
+    run = synthetic.run_info()
+    stream = sinks._new_stream(run)
+    stream.save(tmp_path / "live.rrd")
+    monkeypatch.setattr(sinks, "_serve", lambda *_: (stream, "file"))
+    live = LiveSink(run, 0, slow=True, queue_blocks=100)
+    made.feed(live)
+    assert live.close()
+    assert live.error is None
+    rows = 0
+    for chunk in RrdReader(tmp_path / "live.rrd").stream().filter(content="/fast").to_chunks():
+        batch = chunk.to_record_batch()
+        assert {name for name in batch.schema.names if ":" in name} == dashboard.shown_samples(run)
+        rows += len(batch)
+        ticks = schema.tick_from_ns(batch.column(schema.TIMELINE).cast("int64").to_numpy(), synthetic.TICK_HZ)
+        assert (ticks % 5000 == 0).all()  # every fourth sample
+    assert rows == len(made.index) // 4
 
 
 def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, made: synthetic.SyntheticRun) -> None:

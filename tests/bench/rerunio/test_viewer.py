@@ -15,6 +15,7 @@ from collections.abc import Callable
 import psutil
 import pytest
 import synthetic
+from viewers import any_port
 
 from bench.rerunio.viewer import HOST, LiveView, ViewerError, ViewerProcess, binary, free_port
 
@@ -68,7 +69,7 @@ def test_a_viewer_that_is_none_is_refused() -> None:
 
 
 def test_the_web_viewer_serves_its_page_on_this_machine_only_and_ends_with_the_run() -> None:
-    view = LiveView(synthetic.run_info(), "web", grpc_port=free_port(19700), web_port=free_port(19710))
+    view = LiveView(synthetic.run_info(), "web", grpc_port=any_port(), web_port=any_port())
     try:
         query = urllib.parse.parse_qs(urllib.parse.urlparse(view.url).query)
         assert query["url"] == [view.sink.url]
@@ -84,7 +85,7 @@ def test_the_web_viewer_serves_its_page_on_this_machine_only_and_ends_with_the_r
 
 
 def test_a_stopped_viewer_ends_all_the_same() -> None:
-    port = free_port(19720)
+    port = any_port()
     process = ViewerProcess(["--serve-grpc", "--bind", HOST, "--port", str(port)])
     assert until(lambda: (HOST, port) in listening(process.group))
     os.killpg(process.group, signal.SIGSTOP)
@@ -101,7 +102,7 @@ def test_a_viewer_that_cannot_start_is_seen_to_have_ended() -> None:
 
 
 def test_kill_9_of_the_bench_ends_its_viewer() -> None:
-    port = free_port(19730)
+    port = any_port()
     code = f"""
 from bench.rerunio.viewer import ViewerProcess
 viewer = ViewerProcess(["--serve-grpc", "--bind", "{HOST}", "--port", "{port}"])

@@ -6,6 +6,7 @@ import functools
 import os
 import re
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,10 +15,17 @@ from contextlib import contextmanager
 import pytest
 from rerun.experimental import ViewerClient, ViewerState
 
-from bench.rerunio.viewer import HOST, binary, free_port
+from bench.rerunio.viewer import HOST, binary
 
 TIMEOUT = 60.0  # s; a viewer that draws in software on a busy machine takes its time
 REQUIRED = "HALLBENCH_REQUIRE_VIEWER"  # set in CI, where the graphics driver is installed
+
+
+def any_port() -> int:
+    """A TCP port that is free now."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
 
 
 class HeadlessViewer:
@@ -54,7 +62,7 @@ class HeadlessViewer:
 
 @contextmanager
 def headless(*arguments: str) -> Iterator[HeadlessViewer]:
-    port = free_port(19900)
+    port = any_port()
     process = subprocess.Popen(
         [str(binary()), "--headless", "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments],
         stdout=subprocess.DEVNULL,
