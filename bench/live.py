@@ -23,7 +23,7 @@ from bench.errors import BenchError, Interrupted, NodeError
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rerunio.schema import RunInfo
-from bench.show import SHOW, SIM_ARGUMENTS, Act
+from bench.show import SHOW, SIM_ARGUMENTS, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
@@ -40,6 +40,7 @@ CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
 MAX_DECIMATION = 65535  # a u16 on the wire
 SILENCE = 2.0  # s without samples after which a note says so
+WATCHING = Act("watching", math.inf, 0.0, 0.0, None)
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,8 @@ class LiveRun:
             if options.observer
             else AngleSource(int(self.drive.parameter("observer").value))
         )
-        seconds = math.inf if options.duration is None else options.duration
         title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"
-        return (Act(title, seconds, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
+        return (Act(title, math.inf, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
 
     def check(self, acts: tuple[Act, ...], confirm: Callable[[str], bool] | None) -> None:
         """Limits and consent: raises before anything is energised."""
@@ -245,17 +245,16 @@ class LiveRun:
         options = self.options
         cpu, started = CpuMeter(), self.client.now()
         result, exit_code = "ok", 0
-        seconds = math.inf if options.duration is None else options.duration
         try:
             self.drive.start_streams()
             if acts:
                 self.energise()
-            for act in acts or (Act("watching", seconds, 0.0, 0.0, None),):
+            for act in timed(acts or (WATCHING,), options.duration):
                 self.perform(act, stats)
         except (KeyboardInterrupt, Interrupted) as interrupt:
             signum = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
             result = f"ended by {signal.Signals(signum).name}"
-            exit_code = 0 if signum == signal.SIGINT and math.isinf(seconds) and not options.show else 128 + signum
+            exit_code = 0 if signum == signal.SIGINT and options.duration is None and not options.show else 128 + signum
         except LinkError as error:
             result, exit_code = f"link lost: {error}", 1
         finally:

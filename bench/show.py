@@ -5,7 +5,9 @@ A show is a list of acts. It decides what is done and when, never how: `bench.li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle
 
 from protocol.signals import AngleSource
 
@@ -35,3 +37,15 @@ SHOW: tuple[Act, ...] = (
     Act("step to 500 r/min, vector tracking", 3.0, 500, 4.0, TRACKING),
     Act("load off, vector tracking", 3.0, 500, 0.0, TRACKING),
 )
+
+
+def timed(acts: Sequence[Act], seconds: float | None) -> Iterator[Act]:
+    """The acts once, or, to fill `seconds`, over and over and cut short."""
+    if seconds is None:
+        yield from acts
+        return
+    for act in cycle(acts):
+        yield replace(act, seconds=min(act.seconds, seconds))
+        seconds -= act.seconds
+        if seconds <= 0:
+            return

@@ -28,7 +28,7 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
     "--duration",
     metavar="S",
     type=Number(above=0),
-    help="End by itself after S seconds.",
+    help="End by itself after S seconds; the show is cut short or played again.",
 )
 @click.option("--save", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="Record to this .rrd.")
 @click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists.")

@@ -1,0 +1,26 @@
+"""How long the scripted show takes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from bench.show import SHOW, Act, timed
+
+WHOLE = sum(act.seconds for act in SHOW)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 3.0, 7.25, WHOLE, 2.5 * WHOLE])
+def test_a_show_takes_as_long_as_asked_for(seconds: float) -> None:
+    acts = list(timed(SHOW, seconds))
+    assert sum(act.seconds for act in acts) == pytest.approx(seconds)
+    assert min(act.seconds for act in acts) > 0
+    assert [act.title for act in acts] == [SHOW[i % len(SHOW)].title for i in range(len(acts))]
+
+
+def test_by_itself_it_is_played_once_and_what_has_no_end_goes_on() -> None:
+    assert tuple(timed(SHOW, None)) == SHOW
+    endless = Act("watching", math.inf, 0.0, 0.0, None)
+    assert next(timed((endless,), None)).seconds == math.inf
+    assert [act.seconds for act in timed((endless,), 20.0)] == [20.0]
