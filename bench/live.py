@@ -249,8 +249,10 @@ class LiveRun:
             self.drive.start_streams()
             if acts:
                 self.energise()
+            end = self.client.now()
             for act in timed(acts or (WATCHING,), options.duration):
-                self.perform(act, stats)
+                end += act.seconds
+                self.perform(act, end, stats)
         except (KeyboardInterrupt, Interrupted) as interrupt:
             signum = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
             result = f"ended by {signal.Signals(signum).name}"
@@ -283,8 +285,8 @@ class LiveRun:
                 node.arm()
                 node.start()
 
-    def perform(self, act: Act, stats: RunStatistics) -> None:
-        """One act: angle source, load and speed, then watch for its time."""
+    def perform(self, act: Act, end: float, stats: RunStatistics) -> None:
+        """One act: angle source, load and speed, then watch until the client's clock says `end`."""
         stats.segment = act.title
         if not self.tripped:
             self.note(act.title)
@@ -297,15 +299,14 @@ class LiveRun:
                     self.drive.speed(act.speed_rpm * RPM)
             except (HbpError, NodeError) as error:
                 self._trip(str(error))
-        self.watch(act.seconds, stats)
+        self.watch(end, stats)
 
     def _torque_constant(self) -> float:
         """N·m per A of q current, peak-valued: 1.5 n_p psi_f."""
         return 1.5 * self.drive.parameter("n_p").value * self.drive.parameter("psi_f_hat").value
 
-    def watch(self, seconds: float, stats: RunStatistics) -> None:
-        """Let the run go on for `seconds`, keeping an eye on clock, freshness and faults."""
-        end = self.client.now() + seconds
+    def watch(self, end: float, stats: RunStatistics) -> None:
+        """Let the run go on until `end`, keeping an eye on clock, freshness and faults."""
         while (left := end - self.client.now()) > 0:
             self.client.poll(min(POLL, left))
             self._look(stats)
