@@ -8,23 +8,30 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 from bench.errors import BenchError
 
+# A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
+# in time. Nothing real turns, so the drive may wait for a second.
+PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")
+
 
 class EmbeddedDrive:
     """Context manager: starts the child, gives its `target`, ends it.
+
+    The figures are those of the file `config`; without one, the default ones with a watchdog of 1 s.
 
     `note` gets what the child says before it is ready: that it compiles, when numba's cache is cold. Raises BenchError
     with the child's own words if it does not start.
     """
 
-    def __init__(self, arguments: Sequence[str] = (), note: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, config: str | None = None, note: Callable[[str], None] = lambda text: None) -> None:
         self.target = ""
         self._note = note
+        arguments = ("--config", config) if config else PATIENT
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,

@@ -23,7 +23,7 @@ from bench.errors import BenchError, Interrupted, NodeError
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rerunio.schema import RunInfo
-from bench.show import SHOW, SIM_ARGUMENTS, Act, timed
+from bench.show import SHOW, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
@@ -61,7 +61,7 @@ class LiveOptions:
     clear_faults: bool = False
     host_observers: bool = False
     web_port: int | None = None
-    sim_arguments: tuple[str, ...] = ()
+    config: str | None = None
 
     @property
     def embedded(self) -> bool:
@@ -452,8 +452,7 @@ def run(
         stack.enter_context(_signals_as_exceptions())
         target = options.target or "sim"
         if options.embedded:
-            arguments = (*options.sim_arguments, *(SIM_ARGUMENTS if options.show else ()))
-            target = stack.enter_context(EmbeddedDrive(arguments, screen.note)).target
+            target = stack.enter_context(EmbeddedDrive(options.config, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)
         live = LiveRun(options, link, target, screen)

@@ -25,10 +25,6 @@ class Act:
 
 AVERAGE, TRACKING = AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING
 
-# A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
-# in time. Nothing turns in the show, so its drive may wait for a second.
-SIM_ARGUMENTS = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")
-
 SHOW: tuple[Act, ...] = (
     Act("start-up to 500 r/min, average speed", 3.0, 500, 0.0, AVERAGE),
     Act("step to 1000 r/min, average speed", 3.0, 1000, 0.0, AVERAGE),

@@ -102,7 +102,7 @@ def command(
         clear_faults=bool(given["clear_faults"]),
         host_observers=bool(given["host_observers"]),
         web_port=given["web_port"],  # type: ignore[arg-type]
-        sim_arguments=("--config", config) if config else (),
+        config=config,
     )
     from bench.cli.output import Progress, print_summary
     from bench.summary import Summary

@@ -27,14 +27,15 @@ Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 class Block:
     """What arrived during one period.
 
-    `arrivals`: host time of each chunk of samples. `losses`: counters of the run so far.
+    `arrivals`: host time of each chunk of samples. `losses`: counters of the run so far. `notes`: device tick, text,
+    level.
     """
 
     samples: list[SampleChunk] = field(default_factory=list)
     edges: list[EdgeChunk] = field(default_factory=list)
     heartbeats: list[tuple[int, Heartbeat]] = field(default_factory=list)
     events: list[tuple[int, DeviceEvent]] = field(default_factory=list)
-    notes: list[tuple[str, str]] = field(default_factory=list)
+    notes: list[tuple[int, str, str]] = field(default_factory=list)
     arrivals: list[float] = field(default_factory=list)
     losses: dict[str, int] = field(default_factory=dict)
 
@@ -97,6 +98,7 @@ class BlockBuilder:
         self._opened: float | None = None
         self._first_tick: int | None = None
         self._last_tick = 0
+        self._newest = 0  # tick
 
     def samples(self, chunk: SampleChunk, now: float) -> None:
         """Add samples that arrived at `now`, in s of the host's clock."""
@@ -108,6 +110,7 @@ class BlockBuilder:
         if self._first_tick is None:
             self._first_tick = int(chunk.tick[0])
         self._last_tick = int(chunk.tick[-1])
+        self._newest = max(self._newest, self._last_tick)
 
     def edges(self, chunk: EdgeChunk, now: float) -> None:
         """Add Hall edges."""
@@ -118,18 +121,20 @@ class BlockBuilder:
     def heartbeat(self, node: int, heartbeat: Heartbeat, now: float) -> None:
         """Add a heartbeat."""
         self._touch(now)
+        self._newest = max(self._newest, heartbeat.tick)
         self.account.heartbeat(node, heartbeat)
         self._block.heartbeats.append((node, heartbeat))
 
     def event(self, node: int, event: DeviceEvent, now: float) -> None:
         """Add an event of the drive."""
         self._touch(now)
+        self._newest = max(self._newest, event.tick)
         self._block.events.append((node, event))
 
     def note(self, text: str, level: str, now: float) -> None:
-        """Add a line of the host's."""
+        """Add a line of the host's, at the newest device time seen."""
         self._touch(now)
-        self._block.notes.append((text, level))
+        self._block.notes.append((self._newest, text, level))
 
     def _touch(self, now: float) -> None:
         if self._opened is None:

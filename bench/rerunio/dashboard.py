@@ -16,24 +16,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from bench.rerunio import plane, schema
 
-
-@dataclass(frozen=True)
-class Windows:
-    """Seconds that the views show.
-
-    With `legend_room` the oldest part of a plot is kept free of data, for its legend. That takes a fixed time axis, and
-    while it follows a live run rerun draws lines some frames behind such an axis: in a viewer that draws two frames a
-    second they miss it by more than a second.
-    """
-
-    trend: float = 25.0
-    wave: float = 0.2
-    hall: float = 0.1
-    legend_room: bool = True
-
-
-NORMAL = Windows()
-SLOW = Windows(wave=1.0, hall=1.0, legend_room=False)
+TREND, WAVE, HALL = 25.0, 0.2, 0.1  # seconds that the views show
 ERROR_RANGE = (-32.0, 32.0)  # degrees: the start from an unknown position in a sector errs by up to 30
 DARK = (14, 16, 17)  # what the colours are made for, also in a light theme
 LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
@@ -60,7 +43,7 @@ class Plot:
     y_range: tuple[float, float] | None = None
 
 
-def plots(run: schema.RunInfo, windows: Windows = NORMAL) -> dict[str, Plot]:
+def plots(run: schema.RunInfo) -> dict[str, Plot]:
     """The plots that the run's channels allow, by key, with what each of them shows."""
     estimates = run.position_estimates if run.position_reference else ()
     errors = tuple(Line(schema.error_component(n), f"{schema.label(n)} [°]", schema.colour(n)) for n in estimates)
@@ -80,55 +63,49 @@ def plots(run: schema.RunInfo, windows: Windows = NORMAL) -> dict[str, Plot]:
     angles = [n for n in (run.position_reference, *run.position_estimates) if n]
     amperes = 1.08 * plane.nice_ceiling(run.i_max)
     kind = "mechanical" if mechanical else "electrical"
-    last, now = f"last {windows.trend:g} s", f"last {windows.wave:g} s"
+    last, now = f"last {TREND:g} s", f"last {WAVE:g} s"
     found = {
         "error_trend": Plot(
-            f"Position error, electrical [°], min/max, {last}", schema.TREND, errors, windows.trend, ERROR_RANGE
+            f"Position error, electrical [°], min/max, {last}", schema.TREND, errors, TREND, ERROR_RANGE
         ),
-        "speed": Plot(f"Speed, {kind} [r/min], min/max, {last}", schema.TREND, tuple(speeds), windows.trend),
-        "dq": Plot(f"d/q currents [A], min/max, {last}", schema.TREND, tuple(currents), windows.trend),
+        "speed": Plot(f"Speed, {kind} [r/min], min/max, {last}", schema.TREND, tuple(speeds), TREND),
+        "dq": Plot(f"d/q currents [A], min/max, {last}", schema.TREND, tuple(currents), TREND),
         "position": Plot(
             f"Rotor position, electrical [rad], {now}",
             schema.FAST,
             _values(run, angles, "rad"),
-            windows.wave,
+            WAVE,
             (-3.3, 3.3),
         ),
-        "error": Plot(f"Position error, electrical [°], {now}", schema.FAST, errors, windows.wave, ERROR_RANGE),
+        "error": Plot(f"Position error, electrical [°], {now}", schema.FAST, errors, WAVE, ERROR_RANGE),
         "phases": Plot(
             f"Phase currents [A], {now}",
             schema.FAST,
             _values(run, ("i_a", "i_b", "i_c"), "A"),
-            windows.wave,
+            WAVE,
             (-amperes, amperes),
         ),
     }
     return {key: plot for key, plot in found.items() if plot.lines}
 
 
-def shown_samples(run: schema.RunInfo) -> frozenset[str]:
-    """Components of the samples that the plots show."""
-    shown = (plot for plot in plots(run).values() if plot.entity == schema.FAST)
-    return frozenset(line.component for plot in shown for line in plot.lines)
-
-
-def blueprint(run: schema.RunInfo, windows: Windows = NORMAL) -> rrb.Blueprint:
+def blueprint(run: schema.RunInfo) -> rrb.Blueprint:
     """The dashboard of a run."""
-    found = {key: _view(plot, windows.legend_room) for key, plot in plots(run, windows).items()}
-    last = f"last {windows.trend:g} s"
+    found = {key: _view(plot) for key, plot in plots(run).items()}
+    last = f"last {TREND:g} s"
     states = rrb.StateTimelineView(
         name=f"Drive, {last}",
         origin="/",
         contents=[f"/{schema.DRIVE}"],
-        time_ranges=_queried(windows.trend),
-        time_view=_shown(windows.trend, windows.legend_room),
+        time_ranges=_queried(TREND),
+        time_view=_shown(TREND),
     )
     hall = rrb.StateTimelineView(
-        name=f"Hall sensors a, b, c and sector, last {windows.hall:g} s",
+        name=f"Hall sensors a, b, c and sector, last {HALL:g} s",
         origin="/",
         contents=[f"/{schema.HALL}"],
-        time_ranges=_queried(windows.hall),
-        time_view=_shown(windows.hall, legend_room=False),
+        time_ranges=_queried(HALL),
+        time_view=_shown(HALL, legend=False),
     )
     stator = rrb.Spatial2DView(
         name="Stator plane: rotor axes, current [A], voltage and back-EMF [V]",
@@ -172,7 +149,7 @@ def _values(run: schema.RunInfo, names: Iterable[str], unit: str) -> tuple[Line,
     )
 
 
-def _view(plot: Plot, legend_room: bool) -> rrb.TimeSeriesView:
+def _view(plot: Plot) -> rrb.TimeSeriesView:
     lines = [
         rr.SeriesLines(names=line.name, colors=line.colour, widths=line.width, aggregation_policy="MinMax").visualizer(
             mappings=[
@@ -194,7 +171,7 @@ def _view(plot: Plot, legend_room: bool) -> rrb.TimeSeriesView:
         background=rrb.archetypes.PlotBackground(color=DARK, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
         time_ranges=_queried(plot.seconds),
-        axis_x=_shown(plot.seconds) if legend_room else None,
+        axis_x=_shown(plot.seconds),
     )
 
 
@@ -207,6 +184,6 @@ def _queried(seconds: float) -> rrb.VisibleTimeRange:
     return rrb.VisibleTimeRange(schema.TIMELINE, start=start, end=end)
 
 
-def _shown(seconds: float, legend_room: bool = True) -> rrb.TimeAxis:
-    start, end = _span(seconds / (1 - LEGEND_SHARE) if legend_room else seconds)
+def _shown(seconds: float, legend: bool = True) -> rrb.TimeAxis:
+    start, end = _span(seconds / (1 - LEGEND_SHARE) if legend else seconds)
     return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))

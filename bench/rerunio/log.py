@@ -41,26 +41,11 @@ _STATE_METADATA = {
 }
 
 
-@dataclass(frozen=True)
-class Thinned:
-    """What a slow viewer gets of the samples: these components, at no more than `rate` Hz. The trends stay whole."""
-
-    components: frozenset[str]
-    rate: float = 4000.0
-
-    def rows(self, chunk: SampleChunk, pwm_hz: float) -> NDArray[np.bool_]:
-        """Which samples of `chunk` it gets: the same ones however the run is cut into chunks."""
-        stride = max(1, round(pwm_hz / self.rate / chunk.config.decimation)) * chunk.config.decimation
-        kept: NDArray[np.bool_] = chunk.index // chunk.config.decimation * chunk.config.decimation % stride == 0
-        return kept
-
-
 class RunLog:
-    """Logs one run to `stream`: everything, or of the samples only what `thinned` says."""
+    """Logs one run to `stream`."""
 
-    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo, thinned: Thinned | None = None) -> None:
+    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo) -> None:
         self.run = run
-        self._thinned = thinned
         self._stream = stream
         self._now_ns = 0  # newest device time seen
         self._streams: dict[StreamKey, _Stream] = {}
@@ -106,11 +91,20 @@ class RunLog:
             self._event(node, event)
         for node, heartbeat in block.heartbeats:
             self._heartbeat(node, heartbeat)
-        for text, level in block.notes:
-            self._at(self._now_ns)
+        for tick, text, level in block.notes:
+            self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
             self._stream.log(schema.NOTES, rr.TextLog(text, level=level))
         self._repeat_lanes()
         self._health()
+
+    def touch(self) -> None:
+        """Log something that changes nothing, at the newest time seen.
+
+        Rerun (0.41) draws a plot's lines shifted by the last step of a time cursor that follows, until something new
+        arrives.
+        """
+        self._at(self._now_ns)
+        self._stream.log(schema.TOUCH, _any({"touch": np.int64(0)}))
 
     def finish(self) -> None:
         """Log what was held back for a bin or a second that is not full yet."""
@@ -122,20 +116,13 @@ class RunLog:
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
         self._now_ns = max(self._now_ns, int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
-        main = stream.entity == schema.FAST
-        errors = self._errors(values) if main else {}
-        columns = {column.component: values[column.name] for column in stream.columns}
-        columns |= {schema.error_component(name): error for name, error in errors.items()}
-        if self._thinned is None:
-            arrays = {name: pa.array(column) for name, column in columns.items()}
-            self._send(stream.entity, t_ns, arrays | _bookkeeping(chunk))
-        elif main:
-            rows = self._thinned.rows(chunk, self.run.pwm_hz)
-            kept = {name: pa.array(columns[name][rows]) for name in self._thinned.components}
-            if kept and rows.any():
-                self._send(stream.entity, t_ns[rows], kept)
-        if not main:
+        columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
+        if stream.entity != schema.FAST:
+            self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
             return
+        errors = self._errors(values)
+        columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
         self._telemetry_lane(t_ns, chunk.gaps)
         self._status_lanes(chunk, t_ns)
         self._add_trend(t_ns, values, errors)

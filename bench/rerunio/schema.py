@@ -39,6 +39,7 @@ EVENTS = "log/drive"
 NOTES = "log/host"
 HEALTH = "health"  # loss and error counters, once a second
 HEALTH_TEXT = "health/text"  # the same for people
+TOUCH = "touch"  # nothing, in a live view only
 DRIVE = "drive"  # state, faults, angle source, correction, telemetry: one lane each
 PLANE = "stator/plane"
 VECTORS = "stator/vectors"

@@ -31,17 +31,17 @@ from protocol.streams import EdgeChunk, SampleChunk
 if TYPE_CHECKING:
     import rerun as rr
 
-    from bench.rerunio.dashboard import Windows
     from bench.rerunio.log import RunLog
 
 BLOCK_PERIOD = 0.05  # s of signal a message of the live view
 FILE_BLOCK_PERIOD = 0.035  # the same of the recording: sooner in the file, for a little more computing
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
-SLOW_BLOCK_PERIOD = 0.5  # s, for viewers that draw a few frames a second
+HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
+TOUCH_PERIOD = 0.4  # s between touches of one that does
 FLUSH_PERIOD = 1.0  # s: how soon a full disk is noticed, and how much a power cut can cost
 FLUSH_TIMEOUT = 10.0  # s
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: four minutes of 16 kHz x 26 channels
-LIVE_QUEUE = 20  # blocks
+LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
 LIVE_CLOSE_TIMEOUT = 2.0  # s for a viewer to take what is left
 
@@ -143,7 +143,6 @@ class FileSink(_BlockSink):
         wait: bool = False,
         footer: bool = True,
         live_drops: Callable[[], int] = lambda: 0,
-        windows: Windows | None = None,
         now: Now = time.monotonic,
     ) -> None:
         super().__init__(run, FILE_BLOCK_PERIOD, now)
@@ -157,7 +156,7 @@ class FileSink(_BlockSink):
         self._backlog = 0
         self._room = threading.Condition()
         _claim(self.path, overwrite)
-        self._stream = _open_file(self.path, run, windows, footer)
+        self._stream = _open_file(self.path, run, footer)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._start()
         self._raise_once()
@@ -245,9 +244,9 @@ class FileSink(_BlockSink):
 class LiveSink(_BlockSink):
     """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
 
-    Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. A
-    `slow` one (a web viewer that draws in software) gets larger blocks, longer windows, and of the samples only what
-    the dashboard shows, at 4 kHz.
+    Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
+    `hold` the view moves on every three seconds, all at once, and stands still in between: a browser without a GPU
+    draws only a frame or two a second.
     """
 
     def __init__(
@@ -255,18 +254,18 @@ class LiveSink(_BlockSink):
         run: schema.RunInfo,
         port: int,
         *,
-        slow: bool = False,
-        queue_blocks: int = LIVE_QUEUE,
+        hold: bool = False,
+        queue_blocks: int | None = None,
         now: Now = time.monotonic,
     ) -> None:
-        super().__init__(run, SLOW_BLOCK_PERIOD if slow else BLOCK_PERIOD, now)
+        super().__init__(run, HOLD_PERIOD if hold else BLOCK_PERIOD, now)
         self.dropped_blocks = 0
         self.dropped_samples = 0
         self.error: str | None = None
-        self._queue: queue.Queue[_Item] = queue.Queue(queue_blocks)
+        self._queue: queue.Queue[_Item] = queue.Queue(queue_blocks or (HOLD_QUEUE if hold else LIVE_QUEUE))
         self._closing = threading.Event()
-        self._slow = slow
-        self._stream, self.url = _serve(run, port, slow)
+        self._hold = hold
+        self._stream, self.url = _serve(run, port)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._start()
 
@@ -290,20 +289,20 @@ class LiveSink(_BlockSink):
                 self.dropped_samples += item.n_samples
 
     def _work(self) -> None:
-        from bench.rerunio import dashboard
-        from bench.rerunio.log import RunLog, Thinned
+        from bench.rerunio.log import RunLog
 
         try:
-            shown = dashboard.shown_samples(self.run)
-            log = RunLog(self._stream, self.run, Thinned(shown) if self._slow else None)
+            log = RunLog(self._stream, self.run)
             log.start()
             self._ready.set()
             while True:
                 try:
-                    item = self._queue.get(timeout=0.1)
+                    item = self._queue.get(timeout=TOUCH_PERIOD if self._hold else 0.1)
                 except queue.Empty:
                     if self._closing.is_set():
                         break
+                    if self._hold:
+                        log.touch()
                     continue
                 if isinstance(item, Block):
                     item.losses["lost:live_blocks"] = self.dropped_blocks
@@ -336,19 +335,19 @@ def _new_stream(run: schema.RunInfo) -> rr.RecordingStream:
     return stream
 
 
-def _open_file(path: Path, run: schema.RunInfo, windows: Windows | None, footer: bool) -> rr.RecordingStream:
+def _open_file(path: Path, run: schema.RunInfo, footer: bool) -> rr.RecordingStream:
     from bench.rerunio import dashboard
 
     stream = _new_stream(run)
     try:
         stream.save(path, write_footer=footer)
-        stream.send_blueprint(dashboard.blueprint(run, windows or dashboard.NORMAL))
+        stream.send_blueprint(dashboard.blueprint(run))
     except RuntimeError as error:
         raise RecordingError(f"recording {path}: {_why(path, error)}") from None
     return stream
 
 
-def _serve(run: schema.RunInfo, port: int, slow: bool) -> tuple[rr.RecordingStream, str]:
+def _serve(run: schema.RunInfo, port: int) -> tuple[rr.RecordingStream, str]:
     import rerun as rr
 
     from bench.rerunio import dashboard
@@ -356,7 +355,7 @@ def _serve(run: schema.RunInfo, port: int, slow: bool) -> tuple[rr.RecordingStre
     stream = _new_stream(run)
     server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="128MiB")
     stream.set_sinks(server)
-    stream.send_blueprint(dashboard.blueprint(run, dashboard.SLOW if slow else dashboard.NORMAL))
+    stream.send_blueprint(dashboard.blueprint(run))
     return stream, server.uri
 
 

@@ -132,8 +132,8 @@ class ViewerProcess:
 class LiveView:
     """A live sink with its viewer. `url` is what to open in a browser, or what a native viewer connects to.
 
-    `kind` is `native` or `web`. A web viewer on a machine without a GPU is slow: it gets longer windows and larger
-    blocks unless `slow` says otherwise. Raises ViewerError when a port is taken or the viewer does not start.
+    `kind` is `native` or `web`; a web view holds still between its steps. Raises ViewerError when a port is taken or
+    the viewer does not start.
     """
 
     def __init__(
@@ -143,7 +143,6 @@ class LiveView:
         *,
         grpc_port: int | None = None,
         web_port: int | None = None,
-        slow: bool | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         if kind not in ("native", "web"):
@@ -152,7 +151,7 @@ class LiveView:
         web = free_port(WEB_PORT, web_port, "the web viewer") if kind == "web" else 0
         binary()
         self.kind = kind
-        self.sink = LiveSink(run, port, slow=kind == "web" if slow is None else slow, now=now)
+        self.sink = LiveSink(run, port, hold=kind == "web", now=now)
         if kind == "web":
             arguments = ["--serve-web", "--bind", HOST, "--web-viewer-port", str(web), self.sink.url]
             self.url = f"http://{HOST}:{web}/?url={quote(self.sink.url, safe='')}&theme=dark"

@@ -15,7 +15,8 @@ import synthetic
 from rerun.chunk import RrdReader
 from viewers import any_port, headless, needs_graphics
 
-from bench.rerunio import dashboard, schema, sinks
+from bench.rerunio import schema, sinks
+from bench.rerunio.log import RunLog
 from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink, LiveSink, RecordingError
 
@@ -107,7 +108,7 @@ def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.Synthet
     assert seen[-1]["lost:live_blocks"] == live.dropped_blocks > 40
 
 
-def test_a_slow_viewer_gets_what_is_shown_and_no_more(
+def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
     tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The live stream goes into a file here, so that it can be looked at."""
@@ -115,18 +116,23 @@ def test_a_slow_viewer_gets_what_is_shown_and_no_more(
     stream = sinks._new_stream(run)
     stream.save(tmp_path / "live.rrd")
     monkeypatch.setattr(sinks, "_serve", lambda *_: (stream, "file"))
-    live = LiveSink(run, 0, slow=True, queue_blocks=100)
+    monkeypatch.setattr(sinks, "TOUCH_PERIOD", 0.01)
+    touched = threading.Event()
+    touch = RunLog.touch
+    monkeypatch.setattr(RunLog, "touch", lambda log: (touch(log), log._now_ns > 0 and touched.set()))
+    live = LiveSink(run, 0, hold=True)
     made.feed(live)
+    live.note("later")
+    live._pass_on(0.0, everything=True)
+    assert touched.wait(10)
     assert live.close()
     assert live.error is None
-    rows = 0
-    for chunk in RrdReader(tmp_path / "live.rrd").stream().filter(content="/fast").to_chunks():
-        batch = chunk.to_record_batch()
-        assert {name for name in batch.schema.names if ":" in name} == dashboard.shown_samples(run)
-        rows += len(batch)
-        ticks = schema.tick_from_ns(batch.column(schema.TIMELINE).cast("int64").to_numpy(), synthetic.TICK_HZ)
-        assert (ticks % 5000 == 0).all()  # every fourth sample
-    assert rows == len(made.index) // 4
+    ends = {}
+    for entity in ("/fast", "/touch"):
+        chunks = RrdReader(tmp_path / "live.rrd").stream().filter(content=entity).to_chunks()
+        times = [chunk.to_record_batch().column(schema.TIMELINE).cast("int64").to_pylist() for chunk in chunks]
+        ends[entity] = max(max(part) for part in times)
+    assert ends["/touch"] == ends["/fast"]
 
 
 def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
