@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from bench.rerunio.log import RunLog
 
 BLOCK_PERIOD = 0.05  # s of signal a message of the live view
-FILE_BLOCK_PERIOD = 0.035  # the same of the recording: sooner in the file, for a little more computing
+FILE_BLOCK_PERIOD = 0.055  # the same of the recording
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
