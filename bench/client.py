@@ -49,7 +49,7 @@ R = TypeVar("R", bound=Payload)
 ALIVE_PERIOD = 0.05  # s
 FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: three heartbeats
 POLL = 0.02  # s: how long one turn waits for bytes
-SETTLE = 0.012  # s: how long a turn goes on collecting once bytes come, when nobody waits for a reply (a pty holds 12 KiB)
+SETTLE = 0.012  # s: how long a turn goes on collecting once bytes come; a pty holds 12 KiB
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
 
 

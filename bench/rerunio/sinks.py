@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
     from bench.rerunio.log import RunLog
 
-BLOCK_PERIOD = 0.05  # s of signal a message of the live view
-FILE_BLOCK_PERIOD = 0.055  # the same of the recording
+BLOCK_PERIOD = 0.055  # s of signal a message to rerun
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
@@ -145,7 +144,7 @@ class FileSink(_BlockSink):
         live_drops: Callable[[], int] = lambda: 0,
         now: Now = time.monotonic,
     ) -> None:
-        super().__init__(run, FILE_BLOCK_PERIOD, now)
+        super().__init__(run, BLOCK_PERIOD, now)
         self.path = Path(path)
         self.error: RecordingError | None = None
         self.lost_blocks = 0  # that came after the error
