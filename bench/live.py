@@ -345,7 +345,7 @@ class LiveRun:
             if faulty is not None and not self.tripped:
                 what = "the drive" if faulty is self.drive else "the load machine"
                 self._trip(f"{what} tripped: {faulty.fault_text()}")
-            if now >= self._next_clock:
+            if now >= self._next_clock and not self.client.session.busy:
                 self._next_clock = now + CLOCK_PERIOD
                 try:
                     self._clock = self.drive.clock_fit(tries=1)
