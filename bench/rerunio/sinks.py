@@ -10,6 +10,7 @@ ends with an error, and the calls that stop the drive still go through. kill -9 
 
 from __future__ import annotations
 
+import ctypes
 import os
 import queue
 import shutil
@@ -38,7 +39,7 @@ READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be writt
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
 FLUSH_PERIOD = 1.0  # s: how soon a full disk is noticed, and how much a power cut can cost
-FLUSH_TIMEOUT = 10.0  # s
+FLUSH_TIMEOUT = 5.0  # s
 BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: four minutes of 16 kHz x 26 channels
 LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
 CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
@@ -233,6 +234,7 @@ class FileSink(_BlockSink):
             self._stream.flush(timeout_sec=CLOSE_TIMEOUT)
             self._stream.disconnect()
         except Exception as error:
+            _abandon(self._stream)
             with suppress(OSError):
                 mend(self.path)
             self._fail(_why(self.path, error), error)
@@ -344,6 +346,14 @@ def _open_file(path: Path, run: schema.RunInfo, footer: bool) -> rr.RecordingStr
     except RuntimeError as error:
         raise RecordingError(f"recording {path}: {_why(path, error)}") from None
     return stream
+
+
+def _abandon(stream: rr.RecordingStream) -> None:
+    """Let nobody tidy `stream` up: rerun (0.41) can wait for its dead writer for ever, at exit or when it is deleted."""
+    import rerun as rr
+
+    rr.unregister_shutdown()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
 
 
 def _serve(run: schema.RunInfo, port: int) -> tuple[rr.RecordingStream, str]:
