@@ -349,7 +349,7 @@ def _open_file(path: Path, run: schema.RunInfo, footer: bool) -> rr.RecordingStr
 
 
 def _abandon(stream: rr.RecordingStream) -> None:
-    """Let nobody tidy `stream` up: rerun (0.41) can wait for its dead writer for ever, at exit or when it is deleted."""
+    """Let nobody tidy `stream` up: rerun (0.41) may wait for a dead writer for ever, at exit or when it is deleted."""
     import rerun as rr
 
     rr.unregister_shutdown()
