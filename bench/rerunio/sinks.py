@@ -60,9 +60,11 @@ class _BlockSink:
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
+    What is held back on purpose counts until it came here.
     """
 
     host_time: Callable[[float], float] | None = None
+    _hold = False
 
     _thread: threading.Thread
 
@@ -120,7 +122,8 @@ class _BlockSink:
         log.block(item)
         now, host_time = self._now(), self.host_time
         for chunk, arrived in zip(item.samples, item.arrivals, strict=True):
-            self.latency.add(now - (host_time(float(chunk.tick[0])) if host_time else arrived), len(chunk))
+            there = arrived if self._hold else now
+            self.latency.add(there - (host_time(float(chunk.tick[0])) if host_time else arrived), len(chunk))
         self.logged_samples += item.n_samples
         self.logged_edges += item.n_edges
 

@@ -120,8 +120,10 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
     touched = threading.Event()
     touch = RunLog.touch
     monkeypatch.setattr(RunLog, "touch", lambda log: (touch(log), log._now_ns > 0 and touched.set()))
-    live = LiveSink(run, 0, hold=True)
+    clock = {"now": 60.0}
+    live = LiveSink(run, 0, hold=True, now=lambda: clock["now"])
     made.feed(live)
+    clock["now"] = 1000.0  # what is held back on purpose is not late
     live.note("later")
     live._pass_on(0.0, everything=True)
     assert touched.wait(10)
@@ -133,6 +135,8 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
         times = [chunk.to_record_batch().column(schema.TIMELINE).cast("int64").to_pylist() for chunk in chunks]
         ends[entity] = max(max(part) for part in times)
     assert ends["/touch"] == ends["/fast"]
+    assert live.latency.n == len(made.index)
+    assert live.latency.at(100) < 1.0
 
 
 def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
