@@ -1,4 +1,4 @@
-"""Running statistics of a run: position error per estimator and segment, latency percentiles, CPU.
+"""Running statistics of a run: position error per estimator and segment, latency percentiles, a node's own counters.
 
 Nothing here keeps samples: memory stays bounded however long the run is.
 """
@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.messages import Heartbeat
 from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk
 
@@ -109,3 +110,25 @@ class Percentiles:
             return math.nan
         rank = math.ceil(self.n * percent / 100)
         return float(self._edges[int(np.searchsorted(np.cumsum(self._counts), max(rank, 1)))])
+
+
+class DeviceCounters:
+    """How far the counters in a node's heartbeats have gone up since the first one; after a reboot they start at 0."""
+
+    def __init__(self) -> None:
+        self.risen = {"tx_dropped": 0, "rx_bad": 0, "setpoints_rejected": 0}
+        self._last: Heartbeat | None = None
+
+    @property
+    def seen(self) -> bool:
+        """Whether there was a heartbeat."""
+        return self._last is not None
+
+    def add(self, heartbeat: Heartbeat) -> None:
+        """Take the node's next heartbeat."""
+        last, self._last = self._last, heartbeat
+        if last is None:
+            return
+        for name in self.risen:
+            before = getattr(last, name) if last.boot_id == heartbeat.boot_id else 0
+            self.risen[name] += max(0, getattr(heartbeat, name) - before)

@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from bench.client import Client
+from bench.client import Client, SinkBase
 from bench.rerunio.schema import label
-from bench.statistics import ErrorTable, Moments, Percentiles, position_errors
+from bench.statistics import DeviceCounters, ErrorTable, Moments, Percentiles, position_errors
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Feature, Heartbeat, HelloReply
 from protocol.signals import STATUS_STATE_MASK
 from protocol.streams import EdgeChunk, SampleChunk
 
 
-class RunStatistics:
+class RunStatistics(SinkBase):
     """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
 
     def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
@@ -29,10 +29,8 @@ class RunStatistics:
         self.samples_seen = 0
         self.first_sample_unix: float | None = None  # s, wall clock: how long a start took
         self.edges_seen = 0
-        self.events: list[str] = []
         self.faults = Fault(0)
-        self.tx_dropped_first: int | None = None
-        self.tx_dropped_last = 0
+        self.device = DeviceCounters()
         self.host_compared = 0
         self.host_differ = 0
         self.mean: dict[str, float] = {}  # over the last chunk
@@ -66,28 +64,16 @@ class RunStatistics:
             self._observers.edges(chunk)
 
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Follow the drive's own drop count, and its faults."""
+        """Follow the drive's own counts, and its faults."""
         if node != self.drive:
             return
-        if self.tx_dropped_first is None:
-            self.tx_dropped_first = heartbeat.tx_dropped
-        self.tx_dropped_last = heartbeat.tx_dropped
+        self.device.add(heartbeat)
         self.faults |= heartbeat.faults  # its event may have been lost with the link
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Remember faults."""
         if event.code == EventCode.FAULT:
             self.faults |= Fault(int(event.arg))
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Remember errors for the summary."""
-        if level != "INFO":
-            self.events.append(text)
-
-    @property
-    def dropped_by_device(self) -> int:
-        """Frames that the drive says it dropped during the run."""
-        return self.tx_dropped_last - (self.tx_dropped_first or 0)
 
 
 class CpuMeter:
@@ -168,7 +154,7 @@ def summarise(
             samples_by_index=samples.lost_by_index,
             edges_by_index=edges.lost_by_index,
             frames_by_sequence=samples.lost_by_seq + edges.lost_by_seq,
-            frames_by_device=stats.dropped_by_device,
+            frames_by_device=stats.device.risen["tx_dropped"],
         ),
         position_error_deg={
             segment: {name: _degrees(moments) for name, moments in row.items() if moments.n}
@@ -186,6 +172,12 @@ def summarise(
             "damaged": counters.framing.bad,
             "stale": samples.stale + edges.stale,
             "out_of_order": samples.out_of_order + edges.out_of_order,
+            "malformed": counters.malformed,
+            "unknown": counters.unknown_types + counters.other_versions,
+            "unexpected_replies": counters.unexpected_replies,
+            "retries": counters.retries,
+            "damaged_at_drive": stats.device.risen["rx_bad"],
+            "setpoints_rejected": stats.device.risen["setpoints_rejected"],
         },
         host_observers={"compared": stats.host_compared, "different": stats.host_differ}
         if stats.host_compared
@@ -226,6 +218,14 @@ def run_rows(summary: Summary) -> list[list[str]]:
         [
             "damaged, stale, out of order",
             f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames",
+        ],
+        [
+            "malformed, unknown, unexpected",
+            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames; {link['retries']} retries",
+        ],
+        [
+            "by the drive",
+            f"{link['damaged_at_drive']} frames damaged, {link['setpoints_rejected']} setpoints rejected",
         ],
         ["link", f"{link['outages']} outages, {link['downtime_s']:.1f} s down, {link['reboots']} reboots"],
         ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],

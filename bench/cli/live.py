@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -16,9 +17,10 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
 
 @click.command("live")
 @click.argument("target", required=False, type=TARGET)
-@click.option("--speed", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min.")
+@click.option("--speed", "speed_rpm", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min.")
 @click.option(
     "--load",
+    "load_a",
     metavar="A",
     type=Number(),
     help="Load torque, as the q current that it takes, A; needs a load machine.",
@@ -42,6 +44,7 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
 @click.option("--channels", metavar="A,B,…", help="Stream only these channels (default: all).")
 @click.option(
     "--rate",
+    "rate_hz",
     metavar="HZ",
     type=Number(above=0),
     help="Sample rate (default: every PWM period).",
@@ -61,9 +64,7 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
     type=click.Path(dir_okay=False, allow_dash=True),
     help="Write the summary as JSON; - is standard output.",
 )
-def command(
-    target: str | None, json_file: str | None, channels: str | None, config: str | None, **given: object
-) -> None:
+def command(target: str | None, json_file: str | None, channels: str | None, config: str | None, **given: Any) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, or sim. Without TARGET the simulated drive plays a short
@@ -80,30 +81,14 @@ def command(
 
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
-    if given["observer"] and given["speed"] is None and given["load"] is None:
+    if given["observer"] and given["speed_rpm"] is None and given["load_a"] is None:
         raise click.UsageError("--observer goes with --speed or --load: without them the drive is only watched")
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
         raise click.UsageError("--channels names none: give names separated by commas")
     if json_file not in (None, "-"):
         _claim(Path(json_file))
-    options = live.LiveOptions(
-        target=target,
-        speed_rpm=given["speed"],  # type: ignore[arg-type]
-        load_a=given["load"],  # type: ignore[arg-type]
-        observer=given["observer"],  # type: ignore[arg-type]
-        duration=given["duration"],  # type: ignore[arg-type]
-        save=given["save"],  # type: ignore[arg-type]
-        overwrite=bool(given["overwrite"]),
-        viewer=str(given["viewer"]),
-        channels=names,
-        rate_hz=given["rate"],  # type: ignore[arg-type]
-        yes=bool(given["yes"]),
-        clear_faults=bool(given["clear_faults"]),
-        host_observers=bool(given["host_observers"]),
-        web_port=given["web_port"],  # type: ignore[arg-type]
-        config=config,
-    )
+    options = live.LiveOptions(target=target, channels=names, config=config, **given)
     from bench.cli.output import Progress, print_summary
     from bench.summary import Summary
 

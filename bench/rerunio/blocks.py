@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.rerunio import schema
+from bench.statistics import DeviceCounters
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
@@ -62,7 +63,7 @@ class LossAccount:
     def __init__(self) -> None:
         self.counters: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._next_index: dict[tuple[int, int, bool], int] = {}
-        self._tx_dropped: dict[int, int] = {}
+        self._devices: dict[int, DeviceCounters] = {}
 
     def chunk(self, chunk: Chunk) -> Chunk:
         """Count a chunk's gaps; return it, with one more gap if its index jumps and no gap says so (an outage)."""
@@ -82,9 +83,9 @@ class LossAccount:
         return chunk
 
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Take over what the device of `node` had to drop itself."""
-        self._tx_dropped[node] = heartbeat.tx_dropped
-        self.counters["lost:by_device"] = sum(self._tx_dropped.values())
+        """Take over what the device of `node` had to drop itself since its first heartbeat."""
+        self._devices.setdefault(node, DeviceCounters()).add(heartbeat)
+        self.counters["lost:by_device"] = sum(device.risen["tx_dropped"] for device in self._devices.values())
 
 
 class BlockBuilder:

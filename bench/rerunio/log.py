@@ -22,7 +22,7 @@ from bench.rerunio import schema, states
 from bench.rerunio.blocks import Block, Chunk, StreamKey, index_step, join_edges, join_samples, stream_key
 from bench.rerunio.plane import Plane
 from bench.rerunio.trend import Rows, TrendBinner
-from bench.statistics import wrap
+from bench.statistics import DeviceCounters, wrap
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
@@ -54,7 +54,7 @@ class RunLog:
         self._lanes: dict[str, str] = dict.fromkeys(states.LANES, states.UNKNOWN)
         self._lanes_ns = 0
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
-        self._heartbeat_seen: Heartbeat | None = None
+        self._device = DeviceCounters()
         self._status: int | None = None  # last value of the status channel
         self._next_health_ns = self._next_plane_ns = 0
         bands, means = trend_terms(run)
@@ -285,19 +285,19 @@ class RunLog:
             return
         t_ns = int(schema.ns_from_tick(heartbeat.tick, self.run.tick_hz))
         self._now_ns = max(self._now_ns, t_ns)
-        self._heartbeat_seen = heartbeat
+        self._device.add(heartbeat)
         if self._status is None:  # no status channel, or no samples yet
             self._lane(t_ns, state=heartbeat.state.name)
         self._lane(t_ns, faults=states.fault_text(heartbeat.faults | heartbeat.first_fault))
 
     def _health(self) -> None:
-        if self._now_ns < self._next_health_ns or (self._heartbeat_seen is None and not self._streams):
+        if self._now_ns < self._next_health_ns or not (self._device.seen or self._streams):
             return
         self._next_health_ns = self._now_ns + 1_000_000_000
         values: dict[str, int] = dict(self._losses)
-        if self._heartbeat_seen is not None:
-            values["health:rx_bad"] = self._heartbeat_seen.rx_bad
-            values["health:setpoints_rejected"] = self._heartbeat_seen.setpoints_rejected
+        if self._device.seen:
+            for name in ("rx_bad", "setpoints_rejected"):
+                values[f"health:{name}"] = self._device.risen[name]
         columns = {name: pa.array(np.array([value], np.float64)) for name, value in values.items()}
         self._send(schema.HEALTH, np.array([self._now_ns], np.int64), columns)
         self._at(self._now_ns)

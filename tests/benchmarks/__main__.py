@@ -6,10 +6,14 @@ import argparse
 import os
 import platform
 
-from tests.benchmarks import bench_decode, bench_live, bench_sim, bench_start
+from tests.benchmarks import bench_accuracy, bench_decode, bench_live, bench_sim, bench_start
 from tests.benchmarks.table import show
 
 PARTS = {
+    "accuracy": (
+        "Accuracy: plant against solve_ivp, position errors against the plant",
+        lambda seconds: bench_accuracy.rows(),
+    ),
     "decode": ("Decode: bytes to numpy columns, CRC checked", lambda seconds: bench_decode.rows()),
     "sim": ("Simulated drive in virtual time", lambda seconds: bench_sim.rows()),
     "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),

@@ -61,6 +61,7 @@ def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthet
     builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=2), 0.0)
     builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=3), 0.0)
     builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=4), 0.0)
+    builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=8), 0.0)  # 2 and 5 since the run began
     block = builder.take(0.0, everything=True)
     assert block is not None
     assert block.losses == {

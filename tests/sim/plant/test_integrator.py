@@ -49,9 +49,8 @@ def applied(u_alpha, u_beta):
     return inverter.Applied(True, float(u_alpha), float(u_beta), 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("L_q", [176e-6, 300e-6])
-@pytest.mark.parametrize("substeps", [1, 2])
-def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
+def voltage_steps(substeps, L_q):
+    """dq voltage steps with a load beside solve_ivp: end states, largest differences in A and rad."""
     params, reference = make(L_q)
     load = mechanics.Load(mechanics.TORQUE, 0.2, 0.0)
     reference.tau_dry += 0.2
@@ -66,6 +65,13 @@ def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
         x = reference.solve(x, T_S, u.real, u.imag).y[:, -1]
         worst_current = max(worst_current, np.abs(currents_dq(params, state) - x[:2]).max())
         worst_angle = max(worst_angle, abs(state.theta_e - x[3]))
+    return state, x, worst_current, worst_angle
+
+
+@pytest.mark.parametrize("L_q", [176e-6, 300e-6])
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
+    state, x, worst_current, worst_angle = voltage_steps(substeps, L_q)
     assert np.abs(x[:2]).max() > 3.0
     assert worst_current < 1e-5
     assert worst_angle < 1e-6
