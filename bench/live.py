@@ -225,9 +225,7 @@ class LiveRun:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
             self.client.sinks = [self._notes, stats, *outputs.sinks]
-            for node, heartbeat in self.client.heartbeats.items():  # what the device's own counts start from
-                for sink in self.client.sinks:
-                    sink.heartbeat(node, heartbeat)
+            self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency)
             summary.result = result
