@@ -7,8 +7,9 @@ from typing import Any
 from bench.client import Client
 from bench.node import Node
 from bench.summary import describe
+from protocol.codes import fault_names
 from protocol.links import open_link
-from protocol.messages import Fault, Heartbeat
+from protocol.messages import Heartbeat
 from protocol.signals import Flag
 
 
@@ -64,8 +65,8 @@ def _health(heartbeat: Heartbeat | None) -> dict[str, Any]:
     return {
         "state": heartbeat.state.name,
         "outputs_on": heartbeat.outputs_on,
-        "faults": [fault.name for fault in Fault if fault & heartbeat.faults],
-        "first_fault": [fault.name for fault in Fault if fault & heartbeat.first_fault],
+        "faults": fault_names(heartbeat.faults),
+        "first_fault": fault_names(heartbeat.first_fault),
         "frames_dropped": heartbeat.tx_dropped,
         "frames_damaged": heartbeat.rx_bad,
         "setpoints_rejected": heartbeat.setpoints_rejected,

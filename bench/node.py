@@ -9,9 +9,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from zlib import crc32
 
 from bench.client import Client
 from bench.errors import NodeError
+from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import NoReply, Refused
 from protocol.messages import (
@@ -21,7 +23,6 @@ from protocol.messages import (
     DriveState,
     Empty,
     ErrorCode,
-    Fault,
     Heartbeat,
     Hello,
     HelloReply,
@@ -71,7 +72,7 @@ class Node:
         self.number = number
         self._identity: HelloReply | None = None
         self._descriptor: Descriptor | None = None
-        self._streams: dict[int, tuple[StreamSet, StreamReply]] = {}
+        self._streams: dict[int, StreamSet] = {}
 
     # -- identity and parameters --------------------------------------------------------------------------------
 
@@ -103,13 +104,12 @@ class Node:
             if not reply.data:
                 raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
             blob += reply.data
-        descriptor = Descriptor.unpack(blob)
-        if descriptor.crc != self.identity.schema_crc:
+        if (crc := crc32(blob)) != self.identity.schema_crc:
             raise NodeError(
-                f"the descriptor of node {self.number} has CRC {descriptor.crc:08x}, HELLO announced "
+                f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
-        return descriptor
+        return Descriptor.unpack(blob)
 
     def parameter(self, name: str) -> ParamReply:
         """Value, range and default of a parameter, in its unit."""
@@ -206,8 +206,7 @@ class Node:
         heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
         if heartbeat is None or not heartbeat.faults:
             return "none"
-        names = ", ".join(fault.name or str(fault.value) for fault in Fault if fault & heartbeat.faults)
-        first = [fault.name or "" for fault in Fault if fault & heartbeat.first_fault]
+        names, first = ", ".join(fault_names(heartbeat.faults)), fault_names(heartbeat.first_fault)
         return names + (f"; first: {', '.join(first)}" if first and "," in names else "")
 
     def next_heartbeat(self) -> Heartbeat | None:
@@ -271,11 +270,11 @@ class Node:
     def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
         """Configure the sample stream. Raises NodeError with what would fit when the link cannot carry it."""
         ids = tuple(channel.id for channel in channels)
-        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids), channels)
+        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids))
 
     def set_edges(self, max_latency_ms: int = 20) -> StreamConfig:
         """Configure the stream of Hall edges."""
-        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms), ())
+        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms))
 
     def start_streams(self) -> None:
         """Start the streams that were configured."""
@@ -285,25 +284,17 @@ class Node:
         """After a reconnect: configure and start again if the device forgot, else go on where it is."""
         if rebooted:
             self.forget()
-            for request, _ in tuple(self._streams.values()):
-                self._configure(request, tuple(c for c in self.descriptor.channels if c.id in request.channels))
+            for request in tuple(self._streams.values()):
+                self._configure(request)
             self.start_streams()
 
-    def _configure(self, request: StreamSet, channels: tuple[Channel, ...]) -> StreamConfig:
+    def _configure(self, request: StreamSet) -> StreamConfig:
         try:
             reply = self.client.request(request, self.number, StreamReply)
         except Refused as refusal:
             raise NodeError(self._why_not(refusal, request)) from None
-        config = StreamConfig(
-            self.number,
-            request.stream,
-            reply.cfg_id,
-            request.event,
-            request.decimation,
-            channels,
-            reply.block,
-        )
-        self._streams[request.stream] = (request, reply)
+        config = StreamConfig.of(self.number, request, reply, self.descriptor)
+        self._streams[request.stream] = request
         self.client.decode(config, self.identity.ticks_per_period)
         return config
 

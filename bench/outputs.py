@@ -8,10 +8,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.client import Sink
+from bench.errors import BenchError
 from bench.rerunio.schema import RunInfo
 from bench.statistics import Percentiles
 
@@ -107,6 +109,9 @@ class Outputs:
         }
 
     def close(self) -> None:
-        """End the live view."""
+        """End the live view, and the recording if the run has not come to its regular end."""
         if self.view is not None:
             self.view.close()
+        if self.file is not None:
+            with suppress(BenchError):  # what ended the run matters more
+                self.file.close()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bench.client import Client, SinkBase
 from bench.rerunio.schema import label
 from bench.statistics import DeviceCounters, ErrorTable, Moments, Percentiles, position_errors
+from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Feature, Heartbeat, HelloReply
 from protocol.signals import STATUS_STATE_MASK
 from protocol.streams import EdgeChunk, SampleChunk
@@ -183,7 +184,7 @@ def summarise(
         if stats.host_compared
         else None,
         first_sample_unix_s=stats.first_sample_unix,
-        faults=[fault.name or "" for fault in Fault if fault & stats.faults],
+        faults=fault_names(stats.faults),
     )
 
 

@@ -52,6 +52,12 @@ class Fault(IntFlag):
     INTERNAL = 64  # the firmware's own
 
 
+def fault_names(faults: int) -> list[str]:
+    """Names of the bits in a fault mask; those that this version does not know as one number in hex."""
+    unknown = faults & ~sum(Fault)
+    return [fault.name or "" for fault in Fault if fault & faults] + ([f"0x{unknown:x}"] if unknown else [])
+
+
 class Command(IntEnum):
     """What STATE_CMD asks for."""
 

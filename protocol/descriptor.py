@@ -7,6 +7,7 @@ parameters are not in it: they come with PARAM_GET. This module never does I/O.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import numpy as np
 
 from protocol.errors import LocalProtocolError
 from protocol.messages import PayloadError
+from protocol.payload import text_from_wire
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 
 RECORD_BYTES = 32
@@ -81,11 +83,13 @@ class Descriptor:
         channels: list[Channel] = []
         parameters: list[Channel] = []
         for number, raw_type, unit, bits, _, scale, offset, raw_name in _RECORD.iter_unpack(blob):
-            name = raw_name.rstrip(b"\0").decode("utf-8", "replace")
+            name = text_from_wire(raw_name)
             try:
                 kind = RawType(raw_type)
             except ValueError:
                 raise PayloadError(f"descriptor: {name!r} has the unknown type {raw_type}") from None
+            if bits & Flag.CHANNEL and not (math.isfinite(offset) and math.isfinite(scale) and scale):
+                raise PayloadError(f"descriptor: {name!r} has scale {scale:g} and offset {offset:g}")
             known = Unit(unit) if unit in Unit._value2member_map_ else Unit.NONE
             record = Channel(number, name, known, kind, scale, Flag(bits), offset)
             if record.flags & Flag.CHANNEL:

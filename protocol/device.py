@@ -369,7 +369,11 @@ class DeviceLink:
             first = next(iter(self.sessions.values()))
             session = self.sessions.get(raw[6]) if raw[6] else first
             if session is None:
-                first.refuse(parse_frame(raw), ErrorCode.UNKNOWN_NODE, raw[6])
+                frame = parse_frame(raw)
+                if frame.is_reply or frame.is_error:
+                    first.ignored += 1
+                else:
+                    first.refuse(frame, ErrorCode.UNKNOWN_NODE, raw[6])
             else:
                 session.receive_frames((raw,))
 

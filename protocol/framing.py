@@ -20,7 +20,6 @@ MAJOR = 1  # of the protocol; in bits 0-3 of every frame's flags
 MINOR = 0
 REPLY = 0x10  # flag: answers the request with the same tid
 ERROR = 0x20  # flag, with REPLY: the answer is an ErrorReply
-MORE = 0x40  # flag: reserved for a later minor; sent as 0
 
 HEADER_BYTES = 8
 CRC_BYTES = 4
@@ -113,9 +112,9 @@ class Deframer:
     Bytes up to the first delimiter are dropped: they may be the tail of a frame.
     """
 
-    def __init__(self, max_payload: int = MAX_PAYLOAD) -> None:
+    def __init__(self) -> None:
         self.counters = FramingCounters()
-        self._max_chunk = encoded_length(max_payload) - 2
+        self._max_chunk = encoded_length(MAX_PAYLOAD) - 2
         self._tail = b""
         self._skipping = True  # until the next delimiter: unsynchronised, or inside a run that is too long
 

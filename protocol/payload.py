@@ -35,7 +35,7 @@ class Payload:
     _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
 
     def pack(self) -> bytes:
-        """Return the payload; LocalProtocolError if a value does not fit its field."""
+        """Return the payload; LocalProtocolError if a number does not fit its field. Text is cut to what fits."""
         return self._pack_fixed([getattr(self, field.name) for field in fields(self)])  # type: ignore[arg-type]
 
     def _pack_fixed(self, values: list[Any]) -> bytes:

@@ -72,6 +72,8 @@ class StreamConfig:
     def of(cls, node: int, request: StreamSet, reply: StreamReply, descriptor: Descriptor) -> Self:
         """Return the stream that `reply` configured for `request`; RemoteProtocolError if they disagree."""
         by_id = {channel.id: channel for channel in descriptor.channels}
+        if missing := [number for number in request.channels if number not in by_id]:
+            raise RemoteProtocolError(f"stream {request.stream}: the device has no channels with the ids {missing}")
         config = cls(
             node=node,
             stream=request.stream,

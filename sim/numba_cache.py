@@ -39,7 +39,7 @@ def _kernel_sources() -> list[Path]:
     return [
         *sorted(sources),
         *sorted(_HERE.glob(_KERNELS_IN_DRIVE)),
-        _HERE.parent / "protocol" / "signals.py",
+        *(_HERE.parent / "protocol" / name for name in _IN_PROTOCOL),
     ]
 
 

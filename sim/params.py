@@ -405,5 +405,8 @@ def _build(section: type[S], prefix: str, values: Mapping[str, tuple[object, str
     try:
         return section(**arguments)
     except ConfigError as error:  # a rule between several keys
+        if not prefix:  # between sections: any source may be to blame
+            sources = {source for _, source in values.values()}
         given = ", ".join(sorted(sources - {DEFAULTS.name})) or DEFAULTS.name
-        raise ConfigError(f"{error} ({prefix.rstrip('.')} in {given})") from None
+        section_name = f"{prefix.rstrip('.')} in " if prefix else "in "
+        raise ConfigError(f"{error} ({section_name}{given})") from None

@@ -39,7 +39,11 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Whether `value` is allowed; never for nan and infinities."""
-        if not math.isfinite(value) or (self.whole and value != int(value)):
+        try:
+            finite = math.isfinite(value)
+        except OverflowError:  # an integer of hundreds of digits
+            return False
+        if not finite or (self.whole and value != int(value)):
             return False
         return (value > self.lo if self.open_lo else value >= self.lo) and value <= self.hi
 

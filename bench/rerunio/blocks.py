@@ -66,15 +66,17 @@ class LossAccount:
         self._devices: dict[int, DeviceCounters] = {}
 
     def chunk(self, chunk: Chunk) -> Chunk:
-        """Count a chunk's gaps; return it, with one more gap if its index jumps and no gap says so (an outage)."""
+        """Count a chunk's gaps; return it, with a gap as wide as its index jumps (an outage) if none says so."""
         config = chunk.config
         key = (config.node, config.stream, bool(config.channels))
         step = index_step(config)
         first, expected = int(chunk.index[0]), self._next_index.get(key)
         self._next_index[key] = int(chunk.index[-1]) + step
-        reported = bool(chunk.gaps) and chunk.gaps[0].position == 0
-        if expected is not None and first > expected and not reported:
-            chunk = replace(chunk, gaps=(Gap(0, (first - expected) // step, 0, False), *chunk.gaps))
+        reported: Gap | None = chunk.gaps[0] if chunk.gaps and chunk.gaps[0].position == 0 else None
+        missing = 0 if expected is None else (first - expected) // step
+        if missing > (reported.lost_samples if reported else 0):
+            jump = replace(reported or Gap(0, 0, 0, False), lost_samples=missing)
+            chunk = replace(chunk, gaps=(jump, *chunk.gaps[1 if reported else 0 :]))
         records, frames = ("lost:samples", "lost:sample_frames") if config.channels else ("lost:edges", None)
         for gap in chunk.gaps:
             self.counters[records] += gap.lost_samples
@@ -95,6 +97,7 @@ class BlockBuilder:
         self.account = LossAccount()
         self._period = period
         self._ticks = period * tick_hz
+        self._tick_hz = tick_hz
         self._block = Block()
         self._opened: float | None = None
         self._first_tick: int | None = None
@@ -111,7 +114,7 @@ class BlockBuilder:
         if self._first_tick is None:
             self._first_tick = int(chunk.tick[0])
         self._last_tick = int(chunk.tick[-1])
-        self._newest = max(self._newest, self._last_tick)
+        self._seen(self._last_tick)
 
     def edges(self, chunk: EdgeChunk, now: float) -> None:
         """Add Hall edges."""
@@ -122,20 +125,24 @@ class BlockBuilder:
     def heartbeat(self, node: int, heartbeat: Heartbeat, now: float) -> None:
         """Add a heartbeat."""
         self._touch(now)
-        self._newest = max(self._newest, heartbeat.tick)
+        self._seen(heartbeat.tick)
         self.account.heartbeat(node, heartbeat)
         self._block.heartbeats.append((node, heartbeat))
 
     def event(self, node: int, event: DeviceEvent, now: float) -> None:
         """Add an event of the drive."""
         self._touch(now)
-        self._newest = max(self._newest, event.tick)
+        self._seen(event.tick)
         self._block.events.append((node, event))
 
     def note(self, text: str, level: str, now: float) -> None:
         """Add a line of the host's, at the newest device time seen."""
         self._touch(now)
         self._block.notes.append((self._newest, text, level))
+
+    def _seen(self, tick: int) -> None:
+        if tick > self._newest or tick + self._tick_hz < self._newest:  # going back: the drive has rebooted
+            self._newest = tick
 
     def _touch(self, now: float) -> None:
         if self._opened is None:

@@ -25,11 +25,12 @@ from bench.rerunio.trend import Rows, TrendBinner
 from bench.statistics import DeviceCounters, wrap
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
-from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
+RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
 Values = NDArray[Any]
@@ -112,9 +113,16 @@ class RunLog:
         self._next_health_ns = 0
         self._health()
 
+    def _reach(self, t_ns: int) -> None:
+        """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
+        if t_ns + RESTART_NS < self._now_ns:
+            self._send_trend(self._trend.rest())
+            self._next_plane_ns = self._next_health_ns = self._lanes_ns = self._now_ns = t_ns
+        self._now_ns = max(self._now_ns, t_ns)
+
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._now_ns = max(self._now_ns, int(t_ns[-1]))
+        self._reach(int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
         columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
@@ -123,7 +131,7 @@ class RunLog:
         errors = self._errors(values)
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
-        self._telemetry_lane(t_ns, chunk.gaps)
+        self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
@@ -141,7 +149,7 @@ class RunLog:
             schema.EDGE_ENCODER: pa.array(chunk.encoder),
         }
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._now_ns = max(self._now_ns, int(t_ns[-1]))
+        self._reach(int(t_ns[-1]))
         lanes = states.HALL_LANES.take(pa.array(chunk.hall_new & 7))
         self._send(stream.entity, t_ns, columns | _bookkeeping(chunk), lanes)
 
@@ -239,11 +247,11 @@ class RunLog:
         if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
             self._log_lanes(self._now_ns)
 
-    def _telemetry_lane(self, t_ns: NDArray[np.int64], gaps: Sequence[Gap]) -> None:
-        if not gaps and self._lanes["telemetry"] == states.COMPLETE:
+    def _telemetry_lane(self, t_ns: NDArray[np.int64], chunk: SampleChunk) -> None:
+        if not chunk.gaps and self._lanes["telemetry"] == states.COMPLETE:
             return
-        step = int(t_ns[-1] - t_ns[-2]) if len(t_ns) > 1 else 0
-        for gap in gaps:
+        step = round(index_step(chunk.config) * 1e9 / self.run.pwm_hz)
+        for gap in chunk.gaps:
             end = int(t_ns[gap.position])
             if gap.lost_samples:
                 self._lane(max(0, end - gap.lost_samples * step), telemetry=states.GAP)
@@ -269,7 +277,7 @@ class RunLog:
 
     def _event(self, node: int, event: DeviceEvent) -> None:
         t_ns = int(schema.ns_from_tick(event.tick, self.run.tick_hz))
-        self._now_ns = max(self._now_ns, t_ns)
+        self._reach(t_ns)
         self._at(t_ns)
         raw = (np.int64(event.tick), np.int32(event.code), np.int32(node), np.float64(event.arg))
         self._stream.log(
@@ -284,7 +292,7 @@ class RunLog:
         if node != self.run.node:
             return
         t_ns = int(schema.ns_from_tick(heartbeat.tick, self.run.tick_hz))
-        self._now_ns = max(self._now_ns, t_ns)
+        self._reach(t_ns)
         self._device.add(heartbeat)
         if self._status is None:  # no status channel, or no samples yet
             self._lane(t_ns, state=heartbeat.state.name)

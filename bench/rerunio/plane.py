@@ -44,6 +44,8 @@ class Plane:
         self._back_emf = run.has("e_alpha", "e_beta")
         self._reference = run.position_reference
         self._peak_i = self._peak_u = 0.0
+        inputs = ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "e_alpha", "e_beta", self._reference or "")
+        self._used = [name for name in (*inputs, *run.position_estimates) if run.has(name)]
 
     @property
     def empty(self) -> bool:
@@ -84,8 +86,8 @@ class Plane:
         self, newest: Mapping[str, float], errors_deg: Mapping[str, float]
     ) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity and content for the newest values of all channels and the position errors in degrees."""
-        if self.empty:
-            return
+        if self.empty or not all(math.isfinite(newest[name]) for name in self._used):
+            return  # a float channel of a physical drive can hold anything
         arrows = [*self._axes(newest, errors_deg), *self._vectors(newest)]
         yield (
             schema.VECTORS,

@@ -302,7 +302,9 @@ def storage(channel: AnyChannel) -> type[np.float32] | type[np.float64]:
 
 
 def raw_from_physical(channel: AnyChannel, values: NDArray[Any]) -> NDArray[Any]:
-    """Raw wire values for a column of physical ones, in the channel's own type; exact by the choice of `storage`."""
+    """Raw wire values for a column of physical ones, in the channel's own type: whole numbers come back exactly, by
+    `storage`; a float32 with an offset may differ in its last bits.
+    """
     if channel.raw == RawType.F32 and storage(channel) is np.float32:
         return values.astype(np.float32)
     counts = (values.astype(np.float64) - channel.offset) / channel.scale

@@ -151,7 +151,6 @@ class FileSink(_BlockSink):
         super().__init__(run, BLOCK_PERIOD, now)
         self.path = Path(path)
         self.error: RecordingError | None = None
-        self.lost_blocks = 0  # that came after the error
         self._raised = False
         self._wait = wait
         self._live_drops = live_drops
@@ -164,27 +163,23 @@ class FileSink(_BlockSink):
         self._start()
         self._raise_once()
 
-    @property
-    def backlog_bytes(self) -> int:
-        """What waits for the disk."""
-        return self._backlog
-
     def summary(self, markdown: str) -> None:
         """Put the summary into the recording."""
         self._put(markdown)
 
     def close(self) -> None:
         """Write what is left and finish the file. Raises RecordingError if that fails and nothing was raised before."""
-        self._pass_on(self._now(), everything=True)
-        self._queue.put(None)
-        self._thread.join(CLOSE_TIMEOUT)
+        try:
+            self._pass_on(self._now(), everything=True)
+        finally:
+            self._queue.put(None)
+            self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
             self._fail(f"{self._backlog >> 20} MiB were not written within {CLOSE_TIMEOUT:g} s; the end is missing")
         self._raise_once()
 
     def _put(self, item: _Item) -> None:
         if self.error is not None:
-            self.lost_blocks += isinstance(item, Block)
             self._raise_once()
             return
         size = item.nbytes if isinstance(item, Block) else 0

@@ -7,6 +7,7 @@ import pyarrow as pa
 import rerun as rr
 
 from bench.rerunio import schema
+from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault
 from protocol.signals import AngleSource
 
@@ -89,7 +90,7 @@ def source_name(value: int) -> str:
 
 def fault_text(faults: int) -> str:
     """Names of the fault bits."""
-    return " ".join(fault.name or "?" for fault in Fault if fault & faults) or NO_FAULT
+    return " ".join(fault_names(faults)) or NO_FAULT
 
 
 EVENT_LEVELS: dict[int, str] = {

@@ -1,7 +1,7 @@
 """Speed loop: a ramp on the reference, then PI with anti-windup. Mechanical speeds in, i_q reference out.
 
 With inertia J and torque constant K_T, k_p = J * w / K_T closes the loop at w rad/s, and k_i well below k_p
-* w / 4 keeps it damped. The defaults, k_p = 0.3 A s/rad and k_i = 4 A/rad, make w = 88 rad/s (14 Hz) of J =
+* w / 4 keeps it damped. The defaults, k_p = 0.2 A s/rad and k_i = 3 A/rad, make w = 59 rad/s (9.4 Hz) of J =
 2e-4 kg m2 and K_T = 0.059 N m/A: well below the 50 Hz of the filter on the estimated speed.
 
 Never knows where its speed comes from.

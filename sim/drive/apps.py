@@ -12,6 +12,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from protocol.errors import Refused
 from protocol.messages import DriveState, ErrorCode, Fault, SetpointMode
 from protocol.signals import (
@@ -19,6 +21,7 @@ from protocol.signals import (
     DRIVE_PARAMETERS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
+    Flag,
     Parameter,
     Signal,
 )
@@ -40,7 +43,7 @@ class DriveApp:
         self._bench = bench
         self._defaults = dict(bench.parameters)
         self._store = store
-        if store is not None and store.exists():
+        if store is not None:
             for name, value in _read_store(store).items():
                 bench.set_param(name, value)
 
@@ -171,6 +174,8 @@ def _limit(what: str, size: float, limit: float) -> None:
 def _read_store(path: Path) -> dict[str, float]:
     try:
         stored = json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read the parameters in {path}: {error}; remove the file") from None
     known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
@@ -179,7 +184,9 @@ def _read_store(path: Path) -> dict[str, float]:
     for name, value in stored.items():
         if name not in known:
             raise ConfigError(f"unknown parameter {name} in {path}; remove the file")
-        lo, hi = known[name].lo, known[name].hi
+        lo, hi = float(np.float32(known[name].lo)), float(np.float32(known[name].hi))  # as PARAM_SET does
         if isinstance(value, bool) or not isinstance(value, int | float) or not lo <= value <= hi:
             raise ConfigError(f"{name} must be between {lo:g} and {hi:g}, got {value!r} in {path}")
+        if known[name].flags & Flag.WHOLE and value != round(value):
+            raise ConfigError(f"{name} must be a whole number, got {value!r} in {path}")
     return stored

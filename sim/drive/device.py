@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from protocol.device import DeviceLink, DeviceSession, Identity
+from protocol.device_state import WATCHDOG_OFF
 from protocol.device_tx import TxQueue
 from protocol.messages import Fault, Feature, Role
 from sim.drive.apps import DriveApp, LoadApp
@@ -20,7 +21,6 @@ from sim.params import BenchParams
 
 FIRMWARE = "hallbench-sim"
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
-_WATCHDOG_OFF = 0xFFFF
 
 
 class SimulatedDevice:
@@ -52,7 +52,7 @@ class SimulatedDevice:
     ) -> None:
         self.bench = SimulatedBench(params, seed)
         self.link = DeviceLink(TxQueue(bulk_limit=tx_bytes, capacity=capacity))
-        self.frames_sent = 0
+        self._delimiters = 0
         self.periods = 0
         """PWM periods since boot."""
         clock = params.clock
@@ -124,8 +124,13 @@ class SimulatedDevice:
         """Return and forget the bytes that wait for the link, at most `limit`."""
         fits = limit is None or len(self.link.tx) <= limit
         data = self.link.data_to_send(None if fits else limit)  # all at once is quicker than frame by frame
-        self.frames_sent += data.count(0) // 2  # zeros are delimiters, two a frame
+        self._delimiters += data.count(0)
         return data
+
+    @property
+    def frames_sent(self) -> int:
+        """Frames given to the link: each lies between two zero bytes, and there are no others."""
+        return self._delimiters // 2
 
     def _until_watchdog(self) -> int:
         """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""
@@ -135,7 +140,7 @@ class SimulatedDevice:
     def _unfed(self, session: DeviceSession) -> float:
         """Seconds since the session's watchdog was fed, 0 where it is not at work."""
         left = session.machine.watchdog_ms(self.tick)
-        return 0.0 if left == _WATCHDOG_OFF else session.app.get_param("watchdog") - left / 1000
+        return 0.0 if left == WATCHDOG_OFF else session.app.get_param("watchdog") - left / 1000
 
     def _report(self, unfed: list[float], notice: Callable[[str], None]) -> None:
         for n, session in enumerate(self._sessions):

@@ -75,7 +75,7 @@ def parse_override(text: str) -> tuple[str, Value]:
         raise ConfigError(f"'{text}' is not section.name=value, for example motor.R_s=0.2")
     try:
         parsed: Value = tomllib.loads(f"x = {value}")["x"]
-    except (tomllib.TOMLDecodeError, KeyError):
+    except (ValueError, KeyError, RecursionError):  # TOMLDecodeError is a ValueError
         raise ConfigError(f"{key.strip()}: '{value}' is not a number or a list of numbers") from None
     return key.strip(), parsed
 
@@ -175,15 +175,14 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
             tell("compiling the simulation (once, some ten seconds) ...")
         with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
             device = _make_device(params, options, tell)
-        tell(f"target: {port.target}")
-        channels = sum(len(session.app.channels) for session in device.sessions[:1])
-        tell(
-            f"simulated drive (node 1) and load machine (node 2): {channels} channels at "
-            f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
-        )
-        server = Server(device, port, time.monotonic(), options.baud)
         received: set[int] = set()
         with _handlers(lambda number, _: received.add(number), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
+            tell(f"target: {port.target}")
+            tell(
+                f"simulated drive (node 1) and load machine (node 2): {len(device.drive.app.channels)} channels at "
+                f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
+            )
+            server = Server(device, port, time.monotonic(), options.baud)
             _run(server, received, options.exit_with_parent, tell)
         tell(server.summary())
     finally:
@@ -263,5 +262,5 @@ def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> Simul
 def _print(line: str) -> None:
     try:
         print(line, flush=True)
-    except BrokenPipeError:  # whoever read this has gone: nothing else may fail for it
+    except OSError:  # whoever read this has gone, or the disk is full: nothing else may fail for it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

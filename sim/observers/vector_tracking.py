@@ -171,7 +171,7 @@ def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
     b = 1.0 - a
     if params.exact_inverse == 0:
         return 1.0, x * b / a  # T_s b / a is tau
-    # Series of cos and sin: within 1e-8 for |x| < 0.3, over twice the speed of Table II's motor at 16 kHz.
+    # Series of cos and sin: within 5e-8 for |x| < 0.3, over twice the speed of Table II's motor at 16 kHz.
     y = x * x
     cos = 1.0 - y * (0.5 - y * (1.0 / 24.0 - y / 720.0))
     sin = x * (1.0 - y * (1.0 / 6.0 - y / 120.0))

@@ -17,7 +17,7 @@ from sim.plant import inverter, mechanics, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
 ONE_SIXTH = 1.0 / 6.0
-SMALL = 0.3  # rad up to which a rotation's series is good to 1e-14
+SMALL = 0.3  # rad up to which a rotation's series is good to 5e-14
 TINY = 1e-3  # rad up to which three terms are good to 1e-13
 
 

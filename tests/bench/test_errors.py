@@ -62,6 +62,7 @@ def run_bench(*arguments: str) -> tuple[int, str]:
     ("target", "says"),
     [
         ("serial:/dev/ttyNOWHERE", r"no port /dev/ttyNOWHERE"),
+        ("tcp:a..b:7000", r"'a\.\.b' is no host name"),
         ("tcp:127.0.0.1:1", r"nothing listens on port 1 of 127\.0\.0\.1"),
         ("seriall:/dev/ttyACM0", r"did you mean serial:\?"),
         ("/dev/ttyACM0", r"write serial:/dev/ttyACM0"),

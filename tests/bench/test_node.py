@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from unittest.mock import patch
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from bench.node import Node
 from protocol.errors import LinkClosed, NoReply
 from protocol.links import Link, open_link
 from protocol.messages import DriveState, EventCode, Fault, Feature, Role
-from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, Unit
 from protocol.streams import SampleChunk
 from sim.drive.device import SimulatedDevice
 
@@ -279,3 +281,15 @@ def test_a_wait_of_any_length_moves_virtual_time_on() -> None:
     assert link.read(0.0) != b""  # what it says at boot
     assert (link.read(0.0), link.clock()) == (b"", 0.0)
     assert (link.read(1e-18), link.clock()) == (b"", 1 / 16000)
+
+
+def test_a_unit_of_a_later_version_does_not_spoil_the_descriptor() -> None:
+    """The CRC that HELLO announces is of the bytes, whatever this version makes of them."""
+    drive = simulated()
+    session = drive.drive
+    blob = bytearray(session.descriptor.pack())
+    blob[3] = 200  # the unit of the first channel
+    session._blob = bytes(blob)
+    with patch.object(type(session.descriptor), "crc", crc32(blob)):
+        bench = Bench(WatchedLink(drive))
+        assert bench.drive.descriptor.channels[0].unit is Unit.NONE

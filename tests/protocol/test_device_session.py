@@ -11,7 +11,7 @@ from small_drive import DEFAULTS, PARAMETERS, SmallDrive, identity, small_link
 
 from protocol.device import DeviceLink, DeviceSession
 from protocol.errors import Refused
-from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import (
     REPLIES,
     Alive,
@@ -475,6 +475,11 @@ def test_two_nodes_on_one_link() -> None:
     wire = Wire(link)
     assert wire.ask(Hello(1), node=0).node == 1
     assert (wire.ask(Hello(1), node=2).node, wire.ask(Hello(1), node=1).nodes) == (2, 2)
+    link.data_to_send()
+    for flags in (REPLY, ERROR, REPLY | ERROR):  # replies are never answered, whomever they are for
+        link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR | flags, 5, 9, b"")))
+    assert link.data_to_send() == b""
+    assert first.ignored == 3
     wire.ask(StateCommand(Command.ARM, 5), node=2)
     assert (first.state, second.state) == (DriveState.IDLE, DriveState.ARMED)
     wire.ask(ParamSet(101, 9.0), tid=900, node=1)

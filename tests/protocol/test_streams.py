@@ -210,6 +210,10 @@ def test_the_configuration_must_agree_with_the_descriptor() -> None:
     assert stream.dtype.names == ("theta", "hall")
     with pytest.raises(RemoteProtocolError, match="stream 0: 4 bytes a sample, 10 a frame by the device, 3"):
         StreamConfig.of(1, request, StreamReply(0, 5, 4, 10, 0.0), DESCRIPTOR)
+    with pytest.raises(RemoteProtocolError, match="3 bytes a sample, 0 a frame"):
+        StreamConfig.of(1, request, StreamReply(0, 5, 3, 0, 0.0), DESCRIPTOR)
+    with pytest.raises(RemoteProtocolError, match=r"no channels with the ids \[99\]"):
+        StreamConfig.of(1, StreamSet(0, StreamEvent.PWM, 1, 20, (3, 99)), StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR)
 
 
 edge_batches = st.lists(st.integers(0, 5), min_size=1, max_size=30)

@@ -32,6 +32,18 @@ def test_hash_changes_with_a_source(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert numba_cache.source_hash.__wrapped__() != first
 
 
+@pytest.mark.parametrize("name", ["messages.py", "signals.py", "streams.py"])
+def test_hash_changes_with_the_constants_that_kernels_take_from_the_protocol(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in ("sim", "protocol"):
+        (tmp_path / package).mkdir()
+    monkeypatch.setattr(numba_cache, "_HERE", tmp_path / "sim")
+    first = numba_cache.source_hash.__wrapped__()
+    (tmp_path / "protocol" / name).write_text("x = 1\n")
+    assert numba_cache.source_hash.__wrapped__() != first
+
+
 def test_edit_outside_kernels_keeps_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "sim"
     (package / "drive").mkdir(parents=True)

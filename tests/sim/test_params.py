@@ -111,8 +111,16 @@ def test_refusals_name_value_range_and_key(key: str, value: object, message: str
 @pytest.mark.parametrize("key", ["motor.L_d", "motor.L_q", "mechanics.J", "inverter.i_smooth"])
 def test_too_fast_for_the_integration_step(key: str) -> None:
     overrides = {key: {"inverter.i_smooth": 1e-3}.get(key, 1e-9), "mechanics.b": 1e-3}
-    with pytest.raises(ConfigError, match=rf"^{key} must be >= \S+ \S+.* for integration steps of .*substeps"):
+    with pytest.raises(
+        ConfigError, match=rf"^{key} must be >= \S+ \S+.* for integration steps of .*substeps"
+    ) as refused:
         load_params(None, overrides)
+    assert "default.toml" not in str(refused.value)  # the override is to blame
+
+
+def test_a_number_too_long_for_a_float_is_refused() -> None:
+    with pytest.raises(ConfigError, match="R_s must be > 0 ohm, got 1000"):
+        load_params(None, {"motor.R_s": 10**400})
 
 
 def test_sectors_may_not_vanish() -> None:

@@ -83,3 +83,14 @@ def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun
     assert block is not None
     assert [chunk.gaps for chunk in block.samples] == [(), (Gap(0, 400, 0, False),), ()]
     assert block.losses["lost:samples"] == 400
+
+
+def test_an_outage_is_counted_whole_when_the_first_frame_after_it_is_lost_too(made: synthetic.SyntheticRun) -> None:
+    builder = BlockBuilder(1e9, synthetic.TICK_HZ)
+    chunks = sample_chunks(made, 100)
+    builder.samples(chunks[0], 0.0)
+    builder.samples(replace(chunks[20], gaps=(Gap(0, 15, 1, False), Gap(50, 2, 1, True))), 0.0)
+    block = builder.take(0.0, everything=True)
+    assert block is not None
+    assert block.samples[1].gaps == (Gap(0, 1900, 1, False), Gap(50, 2, 1, True))
+    assert block.losses["lost:samples"] == 1902

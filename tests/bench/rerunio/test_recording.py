@@ -15,12 +15,13 @@ import rerun as rr
 import synthetic
 from rerun.chunk import RrdReader
 
+from bench.outputs import Outputs
 from bench.rerunio import schema
 from bench.rerunio.recording import NotARecordingError, read_run
 from bench.rerunio.sinks import FileSink, RecordingError
 from protocol.descriptor import Descriptor
 from protocol.messages import DeviceEvent, EventCode, StreamEvent
-from protocol.signals import LOAD_CHANNELS
+from protocol.signals import LOAD_CHANNELS, RawType
 from protocol.streams import Gap, SampleChunk, StreamConfig
 
 
@@ -80,6 +81,66 @@ def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: 
     assert (run.samples.index == np.concatenate([chunk.index for chunk in sent])).all()
     assert (run.samples.raw == np.concatenate([chunk.raw for chunk in sent])).all()
     assert run.samples.gaps == (Gap(540, 3, 1, True), Gap(1000, 2000, 0, False))
+
+
+def rows(path: Path, entity: str) -> int:
+    return sum(len(chunk.to_record_batch()) for chunk in RrdReader(path).stream().filter(content=entity).to_chunks())
+
+
+def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Path) -> None:
+    """Device time starts again at 0: pictures, health and trends go on, and notes stand at the new time."""
+    paths = tmp_path / "once.rrd", tmp_path / "twice.rrd"
+    for path, starts in zip(paths, ((100.0,), (100.0, 0.5)), strict=True):
+        sink = FileSink(path, synthetic.run_info(), wait=True)
+        for start in starts:
+            synthetic.SyntheticRun(3.0, start=start).feed(sink)
+        sink.close()
+    for entity in ("/fast", "/stator/vectors", "/trend", "/health"):
+        assert rows(paths[1], entity) >= 2 * rows(paths[0], entity) - 2 > 0, entity
+    last = [(start * synthetic.PWM_HZ + 47_999) * synthetic.TICKS for start in (100, 0.5)]
+    assert [at for at, _ in read_run(paths[1]).notes] == last
+
+
+def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) -> None:
+    channels = tuple(replace(c, raw=RawType.F32, scale=1.0) if c.name == "i_a" else c for c in synthetic.CHANNELS)
+    config = synthetic.config(channels)
+    index = np.arange(16_000, dtype=np.int64)
+    raw = np.zeros(len(index), config.dtype)
+    raw["i_a"][8000:] = np.inf
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=channels), wait=True)
+    for part in np.array_split(index, 100):
+        sink.samples(SampleChunk(config, part, part * synthetic.TICKS, raw[part], ()))
+    sink.close()
+    assert read_run(tmp_path / "a.rrd").samples.raw.tobytes() == raw.tobytes()
+
+
+def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> None:
+    """Samples every 50 ms, one a chunk; four are lost before the last."""
+    config = replace(synthetic.config(), decimation=800)
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    for number in (0, 1, 2, 3, 8):
+        index = np.array([number * 800], np.int64)
+        gaps = (Gap(0, 4, 1, False),) if number == 8 else ()
+        sink.samples(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
+    sink.close()
+    lanes = {}
+    for chunk in RrdReader(tmp_path / "a.rrd").stream().filter(content="/drive").to_chunks():
+        batch = chunk.to_record_batch()
+        if "StateChange:state" in batch.schema.names:
+            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
+            lanes |= zip(times, [row[4] for row in batch.column("StateChange:state").to_pylist()], strict=True)
+    assert lanes[200_000_000] == "TELEMETRY GAP"
+    assert lanes[400_000_000] == "telemetry complete"
+    assert min(at for at, word in lanes.items() if word == "TELEMETRY GAP") == 200_000_000
+
+
+def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    outputs = Outputs(synthetic.run_info(), tmp_path / "a.rrd", False, "none", None, lambda tick: 0.0)
+    made.feed(*outputs.sinks)
+    outputs.close()  # with no end_recording before it
+    run = read_run(tmp_path / "a.rrd")
+    assert run.samples.raw.tobytes() == made.raw.tobytes()
+    assert [text for _, text in run.notes] == ["all of it"]
 
 
 def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:

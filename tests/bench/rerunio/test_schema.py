@@ -83,3 +83,9 @@ def test_hall_lanes_follow_the_bit_order() -> None:
     assert tuple(SECTOR_OF_CODE) == states.SECTOR_OF_CODE
     assert states.HALL_LANES[0b011].as_py() == ["a=1", "b=1", "c=0", "II"]
     assert states.HALL_LANES[0b111].as_py()[3] == states.HALL_LANES[0].as_py()[3] == "illegal"
+
+
+def test_faults_of_a_later_version_keep_their_number() -> None:
+    assert states.fault_text(0) == "no fault"
+    assert states.fault_text(0x80) == "0x80"
+    assert states.fault_text(0x81) == "WATCHDOG 0x80"

@@ -24,7 +24,7 @@ from protocol.messages import (
     Role,
     SetpointMode,
 )
-from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS, Flag
 from sim.drive.device import SimulatedDevice
 from sim.drive.virtual import VirtualLink
 from sim.params import BenchParams, ConfigError, load_params
@@ -252,6 +252,20 @@ def test_commit_survives_a_boot(tmp_path: Path) -> None:
     assert (reply.value, reply.default) == (777.0, 1268.0)
 
 
+@pytest.mark.parametrize("limit", ["lo", "hi"])
+def test_a_store_at_the_limits_is_read_again(tmp_path: Path, limit: str) -> None:
+    store = tmp_path / "drive.json"
+    host, _ = make(store=store)
+    host.connect()
+    stored = {}
+    for parameter in DRIVE_PARAMETERS:
+        if not parameter.flags & Flag.READ_ONLY:
+            stored[parameter.name] = host.set(parameter.name, getattr(host.get(parameter.name), limit))
+    host.request(ParamCommit())
+    host, _ = make(store=store)
+    assert {name: host.get(name).value for name in stored} == stored
+
+
 def test_commit_without_a_store_or_a_place_to_write_is_refused(tmp_path: Path) -> None:
     for store, expected in (
         (None, ErrorCode.NOT_SUPPORTED),
@@ -271,6 +285,7 @@ def test_commit_without_a_store_or_a_place_to_write_is_refused(tmp_path: Path) -
         (json.dumps({"R_s": 1.0}), "unknown parameter R_s"),
         (json.dumps({"i_max": -1.0}), "i_max must be between 0 and 30, got -1.0"),
         (json.dumps({"i_max": True}), "got True"),
+        (json.dumps({"n_p": 3.5}), "n_p must be a whole number, got 3.5"),
     ],
 )
 def test_a_bad_store_is_named(tmp_path: Path, text: str, message: str) -> None:
@@ -327,3 +342,15 @@ def test_random_bytes_change_nothing() -> None:
     assert device.drive.state is DriveState.IDLE
     assert host.connect().state is DriveState.IDLE
     assert dataclasses.asdict(device.link.deframer.counters)["bad_crc"] > 0
+
+
+def test_frames_sent_are_whole_frames_however_the_bytes_are_cut() -> None:
+    host, device = make()
+    host.stream()
+    device.data_to_send()
+    before = device.frames_sent
+    device.advance(1600)
+    data = b""
+    while part := device.data_to_send(37):
+        data += part
+    assert device.frames_sent - before == data.count(0) // 2 > 10

@@ -118,10 +118,10 @@ def test_wrong_rate_is_rubbish_both_ways() -> None:
     link = open_link(port.target.replace("921600", "115200"))
     text = b"HELLO, drive"
     port.write(text)
-    assert link.read(0.0) != text
+    assert link.read(5.0) not in (b"", text)
     link.write(text)
     wait(port)
-    assert port.read() != text
+    assert port.read() not in (b"", text)
     link.close()
     port.close()
 

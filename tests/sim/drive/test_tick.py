@@ -145,7 +145,7 @@ def test_a_voltage_pairs_with_the_currents_of_the_period_that_ends_at_its_sample
 
 
 def test_references_are_those_that_the_recorded_voltage_answers():
-    """A step of the reference shows in i_q_ref one sample later, in u two later, in the current three later."""
+    """A step of the reference shows in i_q_ref one sample later, in u and in the current two later."""
     bench = forced(bench_of(**IDEAL), 0.0, 0.0)
     bench.advance(100)
     bench.setpoint(SetpointMode.CURRENT, 6.0)

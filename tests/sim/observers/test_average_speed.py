@@ -31,7 +31,7 @@ def run(s):
     )[1]
 
 
-def stays_in_sector(s, out, edges_deg=None):
+def stays_in_sector(s, out):
     """Whether each estimate lies in the sector that the code names, boundaries taken at k * 60 deg."""
     sector = np.array([list(CODES).index(c) for c in s.hall])
     return bool(np.all(np.abs(error_deg(np.radians(60 * sector + 30), out.theta)) <= 30 + 1e-9))
