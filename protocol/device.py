@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -82,22 +82,19 @@ _ALWAYS_FRESH = (MessageType.HELLO, MessageType.TIME_SYNC)  # change nothing, an
 class DeviceSession:
     """One device on a link. `link_counters` are those of the link's deframer, for the heartbeat."""
 
-    def __init__(
-        self, app: DeviceApp, identity: Identity, tx: TxQueue | None = None,
-        link_counters: FramingCounters | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, app: DeviceApp, identity: Identity, tx: TxQueue, link_counters: FramingCounters) -> None:
         if identity.tick_hz % identity.pwm_hz:
             raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
         self.app = app
         self.identity = identity
         self.nodes = 1  # on the link
-        self.tx = TxQueue() if tx is None else tx
+        self.tx = tx
         self.descriptor = Descriptor.of(app.channels, app.parameters)
         self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self.event)
         self.streams = StreamTable(identity, app.channels, self.tx)
         self.ignored = 0  # frames that are replies themselves
         self.setpoints_rejected = 0
-        self._link_counters = FramingCounters() if link_counters is None else link_counters
+        self._link_counters = link_counters
         self._blob = self.descriptor.pack()
         self._parameters = {parameter.id: parameter for parameter in app.parameters}
         self._tick = 0
@@ -180,14 +177,9 @@ class DeviceSession:
             outputs_on=self.app.outputs_on,
         )
 
-    def data_to_send(self, limit: int | None = None) -> bytes:
-        """Return and forget the bytes that wait for the link, at most `limit`."""
-        return self.tx.take(limit)
-
-    def receive_frames(self, frames: Iterable[bytes]) -> None:
-        """Handle frames (header + payload each) that are meant for this node."""
-        for raw in frames:
-            self._receive(raw, parse_frame(raw))
+    def receive(self, raw: bytes) -> None:
+        """Handle a frame (header + payload) that is meant for this node."""
+        self._receive(raw, parse_frame(raw))
 
     def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
         """Answer a frame with an error; return the answer's bytes."""
@@ -375,7 +367,7 @@ class DeviceLink:
                 else:
                     first.refuse(frame, ErrorCode.UNKNOWN_NODE, raw[6])
             else:
-                session.receive_frames((raw,))
+                session.receive(raw)
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the 64-bit `tick` for every device."""
