@@ -225,7 +225,7 @@ def run_rows(summary: Summary) -> list[list[str]]:
             f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames; {link['retries']} retries",
         ],
         [
-            "by the drive",
+            "at the drive",
             f"{link['damaged_at_drive']} frames damaged, {link['setpoints_rejected']} setpoints rejected",
         ],
         ["link", f"{link['outages']} outages, {link['downtime_s']:.1f} s down, {link['reboots']} reboots"],
