@@ -27,7 +27,6 @@ from protocol.host import (
     ReplyReceived,
     RequestRefused,
     RequestTimedOut,
-    StreamFrames,
 )
 from protocol.links.base import Link
 from protocol.messages import (
@@ -42,7 +41,8 @@ from protocol.messages import (
     Setpoint,
     StreamEvent,
 )
-from protocol.streams import EdgeChunk, EdgeDecoder, LossCounters, SampleChunk, SampleDecoder, StreamConfig
+from protocol.streams import EdgeChunk, LossCounters, SampleChunk, StreamConfig
+from protocol.wire import Decoder, StreamFrames
 
 R = TypeVar("R", bound=Payload)
 
@@ -135,14 +135,14 @@ class Client:
     def __init__(self, link: Link, reconnect: float = 0.0) -> None:
         self.link = link
         self.reconnect = reconnect
-        self.session = HostSession()
+        self.session = HostSession(link.wire())
         self.sinks: list[Sink] = []
         self.health = LinkHealth()
         self.hello: HelloReply | None = None
         self.heartbeats: dict[int, Heartbeat] = {}
         self.bytes_in = 0
         self.on_reconnected: Callable[[bool], None] | None = None  # argument: the drive has rebooted
-        self._decoders: dict[tuple[int, int], SampleDecoder | EdgeDecoder] = {}
+        self._decoders: dict[tuple[int, int], Decoder] = {}
         self._closed: dict[int, Losses] = {}
         self._watches: dict[int, _Watch] = {}
         self._pending: _Pending | None = None
@@ -182,9 +182,7 @@ class Client:
         self.session.connect(self.nonce(), self.now())
         if not self.wait(lambda: self.hello is not None, timeout):
             framing = self.session.counters.framing
-            advice = "check power, cable, target and baud rate"
-            if self.bytes_in:
-                advice = "check the baud rate, and that it is an HBP device"
+            advice = self.session.wire.advice(bool(self.bytes_in))
             raise NoReply(
                 f"no HBP device answered on {self.link.name} within {timeout:g} s ({self.bytes_in} bytes heard, "
                 f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
@@ -306,15 +304,11 @@ class Client:
 
     # -- streams ------------------------------------------------------------------------------------------------
 
-    def decode(self, config: StreamConfig, ticks_per_period: int) -> None:
+    def decode(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> None:
         """Decode a stream from now on, as it was just configured."""
-        reference = self.session.tick_reference(config.node)
+        decoder = self.session.decoder(config, tick_hz, pwm_hz)
         self._retire(config.node, config.stream)
-        self._decoders[config.node, config.stream] = (
-            EdgeDecoder(config, reference)
-            if config.event == StreamEvent.EDGES
-            else SampleDecoder(config, ticks_per_period, reference)
-        )
+        self._decoders[config.node, config.stream] = decoder
 
     def losses(self, node: int) -> Losses:
         """Account of all that was streamed from `node`."""
@@ -381,8 +375,8 @@ def _refused(error: ErrorReply) -> Refused:
     return Refused(f"{kind} was refused: {error}", error.code, error.detail)
 
 
-def _added(losses: Losses, decoder: SampleDecoder | EdgeDecoder) -> Losses:
-    if isinstance(decoder, EdgeDecoder):
+def _added(losses: Losses, decoder: Decoder) -> Losses:
+    if decoder.config.event == StreamEvent.EDGES:
         return Losses(losses.samples, _sum(losses.edges, decoder.counters))
     return Losses(_sum(losses.samples, decoder.counters), losses.edges)
 

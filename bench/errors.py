@@ -14,6 +14,14 @@ class NodeError(BenchError):
     """A device on the link would not do what it was told."""
 
 
+class DoesNotFit(NodeError):
+    """A stream is more than the link carries. `decimation`: the smallest one that would fit, 0 if none does."""
+
+    def __init__(self, message: str, decimation: int) -> None:
+        super().__init__(message)
+        self.decimation = decimation
+
+
 class UnsafeError(BenchError):
     """Refused because it would energise a drive without an explicit act."""
 

@@ -4,25 +4,52 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from bench.bus import BusMeter
 from bench.client import Client
 from bench.node import Node
+from bench.scan import scan
 from bench.summary import describe
+from protocol.canmap.host import CanWire
+from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.links import open_link
 from protocol.messages import Heartbeat
 from protocol.signals import Flag
 
+SCAN_SECONDS = 0.3  # for which further nodes on a bus are waited for
+BUS_SECONDS = 1.0  # for which a bus is watched
 
-def inspect_nodes(target: str) -> list[dict[str, Any]]:
-    """All nodes on the link of `target`. Raises LinkError, NoReply or TargetError."""
+
+def inspect_link(target: str) -> dict[str, Any]:
+    """All nodes on the link of `target` and, on CAN, the bus. Raises LinkError, NoReply or TargetError."""
     link = open_link(target)
     try:
         client = Client(link)
         hello = client.connect()
-        numbers = {hello.node, *range(1, hello.nodes + 1)}
-        return [inspect_node(Node(client, number)) for number in sorted(numbers)]
+        numbers = {hello.node, *range(1, hello.nodes + 1), *(reply.node for reply in scan(link, SCAN_SECONDS))}
+        nodes = [Node(client, number) for number in sorted(numbers)]
+        return {
+            "target": target,
+            "nodes": [inspect_node(node) for node in nodes],
+            "bus": inspect_bus(client, next(node for node in nodes if node.number == hello.node)),
+        }
     finally:
         link.close()
+
+
+def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
+    """Load and traffic of a CAN bus as it is now, and which streams of the drive's channels fit; None on others."""
+    wire = client.session.wire
+    if not isinstance(wire, CanWire):
+        return None
+    meter = BusMeter(client)
+    client.run_for(BUS_SECONDS)
+    plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
+    widths = [np.dtype(channel.raw.dtype).itemsize for channel in drive.descriptor.channels]
+    fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
+    return (meter.report() or {}) | {"fits": fits}
 
 
 def inspect_node(node: Node) -> dict[str, Any]:

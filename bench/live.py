@@ -13,22 +13,24 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bench import __version__
+from bench.bus import BusMeter
 from bench.client import POLL, Client, SinkBase
 from bench.embedded import EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
-from bench.errors import BenchError, Interrupted, NodeError
+from bench.errors import BenchError, DoesNotFit, Interrupted, NodeError
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rerunio.schema import RunInfo
 from bench.show import SHOW, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
+from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
-from protocol.errors import HbpError, LinkError
+from protocol.errors import HbpError, LinkError, NoReply
 from protocol.links import Link, open_link
-from protocol.messages import DriveState, Role
+from protocol.messages import DriveState, HelloReply, Role
 from protocol.signals import AngleSource
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ class LiveOptions:
     viewer: str = "auto"
     channels: tuple[str, ...] | None = None
     rate_hz: float | None = None
+    fit: bool = False
     yes: bool = False
     clear_faults: bool = False
     host_observers: bool = False
@@ -122,6 +125,7 @@ class LiveRun:
         self._silent = False
         self._rebooted = False
         self._pole_pairs = 1.0
+        self._bus: dict[str, Any] | None = None
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -140,11 +144,20 @@ class LiveRun:
             f"{len(self.drive.descriptor.channels)} channels, state {hello.state.name}"
         )
         if self.options.load_a is not None or self.options.show:
-            if hello.nodes < LOAD:
-                raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
             self.load = Node(self.client, LOAD)
+            if not self._has_load(hello):
+                raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
             if self.load.identity.role != Role.LOAD:
                 raise BenchError(f"node {LOAD} on {self.target} is {self.load.identity.name}, not a load machine")
+
+    def _has_load(self, hello: HelloReply) -> bool:
+        """Whether node 2 is there; on a CAN bus only asking can tell."""
+        if hello.nodes >= LOAD or not isinstance(self.client.session.wire, CanWire):
+            return hello.nodes >= LOAD
+        try:
+            return bool(Node(self.client, LOAD).identity.nodes)
+        except NoReply:
+            return False
 
     def acts(self) -> tuple[Act, ...]:
         """What will be done to the motor; empty when it is only watched."""
@@ -188,7 +201,13 @@ class LiveRun:
                     + (f" and the channels {', '.join(missing)}" if missing else "")
                 )
         self.drive.set_edges()
-        self.drive.set_samples(channels, decimation)
+        try:
+            self.drive.set_samples(channels, decimation)
+        except DoesNotFit as error:
+            if not options.fit or not error.decimation or options.host_observers:
+                raise
+            self.drive.set_samples(channels, error.decimation)
+            self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
         return channels
 
     def go(
@@ -227,7 +246,7 @@ class LiveRun:
             self.client.sinks = [self._notes, stats, *outputs.sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
-            summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency)
+            summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result = result
             summary.live_view = outputs.viewed()
             with _undisturbed():
@@ -245,6 +264,7 @@ class LiveRun:
         """All between start and stop of the streams. Returns result, exit code, duration in s, CPU in percent."""
         options = self.options
         cpu, started = CpuMeter(), self.client.now()
+        meter = BusMeter(self.client)
         result, exit_code = "ok", 0
         try:
             self.drive.start_streams()
@@ -262,6 +282,7 @@ class LiveRun:
             result, exit_code = f"link lost: {error}", 1
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
+            self._bus = meter.report(self.drive.load)
             with _undisturbed():
                 self.make_safe()
         with _undisturbed(), suppress(HbpError):
@@ -396,7 +417,7 @@ def _decimation(pwm_hz: int, rate_hz: float | None) -> int:
     decimation = round(pwm_hz / rate_hz)
     if decimation > MAX_DECIMATION:
         raise BenchError(f"--rate {rate_hz:g} Hz is too low; the lowest is {pwm_hz / MAX_DECIMATION:g} Hz")
-    if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=1e-9):
+    if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=1e-4):
         near = pwm_hz / max(decimation, 1)
         raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
     return decimation

@@ -11,8 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from zlib import crc32
 
+import numpy as np
+
 from bench.client import Client
-from bench.errors import NodeError
+from bench.errors import DoesNotFit, NodeError
+from protocol.canmap.host import CanWire
+from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import NoReply, Refused
@@ -35,6 +39,8 @@ from protocol.messages import (
     StateCommand,
     StateReply,
     StreamEvent,
+    StreamGet,
+    StreamInfo,
     StreamReply,
     StreamSet,
     StreamStart,
@@ -47,6 +53,7 @@ from protocol.streams import StreamConfig
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
+MAX_STREAMS = 4
 _BLOB_PART = 512
 
 
@@ -73,6 +80,8 @@ class Node:
         self._identity: HelloReply | None = None
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
+        self.load = 0.0
+        """Share of the link that its streams take at most, by the device; 0 = unknown."""
 
     # -- identity and parameters --------------------------------------------------------------------------------
 
@@ -268,13 +277,28 @@ class Node:
         self._streams.clear()
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
-        """Configure the sample stream. Raises NodeError with what would fit when the link cannot carry it."""
+        """Configure the sample stream. Raises DoesNotFit, with what would fit, when the link cannot carry it."""
         ids = tuple(channel.id for channel in channels)
         return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids))
 
     def set_edges(self, max_latency_ms: int = 20) -> StreamConfig:
         """Configure the stream of Hall edges."""
         return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms))
+
+    def active_streams(self) -> list[StreamConfig]:
+        """The streams that are configured in it now, by whomever."""
+        configs = []
+        for number in range(MAX_STREAMS):
+            try:
+                info = self.client.request(StreamGet(number), self.number, StreamInfo)
+            except Refused as refusal:
+                if refusal.code != ErrorCode.UNKNOWN_ID:
+                    raise
+                continue
+            request = StreamSet(number, info.event, info.decimation, info.max_latency_ms, info.channels)
+            reply = StreamReply(number, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
+            configs.append(StreamConfig.of(self.number, request, reply, self.descriptor))
+        return configs
 
     def start_streams(self) -> None:
         """Start the streams that were configured."""
@@ -292,17 +316,38 @@ class Node:
         try:
             reply = self.client.request(request, self.number, StreamReply)
         except Refused as refusal:
-            raise NodeError(self._why_not(refusal, request)) from None
+            raise self._refusal(refusal, request) from None
         config = StreamConfig.of(self.number, request, reply, self.descriptor)
         self._streams[request.stream] = request
-        self.client.decode(config, self.identity.ticks_per_period)
+        self.load = reply.load
+        self.client.decode(config, self.identity.tick_hz, self.identity.pwm_hz)
         return config
 
-    def _why_not(self, refusal: Refused, request: StreamSet) -> str:
-        if refusal.code == ErrorCode.DOES_NOT_FIT:
-            rate = self.identity.pwm_hz / max(refusal.detail, 1)
-            return (
-                f"{len(request.channels)} channels at {self.identity.pwm_hz / request.decimation:g} Hz do not fit "
-                f"the link; they would at --rate {rate:g}, or choose fewer with --channels"
+    def _refusal(self, refusal: Refused, request: StreamSet) -> NodeError:
+        if refusal.code != ErrorCode.DOES_NOT_FIT:
+            return NodeError(f"node {self.number} refused to stream: {refusal}")
+        pwm_hz, link = self.identity.pwm_hz, self.client.link.name
+        asked = f"{_channels(len(request.channels))} at {pwm_hz / request.decimation:g} Hz"
+        decimation = int(refusal.detail) if request.channels else 0
+        wire = self.client.session.wire
+        if isinstance(wire, CanWire):
+            plan = BusPlan(wire.rates, wire.extended, pwm_hz, request.max_latency_ms)
+            by_id = {channel.id: channel for channel in self.descriptor.channels}
+            widths = [np.dtype(by_id[number].raw.dtype).itemsize for number in request.channels]
+            fits = ", ".join(
+                f"{_channels(fit.channels)} at {fit.rate:g} Hz ({fit.load:.0%})"
+                for fit in plan.choices(widths, request.decimation)
             )
-        return f"node {self.number} refused to stream: {refusal}"
+            why = (
+                f"{asked} would load {link} ({wire.rates}) to {plan.load(widths, request.decimation):.0%}; what fits: "
+                f"{fits or 'nothing'}: choose with --channels and --rate, or let --fit choose the rate"
+            )
+        else:
+            slower = f"they would at --rate {pwm_hz / max(decimation, 1):g} (--fit chooses it), or"
+            fits = slower if decimation else "nor do they slower:"
+            why = f"{asked} do not fit {link}; {fits} choose fewer with --channels"
+        return DoesNotFit(why, decimation)
+
+
+def _channels(n: int) -> str:
+    return "1 channel" if n == 1 else f"{n} channels"

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from bench.bus import bus_rows
 from bench.client import Client, SinkBase
 from bench.rerunio.schema import label
 from bench.statistics import DeviceCounters, ErrorTable, Moments, Percentiles, position_errors
@@ -123,6 +124,7 @@ class Summary:
     recording: dict[str, Any] = field(default_factory=dict)
     host_observers: dict[str, int] | None = None
     faults: list[str] = field(default_factory=list)
+    bus: dict[str, Any] | None = None
     result: str = "ok"
 
     def as_json(self) -> dict[str, Any]:
@@ -140,6 +142,7 @@ def summarise(
     duration: float,
     cpu_percent: float,
     latency: Percentiles | None,
+    bus: dict[str, Any] | None = None,
 ) -> Summary:
     """Put together what the client and the statistics have counted."""
     total = client.losses(stats.drive)
@@ -173,7 +176,8 @@ def summarise(
             "damaged": counters.framing.bad,
             "stale": samples.stale + edges.stale,
             "out_of_order": samples.out_of_order + edges.out_of_order,
-            "malformed": counters.malformed,
+            "late": samples.late + edges.late,
+            "malformed": counters.malformed + samples.malformed + edges.malformed,
             "unknown": counters.unknown_types + counters.other_versions,
             "unexpected_replies": counters.unexpected_replies,
             "retries": counters.retries,
@@ -185,6 +189,7 @@ def summarise(
         else None,
         first_sample_unix_s=stats.first_sample_unix,
         faults=fault_names(stats.faults),
+        bus=bus,
     )
 
 
@@ -218,7 +223,8 @@ def run_rows(summary: Summary) -> list[list[str]]:
         ["dropped by the drive", f"{lost.frames_by_device} frames"],
         [
             "damaged, stale, out of order",
-            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames",
+            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
+            + (f"; {link['late']} edges too late" if link["late"] else ""),
         ],
         [
             "malformed, unknown, unexpected",
@@ -230,6 +236,7 @@ def run_rows(summary: Summary) -> list[list[str]]:
         ],
         ["link", f"{link['outages']} outages, {link['downtime_s']:.1f} s down, {link['reboots']} reboots"],
         ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],
+        *([] if summary.bus is None else bus_rows(summary.bus)),
     ]
     if latency:
         rows.append(

@@ -24,6 +24,7 @@ class MessageType(IntEnum):
     STREAM_SET = 0x30
     STREAM_START = 0x31
     STREAM_STOP = 0x32
+    STREAM_GET = 0x33
     DATA = 0x40
     EDGES = 0x41
     EVENT = 0x42

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.descriptor import Descriptor
 from protocol.device_app import DeviceApp, Identity
+from protocol.device_carrier import ByteCarrier, Carrier
 from protocol.device_state import StateMachine
 from protocol.device_streams import StreamTable
 from protocol.device_tx import TxQueue
@@ -28,8 +29,6 @@ from protocol.framing import (
     REPLY,
     Deframer,
     Frame,
-    FramingCounters,
-    encode_frame,
     parse_frame,
 )
 from protocol.messages import (
@@ -38,6 +37,7 @@ from protocol.messages import (
     Alive,
     BlobRead,
     BlobReply,
+    Command,
     DeviceEvent,
     DriveState,
     Empty,
@@ -62,6 +62,8 @@ from protocol.messages import (
     Setpoint,
     StateCommand,
     StateReply,
+    StreamGet,
+    StreamInfo,
     StreamSet,
     StreamStart,
     StreamStop,
@@ -79,21 +81,30 @@ MIN_RX_MAX = 128  # a host takes at least this payload
 _ALWAYS_FRESH = (MessageType.HELLO, MessageType.TIME_SYNC)  # change nothing, and an old answer would mislead
 
 
-class DeviceSession:
-    """One device on a link. `link_counters` are those of the link's deframer, for the heartbeat."""
+class LinkCounters(Protocol):
+    """What a link's receiver counts."""
 
-    def __init__(self, app: DeviceApp, identity: Identity, tx: TxQueue, link_counters: FramingCounters) -> None:
+    @property
+    def bad(self) -> int:
+        """Damaged frames of every kind."""
+
+
+class DeviceSession:
+    """One device on a link. `link_counters` are those of the link's receiver, for the heartbeat."""
+
+    def __init__(self, app: DeviceApp, identity: Identity, carrier: Carrier, link_counters: LinkCounters) -> None:
         if identity.tick_hz % identity.pwm_hz:
             raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
         self.app = app
         self.identity = identity
         self.nodes = 1  # on the link
-        self.tx = tx
+        self.tx = carrier.tx
         self.descriptor = Descriptor.of(app.channels, app.parameters)
         self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self.event)
-        self.streams = StreamTable(identity, app.channels, self.tx)
+        self.streams = StreamTable(identity, app.channels, carrier)
         self.ignored = 0  # frames that are replies themselves
         self.setpoints_rejected = 0
+        self._encode = carrier.encode
         self._link_counters = link_counters
         self._blob = self.descriptor.pack()
         self._parameters = {parameter.id: parameter for parameter in app.parameters}
@@ -117,6 +128,7 @@ class DeviceSession:
             StreamSet: self._stream_set,
             StreamStart: self._stream_start,
             StreamStop: self._stream_stop,
+            StreamGet: self._stream_get,
         }
 
     @property
@@ -133,7 +145,7 @@ class DeviceSession:
             period = self.identity.tick_hz // HEARTBEATS_PER_SECOND
             self._next_heartbeat = tick - tick % period + period
             frame = Frame(MessageType.HEARTBEAT, MAJOR, 0, self.identity.node, self.heartbeat().pack())
-            self.tx.put_latest(self.identity.node, encode_frame(frame))
+            self.tx.put_latest(self.identity.node, self._encode(frame))
 
     def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
         """Take n samples of consecutive PWM periods, one field per channel of the app, in its order.
@@ -175,11 +187,16 @@ class DeviceSession:
             watchdog_ms=machine.watchdog_ms(self._tick),
             state=machine.state,
             outputs_on=self.app.outputs_on,
+            edges=self.streams.edges & 0xFFFFFFFF,
         )
 
     def receive(self, raw: bytes) -> None:
         """Handle a frame (header + payload) that is meant for this node."""
         self._receive(raw, parse_frame(raw))
+
+    def stop(self) -> None:
+        """Carry out a STOP that nobody waits for."""
+        self.machine.command(Command.STOP, 0, self._tick)
 
     def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
         """Answer a frame with an error; return the answer's bytes."""
@@ -222,12 +239,12 @@ class DeviceSession:
         return self._answer(frame, reply, REPLY)
 
     def _answer(self, frame: Frame, reply: Payload, flags: int) -> bytes:
-        wire = encode_frame(Frame(frame.type, MAJOR | flags, frame.tid, self.identity.node, reply.pack()))
+        wire = self._encode(Frame(frame.type, MAJOR | flags, frame.tid, self.identity.node, reply.pack()))
         self.tx.put_control(wire)
         return wire
 
     def _send(self, message: Message) -> None:
-        self.tx.put_event(encode_frame(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
+        self.tx.put_event(self._encode(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
 
     def _hello(self, request: Hello) -> HelloReply:
         if not request.major_min <= MAJOR <= request.major_max:
@@ -328,6 +345,9 @@ class DeviceSession:
     def _stream_set(self, request: StreamSet) -> Payload:
         return self.streams.configure(request, self._tx_max)
 
+    def _stream_get(self, request: StreamGet) -> StreamInfo:
+        return self.streams.describe(request.stream)
+
     def _stream_start(self, request: StreamStart) -> Empty:
         self.streams.start(request.mask)
         return Empty()
@@ -349,7 +369,7 @@ class DeviceLink:
         """Return the session of one more device; ValueError if its node is taken."""
         if identity.node in self.sessions or not 1 <= identity.node <= 255:
             raise ValueError(f"node {identity.node} is taken or not in 1..255")
-        session = DeviceSession(app, identity, self.tx, self.deframer.counters)
+        session = DeviceSession(app, identity, ByteCarrier(self.tx), self.deframer.counters)
         self.sessions[identity.node] = session
         for each in self.sessions.values():
             each.nodes = len(self.sessions)

@@ -16,7 +16,10 @@ from protocol.signals import Parameter, Signal
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What HELLO says of a device. `boot_id` differs from boot to boot; tick_hz is a multiple of pwm_hz."""
+    """What HELLO says of a device. `boot_id` differs from boot to boot; tick_hz is a multiple of pwm_hz.
+
+    `tick0`, in the replies to STREAM_SET: the tick of PWM period 0.
+    """
 
     node: int
     role: Role
@@ -28,6 +31,7 @@ class Identity:
     features: Feature = Feature.EDGES
     rx_max: int = MAX_PAYLOAD
     tx_max: int = MAX_PAYLOAD
+    tick0: int = 0
 
 
 class DeviceApp(Protocol):

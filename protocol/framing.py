@@ -40,6 +40,19 @@ class Frame(NamedTuple):
     node: int
     payload: bytes
 
+    def pack(self) -> bytes:
+        """Return header + payload.
+
+        Raises LocalProtocolError if the payload is longer than 1024 bytes or a header field does not fit.
+        """
+        type_, flags, tid, node, payload = self
+        if len(payload) > MAX_PAYLOAD:
+            raise LocalProtocolError(f"payload of {len(payload)} bytes: a frame carries at most {MAX_PAYLOAD}")
+        try:
+            return _HEADER.pack(type_, flags, tid, len(payload), node, 0) + payload
+        except struct.error as error:
+            raise LocalProtocolError(f"frame header {self[:4]} does not fit: {error}") from None
+
     @property
     def major(self) -> int:
         """Protocol major version of the sender."""
@@ -57,22 +70,8 @@ class Frame(NamedTuple):
 
 
 def encode_frame(frame: Frame) -> bytes:
-    """Return the wire bytes of a frame, with both delimiters.
-
-    Raises LocalProtocolError if the payload is longer than 1024 bytes or a header field does not fit.
-    """
-    type_, flags, tid, node, payload = frame
-    if len(payload) > MAX_PAYLOAD:
-        raise LocalProtocolError(f"payload of {len(payload)} bytes: a frame carries at most {MAX_PAYLOAD}")
-    try:
-        body = _HEADER.pack(type_, flags, tid, len(payload), node, 0) + payload
-    except struct.error as error:
-        raise LocalProtocolError(f"frame header {frame[:4]} does not fit: {error}") from None
-    return encode_body(body)
-
-
-def encode_body(body: bytes) -> bytes:
-    """Return the wire bytes of a ready header + payload (whose length field must be right)."""
+    """Return the wire bytes of a frame, with both delimiters; errors as `Frame.pack`."""
+    body = frame.pack()
     encoded: bytes = cobs.encode(body + crc32(body).to_bytes(4, "little"))
     return b"\0" + encoded + b"\0"
 

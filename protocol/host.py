@@ -11,15 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from protocol.errors import LocalProtocolError
-from protocol.framing import (
-    CONNECT_PREAMBLE,
-    MAJOR,
-    Deframer,
-    Frame,
-    FramingCounters,
-    encode_frame,
-    parse_frame,
-)
+from protocol.framing import MAJOR, Frame, parse_frame
 from protocol.messages import (
     REPLIES,
     UNACKNOWLEDGED,
@@ -37,7 +29,8 @@ from protocol.messages import (
     Request,
     TimeSyncReply,
 )
-from protocol.streams import STREAM_OFFSET, TickReference
+from protocol.streams import StreamConfig, TickReference
+from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames, WireCounters
 
 TRIES = 3
 BASE_TIMEOUT = 0.1  # s, to which two round trips are added
@@ -106,19 +99,6 @@ class LogReceived:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamFrames:
-    """Frames of one stream (header + payload each), DATA or EDGES by `type`, in the order they came.
-
-    Edges come before the samples that they precede.
-    """
-
-    node: int
-    stream: int
-    type: MessageType
-    frames: list[bytes]
-
-
-@dataclass(frozen=True, slots=True)
 class Rebooted:
     """A device has another boot_id than before: whatever was set up in it is gone."""
 
@@ -144,7 +124,7 @@ Event = (
 class HostCounters:
     """Frames that were intact but dropped, and requests that were repeated."""
 
-    framing: FramingCounters
+    framing: WireCounters
     unexpected_replies: int = 0  # to no outstanding request, or to another nonce
     malformed: int = 0  # payload that its message does not allow
     unknown_types: int = 0
@@ -155,9 +135,7 @@ class HostCounters:
 @dataclass(slots=True)
 class _Pending:
     message: Request
-    node: int
-    tid: int
-    wire: bytes
+    frame: Frame
     connecting: bool
     sent: float
     deadline: float
@@ -165,11 +143,14 @@ class _Pending:
 
 
 class HostSession:
-    """One link's host end. Feed it with `receive_data` and `tick`; empty `next_event` and `data_to_send`."""
+    """One link's host end. Feed it with `receive_data` and `tick`; empty `next_event` and `data_to_send`.
 
-    def __init__(self) -> None:
-        self.deframer = Deframer()
-        self.counters = HostCounters(self.deframer.counters)
+    `wire` is the link's language, that of byte links by default.
+    """
+
+    def __init__(self, wire: HostWire | None = None) -> None:
+        self.wire: HostWire = ByteWire() if wire is None else wire
+        self.counters = HostCounters(self.wire.counters)
         self.hellos: dict[int, HelloReply] = {}  # newest reply by node
         self.round_trip = 0.0  # s, smoothed
         self._boot_ids: dict[int, int] = {}
@@ -193,9 +174,8 @@ class HostSession:
 
         `nonce` must be new and unguessed by older traffic; `now` in s, of any monotonic clock.
         """
-        self.deframer.reset()
         self._pending = None
-        self._out.append(CONNECT_PREAMBLE)
+        self._out.append(self.wire.preamble())
         return self._transmit(Hello(nonce), node, now, connecting=True)
 
     def request(self, message: Request, node: int, now: float) -> int:
@@ -214,7 +194,7 @@ class HostSession:
         """Send an unacknowledged message (ALIVE, SETPOINT)."""
         if message.TYPE not in UNACKNOWLEDGED:
             raise LocalProtocolError(f"{message.TYPE.name} has a reply: use request")
-        self._out.append(encode_frame(Frame(message.TYPE, MAJOR, 0, node, message.pack())))
+        self._out.append(self.wire.encode(Frame(message.TYPE, MAJOR, 0, node, message.pack())))
 
     def cancel(self) -> None:
         """Abandon the outstanding request, if any; a late reply counts as unexpected."""
@@ -242,9 +222,9 @@ class HostSession:
         if not pending.connecting and pending.tries >= TRIES:
             self._pending = None
             kind = pending.message.TYPE
-            self._events.append(RequestTimedOut(pending.tid, pending.node, kind, pending.tries))
+            self._events.append(RequestTimedOut(pending.frame.tid, pending.frame.node, kind, pending.tries))
             return
-        self._out.append(pending.wire)
+        self._out.append(self.wire.encode(pending.frame))
         self.counters.retries += 1
         pending.sent = now
         pending.tries += 1
@@ -252,27 +232,15 @@ class HostSession:
 
     def receive_data(self, data: bytes, now: float) -> None:
         """Take bytes from the link, cut anywhere."""
-        groups: dict[tuple[int, int, int], list[bytes]] = {}
-        for raw in self.deframer.feed(data):
-            kind = raw[0]
-            if (kind == 0x40 or kind == 0x41) and raw[1] == MAJOR and len(raw) >= STREAM_OFFSET:
-                key = (kind, raw[6], raw[8])
-                if key in groups:
-                    groups[key].append(raw)
-                else:
-                    groups[key] = [raw]
+        for item in self.wire.feed(data):
+            if isinstance(item, StreamFrames):
+                self._events.append(item)
             else:
-                self._deliver(groups)
-                self._receive(parse_frame(raw), now)
-        self._deliver(groups)
+                self._receive(parse_frame(item), now)
 
-    def _deliver(self, groups: dict[tuple[int, int, int], list[bytes]]) -> None:
-        """Turn collected stream frames into events: edges first, so that they never trail samples."""
-        for kind in (MessageType.EDGES, MessageType.DATA):
-            for (each, node, stream), frames in groups.items():
-                if each == kind:
-                    self._events.append(StreamFrames(node, stream, kind, frames))
-        groups.clear()
+    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> Decoder:
+        """Return a decoder for the frames of a stream, as it was just configured."""
+        return self.wire.decoder(config, tick_hz, pwm_hz, self.tick_reference(config.node))
 
     def _receive(self, frame: Frame, now: float) -> None:
         counters = self.counters
@@ -295,7 +263,8 @@ class HostSession:
     def _receive_unsolicited(self, node: int, message: Message) -> None:
         if isinstance(message, Heartbeat):
             self._note_boot(node, message.boot_id)
-            self.tick_reference(node).tick = message.tick
+            reference = self.tick_reference(node)
+            reference.tick, reference.edges = message.tick, message.edges
             self._events.append(HeartbeatReceived(node, message))
         elif isinstance(message, DeviceEvent):
             self._events.append(DeviceEventReceived(node, message))
@@ -304,7 +273,7 @@ class HostSession:
 
     def _receive_reply(self, frame: Frame, now: float) -> None:
         pending = self._pending
-        if pending is None or frame.tid != pending.tid or frame.type != pending.message.TYPE:
+        if pending is None or frame.tid != pending.frame.tid or frame.type != pending.message.TYPE:
             self.counters.unexpected_replies += 1
             return
         try:
@@ -317,7 +286,7 @@ class HostSession:
             self._events.append(RequestRefused(frame.tid, frame.node, message))
             return
         foreign = isinstance(message, HelloReply) and message.nonce != getattr(pending.message, "nonce", None)
-        if foreign or pending.node not in (0, frame.node):
+        if foreign or pending.frame.node not in (0, frame.node):
             self.counters.unexpected_replies += 1
             return
         self._pending = None
@@ -343,11 +312,11 @@ class HostSession:
 
     def _transmit(self, message: Request, node: int, now: float, connecting: bool) -> int:
         tid = self._tid % 0xFFFF + 1
-        wire = encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
+        frame = Frame(message.TYPE, MAJOR, tid, node, message.pack())
         self._tid = tid
-        self._out.append(wire)
+        self._out.append(self.wire.encode(frame))
         deadline = now + self._timeout(connecting, 1)
-        self._pending = _Pending(message, node, tid, wire, connecting, now, deadline)
+        self._pending = _Pending(message, frame, connecting, now, deadline)
         return tid
 
     def _timeout(self, connecting: bool, tries: int) -> float:

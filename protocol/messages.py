@@ -9,7 +9,7 @@ imported from here. This module knows no framing, no session and no time.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Self
 
 from protocol.codes import (
@@ -32,8 +32,8 @@ __all__ = [
     "ErrorReply", "EventCode", "Fault", "Feature", "Heartbeat", "Hello", "HelloReply", "Log", "Message",
     "MessageType", "ParamCommit", "ParamGet", "ParamReply", "ParamSet", "ParamStored", "Payload",
     "PayloadError", "REPLIES", "REQUESTS", "Request", "Role", "Setpoint", "SetpointMode", "StateCommand",
-    "StateReply", "StreamEvent", "StreamReply", "StreamSet", "StreamStart", "StreamStop", "TimeSync",
-    "TimeSyncReply", "UNACKNOWLEDGED", "UNSOLICITED",
+    "StateReply", "StreamEvent", "StreamGet", "StreamInfo", "StreamReply", "StreamSet", "StreamStart", "StreamStop",
+    "TimeSync", "TimeSyncReply", "UNACKNOWLEDGED", "UNSOLICITED",
 ]  # fmt: skip
 
 
@@ -111,7 +111,7 @@ class Heartbeat(Message):
     """Health, 10 Hz. `watchdog_ms` is 0xFFFF when the watchdog is not at work; `tx_dropped` counts frames."""
 
     TYPE = MessageType.HEARTBEAT
-    _LAYOUT = struct.Struct("<QIIIIIHHHHBB2x")
+    _LAYOUT = struct.Struct("<QIIIIIHHHHBB2xI")
     tick: int
     boot_id: int
     faults: Fault
@@ -124,6 +124,7 @@ class Heartbeat(Message):
     watchdog_ms: int
     state: DriveState
     outputs_on: bool
+    edges: int = 0
     _CONVERT = {"faults": Fault, "first_fault": Fault, "state": DriveState, "outputs_on": bool}  # noqa: RUF012
 
 
@@ -292,15 +293,20 @@ class StreamSet(Request):
 
 @dataclass(frozen=True, slots=True)
 class StreamReply(Message):
-    """The stream as configured. `block`: most samples in a frame; `load`: share of the link, 0 = unknown."""
+    """The stream as configured. `block`: most samples in a frame; `load`: share of the link, 0 = unknown.
+
+    `tick0`: tick of PWM period 0. `slot`: on CAN, the first one of the stream's frames, else 0.
+    """
 
     TYPE = MessageType.STREAM_SET
-    _LAYOUT = struct.Struct("<BxHHHf")
+    _LAYOUT = struct.Struct("<BxHHHfB3xQ")
     stream: int
     cfg_id: int
     sample_bytes: int
     block: int
     load: float
+    slot: int = 0
+    tick0: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,6 +325,50 @@ class StreamStop(Request):
     TYPE = MessageType.STREAM_STOP
     _LAYOUT = struct.Struct("<I")
     mask: int = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class StreamGet(Request):
+    """Asks how a stream is configured."""
+
+    TYPE = MessageType.STREAM_GET
+    _LAYOUT = struct.Struct("<B3x")
+    stream: int
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo(Message):
+    """A configured stream: what STREAM_SET asked for, and what its reply said."""
+
+    TYPE = MessageType.STREAM_GET
+    _LAYOUT = struct.Struct("<BBBBHHHHH2xQH")
+    stream: int
+    running: bool
+    event: StreamEvent
+    slot: int
+    decimation: int
+    max_latency_ms: int
+    cfg_id: int
+    sample_bytes: int
+    block: int
+    tick0: int
+    channels: tuple[int, ...] = ()
+    _CONVERT = {"running": bool, "event": StreamEvent}  # noqa: RUF012
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        n = len(self.channels)
+        return self._pack_fixed([*astuple(self)[:-1], n]) + struct.pack(f"<{n}H", *self.channels)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message."""
+        values = cls._unpack_fixed(payload)
+        n = values.pop("channels")
+        ids = payload[cls._LAYOUT.size :][: 2 * n]
+        if len(ids) != 2 * n:
+            raise PayloadError(f"StreamInfo with {len(ids)} bytes of ids for {n} channels", bad_length=True)
+        return cls(**values, channels=struct.unpack(f"<{n}H", ids))
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,7 +429,7 @@ REQUESTS: dict[int, type[Request]] = {
     cls.TYPE: cls
     for cls in (
         Hello, TimeSync, Alive, BlobRead, ParamGet, ParamSet, ParamCommit,
-        StateCommand, Setpoint, StreamSet, StreamStart, StreamStop,
+        StateCommand, Setpoint, StreamSet, StreamStart, StreamStop, StreamGet,
     )
 }  # fmt: skip
 UNACKNOWLEDGED = frozenset({MessageType.ALIVE, MessageType.SETPOINT})
@@ -395,5 +445,6 @@ REPLIES: dict[int, type[Payload]] = {
     MessageType.STREAM_SET: StreamReply,
     MessageType.STREAM_START: Empty,
     MessageType.STREAM_STOP: Empty,
+    MessageType.STREAM_GET: StreamInfo,
 }
 UNSOLICITED: dict[int, type[Message]] = {cls.TYPE: cls for cls in (Heartbeat, DeviceEvent, Log)}

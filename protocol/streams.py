@@ -41,10 +41,13 @@ class TickReference:
     """The newest 64-bit tick known of a device; 32-bit ticks are unwrapped to the value nearest to it.
 
     Heartbeats (10 Hz) and TIME_SYNC keep it fresh. Sound as long as it is within 2^31 ticks (107 s at 20
-    MHz).
+    MHz). `edges`: the count of Hall edges in the newest heartbeat; `sampled`: tick of the newest sample delivered
+    of a stream on CAN.
     """
 
     tick: int = 0
+    edges: int = 0
+    sampled: int = -1
 
     def unwrap(self, ticks: NDArray[np.uint32]) -> I64:
         """Return 64-bit ticks for 32-bit ones, without changing the reference."""
@@ -58,7 +61,10 @@ class TickReference:
 
 @dataclass(frozen=True)
 class StreamConfig:
-    """A stream as the device configured it. `block`: most records in a frame; edges have no channels."""
+    """A stream as the device configured it. `block`: most records in a frame; edges have no channels.
+
+    On CAN: `slot`, the first one of its frames, and `tick0`, the tick of PWM period 0.
+    """
 
     node: int
     stream: int
@@ -67,6 +73,8 @@ class StreamConfig:
     decimation: int
     channels: tuple[Channel | Signal, ...]
     block: int
+    slot: int = 0
+    tick0: int = 0
 
     @classmethod
     def of(cls, node: int, request: StreamSet, reply: StreamReply, descriptor: Descriptor) -> Self:
@@ -82,6 +90,8 @@ class StreamConfig:
             decimation=request.decimation,
             channels=tuple(by_id[number] for number in request.channels),
             block=reply.block,
+            slot=reply.slot,
+            tick0=reply.tick0,
         )
         if reply.stream != request.stream or reply.sample_bytes != config.dtype.itemsize or reply.block < 1:
             raise RemoteProtocolError(
@@ -159,7 +169,7 @@ class LossCounters:
     """Account of one stream since its configuration.
 
     `lost_by_index` counts records, `lost_by_seq` frames; `overruns` frames that carried the flag. The last
-    three count frames that were rejected.
+    four count frames that were rejected, or (`late`) edges that came after samples that they should precede.
     """
 
     samples: int = 0
@@ -170,6 +180,7 @@ class LossCounters:
     stale: int = 0  # of another configuration
     out_of_order: int = 0  # repeated, or older than what was delivered
     malformed: int = 0  # length and number of records disagree
+    late: int = 0
 
 
 @dataclass(slots=True)

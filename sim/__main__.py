@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from protocol.errors import HbpError
-from sim.drive.server import CONTROLS, ServeOptions, parse_override, serve
+from sim.drive.server import CONTROLS, ServeOptions, can_rates, parse_override, serve
 from sim.params import ConfigError
 
 
@@ -23,6 +23,12 @@ def main(arguments: list[str] | None = None) -> int:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="behind a pseudo terminal, like a serial port (default)")
     where.add_argument("--tcp", metavar="HOST:PORT", help="behind TCP, for one client at a time; port 0 = any free")
+    where.add_argument("--slcan", action="store_true", help="on a CAN bus, behind an slcan adapter on a pty")
+    where.add_argument("--socketcand", metavar="HOST:PORT", help="on a CAN bus (classic), behind a socketcand server")
+    parser.add_argument("--bitrate", type=int, default=1_000_000, metavar="N", help="of the CAN bus")
+    parser.add_argument("--fd", action="store_true", help="CAN FD")
+    parser.add_argument("--data-bitrate", type=int, metavar="N", help="of CAN FD's data phase; without: 5000000")
+    parser.add_argument("--ext", action="store_true", help="29-bit identifiers on the CAN bus")
     parser.add_argument("--link", type=Path, metavar="PATH", help="symbolic link to the pty, kept across a replug")
     parser.add_argument("--baud", type=int, metavar="N", help="act as a UART of this rate; without: as a USB port")
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file with the figures that differ")
@@ -35,6 +41,10 @@ def main(arguments: list[str] | None = None) -> int:
         serve(
             ServeOptions(
                 tcp=given.tcp,
+                slcan=given.slcan,
+                socketcand=given.socketcand,
+                rates=can_rates(given.bitrate, given.fd, given.data_bitrate),
+                extended=given.ext,
                 link=given.link,
                 baud=given.baud,
                 config=given.config,

@@ -28,17 +28,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
 
-# Of `sim/drive` only the control tick is made of kernels; links, servers and parameters are not.
+# Of `sim/drive` only the control tick and the lengths of CAN frames are kernels; links, servers and parameters are not.
 _PLAIN = ("drive", "params.py", "ranges.py", "__main__.py")
-_KERNELS_IN_DRIVE = "drive/tick*.py"
-_IN_PROTOCOL = ("messages.py", "signals.py", "streams.py")  # constants that kernels take in
+_KERNELS_IN_DRIVE = ("drive/tick*.py", "drive/can_bits.py")
+_IN_PROTOCOL = ("messages.py", "signals.py", "streams.py", "canmap/frame.py")  # constants that kernels take in
 
 
 def _kernel_sources() -> list[Path]:
     sources = [p for p in _HERE.rglob("*.py") if p.relative_to(_HERE).parts[0] not in _PLAIN]
     return [
         *sorted(sources),
-        *sorted(_HERE.glob(_KERNELS_IN_DRIVE)),
+        *sorted(path for pattern in _KERNELS_IN_DRIVE for path in _HERE.glob(pattern)),
         *(_HERE.parent / "protocol" / name for name in _IN_PROTOCOL),
     ]
 

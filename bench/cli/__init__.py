@@ -17,9 +17,10 @@ from bench.errors import BenchError, Interrupted
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
-    "sim": "Run the simulated drive on its own, behind a pty or TCP.",
-    "devices": "List the serial ports that a drive may be on.",
+    "sim": "Run the simulated drive on its own, behind a pty, TCP or CAN.",
+    "devices": "List the ports and buses that a drive may be on, or who is on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",
+    "protocol": "HBP for other tools: a DBC file of the streams on a CAN bus.",
     "completion": "Print the shell completion script.",
 }
 

@@ -1,24 +1,60 @@
-"""`bench devices`: the ports that a drive may be on."""
+"""`bench devices`: the ports and buses that a drive may be on, and who is on one of them."""
 
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
 
+from bench.cli.target import TARGET
+
+_NO_ADAPTERS = {"virtual", "udp_multicast", "serial", "slcan", "socketcand"}
+"""Interfaces of python-can that have no adapter to find, or only serial ports, which are listed anyway."""
+
+_DETECTION = 2.0  # s
+
 
 @click.command("devices")
+@click.argument("target", type=TARGET, required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-def command(as_json: bool) -> None:
-    """List serial ports with their descriptions, and the target string of each.
+def command(target: str | None, as_json: bool) -> None:
+    """List serial ports and CAN interfaces with the target string of each; with TARGET, the nodes on that link or bus.
 
     \b
-    Example:
-      bench devices --json
+    Examples:
+      bench devices
+      bench devices can:socketcan/can0
     """
+    if target is None:
+        rows: list[dict[str, Any]] = [*_serial_ports(), *_can_interfaces()]
+        headers, keys = ["target", "description", "USB id", "serial number"], list(_PORT)
+        nothing = (
+            "no serial ports and no CAN interfaces found; `bench live` runs the simulated drive, "
+            "tcp:HOST:PORT reaches one on the network"
+        )
+    else:
+        rows = _nodes(target)
+        headers, keys = ["node", "role", "name", "firmware", "state", "boot"], list(_NODE)
+        nothing = f"nobody who speaks HBP answered on {target}"
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    elif not rows:
+        click.echo(nothing)
+    else:
+        from bench.cli.output import table
+
+        table(headers, [[str(row[key]) for key in keys] for row in rows])
+
+
+_PORT = ("target", "description", "usb_id", "serial_number")
+_NODE = ("node", "role", "name", "firmware", "state", "boot_id")
+
+
+def _serial_ports() -> list[dict[str, Any]]:
     from serial.tools import list_ports
 
-    ports = [
+    return [
         {
             "target": f"serial:{port.device}",
             "description": port.description if port.description != "n/a" else "",
@@ -28,17 +64,34 @@ def command(as_json: bool) -> None:
         }
         for port in sorted(list_ports.comports())
     ]
-    if as_json:
-        click.echo(json.dumps(ports, indent=2))
-        return
-    if not ports:
-        click.echo(
-            "no serial ports found; `bench live` runs the simulated drive, tcp:HOST:PORT reaches one on the network"
-        )
-        return
-    from bench.cli.output import table
 
-    table(
-        ["target", "description", "USB id", "serial number"],
-        [[p["target"], p["description"], p["usb_id"], p["serial_number"]] for p in ports],
-    )
+
+def _can_interfaces() -> list[dict[str, Any]]:
+    import logging
+
+    import can
+
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # it tells of each driver that is not installed
+    found = can.detect_available_configs(sorted(can.VALID_INTERFACES - _NO_ADAPTERS), timeout=_DETECTION)
+    return [
+        {
+            "target": f"can:{config['interface']}/{config['channel']}",
+            "description": f"CAN by {config['interface']}",
+            "manufacturer": "",
+            "serial_number": str(config.get("serial", "") or config.get("unique_hardware_id", "") or ""),
+            "usb_id": "",
+        }
+        for config in found
+    ]
+
+
+def _nodes(target: str) -> list[dict[str, Any]]:
+    from bench.scan import scan
+    from bench.summary import describe
+    from protocol.links import open_link
+
+    link = open_link(target)
+    try:
+        return [describe(reply) | {"state": reply.state.name} for reply in scan(link)]
+    finally:
+        link.close()

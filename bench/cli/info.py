@@ -23,19 +23,21 @@ def command(target: str, as_json: bool) -> None:
       bench info sim --json
     """
     from bench.cli.output import note
-    from bench.inspect import inspect_nodes
+    from bench.inspect import inspect_link
 
     with ExitStack() as stack:
         if target == "sim":
             from bench.embedded import EmbeddedDrive
 
             target = stack.enter_context(EmbeddedDrive(note=note)).target
-        nodes = inspect_nodes(target)
+        found = inspect_link(target)
     if as_json:
-        click.echo(json.dumps({"target": target, "nodes": nodes}, indent=2))
+        click.echo(json.dumps(found, indent=2))
         return
-    for node in nodes:
+    for node in found["nodes"]:
         _show(target, node)
+    if found["bus"] is not None:
+        _show_bus(target, found["bus"])
 
 
 def _show(target: str, node: dict[str, Any]) -> None:
@@ -58,6 +60,23 @@ def _show(target: str, node: dict[str, Any]) -> None:
         ],
     )
     click.echo()
+
+
+def _show_bus(target: str, bus: dict[str, Any]) -> None:
+    from bench.bus import bus_rows
+    from bench.cli.output import pairs, table
+
+    pairs(f"the bus of {target}, watched for a second", bus_rows(bus))
+    click.echo()
+    table(
+        ["what fits on it, beside nothing else", "rate, Hz", "load at most"],
+        [[_channels(fit["channels"]), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
+    )
+    click.echo()
+
+
+def _channels(n: int) -> str:
+    return "1 channel" if n == 1 else f"{n} channels"
 
 
 def _text(value: object) -> str:

@@ -49,6 +49,7 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
     type=Number(above=0),
     help="Sample rate (default: every PWM period).",
 )
+@click.option("--fit", is_flag=True, help="If the link cannot carry that: the highest rate that fits.")
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
 @click.option("--clear-faults", is_flag=True, help="Clear the faults that the drive shows before it is armed.")
 @click.option(
@@ -67,8 +68,9 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
 def command(target: str | None, json_file: str | None, channels: str | None, config: str | None, **given: Any) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
-    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, or sim. Without TARGET the simulated drive plays a short
-    show: start-up, speed step and load step with the average-speed estimator, then with the vector-tracking observer.
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim. Without TARGET the simulated
+    drive plays a short show: start-up, speed step and load step with the average-speed estimator, then with the
+    vector-tracking observer.
 
     \b
     Examples:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,6 +13,13 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.command("sim")
 @click.option("--pty", is_flag=True, help="Behind a pseudo terminal, like a serial port (the default).")
 @click.option("--tcp", metavar="HOST:PORT", help="Behind TCP, for one client at a time; port 0 takes any free one.")
+@click.option("--slcan", is_flag=True, help="On a CAN bus, behind an slcan adapter on a pseudo terminal.")
+@click.option("--socketcand", metavar="HOST:PORT", help="On a CAN bus (classic), behind a socketcand server.")
+@click.option("--virtual", metavar="CHANNEL", help="On a CAN bus, python-can's virtual one: for this process only.")
+@click.option("--bitrate", metavar="N", type=int, default=1_000_000, show_default=True, help="Of the CAN bus.")
+@click.option("--fd", is_flag=True, help="CAN FD.")
+@click.option("--data-bitrate", metavar="N", type=int, help="Of CAN FD's data phase [default: 5000000].")
+@click.option("--ext", is_flag=True, help="29-bit identifiers on the CAN bus, as beside CANopen.")
 @click.option("--link", metavar="PATH", type=_FILE, help="Symbolic link to the pty, kept across a replug.")
 @click.option("--baud", metavar="N", type=int, help="Act as a UART of this rate (default: as a USB port).")
 @click.option("--config", metavar="FILE", type=_FILE, help="TOML file with the figures that differ.")
@@ -20,13 +28,12 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
 def command(
     pty: bool,
-    tcp: str | None,
-    link: Path | None,
-    baud: int | None,
-    config: Path | None,
+    bitrate: int,
+    fd: bool,
+    data_bitrate: int | None,
+    ext: bool,
     settings: tuple[str, ...],
-    seed: int | None,
-    store: Path | None,
+    **given: Any,
 ) -> None:
     """Run the simulated drive and load machine in real time; print the target string to connect with.
 
@@ -36,10 +43,14 @@ def command(
     Examples:
       bench sim --pty
       bench sim --tcp 127.0.0.1:7000 --set inverter.dead_time=2e-6
+      bench sim --slcan --fd
     """
-    if pty and tcp:
-        raise click.UsageError("choose --pty or --tcp, not both")
-    from sim.drive.server import ServeOptions, parse_override, serve
+    places = [name for name in ("tcp", "slcan", "socketcand", "virtual") if given[name]] + ["pty"] * pty
+    if len(places) > 1:
+        raise click.UsageError(f"choose one of {', '.join(f'--{name}' for name in places)}")
+    if data_bitrate is not None and not fd:
+        raise click.UsageError("--data-bitrate is that of CAN FD: add --fd")
+    from sim.drive.server import ServeOptions, can_rates, parse_override, serve
 
     overrides = dict(parse_override(text) for text in settings)
-    serve(ServeOptions(tcp=tcp, link=link, baud=baud, config=config, overrides=overrides, seed=seed, store=store))
+    serve(ServeOptions(rates=can_rates(bitrate, fd, data_bitrate), extended=ext, overrides=overrides, **given))

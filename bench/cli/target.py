@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import socket
+
 import click
 from click.shell_completion import CompletionItem
 
 
 class TargetType(click.ParamType[str]):
-    """A target string; read by `protocol.links`, completed with the serial ports of this machine."""
+    """A target string; read by `protocol.links`, completed with the serial ports and CAN interfaces of this machine."""
 
     name = "target"
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """`sim`, the serial ports that are there, and the form of a TCP target."""
+        """`sim`, the form of a TCP target, and the ports that are there, serial ones also as slcan adapters."""
         from serial.tools import list_ports
 
-        known = ["sim", "tcp:127.0.0.1:", *(f"serial:{port.device}" for port in list_ports.comports())]
+        ports = [port.device for port in list_ports.comports()]
+        known = ["sim", "tcp:127.0.0.1:", *(f"serial:{port}" for port in ports)]
+        known += [f"can:socketcan/{name}" for _, name in socket.if_nameindex() if "can" in name]
+        known += [f"can:slcan/{port}" for port in ports]
         return [CompletionItem(target) for target in known if target.startswith(incomplete)]
 
 

@@ -1,7 +1,7 @@
 """What a link is, and the part that every link over a file descriptor shares.
 
-A link moves bytes and nothing else: it knows no frames, retries nothing, starts no thread and never waits
-longer than it was told to. A failure is a named error (`protocol.errors`), never silence.
+A link moves bytes and nothing else: it knows no messages, retries nothing and never waits longer than it was
+told to. A failure is a named error (`protocol.errors`), never silence.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from typing import Protocol
 
 from protocol.errors import LinkClosed, LinkError
+from protocol.wire import ByteWire, HostWire
 
 MAX_READ = 65536
 """Most bytes that one `read` returns."""
@@ -68,6 +69,10 @@ class Link(Protocol):
         """Seconds of a monotonic clock: real time, or virtual time on a link to a simulation."""
         ...
 
+    def wire(self) -> HostWire:
+        """A new host's end of the language that this kind of link speaks."""
+        ...
+
 
 class DescriptorLink(ABC):
     """Read and write of a link over a non-blocking file descriptor: select, then take what is there."""
@@ -83,6 +88,10 @@ class DescriptorLink(ABC):
     def clock(self) -> float:
         """Seconds of the machine's monotonic clock."""
         return time.monotonic()
+
+    def wire(self) -> HostWire:
+        """See `Link.wire`."""
+        return ByteWire()
 
     @abstractmethod
     def _fileno(self) -> int:

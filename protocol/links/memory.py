@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from protocol.errors import LinkClosed, LinkNotFound
 from protocol.links.base import MAX_READ
+from protocol.wire import ByteWire, HostWire
 
 
 @dataclass(slots=True)
@@ -86,6 +87,10 @@ class MemoryLink:
         """See `Link.clock`."""
         clock = self._shared.clock
         return time.monotonic() if clock is None else clock.now
+
+    def wire(self) -> HostWire:
+        """See `Link.wire`."""
+        return ByteWire()
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""

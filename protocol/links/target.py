@@ -1,6 +1,6 @@
-"""Target strings, which name a link: `serial:/dev/ttyACM0?baud=3000000`, `tcp:127.0.0.1:7000`.
+"""Target strings, which name a link: `serial:/dev/ttyACM0?baud=3000000`, `tcp:127.0.0.1:7000`, `can:socketcan/can0`.
 
-This module only reads and writes the strings; it opens nothing.
+This module only reads and writes the strings; it opens nothing, and so does not know which CAN interfaces there are.
 """
 
 from __future__ import annotations
@@ -8,14 +8,27 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from protocol.errors import TargetError
+
+if TYPE_CHECKING:
+    from protocol.canmap.frame import BusRates
 
 DEFAULT_BAUD = 115200
 MIN_BAUD = 300
 MAX_BAUD = 50_000_000
 
-_FORMS = "serial:/dev/ttyACM0?baud=3000000 or tcp:127.0.0.1:7000"
+DEFAULT_BITRATE = 1_000_000
+DEFAULT_DATA_BITRATE = 5_000_000
+MIN_BITRATE = 5_000
+MAX_BITRATE = 1_000_000
+MAX_DATA_BITRATE = 20_000_000
+DEFAULT_NODE = 1
+MAX_NODE = 15
+MAX_HOST = 15
+
+_FORMS = "serial:/dev/ttyACM0?baud=3000000, tcp:127.0.0.1:7000 or can:socketcan/can0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +53,50 @@ class TcpTarget:
         return f"tcp:{join_host_port(self.host, self.port)}"
 
 
-Target = SerialTarget | TcpTarget
+@dataclass(frozen=True, slots=True)
+class CanTarget:
+    """A node on a CAN bus that python-can reaches; what is None is left to python-can's configuration."""
+
+    interface: str | None = None
+    """python-can's name of the kind of adapter, for example `socketcan`."""
+    channel: str | None = None
+    options: tuple[tuple[str, str], ...] = ()
+    """What python-can is given besides, as written: `bitrate`, `fd`, `host`, …"""
+    node: int = DEFAULT_NODE
+    extended: bool = False
+    """29-bit identifiers (key `ext`)."""
+    context: str | None = None
+    """Section of python-can's configuration."""
+    host: int = 0
+    """Number of this host among those on the bus."""
+
+    @property
+    def rates(self) -> BusRates:
+        """The bit rates that the options give, or the usual ones."""
+        from protocol.canmap.frame import BusRates  # numpy costs 70 ms: only those who need it pay
+
+        given = dict(self.options)
+        bitrate = int(given.get("bitrate", DEFAULT_BITRATE))
+        if given.get("fd", "0") == "0":
+            return BusRates(bitrate)
+        return BusRates(bitrate, int(given.get("data_bitrate", DEFAULT_DATA_BITRATE)))
+
+    def __str__(self) -> str:
+        place = (self.interface or "") + (f"/{self.channel}" if self.channel is not None else "")
+        pairs = list(self.options)
+        if self.node != DEFAULT_NODE:
+            pairs.append(("node", str(self.node)))
+        if self.extended:
+            pairs.append(("ext", "1"))
+        if self.context is not None:
+            pairs.append(("context", self.context))
+        if self.host:
+            pairs.append(("host_number", str(self.host)))
+        query = "&".join(f"{key}={value}" for key, value in pairs)
+        return f"can:{place}" + (f"?{query}" if query else "")
+
+
+Target = SerialTarget | TcpTarget | CanTarget
 
 
 def parse_target(text: str) -> Target:
@@ -102,14 +158,18 @@ def _allow(text: str, options: Mapping[str, str], allowed: tuple[str, ...]) -> N
             raise TargetError(f"target '{text}': unknown key '{key}' ({known})")
 
 
+def _whole(text: str, options: Mapping[str, str], key: str, default: int, lowest: int, highest: int) -> int:
+    value = options.get(key, str(default))
+    if not value.isascii() or not value.isdigit() or not lowest <= int(value) <= highest:
+        raise TargetError(f"target '{text}': {key} must be a whole number from {lowest} to {highest}, got '{value}'")
+    return int(value)
+
+
 def _parse_serial(text: str, port: str, options: Mapping[str, str]) -> SerialTarget:
     _allow(text, options, ("baud",))
     if not port:
         raise TargetError(f"target '{text}' names no port: write serial:/dev/ttyACM0")
-    value = options.get("baud", str(DEFAULT_BAUD))
-    if not value.isascii() or not value.isdigit() or not MIN_BAUD <= int(value) <= MAX_BAUD:
-        raise TargetError(f"target '{text}': baud must be a whole number from {MIN_BAUD} to {MAX_BAUD}, got '{value}'")
-    return SerialTarget(port, int(value))
+    return SerialTarget(port, _whole(text, options, "baud", DEFAULT_BAUD, MIN_BAUD, MAX_BAUD))
 
 
 def _parse_tcp(text: str, address: str, options: Mapping[str, str]) -> TcpTarget:
@@ -120,7 +180,33 @@ def _parse_tcp(text: str, address: str, options: Mapping[str, str]) -> TcpTarget
         raise TargetError(f"target '{text}': {error}") from None
 
 
+_OWN_KEYS = ("node", "ext", "context", "host_number")  # of the others python-can knows which there are
+
+
+def _parse_can(text: str, place: str, options: Mapping[str, str]) -> CanTarget:
+    interface, _, channel = place.partition("/")
+    if channel.startswith("dev/"):
+        channel = f"/{channel}"
+    for key in ("interface", "channel"):
+        if key in options:
+            raise TargetError(f"target '{text}': the {key} is no key: write can:INTERFACE/CHANNEL before the ?")
+    bitrate = _whole(text, options, "bitrate", DEFAULT_BITRATE, MIN_BITRATE, MAX_BITRATE)
+    if not _whole(text, options, "fd", 0, 0, 1) and "data_bitrate" in options:
+        raise TargetError(f"target '{text}': data_bitrate is that of CAN FD: add fd=1")
+    _whole(text, options, "data_bitrate", DEFAULT_DATA_BITRATE, bitrate, MAX_DATA_BITRATE)
+    return CanTarget(
+        interface or None,
+        channel or None,
+        tuple((key, value) for key, value in options.items() if key not in _OWN_KEYS),
+        _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE),
+        bool(_whole(text, options, "ext", 0, 0, 1)),
+        options.get("context"),
+        _whole(text, options, "host_number", 0, 0, MAX_HOST),
+    )
+
+
 _PARSERS: dict[str, Callable[[str, str, Mapping[str, str]], Target]] = {
     "serial": _parse_serial,
     "tcp": _parse_tcp,
+    "can": _parse_can,
 }

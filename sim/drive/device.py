@@ -1,4 +1,4 @@
-"""The simulated bench behind a byte link: node 1 is the drive, node 2 the load machine on its shaft.
+"""The simulated bench behind a byte link or on a CAN bus: node 1 is the drive, node 2 the load machine on its shaft.
 
 `SimulatedDevice` runs on periods, not on a clock: whoever owns it decides how fast they pass. It does no I/O.
 """
@@ -11,28 +11,29 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
-from protocol.device import DeviceLink, DeviceSession, Identity
+from protocol.device import DeviceSession, Identity
 from protocol.device_state import WATCHDOG_OFF
 from protocol.device_tx import TxQueue
 from protocol.messages import Fault, Feature, Role
 from sim.drive.apps import DriveApp, LoadApp
 from sim.drive.machine import SimulatedBench
+from sim.drive.networks import ByteNetwork, Network
 from sim.params import BenchParams
 
 FIRMWARE = "hallbench-sim"
+TX_BYTES = 1 << 22  # of a byte link in virtual time: nothing is dropped however long a step
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 
 
 class SimulatedDevice:
-    """A simulated bench with its two sessions on one link.
+    """A simulated bench with its two sessions.
 
     Args:
         params: the bench.
         seed: of its noise and jitter, and of its boot_id.
         boot_id: another boot_id; give a random one where boots must be told apart.
         store: file that keeps the drive's parameters over a boot; None = PARAM_COMMIT is refused.
-        tx_bytes: stream bytes that may wait for the link; what does not fit is dropped and counted.
-        capacity: bytes/s that the link carries, None = unknown; streams that need more are refused.
+        network: how its two devices reach the host, by default a byte link that is never full.
         notice: called with a line of text whenever outputs go on or off.
 
     Raises:
@@ -46,13 +47,11 @@ class SimulatedDevice:
         *,
         boot_id: int | None = None,
         store: Path | None = None,
-        tx_bytes: int = 1 << 16,
-        capacity: float | None = None,
+        network: Network | None = None,
         notice: Callable[[str], None] | None = None,
     ) -> None:
         self.bench = SimulatedBench(params, seed)
-        self.link = DeviceLink(TxQueue(bulk_limit=tx_bytes, capacity=capacity))
-        self._delimiters = 0
+        self.network: Network = ByteNetwork(TxQueue(TX_BYTES)) if network is None else network
         self.periods = 0
         """PWM periods since boot."""
         clock = params.clock
@@ -63,19 +62,21 @@ class SimulatedDevice:
         boot = random.Random(seed).getrandbits(32) if boot_id is None else boot_id
 
         def identity(node: int, role: Role, name: str, features: Feature) -> Identity:
-            return Identity(node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features)
+            return Identity(
+                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features, tick0=clock.start_tick
+            )
 
         commit = Feature.COMMIT if store is not None else Feature(0)
-        self.drive: DeviceSession = self.link.add(
+        self.drive: DeviceSession = self.network.add(
             DriveApp(self.bench, store),
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
         )
-        self.load: DeviceSession = self.link.add(
+        self.load: DeviceSession = self.network.add(
             LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
         )
         self._sessions = (self.drive, self.load)
         self._were_on = [False, False]
-        self.link.advance(self.bench.tick)
+        self.network.advance(self.bench.tick)
 
     @property
     def sessions(self) -> tuple[DeviceSession, DeviceSession]:
@@ -94,7 +95,7 @@ class SimulatedDevice:
 
     def receive(self, data: bytes) -> None:
         """Take bytes from the host, cut anywhere, at the present tick."""
-        self.link.receive(data)
+        self.network.receive(data)
         if self._notice:
             self._report([0.0, 0.0], self._notice)
 
@@ -106,10 +107,11 @@ class SimulatedDevice:
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
+            self.network.carry(self.periods / self.pwm_hz)
             self.drive.push_edges(recorded.edges)
             self.drive.push_samples(recorded.index, recorded.tick, recorded.samples)
             self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
-            self.link.advance(self.tick)
+            self.network.advance(self.tick)
             if self.bench.faults:
                 self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
             if self._notice:
@@ -118,19 +120,11 @@ class SimulatedDevice:
     @property
     def has_data(self) -> bool:
         """Whether anything waits for the link."""
-        return len(self.link.tx) > 0
+        return self.network.waiting > 0
 
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
-        fits = limit is None or len(self.link.tx) <= limit
-        data = self.link.data_to_send(None if fits else limit)  # all at once is quicker than frame by frame
-        self._delimiters += data.count(0)
-        return data
-
-    @property
-    def frames_sent(self) -> int:
-        """Frames given to the link: each lies between two zero bytes, and there are no others."""
-        return self._delimiters // 2
+        return self.network.data_to_send(limit)
 
     def _until_watchdog(self) -> int:
         """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""

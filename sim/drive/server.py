@@ -21,7 +21,17 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from protocol.links.target import MAX_BAUD, MIN_BAUD, split_host_port
+from protocol.canmap.frame import BusRates
+from protocol.device_tx import TxQueue
+from protocol.links.target import (
+    DEFAULT_DATA_BITRATE,
+    MAX_BAUD,
+    MAX_BITRATE,
+    MAX_DATA_BITRATE,
+    MIN_BAUD,
+    MIN_BITRATE,
+    split_host_port,
+)
 from sim import numba_cache
 from sim.drive.ports import Port, PtyPort, TcpPort
 from sim.drive.uart import BITS_PER_CHARACTER, Pacer
@@ -29,6 +39,7 @@ from sim.params import BenchParams, ConfigError, Value, load_params
 
 if TYPE_CHECKING:
     from sim.drive.device import SimulatedDevice
+    from sim.drive.networks import Network
 
 STEP = 0.005  # s between portions
 MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
@@ -49,7 +60,17 @@ class ServeOptions:
     """What to serve and where."""
 
     tcp: str | None = None
-    """HOST:PORT to listen on, port 0 = any; None = a pty."""
+    """HOST:PORT to listen on, port 0 = any."""
+    slcan: bool = False
+    """On a CAN bus behind an slcan adapter on a pty."""
+    socketcand: str | None = None
+    """HOST:PORT of a socketcand server for the CAN bus."""
+    virtual: str | None = None
+    """Channel of python-can's virtual interface, in this process, for the CAN bus. Without any of these: a pty."""
+    rates: BusRates = field(default_factory=BusRates)
+    """Of the CAN bus."""
+    extended: bool = False
+    """29-bit identifiers on the CAN bus."""
     link: Path | None = None
     """Symbolic link to the pty."""
     baud: int | None = None
@@ -62,6 +83,11 @@ class ServeOptions:
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
     exit_with_parent: bool = False
     """End when stdin reaches its end."""
+
+    @property
+    def can(self) -> bool:
+        """Whether the devices are on a CAN bus."""
+        return self.slcan or self.socketcand is not None or self.virtual is not None
 
 
 def parse_override(text: str) -> tuple[str, Value]:
@@ -153,8 +179,8 @@ class Server:
         device, schedule = self.device, self.schedule
         late = f"late {schedule.late} times ({schedule.skipped:.2f} s skipped)" if schedule.late else "never late"
         return (
-            f"stopped after {device.periods} periods: {device.frames_sent} frames sent, "
-            f"{device.frames_dropped} dropped, {late}"
+            f"stopped after {device.periods} periods: {device.network.frames_sent} frames sent, "
+            f"{device.frames_dropped} dropped, {late}{device.network.account()}"
         )
 
 
@@ -187,6 +213,31 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
         tell(server.summary())
     finally:
         port.close()
+
+
+@contextmanager
+def serving(options: ServeOptions) -> Iterator[str]:
+    """Serve from a thread of this process for as long as the context lasts; gives the target string.
+
+    Raises as `serve`. For scripts and tests, and the only way to reach python-can's virtual interface.
+    """
+    params = load_params(options.config, options.overrides)
+    port = _make_port(options)
+    received: set[int] = set()
+    try:
+        server = Server(_make_device(params, options, _say_nothing), port, time.monotonic(), options.baud)
+        thread = threading.Thread(target=_run, args=(server, received, False, _say_nothing), daemon=True)
+        thread.start()
+        yield port.target
+        received.add(signal.SIGTERM)
+        thread.join()
+    finally:
+        received.add(signal.SIGTERM)
+        port.close()
+
+
+def _say_nothing(line: str) -> None:
+    pass
 
 
 def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) -> None:
@@ -232,27 +283,69 @@ def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Itera
             signal.signal(number, old)
 
 
+def can_rates(bitrate: int, fd: bool, data_bitrate: int | None) -> BusRates:
+    """Return the rates of a CAN bus as the command line gives them."""
+    return BusRates(bitrate, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
+
+
 def _make_port(options: ServeOptions) -> Port:
     if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
         raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
-    if options.tcp is None:
-        return PtyPort(options.link, options.baud)
-    if options.link is not None or options.baud is not None:
-        raise ConfigError("--link and --baud go with a pty, not with --tcp")
-    return TcpPort(*split_host_port(options.tcp))
+    if options.link is not None and (options.tcp or options.socketcand or options.virtual):
+        raise ConfigError("--link goes with a pty")
+    if options.baud is not None and (options.tcp or options.can):
+        raise ConfigError("--baud goes with a serial line; a CAN bus has --bitrate")
+    if options.can:
+        return _make_can_port(options)
+    if options.tcp is not None:
+        return TcpPort(*split_host_port(options.tcp))
+    return PtyPort(options.link, options.baud)
+
+
+def _make_can_port(options: ServeOptions) -> Port:
+    check_rates(options.rates)
+    from sim.drive.can_ports import BusPort, SocketcandPort  # python-can costs 0.2 s: only those who need it pay
+    from sim.drive.slcan_port import SlcanPort
+
+    if options.slcan:
+        return SlcanPort(options.link, options.rates, options.extended)
+    if options.socketcand is not None:
+        return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
+    assert options.virtual is not None
+    return BusPort.virtual(options.virtual, options.rates, options.extended)
+
+
+def check_rates(rates: BusRates) -> None:
+    """Raise ConfigError for bit rates that no CAN bus has."""
+    if not MIN_BITRATE <= rates.bitrate <= MAX_BITRATE:
+        raise ConfigError(f"bitrate must be between {MIN_BITRATE} and {MAX_BITRATE} bit/s, got {rates.bitrate}")
+    data = rates.data_bitrate
+    if data is not None and not rates.bitrate <= data <= MAX_DATA_BITRATE:
+        raise ConfigError(
+            f"data bitrate must be between the bitrate, {rates.bitrate}, and {MAX_DATA_BITRATE} bit/s, got {data}"
+        )
+
+
+def _make_network(options: ServeOptions) -> Network:
+    from sim.drive.networks import ByteNetwork, CanNetwork
+
+    if options.can:
+        return CanNetwork(options.rates, options.extended)
+    if options.baud is None:
+        return ByteNetwork(TxQueue(TX_BYTES))
+    capacity = options.baud / BITS_PER_CHARACTER
+    return ByteNetwork(TxQueue(min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity))), capacity=capacity))
 
 
 def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
     from sim.drive.device import SimulatedDevice, random_boot_id  # numba: after it is said that it compiles
 
-    capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
     device = SimulatedDevice(
         params,
         random_boot_id() if options.seed is None else options.seed,
         boot_id=random_boot_id(),
         store=options.store,
-        tx_bytes=TX_BYTES if capacity is None else min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity))),
-        capacity=capacity,
+        network=_make_network(options),
         notice=tell,
     )
     SimulatedDevice(params).advance(1)  # compiles, or loads what was compiled

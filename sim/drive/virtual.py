@@ -10,11 +10,11 @@ import math
 
 from protocol.errors import LinkClosed
 from protocol.links.base import MAX_READ
+from protocol.wire import HostWire
 from sim.drive.device import PORTION, SimulatedDevice
 from sim.params import BenchParams
 
 STEP = PORTION  # s: sessions cost as much as 5 ms of simulation each time they look
-TX_BYTES = 1 << 22  # nothing is dropped however long a step
 
 
 class VirtualLink:
@@ -34,7 +34,7 @@ class VirtualLink:
     @classmethod
     def of(cls, params: BenchParams, seed: int = 0, step: float = STEP) -> VirtualLink:
         """A link to a new bench."""
-        return cls(SimulatedDevice(params, seed, tx_bytes=TX_BYTES), step)
+        return cls(SimulatedDevice(params, seed), step)
 
     @property
     def name(self) -> str:
@@ -44,6 +44,10 @@ class VirtualLink:
     def clock(self) -> float:
         """Virtual seconds since boot."""
         return self.device.periods / self.device.pwm_hz
+
+    def wire(self) -> HostWire:
+        """See `Link.wire`."""
+        return self.device.network.wire()
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`; seconds are virtual."""

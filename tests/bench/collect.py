@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench.client import Client, SinkBase
+from bench.errors import DoesNotFit
 from bench.node import DRIVE, LOAD, Node
 from protocol.links import Link
 from protocol.messages import DeviceEvent, Heartbeat
@@ -66,11 +67,25 @@ class Bench:
         self.hello = self.client.connect()
         self.drive, self.load = Node(self.client, DRIVE), Node(self.client, LOAD)
 
-    def stream(self, names: tuple[str, ...] | None = None, decimation: int = 1) -> None:
+    def stream(self, names: tuple[str, ...] | None = None, decimation: int = 1) -> int:
+        """Stream edges and samples; returns the decimation, which is a larger one where the link carries no more."""
         self.drive.stop_streams()
         self.drive.set_edges()
-        self.drive.set_samples(self.drive.channels(names), decimation)
+        channels = self.drive.channels(names)
+        try:
+            self.drive.set_samples(channels, decimation)
+        except DoesNotFit as error:
+            decimation = error.decimation
+            self.drive.set_samples(channels, decimation)
         self.drive.start_streams()
+        return decimation
+
+    def rest(self) -> None:
+        """Leave both machines as the next host expects to find them."""
+        for node in (self.drive, self.load):
+            node.stop()
+            node.clear_faults()
+        self.drive.stop_streams()
 
     def turn(self, omega_m: float) -> None:
         self.drive.arm()

@@ -1,4 +1,7 @@
-"""`bench sim` and `bench live` as two processes on a real pty: the run, its recording, and every way to end it."""
+"""`bench sim` and `bench live` as two processes on a real pty: the run, its recording, and every way to end it.
+
+The pty is a serial port, or has an slcan adapter on a CAN bus behind it.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +21,26 @@ from bench.rerunio.recording import read_run
 Start = Callable[..., Program]
 StartSim = Callable[..., Sim]
 PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")  # other programs may want the machine
+OBSERVED = "hall,status,theta_enc,u_alpha,u_beta,i_a,i_b,i_c,i_q_ref,theta_vt"
+RUNS = {
+    "serial": (("--pty",), ("--host-observers",)),
+    "CAN": (("--slcan",), ("--fit",)),
+    "CAN FD": (("--slcan", "--fd", "--data-bitrate", "8000000"), ("--host-observers", "--channels", OBSERVED)),
+}
+PTYS = {"serial": ("--pty",), "CAN": ("--slcan",), "CAN FD": ("--slcan", "--fd")}
 TURNING = r"RUNNING \d{3,} r/min"
 
 
+@pytest.mark.parametrize(("where", "options"), RUNS.values(), ids=RUNS)
 def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
-    start: Start, start_sim: StartSim, tmp_path: Path
+    start: Start, start_sim: StartSim, tmp_path: Path, where: tuple[str, ...], options: tuple[str, ...]
 ) -> None:
-    sim = start_sim("--pty", *PATIENT)
+    sim = start_sim(*where, *PATIENT)
     recording, summary_file = tmp_path / "a.rrd", tmp_path / "a.json"
     for _ in range(3):  # in real time, whoever takes both cores for 0.3 s makes the drive drop samples
         live = start(
             "live", sim.target, "--speed", "500", "--yes", "--duration", "3", "--save", str(recording),
-            "--overwrite", "--viewer", "none", "--json", str(summary_file), "--host-observers",
+            "--overwrite", "--viewer", "none", "--json", str(summary_file), *options,
         )  # fmt: skip
         assert live.end() == 0, live.err
         summary = json.loads(summary_file.read_text())
@@ -38,19 +49,26 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     assert summary["lost"] == {
         "samples_by_index": 0, "edges_by_index": 0, "frames_by_sequence": 0, "frames_by_device": 0,
     }  # fmt: skip
-    assert summary["samples"] >= 2.9 * 16000
+    run = read_run(recording)
+    decimation = run.samples.config.decimation
+    assert (decimation == 1) == ("--host-observers" in options)
+    assert summary["samples"] >= 2.9 * 16000 / decimation
     assert 3 * 250 < summary["edges"] < 3 * 350  # 500 r/min, 6 pole pairs: 300 edges/s
     assert summary["link"]["damaged"] == summary["link"]["outages"] == summary["link"]["reboots"] == 0
-    assert summary["host_observers"]["different"] == 0
-    assert summary["host_observers"]["compared"] > 2.5 * 16000
-    run = read_run(recording)
+    if decimation == 1:
+        assert summary["host_observers"]["different"] == 0
+        assert summary["host_observers"]["compared"] > 2.5 * 16000
+    if "--slcan" in where:
+        bus = summary["bus"]
+        assert 0.1 < bus["load"] < bus["load_predicted"] + 0.1 < 1.05
+        assert bus["foreign"] == bus["stale"] == bus["duplicates"] == bus["error_frames"] == 0
     assert len(run.samples) == summary["samples"] == summary["recording"]["samples"]
     assert len(run.edges.tick) == summary["edges"] == summary["recording"]["edges"]
-    assert (np.diff(run.samples.index) == 1).all()
-    assert (np.diff(run.samples.tick) == 1250).all()
+    assert (np.diff(run.samples.index) == decimation).all()
+    assert (np.diff(run.samples.tick) == 1250 * decimation).all()
     assert (np.diff(run.edges.index) == 1).all()
     assert run.samples.gaps == run.edges.gaps == ()
-    assert len(run.samples.config.channels) == 26
+    assert len(run.samples.config.channels) == (10 if OBSERVED in options else 26)
     # every change of the sampled code has its edge: the recorded edges are those of the run, not of another
     sampled = run.samples.raw["hall"]
     since = np.searchsorted(run.edges.tick, run.samples.tick, side="right") - 1
@@ -59,9 +77,12 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     sim.line(r"outputs off: STOP \(node 1")
 
 
-def test_a_killed_host_ends_in_outputs_off_by_the_watchdog(start: Start, start_sim: StartSim) -> None:
-    sim = start_sim("--pty")
-    live = start("live", sim.target, "--speed", "500", "--viewer", "none")
+@pytest.mark.parametrize("where", PTYS.values(), ids=PTYS)
+def test_a_killed_host_ends_in_outputs_off_by_the_watchdog(
+    start: Start, start_sim: StartSim, where: tuple[str, ...]
+) -> None:
+    sim = start_sim(*where)
+    live = start("live", sim.target, "--speed", "500", "--viewer", "none", "--fit")
     live.line(TURNING)
     killed = time.monotonic()
     live.process.kill()
@@ -109,16 +130,18 @@ def test_a_full_disk_ends_in_stop_and_one_line(start: Start, start_sim: StartSim
     assert len(read_run(tmp_path / "a.rrd").samples) > 1000  # what fitted is there
 
 
+@pytest.mark.parametrize("where", PTYS.values(), ids=PTYS)
 def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
-    start: Start, start_sim: StartSim, tmp_path: Path
+    start: Start, start_sim: StartSim, tmp_path: Path, where: tuple[str, ...]
 ) -> None:
-    sim = start_sim("--pty", "--link", str(tmp_path / "tty"))
+    sim = start_sim(*where, "--link", str(tmp_path / "tty"))
     recording = tmp_path / "a.rrd"
-    live = start("live", sim.target, "--speed", "500", "--viewer", "none", "--json", "-", "--save", str(recording))
+    options = ("--viewer", "none", "--json", "-", "--fit", "--save", str(recording))
+    live = start("live", sim.target, "--speed", "500", *options)
     live.line(TURNING)
     sim.send(signal.SIGUSR1)
     sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1")
-    live.line("is gone.*; waiting up to 30 s")
+    live.line("(is gone|was lost).*; waiting up to 30 s")
     sim.send(signal.SIGUSR2)
     live.line("the drive tripped: WATCHDOG")
     live.line(r"FAULT \d+ r/min")  # it goes on watching
@@ -130,9 +153,10 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     assert summary["link"]["downtime_s"] > 0.15
     assert summary["link"]["reboots"] == 0
     assert summary["faults"] == ["WATCHDOG"]
-    assert summary["lost"]["samples_by_index"] > 0.15 * 16000
-    assert sum("outputs on" in line for line in sim.out) == 1
     run = read_run(recording)
+    decimation = run.samples.config.decimation
+    assert summary["lost"]["samples_by_index"] > 0.15 * 16000 / decimation
+    assert sum("outputs on" in line for line in sim.out) == 1
     assert len(run.samples) == summary["samples"]
-    steps = np.diff(run.samples.index)
+    steps = np.diff(run.samples.index) // decimation
     assert (steps - 1).sum() == summary["lost"]["samples_by_index"] == sum(g.lost_samples for g in run.samples.gaps)

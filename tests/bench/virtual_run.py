@@ -9,19 +9,25 @@ from unittest.mock import patch
 
 from bench import live
 from bench.summary import Summary
+from protocol.canmap.frame import BusRates
 from protocol.links import Link
 from protocol.messages import DriveState, Feature
 from sim.drive.device import SimulatedDevice
-from sim.drive.virtual import TX_BYTES, VirtualLink
+from sim.drive.networks import CanNetwork
+from sim.drive.virtual import VirtualLink
 from sim.params import load_params
 
 TARGET = "serial:/dev/ttyTEST"
 
 
-def simulated(seed: int = 1, **settings: float) -> SimulatedDevice:
+NETWORKS = ("bytes", "CAN", "CAN FD")
+
+
+def simulated(seed: int = 1, network: str = "bytes", **settings: float) -> SimulatedDevice:
     """A bench in virtual time; settings as `section__name=value`."""
     overrides = {key.replace("__", "."): value for key, value in settings.items()}
-    return SimulatedDevice(load_params(None, overrides), seed, tx_bytes=TX_BYTES)
+    bus = {"CAN": BusRates(1_000_000), "CAN FD": BusRates(1_000_000, 5_000_000)}.get(network)
+    return SimulatedDevice(load_params(None, overrides), seed, network=None if bus is None else CanNetwork(bus))
 
 
 def physical(seed: int = 1) -> SimulatedDevice:

@@ -6,7 +6,7 @@ import argparse
 import os
 import platform
 
-from tests.benchmarks import bench_accuracy, bench_decode, bench_live, bench_sim, bench_start
+from tests.benchmarks import bench_accuracy, bench_can, bench_decode, bench_live, bench_sim, bench_slcan, bench_start
 from tests.benchmarks.table import show
 
 PARTS = {
@@ -17,6 +17,8 @@ PARTS = {
     "decode": ("Decode: bytes to numpy columns, CRC checked", lambda seconds: bench_decode.rows()),
     "sim": ("Simulated drive in virtual time", lambda seconds: bench_sim.rows()),
     "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),
+    "can": ("CAN: stream frames to numpy columns, and a run over slcan, recorded", bench_can.rows),
+    "slcan": ("slcan: text, and reading 5000 CAN FD frames of 64 bytes a second", bench_slcan.rows),
     "start": ("Start-up, caches warm", lambda seconds: bench_start.rows()),
 }
 
@@ -25,7 +27,7 @@ def main() -> None:
     """Run the parts that were asked for, all by default."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the live run")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the live run and of each slcan reader")
     given = parser.parse_args()
     print(f"Python {platform.python_version()}, {os.cpu_count()} cores")
     reached = True

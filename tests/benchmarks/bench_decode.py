@@ -12,12 +12,14 @@ import numpy as np
 
 from protocol.descriptor import Descriptor
 from protocol.device_app import Identity
+from protocol.device_carrier import ByteCarrier
 from protocol.device_streams import StreamTable
 from protocol.device_tx import TxQueue
-from protocol.host import HostSession, StreamFrames
+from protocol.host import HostSession
 from protocol.messages import Role, StreamEvent, StreamSet
 from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit
 from protocol.streams import SampleDecoder, StreamConfig
+from protocol.wire import StreamFrames
 from tests.benchmarks.table import Row
 
 GOAL = 5e6  # samples/s of 32 bytes
@@ -47,7 +49,7 @@ def measure(channels: tuple[Signal, ...], n: int = 500_000, read: int = 65_536, 
     decode = columns = encode = float("inf")
     for _ in range(repeat):
         tx = TxQueue(1 << 30)
-        table = StreamTable(identity, channels, tx)
+        table = StreamTable(identity, channels, ByteCarrier(tx))
         request = StreamSet(0, StreamEvent.PWM, 1, 100, tuple(c.id for c in channels))
         reply = table.configure(request, 1024)
         table.start(1)

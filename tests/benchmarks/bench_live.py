@@ -9,8 +9,9 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,29 +34,51 @@ def simulated_drive(*arguments: str) -> Iterator[tuple[str, psutil.Process]]:
         process.wait()
 
 
-def rows(seconds: float) -> list[Row]:
-    """Run it for `seconds`."""
-    with tempfile.TemporaryDirectory() as folder, simulated_drive("--pty") as (target, drive):
-        command = [sys.executable, "-m", "bench", "live", target, "--speed", "1000", "--yes", "--viewer", "none"]
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run of `bench live`: its summary, and the CPU of the simulated drive in % of a core."""
+
+    summary: dict[str, Any]
+    drive_cpu: float
+
+
+def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
+    """Record the simulated drive behind `where` for `seconds`."""
+    with tempfile.TemporaryDirectory() as folder, simulated_drive(*where) as (target, drive):
+        command = [sys.executable, "-m", "bench", "live", target, "--yes", "--viewer", "none", *options]
         command += ["--duration", f"{seconds:g}", "--save", str(Path(folder, "run.rrd")), "--json", "-"]
         before = drive.cpu_times()
-        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         after = drive.cpu_times()
-        if run.returncode:
-            raise SystemExit(f"bench live failed: {run.stderr.strip()}")
-        summary: dict[str, Any] = json.loads(run.stdout)
-    drive_cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
+        if done.returncode:
+            raise SystemExit(f"bench live failed: {done.stderr.strip()}")
+        summary: dict[str, Any] = json.loads(done.stdout)
+    cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
+    return Run(summary, cpu)
+
+
+def account(summary: dict[str, Any]) -> list[Row]:
+    """The rows that say whether anything was lost."""
     lost = summary["lost"]
     return [
-        Row("samples", summary["samples"], "", round(0.99 * seconds * 16000)),
         Row("samples in the recording", summary["recording"]["samples"], "", summary["samples"]),
         Row("edges in the recording", summary["recording"]["edges"], "", summary["edges"]),
         Row("lost samples, by index", lost["samples_by_index"], "", 0, at_most=True),
         Row("lost edges, by index", lost["edges_by_index"], "", 0, at_most=True),
         Row("lost frames, by sequence", lost["frames_by_sequence"], "", 0, at_most=True),
         Row("lost frames, by the drive", lost["frames_by_device"], "", 0, at_most=True),
+    ]
+
+
+def rows(seconds: float) -> list[Row]:
+    """Run it for `seconds`."""
+    done = run(seconds, ["--pty"], ["--speed", "1000"])
+    summary = done.summary
+    return [
+        Row("samples", summary["samples"], "", round(0.99 * seconds * 16000)),
+        *account(summary),
         Row("host with recording", summary["cpu_percent"], "% of a core", 15, at_most=True),
-        Row("simulated drive", drive_cpu, "% of a core", 15, at_most=True),
+        Row("simulated drive", done.drive_cpu, "% of a core", 15, at_most=True),
         Row("sample to sink, median", summary["latency_ms"]["p50"], "ms"),
         Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms", 100, at_most=True),
     ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from hbp_reference import body, cobs_encode, crc32, fields, wire
+from hbp_reference import body, can_frames, can_id, cobs_encode, crc32, fd_padded, fields, wire
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 F = fields
@@ -160,11 +160,12 @@ def messages() -> list[dict[str, object]]:
             "watchdog_ms": 65535,
             "state": 4,
             "outputs_on": False,
+            "edges": 0xFFFFFFF0,
         },
         F(
             ("u64", 0x0000000500000001), ("u32", 0xCAFE0001), ("u32", 33), ("u32", 1), ("u32", 3),
             ("u32", 70000), ("u16", 65535), ("u16", 2), ("u16", 17), ("u16", 65535),
-            ("u8", 4), ("u8", 0), ("pad", 2),
+            ("u8", 4), ("u8", 0), ("pad", 2), ("u32", 0xFFFFFFF0),
         ),
     )  # fmt: skip
     add("Alive", (0x05, req, 0, 1), {"counter": 0x01020304}, F(("u32", 0x01020304)))
@@ -220,9 +221,40 @@ def messages() -> list[dict[str, object]]:
     add(
         "StreamReply",
         (0x30, rep, 8, 1),
-        {"stream": 0, "cfg_id": 0xABCD, "sample_bytes": 5, "block": 20, "load": 0.125},
-        F(("u8", 0), ("pad", 1), ("u16", 0xABCD), ("u16", 5), ("u16", 20), ("f32", 0.125)),
+        {
+            "stream": 0,
+            "cfg_id": 0xABCD,
+            "sample_bytes": 5,
+            "block": 20,
+            "load": 0.125,
+            "slot": 17,
+            "tick0": 0x100000003,
+        },
+        F(
+            ("u8", 0),
+            ("pad", 1),
+            ("u16", 0xABCD),
+            ("u16", 5),
+            ("u16", 20),
+            ("f32", 0.125),
+            ("u8", 17),
+            ("pad", 3),
+            ("u64", 0x100000003),
+        ),
     )
+    add("StreamGet", (0x33, req, 8, 1), {"stream": 2}, F(("u8", 2), ("pad", 3)))
+    add(
+        "StreamInfo",
+        (0x33, rep, 8, 1),
+        {
+            "stream": 2, "running": True, "event": 0, "slot": 17, "decimation": 16, "max_latency_ms": 20,
+            "cfg_id": 0xABCD, "sample_bytes": 5, "block": 12, "tick0": 0x100000003, "channels": [3, 5, 1],
+        },
+        F(
+            ("u8", 2), ("u8", 1), ("u8", 0), ("u8", 17), ("u16", 16), ("u16", 20), ("u16", 0xABCD), ("u16", 5),
+            ("u16", 12), ("pad", 2), ("u64", 0x100000003), ("u16", 3), ("u16", 3), ("u16", 5), ("u16", 1),
+        ),
+    )  # fmt: skip
     add("StreamStart", (0x31, req, 9, 1), {"mask": 3}, F(("u32", 3)))
     add("StreamStop", (0x32, req, 10, 1), {"mask": 0xFFFFFFFF}, F(("u32", 0xFFFFFFFF)))
     add(
@@ -461,7 +493,181 @@ def streams() -> list[dict[str, object]]:
     return cases
 
 
-ALL = {"framing": framing, "messages": messages, "exchanges": exchanges, "streams": streams}
+def can_messages() -> list[dict[str, object]]:
+    """Transfers to a host: frames on identifiers, the messages that they make (in order of completion), the counts."""
+    cases: list[dict[str, object]] = []
+
+    def add(
+        name: str, fd: bool, frames: list[tuple[int, bytes]], good: list[bytes], extended: bool = False, **counts: int
+    ) -> None:
+        cases.append(
+            {
+                "name": name,
+                "fd": fd,
+                "extended": extended,
+                "frames": [[number, data.hex()] for number, data in frames],
+                "bodies_hex": [each.hex() for each in good],
+                "counts": counts,
+            }
+        )
+
+    def to_host(node: int = 1, extended: bool = False) -> int:
+        return can_id(3, node, 0, extended)
+
+    def reply(n: int, tid: int = 5, node: int = 1, first: int = 0x20) -> bytes:
+        return body(0x10, 0x11, tid, node, bytes((first + k) % 256 for k in range(n)))
+
+    def on(number: int, frames: list[bytes]) -> list[tuple[int, bytes]]:
+        return [(number, data) for data in frames]
+
+    for fd in (False, True):
+        form = "FD" if fd else "classic"
+        for n in (0, 1, 2, 3, 4, 10, 56, 57, 58, 120, 1024):
+            add(f"{form}, {n} bytes", fd, on(to_host(), can_frames(reply(n), fd, n % 32)), [reply(n)])
+        add(f"{form}, 29 bits", fd, on(to_host(2, True), can_frames(reply(30, 6, 2), fd, 3)), [reply(30, 6, 2)], True)
+        a, b = can_frames(reply(200), fd, 4), can_frames(reply(150, 6, 2), fd, 9)
+        mixed = [each for pair in zip(on(to_host(1), a), on(to_host(2), b), strict=False) for each in pair]
+        rest = on(to_host(1), a[len(mixed) // 2 :]) + on(to_host(2), b[len(mixed) // 2 :])
+        order = [reply(150, 6, 2), reply(200)] if len(b) < len(a) else [reply(200), reply(150, 6, 2)]
+        add(f"{form}, interleaved identifiers", fd, mixed + rest, order)
+        add(f"{form}, every frame twice", fd, on(to_host(), [f for f in a for _ in (0, 1)]), [reply(200)],
+            duplicates=len(a))  # fmt: skip
+        again = can_frames(reply(20, 7), fd, 5)
+        for lost in range(1, len(a) - 1):
+            after = len(a) - lost - 2
+            add(f"{form}, frame {lost} of {len(a)} lost, then another transfer", fd,
+                on(to_host(), a[:lost] + a[lost + 1 :] + again), [reply(20, 7)], aborted=1, orphans=after)  # fmt: skip
+        add(f"{form}, the last frame lost, then another transfer", fd, on(to_host(), a[:-1] + again), [reply(20, 7)],
+            aborted=1)  # fmt: skip
+        add(f"{form}, the first frame lost, then another transfer", fd, on(to_host(), a[1:] + again), [reply(20, 7)],
+            orphans=len(a) - 1)  # fmt: skip
+        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x20]), *a[2:]]
+        add(f"{form}, toggle error", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
+        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x01]), *a[2:]]
+        add(f"{form}, another transfer id in the middle", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
+        wrong = [a[0], bytes([a[1][0] ^ 0x80]) + a[1][1:], *a[2:]]
+        add(f"{form}, a bit is wrong", fd, on(to_host(), wrong), [], bad_crc=1)
+        first = again[0][:-1] + bytes([again[0][-1] ^ 0x20])
+        add(f"{form}, a first frame with toggle 0", fd, on(to_host(), [first]), [], orphans=1)
+        tids = [reply(0, 1 + k) for k in range(34)]
+        all_frames = [data for k, each in enumerate(tids) for data in can_frames(each, fd, k)]
+        add(f"{form}, the transfer id wraps", fd, on(to_host(), all_frames), tids)
+    # 20 + 6 + 4 bytes in five frames: without the third and the fourth the toggle is as expected, but not the length
+    short = can_frames(reply(20), False, 1)
+    add("classic, two frames lost in a row", False, on(to_host(), short[:2] + short[4:]), [], bad_length=1)
+    long = can_frames(reply(60), False, 1)
+    lie = [long[0][:4] + b"\x18\0" + long[0][6:], *long[1:]]
+    add("classic, longer than it says", False, on(to_host(), lie), [], bad_length=1)
+    hello = body(1, 1, 1, 1, F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)))
+    add("HELLO as printed in SPEC.md is for a device", False, on(can_id(2, 1, 0), can_frames(hello, False, 0)), [],
+        foreign=3)  # fmt: skip
+    add(
+        "identifiers of others",
+        False,
+        [(0x7FF, b"abc"), (0x80000000 | 0x02421310, b"\xe0"), (can_id(3, 1, 4), b"\xe0"), (can_id(1, 1, 9), b"\xe0")],
+        [],
+        foreign=4,
+    )
+    return cases
+
+
+def can_streams() -> list[dict[str, object]]:
+    """Stream frames: what of them is delivered, where there are gaps, and the account. 20 MHz, 1250 ticks a period."""
+    cases: list[dict[str, object]] = []
+
+    def add(
+        name: str, config: dict[str, object], frames: list[tuple[int, bytes]], index: list[int],
+        gaps: list[list[int]], account: dict[str, int], reference: tuple[int, int] = (0, 0),
+    ) -> None:  # fmt: skip
+        base: dict[str, object] = {"fd": False, "decimation": 1, "types": ["u16"], "slot": 0, "tick0": 0, "block": 3}
+        base = base | config
+        cases.append(
+            {
+                "name": name,
+                "config": base,
+                "reference_tick": reference[0],
+                "reference_edges": reference[1],
+                "frames": [[number, data.hex()] for number, data in frames],
+                "index": index,
+                "gaps": gaps,
+                "account": account,
+            }
+        )
+
+    def classic(slot: int, number: int, *values: int, kind: str = "u16") -> tuple[int, bytes]:
+        """A classic frame of node 1: counter and values."""
+        data = F(("u16", number % 65536), *((kind, value % 65536) for value in values))
+        return can_id(5 + slot // 16, 1, slot % 16), data
+
+    def fd(slot: int, index: int, *values: int) -> tuple[int, bytes]:
+        data = F(("u32", index % 2**32), *(("u16", value % 65536) for value in values))
+        return can_id(5 + slot // 16, 1, slot % 16), fd_padded(data)
+
+    def three(number: int) -> tuple[int, bytes]:
+        return classic(0, number, number, number + 1, number + 2)
+
+    add("three samples a frame", {}, [three(0), three(3)], list(range(6)), [], {"samples": 6, "frames": 2})
+    add("a frame lost", {}, [three(0), three(6)], [0, 1, 2, 6, 7, 8], [[3, 3, 1]],
+        {"samples": 6, "frames": 2, "lost_by_index": 3, "lost_by_seq": 1})  # fmt: skip
+    add("a frame twice", {}, [three(0), three(3), three(3), three(6)], list(range(9)), [],
+        {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
+    add("an old frame", {}, [three(0), three(3), three(0), three(6)], list(range(9)), [],
+        {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
+    add("the counter wraps", {}, [three(65532), three(65535), three(65538)], list(range(65532, 65541)), [],
+        {"samples": 9, "frames": 3}, (65530 * 1250, 0))  # fmt: skip
+    add("the first frame is placed by the heartbeat before it", {"tick0": 77}, [three(5 * 65536 + 3)],
+        [5 * 65536 + 3 + k for k in range(3)], [], {"samples": 3, "frames": 1}, (77 + 5 * 65536 * 1250, 0))  # fmt: skip
+    add("half a second ahead of the heartbeat at most", {}, [three(0), three(3), three(9000), three(6)],
+        list(range(9)), [], {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
+    add("a wrong length", {}, [three(0), (three(3)[0], three(3)[1][:6]), three(3)], list(range(6)), [],
+        {"samples": 6, "frames": 2, "malformed": 1})  # fmt: skip
+    add("decimation 10: the counter counts samples", {"decimation": 10}, [three(4), three(10)],
+        [40, 50, 60, 100, 110, 120], [[3, 3, 1]],
+        {"samples": 6, "frames": 2, "lost_by_index": 3, "lost_by_seq": 1}, (400 * 1250, 0))  # fmt: skip
+
+    groups: dict[str, object] = {"types": ["u16", "u16", "u16", "u16"], "block": 1, "slot": 15}
+
+    def halves(number: int) -> list[tuple[int, bytes]]:
+        return [classic(15, number, number, number + 1, number + 2), classic(16, number, number + 3)]
+
+    add("two groups, over the end of the first class", groups, [*halves(0), *halves(1)], [0, 1], [],
+        {"samples": 2, "frames": 4})  # fmt: skip
+    add("a share lost: its sample is", groups, [*halves(0), halves(1)[0], *halves(2)], [0, 2], [[1, 1, 1]],
+        {"samples": 2, "frames": 5, "lost_by_index": 1, "lost_by_seq": 1})  # fmt: skip
+    add("groups that overtake each other", groups, [halves(0)[0], halves(1)[0], halves(0)[1], halves(1)[1]], [0, 1], [],
+        {"samples": 2, "frames": 4})  # fmt: skip
+
+    fast: dict[str, object] = {"fd": True, "block": 3}
+    first, second = fd(0, 0, 0, 1, 2), fd(0, 3, 3, 4, 5)
+    add("FD: filled to 12 bytes", fast, [first, second], list(range(6)), [], {"samples": 6, "frames": 2})
+    add("FD: the index wraps at 2^32", fast, [fd(0, 2**32 - 3, -3, -2, -1), fd(0, 2**32, 0, 1, 2)],
+        [2**32 - 3 + k for k in range(6)], [], {"samples": 6, "frames": 2}, ((2**32 - 3) * 1250, 0))  # fmt: skip
+    add("FD: an index between the samples", fast | {"decimation": 10}, [fd(0, 20, 2, 3, 4), fd(0, 55, 5, 6, 7)],
+        [20, 30, 40], [], {"samples": 3, "frames": 1, "malformed": 1}, (0, 0))  # fmt: skip
+
+    def edge(number: int, tick: int) -> tuple[int, bytes]:
+        data = F(("u32", tick % 2**32), ("u8", 1 | 3 << 3), ("u8", number % 256), ("u16", tick % 65536))
+        return can_id(4, 1, 7), data
+
+    edges: dict[str, object] = {"types": [], "slot": 7, "block": 1}
+    add("edges", edges, [edge(0, 100), edge(1, 200), edge(2, 300)], [0, 1, 2], [], {"samples": 3, "frames": 3})
+    add("edges lost, and the counter wraps", edges, [edge(254, 100), edge(257, 200)], [254, 257], [[1, 2, 2]],
+        {"samples": 2, "frames": 2, "lost_by_index": 2, "lost_by_seq": 2}, (0, 250))  # fmt: skip
+    add("an edge twice", edges, [edge(5, 100), edge(5, 100), edge(6, 200)], [5, 6], [],
+        {"samples": 2, "frames": 2, "out_of_order": 1}, (0, 5))  # fmt: skip
+    add("an edge older than the last", edges, [edge(5, 200), edge(90, 100), edge(6, 300)], [5, 6], [],
+        {"samples": 2, "frames": 2, "out_of_order": 1}, (0, 5))  # fmt: skip
+    return cases
+
+
+ALL = {
+    "framing": framing,
+    "messages": messages,
+    "exchanges": exchanges,
+    "streams": streams,
+    "can_messages": can_messages,
+    "can_streams": can_streams,
+}
 
 
 def text(name: str) -> str:

@@ -13,7 +13,7 @@ from small_drive import TICKS, SmallDrive, samples, small_link
 from protocol.descriptor import Descriptor
 from protocol.device import DeviceLink, DeviceSession, TxQueue
 from protocol.framing import MAJOR, Deframer, Frame, encode_frame
-from protocol.host import HostSession, StreamFrames
+from protocol.host import HostSession
 from protocol.messages import (
     Alive,
     Command,
@@ -32,6 +32,7 @@ from protocol.messages import (
     StreamStop,
 )
 from protocol.streams import SampleDecoder, StreamConfig, TickReference, pack_edges
+from protocol.wire import StreamFrames
 
 RANDOM = 1_000_000
 MUTATED = 100_000

@@ -21,7 +21,6 @@ from protocol.host import (
     ReplyReceived,
     RequestRefused,
     RequestTimedOut,
-    StreamFrames,
 )
 from protocol.messages import (
     Alive,
@@ -45,6 +44,7 @@ from protocol.messages import (
     TimeSyncReply,
 )
 from protocol.streams import pack_edges
+from protocol.wire import StreamFrames
 
 
 def events(host: HostSession) -> list[Event]:

@@ -70,7 +70,7 @@ def test_unknown_values_are_named() -> None:
     with pytest.raises(m.PayloadError, match=r"StateReply.state: 9 is not a valid DriveState"):
         m.StateReply.unpack(bytes((9, 0, 0, 0)))
     assert m.ErrorReply.unpack(m.ErrorReply(999, 1, 0).pack()).code == 999  # a later minor's code is no damage
-    assert m.Heartbeat.unpack(bytes(16) + b"\0\0\0\x80" + bytes(20)).first_fault == 0x80000000
+    assert m.Heartbeat.unpack(bytes(16) + b"\0\0\0\x80" + bytes(24)).first_fault == 0x80000000
 
 
 def test_values_that_do_not_fit_are_refused() -> None:

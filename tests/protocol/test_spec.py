@@ -16,7 +16,7 @@ from protocol.messages import Hello, MessageType, Payload
 from protocol.streams import EDGE_RECORD, STREAM_HEADER
 
 TEXT = make_spec.SPEC.read_text(encoding="utf-8")
-TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "Log": "text"}
+TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "StreamInfo": "u16 each", "Log": "text"}
 CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text16"}
 
 

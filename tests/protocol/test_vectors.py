@@ -11,6 +11,11 @@ import pytest
 from small_drive import small_link
 
 from protocol import messages
+from protocol.canmap.decoders import CanFrames
+from protocol.canmap.frame import CAN_RECORD, BusRates
+from protocol.canmap.host import CanWire
+from protocol.canmap.ids import CanClass, CanId
+from protocol.canmap.transport import TransferEncoder
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
@@ -177,3 +182,106 @@ def test_edge_fields() -> None:
     assert chunk.illegal.tolist() == [False, False, True]
     assert chunk.encoder.tolist() == [100, 160, 220]
     assert chunk.hall_new.dtype == np.uint8
+
+
+# -- CAN --------------------------------------------------------------------------------------------------------------
+
+
+def can_records(frames: list[list]) -> np.ndarray:
+    records = np.zeros(len(frames), CAN_RECORD)
+    for record, (can_id, data_hex) in zip(records, frames, strict=True):
+        data = bytes.fromhex(data_hex)
+        record["id"], record["length"] = can_id, len(data)
+        record["data"][: len(data)] = np.frombuffer(data, np.uint8)
+    return records
+
+
+def rates(fd: bool) -> BusRates:
+    return BusRates(1_000_000, 5_000_000 if fd else None)
+
+
+@pytest.mark.parametrize("feed", ["at once", "one by one"])
+@pytest.mark.parametrize("case", cases("can_messages"))
+def test_can_messages(case: dict, feed: str) -> None:
+    wire = CanWire(rates(case["fd"]), 1, case["extended"])
+    records = can_records(case["frames"])
+    parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]
+    bodies = [item.hex() for part in parts for item in wire.feed(part.tobytes())]
+    assert bodies == case["bodies_hex"]
+    names = ("bad_crc", "bad_length", "aborted", "orphans", "duplicates", "foreign")
+    assert {name: getattr(wire.counters, name) for name in names} == {
+        name: case["counts"].get(name, 0) for name in names
+    }
+
+
+@pytest.mark.parametrize("case", [c for c in cases("can_messages") if not c.values[0]["counts"]])
+def test_can_messages_are_sent_as_the_same_frames(case: dict) -> None:
+    """Those without errors, with the transfer ids that they have."""
+    encoder = TransferEncoder(case["fd"], case["extended"])
+    sent: dict[int, list[str]] = {}
+    for body_hex in case["bodies_hex"]:
+        message = bytes.fromhex(body_hex)
+        can_id = CanId(CanClass.TO_HOST, message[6], 0)
+        first = next(data for number, data in case["frames"] if number == can_id.pack(case["extended"]))
+        encoder._next.setdefault(can_id, int(first[-2:], 16) & 31)
+        for record in np.frombuffer(encoder.encode(can_id, message), CAN_RECORD):
+            data = record["data"][: record["length"]].tobytes().hex()
+            sent.setdefault(int(record["id"]), []).append(data)
+    got: dict[int, list[str]] = {}
+    for number, data in case["frames"]:
+        got.setdefault(number, []).append(data)
+    assert sent == got
+
+
+@pytest.mark.parametrize("feed", ["at once", "one by one"])
+@pytest.mark.parametrize("case", cases("can_streams"))
+def test_can_streams(case: dict, feed: str) -> None:
+    c = case["config"]
+    edges = not c["types"]
+    channels = tuple(
+        Signal(1 + n, f"c{n}", Unit.NONE, RawType[kind.upper()], 1.0, Flag.CHANNEL, "")
+        for n, kind in enumerate(c["types"])
+    )
+    event = StreamEvent.EDGES if edges else StreamEvent.PWM
+    config = StreamConfig(1, 0, 1, event, c["decimation"], channels, c["block"], c["slot"], c["tick0"])
+    wire = CanWire(rates(c["fd"]))
+    reference = TickReference(case["reference_tick"], case["reference_edges"])
+    decoder = wire.decoder(config, 20_000_000, 16_000, reference)
+    records = can_records(case["frames"])
+    assert set(records["id"].tolist()) <= set(decoder.ids)
+    parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]
+    index: list[int] = []
+    gaps: list[list[int]] = []
+    for part in parts:
+        chunk = decoder.decode(CanFrames(part))
+        if chunk is None:
+            continue
+        gaps += [[gap.position + len(index), gap.lost_samples, gap.lost_frames] for gap in chunk.gaps]
+        index += chunk.index.tolist()
+        if edges:
+            assert chunk.encoder.tolist() == (chunk.tick % 65536).tolist()
+        else:
+            assert chunk.tick.tolist() == (c["tick0"] + chunk.index * 1250).tolist()
+            for n, channel in enumerate(channels):
+                assert chunk.raw[channel.name].tolist() == ((chunk.index // c["decimation"] + n) % 65536).tolist()
+    assert index == case["index"]
+    assert gaps == case["gaps"]
+    names = ("samples", "lost_by_index", "frames", "lost_by_seq", "out_of_order", "malformed", "late")
+    account = {name: getattr(decoder.counters, name) for name in names}
+    assert account == {name: case["account"].get(name, 0) for name in names}
+
+
+def test_hello_as_printed_in_the_spec() -> None:
+    text = (VECTORS.parent / "SPEC.md").read_text(encoding="utf-8")
+    printed = [
+        line.split()
+        for line in text.split("HELLO of chapter 1 to node 1, classic:", 1)[1].split("\n")
+        if "210  " in line
+    ]
+    message = Frame(0x01, 1, 1, 1, messages.Hello(0x12345678).pack()).pack()
+    records = np.frombuffer(CanWire(rates(False)).encode(parse_frame(message)), CAN_RECORD)
+    assert len(printed) == len(records) == 3
+    for (number, *data), record in zip(printed, records, strict=True):
+        assert int(number, 16) == record["id"]
+        for byte, sent in zip(data, record["data"][: record["length"]].tolist(), strict=True):
+            assert int(byte, 16) == sent

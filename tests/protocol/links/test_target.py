@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from protocol.canmap import ids
+from protocol.canmap.frame import BusRates
 from protocol.errors import TargetError
-from protocol.links import SerialTarget, TcpTarget, parse_target
-from protocol.links.target import DEFAULT_BAUD
+from protocol.links import CanTarget, SerialTarget, TcpTarget, parse_target
+from protocol.links.target import DEFAULT_BAUD, MAX_HOST, MAX_NODE
 
 
 @pytest.mark.parametrize(
@@ -18,6 +20,30 @@ from protocol.links.target import DEFAULT_BAUD
         ("tcp:127.0.0.1:7000", TcpTarget("127.0.0.1", 7000)),
         ("tcp:bench.local:1", TcpTarget("bench.local", 1)),
         ("tcp:[::1]:65535", TcpTarget("::1", 65535)),
+        ("can:", CanTarget()),
+        ("can:virtual", CanTarget("virtual")),
+        ("can:/bench", CanTarget(None, "bench")),
+        ("can:socketcan/can0", CanTarget("socketcan", "can0")),
+        ("can:slcan//dev/ttyACM0", CanTarget("slcan", "/dev/ttyACM0")),
+        ("can:etas/ETAS://ETH/ES910:abcd/CAN:1", CanTarget("etas", "ETAS://ETH/ES910:abcd/CAN:1")),
+        ("can:socketcan/can0?node=15&ext=1", CanTarget("socketcan", "can0", node=15, extended=True)),
+        ("can:?context=bench", CanTarget(context="bench")),
+        (
+            "can:socketcand/can0?host=10.0.0.5&port=29536",
+            CanTarget("socketcand", "can0", (("host", "10.0.0.5"), ("port", "29536"))),
+        ),
+        ("can:socketcan/can0?host_number=1", CanTarget("socketcan", "can0", host=1)),
+        ("can:socketcan/can0?node=2&ext=1&host_number=15", CanTarget("socketcan", "can0", (), 2, True, None, 15)),
+        (
+            "can:socketcand/can0?host=10.0.0.5&port=29536&host_number=3",
+            CanTarget("socketcand", "can0", (("host", "10.0.0.5"), ("port", "29536")), host=3),
+        ),
+        (
+            "can:pcan/PCAN_USBBUS1?fd=1&bitrate=500000&data_bitrate=5000000&node=2",
+            CanTarget(
+                "pcan", "PCAN_USBBUS1", (("fd", "1"), ("bitrate", "500000"), ("data_bitrate", "5000000")), node=2
+            ),
+        ),
     ],
 )
 def test_reads_and_writes_back(text: str, target: object) -> None:
@@ -26,9 +52,45 @@ def test_reads_and_writes_back(text: str, target: object) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("can:slcan/dev/ttyACM0", "can:slcan//dev/ttyACM0"),
+        ("can:virtual/", "can:virtual"),
+        ("can:virtual/x?ext=0&node=1", "can:virtual/x"),
+        ("can:virtual/x?host_number=0", "can:virtual/x"),
+        ("can:virtual/x?host_number=2&node=4", "can:virtual/x?node=4&host_number=2"),
+        ("can:virtual/x?node=4&bitrate=125000", "can:virtual/x?bitrate=125000&node=4"),
+    ],
+)
+def test_two_ways_to_write_a_can_target(text: str, same: str) -> None:
+    assert str(parse_target(text)) == same
+    assert parse_target(text) == parse_target(same)
+
+
+@pytest.mark.parametrize(
+    ("query", "rates"),
+    [
+        ("", BusRates(1_000_000)),
+        ("?bitrate=250000", BusRates(250_000)),
+        ("?fd=0&bitrate=250000", BusRates(250_000)),
+        ("?fd=1", BusRates(1_000_000, 5_000_000)),
+        ("?fd=1&bitrate=500000&data_bitrate=2000000", BusRates(500_000, 2_000_000)),
+    ],
+)
+def test_bit_rates_of_a_can_target(query: str, rates: BusRates) -> None:
+    target = parse_target(f"can:pcan/x{query}")
+    assert isinstance(target, CanTarget)
+    assert target.rates == rates
+
+
+def test_nodes_and_hosts_are_those_of_the_identifiers() -> None:
+    assert (MAX_NODE, MAX_HOST) == (ids.MAX_NODE, ids.SLOTS - 1)
+
+
+@pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("", ["unknown target", "serial:", "tcp:"]),
+        ("", ["unknown target", "serial:", "tcp:", "can:"]),
         ("serail:/dev/ttyACM0", ["serail", "did you mean serial:?"]),
         ("usb:1", ["unknown target 'usb:1'", "serial:", "tcp:"]),
         ("/dev/ttyACM0", ["serial:/dev/ttyACM0"]),
@@ -49,6 +111,22 @@ def test_reads_and_writes_back(text: str, target: object) -> None:
         ("tcp:localhost:65536", ["'65536'"]),
         ("tcp:::1:7000", ["brackets"]),
         ("tcp:localhost:1?baud=9600", ["unknown key 'baud'"]),
+        ("cn:virtual/x", ["did you mean can:?"]),
+        ("can:virtual/x?node=0", ["node must be a whole number from 1 to 15, got '0'"]),
+        ("can:virtual/x?node=16", ["from 1 to 15", "'16'"]),
+        ("can:virtual/x?host_number=16", ["host_number must be a whole number from 0 to 15, got '16'"]),
+        ("can:virtual/x?host_number=-1", ["host_number", "from 0 to 15", "'-1'"]),
+        ("can:virtual/x?host_number=one", ["host_number", "'one'"]),
+        ("can:virtual/x?ext=yes", ["ext must be", "'yes'"]),
+        ("can:virtual/x?fd=true", ["fd must be", "'true'"]),
+        ("can:virtual/x?bitrate=1M", ["bitrate", "whole number", "'1M'"]),
+        ("can:virtual/x?bitrate=1000001", ["1000000"]),
+        ("can:virtual/x?data_bitrate=2000000", ["add fd=1"]),
+        ("can:virtual/x?fd=1&bitrate=500000&data_bitrate=250000", ["data_bitrate", "from 500000"]),
+        ("can:virtual/x?host", ["'host' is not key=value"]),
+        ("can:virtual/x?node=1&node=2", ["node twice"]),
+        ("can:virtual?channel=x", ["the channel is no key", "can:INTERFACE/CHANNEL"]),
+        ("can:?interface=virtual", ["the interface is no key"]),
     ],
 )
 def test_refuses_in_one_line(text: str, parts: list[str]) -> None:

@@ -44,7 +44,8 @@ from protocol.messages import (
     StreamStart,
     StreamStop,
 )
-from protocol.streams import EdgeChunk, EdgeDecoder, SampleChunk, SampleDecoder, StreamConfig
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.wire import Decoder
 
 MOST_READS = 20_000
 
@@ -54,12 +55,12 @@ class SmallHost:
 
     def __init__(self, link: Link, pump: Callable[[], None] | None = None, wait: float = 0.005) -> None:
         self.link = link
-        self.session = HostSession()
+        self.session = HostSession(link.wire())
         self.heartbeats: dict[int, Heartbeat] = {}
         self.events: list[tuple[int, DeviceEvent]] = []
         self.samples: dict[tuple[int, int], list[SampleChunk]] = {}
         self.edges: list[EdgeChunk] = []
-        self.decoders: dict[tuple[int, int], SampleDecoder | EdgeDecoder] = {}
+        self.decoders: dict[tuple[int, int], Decoder] = {}
         self._pump = pump
         self._wait = wait
         self._replies: list[Event] = []
@@ -160,20 +161,16 @@ class SmallHost:
         self.request(StreamStop(), node)
         channels = self.descriptor(node).channels
         chosen = tuple(c for c in channels if names is None or c.name in names)
-        reply = self.request(StreamSet(0, StreamEvent.PWM, decimation, latency, tuple(c.id for c in chosen)), node)
-        assert isinstance(reply, StreamReply)
-        config = StreamConfig(node, 0, reply.cfg_id, StreamEvent.PWM, decimation, chosen, reply.block)
-        reference = self.session.tick_reference(node)
-        self.decoders[node, 0] = SampleDecoder(config, hello.ticks_per_period, reference)
-        self.samples[node, 0] = []
-        mask = 1
+        requests = [StreamSet(0, StreamEvent.PWM, decimation, latency, tuple(c.id for c in chosen))]
         if edges:
-            reply = self.request(StreamSet(1, StreamEvent.EDGES, 1, latency), node)
+            requests.insert(0, StreamSet(1, StreamEvent.EDGES, 1, latency))
+        for request in requests:
+            reply = self.request(request, node)
             assert isinstance(reply, StreamReply)
-            config = StreamConfig(node, 1, reply.cfg_id, StreamEvent.EDGES, 1, (), reply.block)
-            self.decoders[node, 1] = EdgeDecoder(config, reference)
-            mask = 3
-        self.request(StreamStart(mask), node)
+            config = StreamConfig.of(node, request, reply, self.descriptor(node))
+            self.decoders[node, request.stream] = self.session.decoder(config, hello.tick_hz, hello.pwm_hz)
+        self.samples[node, 0] = []
+        self.request(StreamStart(3 if edges else 1), node)
 
     def codes(self, node: int = 1) -> list[tuple[EventCode, float]]:
         """Events of a node as (code, arg)."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
+from protocol.device_tx import TxQueue
 from protocol.errors import Refused
 from protocol.messages import (
     Alive,
@@ -26,6 +27,7 @@ from protocol.messages import (
 )
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS, Flag
 from sim.drive.device import SimulatedDevice
+from sim.drive.networks import ByteNetwork
 from sim.drive.virtual import VirtualLink
 from sim.params import BenchParams, ConfigError, load_params
 
@@ -312,7 +314,7 @@ def test_same_seed_same_bytes() -> None:
 
 
 def test_a_full_queue_drops_whole_frames_and_says_so() -> None:
-    host, device = make(tx_bytes=20_000)
+    host, device = make(network=ByteNetwork(TxQueue(20_000)))
     host.stream()
     device.advance(16000)  # a second, 850 kB
     assert device.frames_dropped > 700
@@ -325,7 +327,7 @@ def test_a_full_queue_drops_whole_frames_and_says_so() -> None:
 
 
 def test_a_slow_line_refuses_what_does_not_fit() -> None:
-    host, _ = make(capacity=115200 / 10)
+    host, _ = make(network=ByteNetwork(TxQueue(capacity=115200 / 10)))
     with pytest.raises(Refused) as caught:
         host.stream(edges=False)
     which, fits = code(caught)
@@ -334,23 +336,24 @@ def test_a_slow_line_refuses_what_does_not_fit() -> None:
 
 
 def test_random_bytes_change_nothing() -> None:
-    host, device = make()
+    network = ByteNetwork(TxQueue())
+    host, device = make(network=network)
     host.connect()
     rng = np.random.default_rng(0)
     for _ in range(200):
         device.receive(rng.bytes(1000))
     assert device.drive.state is DriveState.IDLE
     assert host.connect().state is DriveState.IDLE
-    assert dataclasses.asdict(device.link.deframer.counters)["bad_crc"] > 0
+    assert dataclasses.asdict(network.deframer.counters)["bad_crc"] > 0
 
 
 def test_frames_sent_are_whole_frames_however_the_bytes_are_cut() -> None:
     host, device = make()
     host.stream()
     device.data_to_send()
-    before = device.frames_sent
+    before = device.network.frames_sent
     device.advance(1600)
     data = b""
     while part := device.data_to_send(37):
         data += part
-    assert device.frames_sent - before == data.count(0) // 2 > 10
+    assert device.network.frames_sent - before == data.count(0) // 2 > 10

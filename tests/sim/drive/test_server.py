@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
+from protocol.device_tx import TxQueue
 from protocol.errors import LinkBusy, LinkClosed, LinkNotFound, TargetError
 from protocol.links import open_link
 from protocol.messages import Command, DriveState, Fault, SetpointMode
 from sim.drive.device import SimulatedDevice
+from sim.drive.networks import ByteNetwork
 from sim.drive.ports import Port, PtyPort, TcpPort
 from sim.drive.server import MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
 from sim.params import ConfigError, load_params
@@ -150,7 +152,7 @@ def test_a_host_that_vanishes_ends_in_the_watchdog_and_the_next_one_finds_out(
 
 
 def test_nobody_reads_a_pty_costs_counted_frames_only(make: Callable[..., Bench]) -> None:
-    bench = make("pty", tx_bytes=50_000)
+    bench = make("pty", network=ByteNetwork(TxQueue(50_000)))
     host = bench.host()
     host.stream()
     for _ in range(200):
@@ -180,7 +182,7 @@ def test_unplug_and_replug_of_the_pty(make: Callable[..., Bench]) -> None:
         bench.step()
     bench.port.plug()
     host.link.reopen()
-    host.session.deframer.reset()
+    host.session.wire.preamble()
     bench.run(host, 0.2)  # the stream is still running: the gap is exact
     loss = host.decoders[1, 0].counters
     assert loss.samples > before
@@ -190,7 +192,8 @@ def test_unplug_and_replug_of_the_pty(make: Callable[..., Bench]) -> None:
 
 
 def test_noise_and_half_frames_from_the_host_side(make: Callable[..., Bench]) -> None:
-    bench = make("pty")
+    network = ByteNetwork(TxQueue())
+    bench = make("pty", network=network)
     host = bench.host()
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -198,7 +201,7 @@ def test_noise_and_half_frames_from_the_host_side(make: Callable[..., Bench]) ->
         bench.step()
         hello = host.connect()
         assert hello.state is DriveState.IDLE
-    assert bench.device.link.deframer.counters.bad > 0
+    assert network.deframer.counters.bad > 0
 
 
 def test_another_program_that_reads_the_port_costs_frames_not_samples(make: Callable[..., Bench]) -> None:
@@ -233,15 +236,15 @@ def test_a_second_program_is_told_that_the_port_is_held(make: Callable[..., Benc
 
 
 def test_uart_rate_is_paced_and_the_wrong_one_gets_nothing_through(make: Callable[..., Bench]) -> None:
-    bench = make("pty", baud=115200, capacity=11520.0)
+    bench = make("pty", baud=115200, network=ByteNetwork(TxQueue(capacity=11520.0)))
     host = bench.host()
     host.connect()
     host.stream(["theta_true"], edges=False, decimation=16)
-    frames = bench.device.frames_sent
+    frames = bench.device.network.frames_sent
     start = bench.now
     bench.run(host, 1.0, feed=False)
     assert host.decoders[1, 0].counters.lost_by_index == 0
-    assert bench.device.frames_sent > frames
+    assert bench.device.network.frames_sent > frames
     assert bench.now - start < 1.1
     host.link.close()
 
@@ -281,7 +284,7 @@ def test_bad_overrides(text: str) -> None:
 
 
 def test_options_that_contradict_each_other(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--link and --baud go with a pty"):
+    with pytest.raises(ConfigError, match="--baud goes with a serial line"):
         serve(ServeOptions(tcp="127.0.0.1:0", baud=9600))
     with pytest.raises(TargetError, match="HOST:PORT"):
         serve(ServeOptions(tcp="127.0.0.1"))

@@ -1,0 +1,262 @@
+"""The device's end of a CAN bus: one node, its carrier and its receiver. No I/O.
+
+Frames to be sent wait in the node's own `TxQueue`, one CAN_RECORD each; the controller takes them from there. This
+module never looks into a message and never controls a motor.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, FDF, RECORD_BYTES, BusRates
+from protocol.canmap.ids import (
+    BROADCAST,
+    MAX_NODE,
+    SLOTS,
+    STATUS_SLOTS,
+    STREAM_SLOTS,
+    CanClass,
+    CanId,
+    parse_id,
+    stream_id,
+)
+from protocol.canmap.layout import EDGE_BYTES, MAX_GROUPS, StreamLayout, edge_load, sample_layout
+from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
+from protocol.device import DeviceApp, DeviceSession, Identity
+from protocol.device_carrier import EdgeStream, Run, SampleStream, Shape, in_time
+from protocol.device_tx import TxQueue
+from protocol.errors import Refused
+from protocol.framing import Frame
+from protocol.messages import ErrorCode, MessageType, StreamSet
+from protocol.streams import EDGE_RECORD
+
+RESERVED = 7  # offset of the reserved byte of a message's header
+_HOST_STATUS = (STATUS_SLOTS[MessageType.ALIVE], STATUS_SLOTS[MessageType.SETPOINT])
+
+
+class _Samples:
+    """A stream of samples: whole frames only."""
+
+    def __init__(
+        self, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, ticks: int, tx: TxQueue
+    ) -> None:
+        self.running = False
+        self.dropped = 0
+        self.slot = 0
+        self._ids = ids
+        self._layout = layout
+        self._runs = runs
+        self._decimation = decimation
+        self._ticks = ticks * decimation
+        self._tx = tx
+        self._size = layout.groups[-1][1]
+        self._pending = np.empty((0, self._size), np.uint8)
+        self._next: int | None = None  # index of the sample after the pending ones
+
+    def fills_block(self, index0: int, n: int) -> bool:
+        """See `SampleStream`: edges never wait."""
+        return False
+
+    def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
+        """See `SampleStream`."""
+        offset = -index0 % self._decimation
+        chosen = rows[offset :: self._decimation]
+        if not len(chosen):
+            return
+        packed = np.empty((len(chosen), self._size), np.uint8)
+        for to, start, width in self._runs:
+            packed[:, to : to + width] = chosen[:, start : start + width]
+        first = index0 + offset
+        if first == self._next:
+            first -= len(self._pending) * self._decimation
+            packed = np.concatenate([self._pending, packed])
+        self._next = first + len(packed) * self._decimation
+        frames = len(packed) // self._layout.samples
+        whole = frames * self._layout.samples
+        if frames:
+            self._send(first, packed[:whole].reshape(frames, -1))
+        self._pending = packed[whole:]
+
+    def _send(self, first: int, shares: NDArray[np.uint8]) -> None:
+        """Send frames with the samples of `shares`, a row each, the first of which is the PWM period `first`."""
+        layout = self._layout
+        index = first + np.arange(len(shares)) * layout.samples * self._decimation
+        count = index & 0xFFFFFFFF if layout.fd else index // self._decimation & 0xFFFF
+        counter = count.astype("<u4" if layout.fd else "<u2").view(np.uint8).reshape(len(shares), -1)
+        records = np.zeros((len(shares), len(layout.groups)), CAN_RECORD)
+        if layout.fd:
+            records["flags"] = FDF | BRS
+        for group, (start, end) in enumerate(layout.groups):
+            column = records[:, group]
+            column["id"] = self._ids[group]
+            column["length"] = layout.length(group)
+            column["data"][:, : layout.counter] = counter
+            column["data"][:, layout.counter : layout.used(group)] = (
+                shares if len(layout.groups) == 1 else shares[:, start:end]
+            )
+        wire = records.tobytes()
+        for at in range(0, len(wire), RECORD_BYTES):
+            if not self._tx.put_bulk(wire[at : at + RECORD_BYTES]):
+                self.dropped += 1
+
+    def flush(self) -> None:
+        """See `SampleStream`: a part of a frame is never sent."""
+
+    def waits_since(self) -> int | None:
+        """See `SampleStream`."""
+        return None
+
+
+class _Edges:
+    """A stream of edges: a frame each, at once."""
+
+    def __init__(self, can_id: int, fd: bool, tx: TxQueue) -> None:
+        self.running = False
+        self.dropped = 0
+        self.slot = 0
+        self._id = can_id
+        self._fd = fd
+        self._tx = tx
+
+    def push(self, index0: int, data: bytes, tick: int) -> None:
+        """See `EdgeStream`."""
+        records = np.frombuffer(data, EDGE_RECORD).copy()
+        records["flags"] = index0 + np.arange(len(records)) & 0xFF
+        wire = records.tobytes()
+        for at in range(0, len(wire), EDGE_BYTES):
+            if not self._tx.put_bulk(pack_record(self._id, wire[at : at + EDGE_BYTES], self._fd)):
+                self.dropped += 1
+
+    def flush(self) -> None:
+        """See `EdgeStream`: nothing waits."""
+
+    def waits_since(self) -> int | None:
+        """See `EdgeStream`."""
+        return None
+
+
+class CanCarrier:
+    """CAN frames (a `protocol.device_carrier.Carrier`). Rates are shares of the bus: the queue's `capacity` is 1."""
+
+    def __init__(self, tx: TxQueue, rates: BusRates, extended: bool) -> None:
+        self.tx = tx
+        self._rates = rates
+        self._extended = extended
+        self._encoder = TransferEncoder(rates.fd, extended)
+        self.host = 0
+        """Number of the host whose request is being answered."""
+        self._next_slot = 0
+        self._slots: dict[SampleStream | EdgeStream, list[int]] = {}
+        self._next_edge_slot = itertools.cycle(range(SLOTS))
+
+    def encode(self, frame: Frame) -> bytes:
+        """See `Carrier.encode`."""
+        if frame.is_reply:
+            can_id = CanId(CanClass.TO_HOST, frame.node, self.host)
+        else:
+            can_id = CanId(CanClass.STATUS, frame.node, STATUS_SLOTS[frame.type])
+        return self._encoder.encode(can_id, frame.pack())
+
+    def shape(self, request: StreamSet, widths: Sequence[int], tx_max: int, pwm_hz: int, decimation: int) -> Shape:
+        """See `Carrier.shape`; the rate is the largest share of the bus that the frames may take."""
+        if not widths:
+            return Shape(1, edge_load(self._rates, self._extended))
+        layout = sample_layout(widths, self._rates.fd, in_time(request, pwm_hz, decimation))
+        if len(layout.groups) > MAX_GROUPS:
+            raise Refused(f"a sample of {sum(widths)} bytes", ErrorCode.DOES_NOT_FIT, layout.groups[MAX_GROUPS][0])
+        return Shape(layout.samples, layout.load(self._rates, pwm_hz / decimation, self._extended))
+
+    def samples(
+        self, node: int, request: StreamSet, cfg_id: int, widths: Sequence[int], runs: list[Run], block: int, ticks: int
+    ) -> SampleStream:
+        """See `Carrier.samples`. Each configuration has slots of its own, after those of the one before."""
+        layout = sample_layout(widths, self._rates.fd, block)
+        slots = self._free_slots(len(layout.groups))
+        self._next_slot = (slots[-1] + 1) % STREAM_SLOTS
+        ids = [stream_id(node, slot).pack(self._extended) for slot in slots]
+        stream = _Samples(ids, layout, runs, request.decimation, ticks, self.tx)
+        stream.slot = slots[0]
+        self._slots[stream] = slots
+        return stream
+
+    def _free_slots(self, n: int) -> list[int]:
+        """Return the next n slots in a row that no stream has."""
+        used = {slot for slots in self._slots.values() for slot in slots}
+        for start in range(STREAM_SLOTS):
+            slots = [(self._next_slot + start + k) % STREAM_SLOTS for k in range(n)]
+            if not used.intersection(slots):
+                return slots
+        raise Refused(f"{n} slots", ErrorCode.DOES_NOT_FIT, 0)
+
+    def edges(self, node: int, request: StreamSet, cfg_id: int, block: int) -> EdgeStream:
+        """See `Carrier.edges`."""
+        slot = next(self._next_edge_slot)
+        stream = _Edges(CanId(CanClass.EDGES, node, slot).pack(self._extended), self._rates.fd, self.tx)
+        stream.slot = slot
+        return stream
+
+    def close(self, stream: SampleStream | EdgeStream) -> None:
+        """See `Carrier.close`: its slots are free."""
+        self._slots.pop(stream, None)
+
+
+class CanDevice:
+    """One node on a CAN bus.
+
+    Args:
+        app: what it controls.
+        identity: its `node` is 1..15.
+        rates: of the bus; they decide the frame format.
+        extended: 29-bit identifiers.
+        tx: the frames that wait; its `capacity` is set to 1.
+    """
+
+    def __init__(
+        self, app: DeviceApp, identity: Identity, rates: BusRates, extended: bool = False, tx: TxQueue | None = None
+    ) -> None:
+        if not 1 <= identity.node <= MAX_NODE:
+            raise ValueError(f"node {identity.node} is not in 1..{MAX_NODE}")
+        self.tx = TxQueue() if tx is None else tx
+        self.tx.capacity = 1.0
+        self.counters = CanCounters()
+        self._carrier = CanCarrier(self.tx, rates, extended)
+        self.session = DeviceSession(app, identity, self._carrier, self.counters)
+        self._node = identity.node
+        self._extended = extended
+        self._reassemblers: dict[CanId, Reassembler] = {}
+
+    def receive(self, frames: bytes) -> None:
+        """Take CAN_RECORDs from the bus, those of others too."""
+        for record in np.frombuffer(frames, CAN_RECORD):
+            self._receive(int(record["id"]), record["data"][: record["length"]].tobytes())
+
+    def _receive(self, can_id: int, data: bytes) -> None:
+        if can_id & ERROR:
+            self.counters.error_frames += 1
+            return
+        parts = parse_id(can_id, self._extended)
+        if parts is None or not self._is_mine(parts):
+            self.counters.foreign += 1
+            return
+        self.counters.frames += 1
+        if parts.kind == CanClass.STOP:
+            self.session.stop()
+            return
+        if parts not in self._reassemblers:
+            self._reassemblers[parts] = Reassembler(parts.node, self.counters)
+        message = self._reassemblers[parts].feed(data)
+        if message is not None and (parts.node == self._node or message[0] == MessageType.HELLO):
+            self._carrier.host = parts.slot
+            # two hosts may use the same tid: the reserved byte tells their requests apart
+            self.session.receive(message[:RESERVED] + bytes((parts.slot,)) + message[RESERVED + 1 :])
+
+    def _is_mine(self, parts: CanId) -> bool:
+        if parts.kind == CanClass.STOP:
+            return parts.node in (self._node, BROADCAST)
+        if parts.kind == CanClass.TO_DEVICE:
+            return parts.node in (self._node, BROADCAST)
+        return parts.kind == CanClass.STATUS and parts.node == self._node and parts.slot in _HOST_STATUS

@@ -1,0 +1,246 @@
+"""The host's end of a CAN bus (a `protocol.wire.HostWire`). No I/O.
+
+What the link reads are rows of CAN_RECORDs. Stream frames are sorted to their streams; those of a node of which no
+heartbeat has come for a while are held back until the next one, because their counters alone do not say what time they
+are of. This module never looks into a message, but for a heartbeat's time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.canmap.decoders import Anchor, CanEdgeDecoder, CanFrames, CanSampleDecoder
+from protocol.canmap.frame import CAN_RECORD, ERROR, FDF, STANDARD_MASK, BusRates
+from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
+from protocol.canmap.layout import sample_layout
+from protocol.canmap.transport import NODE_OFFSET, CanCounters, Reassembler, TransferEncoder, pack_record
+from protocol.codes import Command
+from protocol.errors import RemoteProtocolError
+from protocol.framing import HEADER_BYTES, Frame
+from protocol.messages import Heartbeat, MessageType, PayloadError, StreamEvent
+from protocol.streams import StreamConfig, TickReference
+from protocol.wire import Decoder, StreamFrames
+
+OVERDUE = 0.35  # s without a heartbeat after which a node's stream frames are held back: three of them, and some
+MAX_HELD = 1 << 15  # frames of a node
+
+_DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
+_HEARTBEAT = STATUS_SLOTS[MessageType.HEARTBEAT]
+_FOREIGN, _MESSAGE, _STALE = -1, -2, -3  # what an identifier is, where it belongs to no route
+
+
+class _Route(NamedTuple):
+    node: int
+    stream: int
+    type: MessageType
+    ids: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class _Node:
+    """What is known of a node: when its last heartbeat came, and for which streams this one ended a silence."""
+
+    heard: float = -1e9
+    held: list[NDArray[np.void]] = field(default_factory=list)
+    n_held: int = 0
+    anchors: dict[int, Anchor] = field(default_factory=dict)
+
+
+class CanWire:
+    """HBP on CAN.
+
+    Args:
+        rates: of the bus; they decide the frame format.
+        node: the device that node 0 of a message means.
+        extended: 29-bit identifiers.
+        host: number of this host among those on the bus, 0..15.
+    """
+
+    def __init__(self, rates: BusRates, node: int = 1, extended: bool = False, host: int = 0) -> None:
+        self.counters = CanCounters()
+        self.rates = rates
+        self.extended = extended
+        self.busy_seconds = 0.0
+        """For how long the frames that were heard and sent occupied the bus."""
+        self._node = node
+        self._host = host
+        self._encoder = TransferEncoder(rates.fd, extended)
+        self._reassemblers: dict[CanId, Reassembler] = {}
+        self._routes: list[_Route] = []
+        self._meaning = self._meanings()  # of the low 11 bits of an identifier: number of a route, or what it is else
+        self._nodes: dict[int, _Node] = {}
+        self._format: int | None = None  # FDF or 0, as the device's messages came
+
+    def preamble(self) -> bytes:
+        """See `HostWire.preamble`: nothing has to be written."""
+        self._reassemblers.clear()
+        self._nodes.clear()
+        return b""
+
+    def encode(self, frame: Frame) -> bytes:
+        """See `HostWire.encode`. A STOP goes ahead of all else, then again as a request that is answered."""
+        node = frame.node or self._node
+        return self._sent(self._encode(frame._replace(node=node).pack(), node))
+
+    def to_everybody(self, frame: Frame) -> bytes:
+        """Return what is written for a HELLO that every device on the bus answers."""
+        return self._sent(self._encode(frame._replace(node=BROADCAST).pack(), BROADCAST))
+
+    def _sent(self, wire: bytes) -> bytes:
+        self.busy_seconds += self.rates.occupied(np.frombuffer(wire, CAN_RECORD))
+        return wire
+
+    def _encode(self, message: bytes, node: int) -> bytes:
+        slot = STATUS_SLOTS.get(message[0])
+        if slot is not None:
+            return self._encoder.encode(CanId(CanClass.STATUS, node, slot), message)
+        wire = self._encoder.encode(CanId(CanClass.TO_DEVICE, node, self._host), message)
+        if message[0] == MessageType.STATE_CMD and message[HEADER_BYTES : HEADER_BYTES + 1] == bytes((Command.STOP,)):
+            return stop_record(node, self.extended, self.rates.fd) + wire
+        return wire
+
+    def feed(self, data: bytes) -> list[bytes | StreamFrames]:
+        """See `HostWire.feed`."""
+        records = np.frombuffer(data, CAN_RECORD)
+        self.busy_seconds += self.rates.occupied(records[records["id"] & ERROR == 0])
+        meaning = self._look(records)
+        out: list[bytes | StreamFrames] = []
+        done = 0
+        for at in np.flatnonzero(meaning == _MESSAGE).tolist():
+            record = records[at]
+            message = self._receive(record)
+            if message is None:
+                continue
+            out += self._streams(records[done:at], meaning[done:at])
+            done = at
+            out.append(message)
+            if message[0] == MessageType.HEARTBEAT:
+                out += self._heartbeat(message, float(record["time"]))
+        return out + self._streams(records[done:], meaning[done:])
+
+    def _meanings(self) -> NDArray[np.int16]:
+        """Return the table of what the identifiers mean."""
+        table = np.full(STANDARD_MASK + 1, _FOREIGN, np.int16)
+        for can_id in range(STANDARD_MASK + 1):
+            parts = parse_id(can_id, extended=False)
+            if parts is None or parts.node == BROADCAST:
+                continue
+            status = parts.kind == CanClass.STATUS and parts.slot in _DEVICE_STATUS
+            if status or (parts.kind == CanClass.TO_HOST and parts.slot == self._host):
+                table[can_id] = _MESSAGE
+            elif parts.kind >= CanClass.EDGES:
+                table[can_id] = _STALE
+        for number, route in enumerate(self._routes):
+            table[[can_id & STANDARD_MASK for can_id in route.ids]] = number
+        return table
+
+    def _look(self, records: NDArray[np.void]) -> NDArray[np.int16]:
+        """Return what each frame's identifier means; those that are none of ours are counted."""
+        ids = records["id"]
+        meaning: NDArray[np.int16] = self._meaning[ids & STANDARD_MASK]
+        other = (ids & ~np.uint32(STANDARD_MASK)) != CanId(0, 0, 0).pack(self.extended)
+        if other.any():
+            meaning[other] = _FOREIGN
+            errors = int(((ids & ERROR) != 0).sum())
+            self.counters.error_frames += errors
+            self.counters.foreign -= errors
+        foreign = int((meaning == _FOREIGN).sum())
+        self.counters.foreign += foreign
+        self.counters.frames += len(records) - foreign
+        return meaning
+
+    def _receive(self, record: np.void) -> bytes | None:
+        """Take a frame of a message; return the message that it completes."""
+        parts = parse_id(int(record["id"]), self.extended)
+        assert parts is not None
+        if parts not in self._reassemblers:
+            self._reassemblers[parts] = Reassembler(parts.node, self.counters)
+        message = self._reassemblers[parts].feed(record["data"][: record["length"]].tobytes())
+        if message is not None:
+            self._format = int(record["flags"]) & FDF
+        return message
+
+    def _heartbeat(self, message: bytes, time: float) -> list[StreamFrames]:
+        """Note a heartbeat; return what was held back for it."""
+        node = self._nodes.setdefault(message[NODE_OFFSET], _Node())
+        silent, node.heard = time - node.heard > OVERDUE, time
+        held, node.held, node.n_held = node.held, [], 0
+        if not silent:
+            return []
+        try:
+            heartbeat = Heartbeat.unpack(message[HEADER_BYTES:])
+        except PayloadError:
+            self.counters.overdue += sum(map(len, held))
+            return []
+        anchor = Anchor(heartbeat.tick, heartbeat.edges)
+        node.anchors = {route.stream: anchor for route in self._routes if route.node == message[NODE_OFFSET]}
+        if not held:
+            return []
+        records = np.concatenate(held)
+        return self._by_stream(records, self._meaning[records["id"] & STANDARD_MASK])
+
+    def _streams(self, records: NDArray[np.void], meaning: NDArray[np.int16]) -> list[StreamFrames]:
+        """Return the stream frames among these by stream, but for those that are held back."""
+        self.counters.stale += int((meaning == _STALE).sum())
+        return self._by_stream(records, meaning)
+
+    def _by_stream(self, records: NDArray[np.void], meaning: NDArray[np.int16]) -> list[StreamFrames]:
+        out: list[StreamFrames] = []
+        for number, route in enumerate(self._routes):
+            mine = records[meaning == number]
+            if not len(mine):
+                continue
+            node = self._nodes.setdefault(route.node, _Node())
+            if float(mine["time"][0]) - node.heard > OVERDUE:
+                self._hold(node, mine)
+            else:
+                frames = CanFrames(mine, node.anchors.pop(route.stream, None))
+                out.append(StreamFrames(route.node, route.stream, route.type, frames))
+        return out
+
+    def _hold(self, node: _Node, records: NDArray[np.void]) -> None:
+        room = MAX_HELD - node.n_held
+        self.counters.overdue += max(0, len(records) - room)
+        if room > 0:
+            node.held.append(records[:room])
+            node.n_held += len(node.held[-1])
+
+    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+        """See `HostWire.decoder`. Raises RemoteProtocolError if host and device are not of one mind on the format."""
+        if self._format is not None and bool(self._format) != self.rates.fd:
+            here, there = ("CAN FD", "classic CAN") if self.rates.fd else ("classic CAN", "CAN FD")
+            fix = "remove fd=1 from" if self.rates.fd else "add fd=1 and data_bitrate to"
+            raise RemoteProtocolError(f"the device sends {there} frames, {here} was asked for: {fix} the target")
+        decoder: CanSampleDecoder | CanEdgeDecoder
+        if config.event == StreamEvent.EDGES:
+            kind = MessageType.EDGES
+            decoder = CanEdgeDecoder(config, reference, self.extended)
+        else:
+            kind = MessageType.DATA
+            widths = [np.dtype(channel.raw.dtype).itemsize for channel in config.channels]
+            layout = sample_layout(widths, self.rates.fd, config.block)
+            if layout.samples != config.block:
+                raise RemoteProtocolError(
+                    f"stream {config.stream}: {config.block} samples a frame by the device, but {layout.samples} fit"
+                )
+            decoder = CanSampleDecoder(config, layout, tick_hz, tick_hz // pwm_hz, reference, self.extended)
+        others = [route for route in self._routes if (route.node, route.stream) != (config.node, config.stream)]
+        # edges first, so that they never trail samples
+        self._routes = sorted([*others, _Route(config.node, config.stream, kind, decoder.ids)], key=lambda r: -r.type)
+        self._meaning = self._meanings()
+        return decoder
+
+    def advice(self, heard: bool) -> str:
+        """See `HostWire.advice`."""
+        if heard:
+            return f"check that node {self._node} is an HBP device, and its frame format and identifiers"
+        return "check power, cable, termination, the bit rates and the node"
+
+
+def stop_record(node: int, extended: bool, fd: bool) -> bytes:
+    """Return the frame that stops a node, or every node (BROADCAST), whatever else is on the bus."""
+    return pack_record(CanId(CanClass.STOP, node, 0).pack(extended), b"", fd)

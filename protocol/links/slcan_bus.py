@@ -1,0 +1,248 @@
+"""slcan adapters as a python-can interface that keeps up with a full bus: `can.Bus(interface="hallbench_slcan", …)`.
+
+python-can's own slcan reads one byte at a time; this one empties the descriptor at each read and turns many lines into
+frames at once. It takes the same keywords. It has no `fileno`: frames that are already read make no descriptor
+readable, so a `can.Notifier` must use its thread. It never waits for an adapter's answers, it counts them.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from typing import Any
+
+import can
+import numpy as np
+from can.util import check_or_adjust_timing_clock
+from numpy.typing import NDArray
+
+from protocol.canmap.frame import (
+    BRS,
+    CAN_RECORD,
+    ERROR,
+    EXTENDED,
+    EXTENDED_MASK,
+    FDF,
+    MAX_DATA,
+    RECORD_BYTES,
+    REMOTE,
+    padded_length,
+)
+from protocol.canmap.slcan import BELL, BITRATES, DATA_BITRATES, END, TIMING_CLOCK, SlcanParser, encode
+from protocol.errors import LinkError, TargetError
+from protocol.links.serial import SerialLink
+from protocol.links.target import DEFAULT_BAUD, SerialTarget
+
+_RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")  # a CAN_RECORD
+_PATIENCE = 1.0  # s that one wait of an endless `recv` takes
+_KEPT_REPLIES = 16
+
+
+class SlcanBus(can.BusABC):
+    """An slcan adapter on a serial port, opened and locked; one thread may receive while others send.
+
+    Args:
+        channel: serial port, `/dev/ttyACM0` or `/dev/ttyACM0@3000000` with the port's rate.
+        tty_baudrate: the port's rate in baud; an adapter on USB ignores it.
+        bitrate: of the bus, in bit/s; None leaves the adapter's own setting.
+        timing: in place of the bit rates: `BitTiming` sets the registers, `BitTimingFd` both bit rates.
+        sleep_after_open: seconds before the first command. python-can waits 2 s, for boards that reset when their port
+            is opened; USB adapters do not, so here it is 0.
+        rtscts: hardware handshake of the port.
+        listen_only: neither send nor acknowledge.
+        timeout: accepted as python-can's, and ignored: reading waits on the descriptor.
+        fd: the bus carries CAN FD frames.
+        data_bitrate: of CAN FD's data phase, in bit/s; implies `fd`. None leaves the adapter's own setting.
+        kwargs: of `can.BusABC`, such as `can_filters`.
+
+    Raises:
+        ValueError: no channel, a bit rate that slcan does not have, or a port's rate that it cannot have.
+        can.CanInitializationError: the port is missing, held by another program or no serial port.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        tty_baudrate: int = DEFAULT_BAUD,
+        bitrate: int | None = None,
+        timing: can.BitTiming | can.BitTimingFd | None = None,
+        sleep_after_open: float = 0.0,
+        rtscts: bool = False,
+        listen_only: bool = False,
+        timeout: float = 0.001,
+        fd: bool = False,
+        data_bitrate: int | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if not channel:
+            raise ValueError("channel must name a serial port, for example /dev/ttyACM0")
+        commands = [b"", b"C"]  # the first one ends a line that another program may have left unfinished
+        if isinstance(timing, can.BitTiming):
+            timing = check_or_adjust_timing_clock(timing, [TIMING_CLOCK])
+            commands.append(b"s%02X%02X" % (timing.btr0, timing.btr1))
+        else:
+            if timing is not None:
+                bitrate, data_bitrate = timing.nom_bitrate, timing.data_bitrate
+            if bitrate is not None:
+                commands.append(_command("bitrate", bitrate, BITRATES))
+        if data_bitrate is not None:
+            commands.append(_command("data_bitrate", data_bitrate, DATA_BITRATES))
+        commands += [b"L" if listen_only else b"O", b""]
+
+        self.refused = 0
+        """Bells of the adapter: commands that it refused, or frames for which its transmit buffer had no room."""
+        self.replies: deque[bytes] = deque(maxlen=_KEPT_REPLIES)
+        """The adapter's newest answers that are no acknowledgement, such as `F00`."""
+        self.channel_info = f"slcan {channel}"
+        self._can_protocol = can.CanProtocol.CAN_FD if fd or data_bitrate is not None else can.CanProtocol.CAN_20
+        self._parser = SlcanParser()
+        self._pending = memoryview(b"")  # records read and not yet given to `recv`
+        self._sending = threading.Lock()
+        port, at, baud = channel.rpartition("@")
+        if at and not baud.isdecimal():
+            raise ValueError(f"channel '{channel}': the port's rate must be a whole number, got '{baud}'")
+        target = SerialTarget(port, int(baud)) if at else SerialTarget(channel, tty_baudrate)
+        try:
+            self._port = _Port(target, rtscts)
+        except TargetError as error:
+            raise ValueError(str(error)) from None
+        except (LinkError, OSError) as error:
+            raise can.CanInitializationError(str(error)) from None
+        time.sleep(sleep_after_open)
+        try:
+            self._port.write(END.join(commands))
+        except (LinkError, OSError) as error:
+            self._port.close()
+            raise can.CanInitializationError(str(error)) from None
+        super().__init__(channel, **kwargs)
+
+    @property
+    def malformed(self) -> int:
+        """Lines of the adapter that could not be read; they are dropped."""
+        return self._parser.malformed
+
+    def recv_records(self, timeout: float, settle: float = 0.0) -> bytes:
+        """Return the frames that have come, as CAN_RECORDs; b"" when none came within `timeout` s.
+
+        `settle`: seconds to go on collecting after the first byte. `time` in the records is that of `time.monotonic`.
+
+        Raises:
+            can.CanOperationError: the port is gone. Frames that came before are returned first.
+        """
+        if self._pending:
+            records, self._pending = bytes(self._pending), memoryview(b"")
+            return records
+        deadline = time.monotonic() + timeout
+        while True:  # answers of the adapter are no frames: wait on
+            try:
+                data = self._port.read(deadline - time.monotonic(), settle)
+            except (LinkError, OSError, ValueError) as error:  # the latter when another thread closed the port
+                raise can.CanOperationError(str(error)) from None
+            now = time.monotonic()
+            frames = self._parser.feed(data, now)
+            for reply in self._parser.replies:
+                if reply.text == BELL:
+                    self.refused += 1
+                elif reply.text not in (b"", b"z", b"Z"):
+                    self.replies.append(reply.text)
+            self._parser.replies.clear()
+            if len(frames) or now >= deadline:
+                return frames.tobytes()
+
+    def send_records(self, data: bytes) -> None:
+        """Send the frames in these CAN_RECORDs, in one write.
+
+        Raises:
+            can.CanOperationError: the port is gone or did not take all of it within 0.5 s, or a frame that slcan cannot
+                carry; then nothing was sent.
+        """
+        self._send(np.frombuffer(data, CAN_RECORD))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._pending:
+            self._pending = memoryview(self.recv_records(_PATIENCE if timeout is None else timeout))
+            if not self._pending:
+                return None, False
+        record, self._pending = self._pending[:RECORD_BYTES], self._pending[RECORD_BYTES:]
+        return _message(record), False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """See `can.BusABC.send`. `timeout` is not needed: the port takes the frame within 0.5 s or has failed.
+
+        Raises:
+            can.CanOperationError: the port is gone or takes nothing, or a frame that the bus or slcan cannot carry.
+        """
+        if msg.is_fd and self.protocol is not can.CanProtocol.CAN_FD:
+            raise can.CanOperationError(f"{self.channel_info}: a CAN FD frame needs a bus opened with fd=True")
+        self._send(_record(msg))
+
+    def _send(self, records: NDArray[np.void]) -> None:
+        try:
+            lines = encode(records)
+        except ValueError as error:
+            raise can.CanOperationError(str(error)) from None
+        self._write(lines)
+
+    def _write(self, lines: bytes) -> None:
+        try:
+            with self._sending:
+                self._port.write(lines)
+        except (LinkError, OSError, ValueError) as error:
+            raise can.CanOperationError(str(error)) from None
+
+    def shutdown(self) -> None:
+        """Close the adapter's channel and the port, also one that has gone. Doing it again does nothing."""
+        if not self._is_shutdown:
+            super().shutdown()
+            with suppress(can.CanOperationError):
+                self._write(b"C" + END)
+            self._port.close()
+
+
+class _Port(SerialLink):
+    """A serial port, with hardware handshake where it is asked for."""
+
+    def __init__(self, target: SerialTarget, rtscts: bool) -> None:
+        self._rtscts = rtscts
+        super().__init__(target)
+
+    def _open(self) -> None:
+        super()._open()
+        if self._rtscts and self._port is not None:
+            self._port.rtscts = True
+            self._set_minimum(self._port.fileno())  # pyserial has just set it back
+
+
+def _command(name: str, value: int, commands: dict[int, bytes]) -> bytes:
+    if value not in commands:
+        raise ValueError(f"{name} {value} is none of slcan's: choose one of {', '.join(map(str, commands))}")
+    return commands[value]
+
+
+def _message(record: memoryview) -> can.Message:
+    number, length, flags, _, when, data = _RECORD.unpack(record)
+    return can.Message(
+        timestamp=when + time.time() - time.monotonic(),
+        arbitration_id=number & EXTENDED_MASK,
+        is_extended_id=bool(number & EXTENDED),
+        is_remote_frame=bool(number & REMOTE),
+        is_fd=bool(flags & FDF),
+        bitrate_switch=bool(flags & BRS),
+        dlc=length,
+        data=None if number & REMOTE else data[:length],
+    )
+
+
+def _record(msg: can.Message) -> NDArray[np.void]:
+    number = (
+        msg.arbitration_id
+        | (EXTENDED if msg.is_extended_id else 0)
+        | (REMOTE if msg.is_remote_frame else 0)
+        | (ERROR if msg.is_error_frame else 0)
+    )
+    flags = (FDF | BRS if msg.bitrate_switch else FDF) if msg.is_fd else 0
+    length = padded_length(msg.dlc) if msg.is_fd else msg.dlc
+    return np.frombuffer(_RECORD.pack(number, length, flags, 0, 0.0, bytes(msg.data)), CAN_RECORD)

@@ -1,0 +1,146 @@
+"""How messages and stream frames look on a link, seen from the host: `HostWire`, and the one of byte links.
+
+A wire turns what a link reads into messages (header + payload) and batches of stream frames, in the order they came,
+and messages into what a link writes. It knows no requests and no time-outs, and does no I/O.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, FramingCounters, encode_frame
+from protocol.messages import MessageType, StreamEvent
+from protocol.streams import (
+    STREAM_OFFSET,
+    EdgeChunk,
+    EdgeDecoder,
+    LossCounters,
+    SampleChunk,
+    SampleDecoder,
+    StreamConfig,
+    TickReference,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFrames:
+    """Frames of one stream, DATA or EDGES by `type`, in the order they came: what the stream's decoder takes.
+
+    Edges come before the samples that they precede.
+    """
+
+    node: int
+    stream: int
+    type: MessageType
+    frames: Any
+
+
+class Decoder(Protocol):
+    """Decodes what comes of one configured stream."""
+
+    config: StreamConfig
+
+    @property
+    def counters(self) -> LossCounters:
+        """The stream's account; its records are samples or edges."""
+
+    def decode(self, frames: Any) -> SampleChunk | EdgeChunk | None:
+        """Return the records in `StreamFrames.frames`, or None if there are none."""
+
+
+class WireCounters(Protocol):
+    """What every wire counts."""
+
+    @property
+    def frames(self) -> int:
+        """Intact frames."""
+
+    @property
+    def bad(self) -> int:
+        """Damaged ones, of every kind."""
+
+
+class HostWire(Protocol):
+    """A link's language, at the host's end."""
+
+    @property
+    def counters(self) -> WireCounters:
+        """What was heard."""
+
+    def preamble(self) -> bytes:
+        """Return what is written before HELLO, and forget what is half received."""
+
+    def encode(self, frame: Frame) -> bytes:
+        """Return what is written for a message; its node 0 is the device that the link leads to."""
+
+    def feed(self, data: bytes) -> Sequence[bytes | StreamFrames]:
+        """Return the messages (header + payload) and stream frames that `data`, as the link read it, completes."""
+
+    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+        """Return a decoder for a stream as it was just configured; its frames are looked for from now on."""
+
+    def advice(self, heard: bool) -> str:
+        """Return what to look at when nothing answers; `heard`: something came all the same."""
+
+
+class ByteWire:
+    """COBS frames: serial ports, TCP, memory."""
+
+    def __init__(self) -> None:
+        self._deframer = Deframer()
+
+    @property
+    def counters(self) -> FramingCounters:
+        """See `HostWire.counters`."""
+        return self._deframer.counters
+
+    def preamble(self) -> bytes:
+        """See `HostWire.preamble`."""
+        self._deframer.reset()
+        return CONNECT_PREAMBLE
+
+    def encode(self, frame: Frame) -> bytes:
+        """See `HostWire.encode`."""
+        return encode_frame(frame)
+
+    def feed(self, data: bytes) -> list[bytes | StreamFrames]:
+        """See `HostWire.feed`; stream frames between two messages are one batch a stream."""
+        out: list[bytes | StreamFrames] = []
+        groups: dict[tuple[int, int, int], list[bytes]] = {}
+        for raw in self._deframer.feed(data):
+            kind = raw[0]
+            if (kind == 0x40 or kind == 0x41) and raw[1] == MAJOR and len(raw) >= STREAM_OFFSET:
+                key = (kind, raw[6], raw[8])
+                if key in groups:
+                    groups[key].append(raw)
+                else:
+                    groups[key] = [raw]
+            else:
+                out += _batches(groups)
+                groups.clear()
+                out.append(raw)
+        return out + _batches(groups)
+
+    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+        """See `HostWire.decoder`."""
+        if config.event == StreamEvent.EDGES:
+            return EdgeDecoder(config, reference)
+        return SampleDecoder(config, tick_hz // pwm_hz, reference)
+
+    def advice(self, heard: bool) -> str:
+        """See `HostWire.advice`."""
+        if heard:
+            return "check the baud rate, and that it is an HBP device"
+        return "check power, cable, target and baud rate"
+
+
+def _batches(groups: dict[tuple[int, int, int], list[bytes]]) -> list[StreamFrames]:
+    """Turn collected stream frames into batches: edges first, so that they never trail samples."""
+    return [
+        StreamFrames(node, stream, kind, frames)
+        for kind in (MessageType.EDGES, MessageType.DATA)
+        for (each, node, stream), frames in groups.items()
+        if each == kind
+    ]

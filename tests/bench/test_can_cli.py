@@ -1,0 +1,161 @@
+"""The commands on a CAN bus: python-can's virtual one, in this process, with the simulated bench on it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from virtual_run import RecordingScreen
+
+from bench import live
+from bench.cli import main
+from bench.errors import BenchError, DoesNotFit
+from bench.scan import scan
+from bench.summary import Summary
+from protocol.canmap.frame import BusRates
+from protocol.errors import NoReply, RemoteProtocolError
+from protocol.links import open_link
+from protocol.messages import Role
+from sim.drive.server import ServeOptions, serving
+
+PATIENT = {"firmware.watchdog": 1.0, "load.watchdog": 1.0}
+
+
+@pytest.fixture(scope="module")
+def classic() -> Iterator[str]:
+    with serving(ServeOptions(virtual="cli", overrides=PATIENT)) as target:
+        yield target
+
+
+@pytest.fixture(scope="module")
+def fd() -> Iterator[str]:
+    rates = BusRates(1_000_000, 8_000_000)
+    with serving(ServeOptions(virtual="cli-fd", rates=rates, extended=True, overrides=PATIENT)) as target:
+        yield target
+
+
+def bench(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
+    got = 0
+    try:
+        main(list(arguments))
+    except SystemExit as ended:
+        got = int(ended.code or 0)
+    read = capsys.readouterr()
+    assert got == code, read
+    return read.out, read.err
+
+
+def run(target: str, **options: object) -> tuple[Summary, list[str]]:
+    screen = RecordingScreen()
+    given = {"target": target, "viewer": "none", "duration": 1.0, "yes": True} | options
+    ended = live.run(live.LiveOptions(**given), screen, None, lambda summary: None)  # type: ignore[arg-type]
+    return ended.summary, screen.notes
+
+
+def test_targets_name_the_bus(classic: str, fd: str) -> None:
+    assert classic == "can:virtual/cli?bitrate=1000000"
+    assert fd == "can:virtual/cli-fd?bitrate=1000000&fd=1&data_bitrate=8000000&ext=1"
+
+
+def test_devices_lists_the_nodes_of_a_bus(capsys: pytest.CaptureFixture[str], fd: str) -> None:
+    nodes = json.loads(bench(capsys, "devices", fd, "--json")[0])
+    assert [(n["node"], n["role"], n["state"], n["name"]) for n in nodes] == [
+        (1, "drive", "IDLE", "simulated drive"),
+        (2, "load", "IDLE", "load machine"),
+    ]
+    out, _ = bench(capsys, "devices", fd)
+    assert "load machine" in out
+    assert "nobody who speaks HBP answered" in bench(capsys, "devices", "can:virtual/empty")[0]
+
+
+def test_a_scan_asks_every_node_at_once_and_hosts_do_not_disturb_each_other(classic: str) -> None:
+    first, second = open_link(classic), open_link(classic + "&host_number=3")
+    try:
+        assert [reply.role for reply in scan(first, 0.3)] == [Role.DRIVE, Role.LOAD]
+        assert [reply.node for reply in scan(second, 0.3)] == [1, 2]
+    finally:
+        first.close()
+        second.close()
+
+
+def test_info_shows_the_bus(capsys: pytest.CaptureFixture[str], classic: str) -> None:
+    info = json.loads(bench(capsys, "info", classic, "--json")[0])
+    assert [node["identity"]["node"] for node in info["nodes"]] == [1, 2]
+    bus = info["bus"]
+    assert bus["rates"] == "1 Mbit/s"
+    # two heartbeats of 8 frames, ten times a second: 16 x 10 x about 115 us
+    assert 0.01 < bus["load"] < 0.03
+    assert bus["fits"][0]["channels"] == 26
+    assert bus["fits"][-1]["rate_hz"] == 16_000
+    out, _ = bench(capsys, "info", classic)
+    assert "watched for a second" in out
+    assert "what fits on it" in out
+
+
+def test_live_says_what_would_fit(capsys: pytest.CaptureFixture[str], classic: str) -> None:
+    _, err = bench(capsys, "live", classic, "--viewer", "none", code=2)
+    assert "26 channels at 16000 Hz would load can:virtual/cli (1 Mbit/s) to 1894%" in err
+    assert "26 channels at 666.667 Hz (92%)" in err
+    assert "--fit" in err
+    _, err = bench(capsys, "live", classic, "--viewer", "none", "--channels", "i_a,i_b", "--rate", "16000", code=2)
+    assert "2 channels at 16000 Hz would load" in err
+    with pytest.raises(DoesNotFit) as caught:
+        run(classic)
+    assert caught.value.decimation == 24
+
+
+def test_each_rate_that_is_offered_is_taken(capsys: pytest.CaptureFixture[str], classic: str) -> None:
+    offered = json.loads(bench(capsys, "info", classic, "--json")[0])["bus"]["fits"]
+    names = [c["name"] for c in json.loads(bench(capsys, "info", classic, "--json")[0])["nodes"][0]["channels"]]
+    for fit in offered:
+        channels = ",".join(names[: fit["channels"]])
+        rate = f"{fit['rate_hz']:g}"  # as it is printed
+        out, _ = bench(
+            capsys, "live", classic, "--viewer", "none", "--channels", channels, "--rate", rate, "--duration", "0.2",
+            "--json", "-",
+        )  # fmt: skip
+        summary = json.loads(out)
+        assert summary["bus"]["load_predicted"] == pytest.approx(fit["load"], rel=1e-5)
+
+
+def test_fit_takes_the_highest_rate(classic: str, fd: str) -> None:
+    summary, notes = run(classic, fit=True)
+    assert "--fit: 26 channels at 666.667 Hz" in notes
+    assert summary.samples == pytest.approx(666, rel=0.2)
+    assert summary.bus is not None
+    assert 0.3 < summary.bus["load"] < summary.bus["load_predicted"] < 0.95
+    assert not any((summary.lost.samples_by_index, summary.lost.edges_by_index, summary.lost.frames_by_sequence))
+    _, notes = run(fd, fit=True)
+    assert "--fit: 26 channels at 5333.33 Hz" in notes
+
+
+def test_the_load_machine_is_a_node_of_its_own(fd: str, tmp_path: Path) -> None:
+    summary, _ = run(fd, fit=True, speed_rpm=300.0, load_a=1.0, save=tmp_path / "a.rrd")
+    assert summary.result == "ok"
+    assert summary.recording["samples"] == summary.samples
+    assert summary.faults == []
+
+
+def test_a_bus_without_a_load_machine_says_so(classic: str) -> None:
+    with pytest.raises(BenchError, match=r"answers as LOAD, not as a drive"):
+        run(classic + "&node=2", fit=True)
+
+
+def test_a_node_that_is_not_there(capsys: pytest.CaptureFixture[str], classic: str) -> None:
+    with pytest.raises(NoReply, match="no HBP device answered on can:virtual/cli within 3 s"):
+        run(classic + "&node=7")
+    _, err = bench(capsys, "info", "can:virtual/empty", code=2)
+    assert "check power, cable, termination, the bit rates and the node" in err
+
+
+def test_frames_of_the_other_format_are_named(fd: str) -> None:
+    """A host that was told of a classic bus hears FD frames."""
+    with pytest.raises((RemoteProtocolError, NoReply), match=r"add fd=1|no HBP device answered"):
+        run("can:virtual/cli-fd?ext=1")
+
+
+def test_host_observers_need_every_period(classic: str) -> None:
+    with pytest.raises(BenchError, match=r"would load|--host-observers needs"):
+        run(classic, fit=True, host_observers=True)

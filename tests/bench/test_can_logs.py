@@ -1,0 +1,446 @@
+"""What other tools make of our frames: cantools by our DBC, python-can's log formats, its logger and its player.
+
+The numbers to agree with are those that the host got while the simulated drive streamed to it.
+"""
+
+from __future__ import annotations
+
+import select
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from threading import Event
+
+import can
+import cantools
+import numpy as np
+import pytest
+from collect import Bench
+from processes import LIMIT, Program
+
+from bench.dbc import NodeStream, configured_streams, dbc_text
+from bench.node import Node
+from protocol.canmap.frame import CAN_RECORD, EXTENDED, RECORD_BYTES, BusRates
+from protocol.canmap.host import CanWire
+from protocol.host import HostSession
+from protocol.links import parse_target
+from protocol.links.can_message import to_messages, to_record
+from protocol.streams import EdgeChunk, LossCounters, SampleChunk
+from protocol.wire import Decoder, StreamFrames
+from sim.drive.can_ports import SocketcandPort
+from sim.drive.device import SimulatedDevice
+from sim.drive.networks import CanNetwork
+from sim.drive.slcan_port import SlcanPort
+from sim.drive.virtual import VirtualLink
+from sim.params import load_params
+
+EPOCH = 1_700_000_000.0  # s: when a recording begins, for formats that want a date
+PORTION = 500  # frames that a link reads at once
+
+Chunk = SampleChunk | EdgeChunk
+Database = cantools.database.can.Database
+Message = cantools.database.can.Message
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is streamed, on what kind of bus. `load`: the load machine streams all it has, 500 times a second."""
+
+    rates: BusRates
+    names: tuple[str, ...] | None
+    decimation: int
+    extended: bool = False
+    load: bool = False
+
+
+CASES = {
+    "classic, two groups": Case(
+        BusRates(1_000_000), ("hall", "theta_enc", "i_a", "i_b", "i_c", "omega_enc"), 8, load=True
+    ),
+    "classic, three samples": Case(BusRates(1_000_000), ("i_a",), 1),
+    "extended": Case(BusRates(1_000_000), ("status", "i_d", "i_q"), 4, extended=True, load=True),
+    "FD, six samples": Case(BusRates(1_000_000, 5_000_000), ("hall", "status", "theta_vt", "i_a", "i_b"), 1),
+    "FD, all channels": Case(BusRates(1_000_000, 8_000_000), None, 4, load=True),
+    "FD, extended": Case(
+        BusRates(1_000_000, 4_000_000),
+        ("hall", "theta_enc", "omega_enc", "i_a", "i_b", "i_c", "u_dc", "i_d", "i_q"),
+        2,
+        extended=True,
+        load=True,
+    ),
+}
+
+
+class StreamingBench:
+    """A simulated bench in virtual time that streams as a case says, and a second adapter that hears the bus."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        network = CanNetwork(case.rates, case.extended)
+        self.heard: list[bytes] = []
+        network.bus.attach(lambda: b"", self.heard.append, "second adapter")
+        self.host = Bench(VirtualLink(SimulatedDevice(load_params(), 1, network=network)))
+
+    def start(self) -> list[NodeStream]:
+        """Start the drive, against a torque, and when it turns the streams; return these."""
+        host, case = self.host, self.case
+        host.turn(60.0)
+        host.load.arm()
+        host.load.start()
+        host.load.torque(0.3)
+        host.client.run_for(0.3)
+        if case.load:
+            machine = Node(host.client, 2)
+            machine.set_samples(machine.descriptor.channels, 32)
+            machine.start_streams()
+        host.stream(case.names, case.decimation)
+        return configured_streams(host.client)
+
+    def stop(self) -> None:
+        """Switch off, and wait for the last frame."""
+        self.host.drive.stop()
+        self.host.drive.stop_streams()
+        self.host.load.stop()
+        self.host.load.stop_streams()
+        self.host.client.run_for(0.3)
+
+
+@dataclass
+class Recording:
+    """Frames on a bus (rows of CAN_RECORD), and what a host made of them."""
+
+    case: Case
+    streams: list[NodeStream]
+    frames: np.ndarray
+    chunks: list[Chunk]
+
+    @property
+    def database(self) -> Database:
+        text = dbc_text(self.streams, self.case.rates, self.case.extended)
+        database = cantools.database.load_string(text, "dbc", strict=True)
+        assert isinstance(database, Database)
+        return database
+
+
+@lru_cache
+def recording(name: str) -> Recording:
+    """18500 frames of a case, and those that are under way then."""
+    bench = StreamingBench(CASES[name])
+    streams = bench.start()
+    while len(bench.heard) < 18_500:
+        bench.host.client.run_for(0.25)
+    bench.stop()
+    assert bench.host.client.losses(1).samples.lost_by_index == 0
+    frames = np.frombuffer(b"".join(bench.heard), CAN_RECORD)
+    return Recording(CASES[name], streams, frames, bench.host.collector.chunks)
+
+
+@dataclass
+class Decoded:
+    """Our own decoders, fed with frames from anywhere."""
+
+    case: Case
+    streams: list[NodeStream]
+    chunks: list[Chunk] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._session = HostSession(CanWire(self.case.rates, 1, self.case.extended))
+        self._decoders: dict[tuple[int, int], Decoder] = {
+            (s.config.node, s.config.stream): self._session.decoder(s.config, s.tick_hz, s.pwm_hz) for s in self.streams
+        }
+
+    def feed(self, frames: np.ndarray) -> Decoded:
+        for at in range(0, len(frames), PORTION):
+            part = frames[at : at + PORTION]
+            self._session.receive_data(part.tobytes(), float(part["time"][-1]))
+            while (event := self._session.next_event()) is not None:
+                if isinstance(event, StreamFrames):
+                    chunk = self._decoders[event.node, event.stream].decode(event.frames)
+                    if chunk is not None:
+                        self.chunks.append(chunk)
+        return self
+
+    @property
+    def counters(self) -> list[LossCounters]:
+        return [decoder.counters for decoder in self._decoders.values()]
+
+
+def joined(chunks: Iterable[Chunk], stream: NodeStream, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The columns `names` of all chunks of a stream, which must have no gap."""
+    of_stream = [c for c in chunks if (c.config.node, c.config.stream) == (stream.config.node, stream.config.stream)]
+    assert of_stream
+    assert not any(chunk.gaps for chunk in of_stream)
+    return {name: np.concatenate([getattr(chunk, name) for chunk in of_stream]) for name in names}
+
+
+def same_samples(got: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> None:
+    """`got` is what `wanted` begins with."""
+    for name, column in got.items():
+        assert column.tobytes() == wanted[name][: len(column)].tobytes(), name
+
+
+def agree(recorded: Recording, frames: np.ndarray, chunks: list[Chunk], *, cut: bool = False) -> int:
+    """cantools decodes `frames` to the numbers in `chunks`; return how many frames it decoded.
+
+    `cut`: the last sample may have lost a part.
+    """
+    database = recorded.database
+    decoded = 0
+    for stream in recorded.streams:
+        edges = stream.config.stream == 1
+        stem = f"{stream.name.replace(' ', '_')}_{'edges' if edges else 'samples'}"
+        messages = [message for message in database.messages if message.name.startswith(stem)]
+        assert messages
+        for message in messages:
+            number = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+            payloads = [f["data"][: f["length"]].tobytes() for f in frames[frames["id"] == number]]
+            raw = columns(message, [message.decode(payload, scaling=False) for payload in payloads])
+            scaled = columns(message, [message.decode(payload) for payload in payloads])
+            if edges:
+                agree_on_edges(stream, raw, scaled, chunks)
+            else:
+                agree_on_samples(stream, raw, scaled, chunks, cut)
+            decoded += len(payloads)
+    return decoded
+
+
+def columns(message: Message, rows: list[dict]) -> dict[str, list]:
+    """Values by the names of the signals, from one dict a frame."""
+    return {signal.name: [row[signal.name] for row in rows] for signal in message.signals}
+
+
+def agree_on_edges(stream: NodeStream, raw: dict[str, list], scaled: dict[str, list], chunks: list[Chunk]) -> None:
+    names = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
+    edges = joined(chunks, stream, names)
+    assert raw == scaled
+    assert raw["tick"] == (edges["tick"] & 0xFFFFFFFF).tolist()
+    assert raw["ctr"] == (edges["index"] & 0xFF).tolist()
+    for name in names[1:5]:
+        assert raw[name] == edges[name].tolist(), name
+
+
+def agree_on_samples(
+    stream: NodeStream, raw: dict[str, list], scaled: dict[str, list], chunks: list[Chunk], cut: bool
+) -> None:
+    config = stream.config
+    samples = joined(chunks, stream, ("index", "raw"))
+    index, k = samples["index"], config.block
+    assert (np.diff(index) == config.decimation).all()
+    if "ctr" in raw:
+        assert raw["ctr"][: len(index) // k] == (index[::k] // config.decimation & 0xFFFF).tolist()
+    else:
+        assert raw["index"][: len(index) // k] == (index[::k] & 0xFFFFFFFF).tolist()
+    whole = SampleChunk(config, index, index, samples["raw"], ())
+    found = 0
+    for channel in config.channels:
+        names = [channel.name] if k == 1 else [f"{channel.name}_{n}" for n in range(k)]
+        if names[0] not in raw:  # in another group
+            continue
+        found += 1
+        raws = np.array([raw[name] for name in names]).T.reshape(-1)
+        values = np.array([scaled[name] for name in names], np.float64).T.reshape(-1)
+        assert 0 <= len(raws) - len(index) <= (1 if cut else 0)
+        np.testing.assert_array_equal(raws[: len(index)], samples["raw"][channel.name], channel.name)
+        np.testing.assert_array_equal(values[: len(index)], whole.physical(channel.name), channel.name)
+    assert found == (len(raw) - 1) / k
+
+
+# -- frames as they were on the bus -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_cantools_reads_our_numbers(name: str) -> None:
+    """Six times 17000 frames and more, every one: the same integers, and the same float64s."""
+    recorded = recording(name)
+    decoded = agree(recorded, recorded.frames, recorded.chunks)
+    assert decoded > 17_000
+    moving = joined(recorded.chunks, recorded.streams[0], ("raw",))["raw"]
+    assert len(np.unique(moving)) > 50
+    again = Decoded(recorded.case, recorded.streams).feed(recorded.frames)
+    for stream in recorded.streams:
+        columns = ("tick", "index", "encoder" if stream.config.stream == 1 else "raw")
+        same_samples(joined(again.chunks, stream, columns), joined(recorded.chunks, stream, columns))
+    assert all(counters.lost_by_index == counters.malformed == 0 for counters in again.counters)
+
+
+def test_the_cases_cover_the_layouts() -> None:
+    shapes = {
+        (recorded.case.rates.fd, stream.config.block > 1, len(recorded.database.messages) > len(recorded.streams))
+        for recorded in map(recording, CASES)
+        for stream in recorded.streams
+        if stream.config.channels
+    }
+    assert {(False, False, True), (False, True, False), (True, False, False), (True, True, False)} <= shapes
+
+
+# -- log files --------------------------------------------------------------------------------------------------
+
+
+def written(path: Path, frames: np.ndarray) -> None:
+    """Record frames with python-can's logger, behind a bus of its own and a notifier."""
+    done = Event()
+    left = len(frames)
+
+    def count(message: can.Message) -> None:
+        nonlocal left
+        left -= 1
+        if not left:
+            done.set()
+
+    with (
+        can.Bus(interface="virtual", channel=path.name, preserve_timestamps=True) as sender,
+        can.Bus(interface="virtual", channel=path.name) as receiver,
+        can.Notifier(receiver, [can.Logger(path), count], timeout=0.01),  # which stops the logger too
+    ):
+        for message, when in zip(to_messages(frames.tobytes()), frames["time"].tolist(), strict=True):
+            message.timestamp = EPOCH + when
+            sender.send(message)
+        assert done.wait(LIMIT)
+
+
+def read_log(path: Path) -> np.ndarray:
+    """The frames in a log file."""
+    with can.LogReader(path) as messages:
+        return np.frombuffer(b"".join(to_record(message, message.timestamp) for message in messages), CAN_RECORD)
+
+
+def same_frames(got: np.ndarray, wanted: np.ndarray) -> None:
+    """All but the times are the same."""
+    for name in ("id", "length", "flags", "data"):
+        np.testing.assert_array_equal(got[name], wanted[name], name)
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".log"])
+@pytest.mark.parametrize("name", ["extended", "FD, extended"])
+def test_log_files(name: str, suffix: str, tmp_path: Path) -> None:
+    """ASC, BLF and candump keep every frame as it is. ASC and candump round times to 1 µs, and BLF's reader to what a
+    float64 of seconds since 1970 has, 0.24 µs; where time 0 is, ASC and BLF tell to a millisecond."""
+    recorded = recording(name)
+    frames = recorded.frames[:3000]
+    path = tmp_path / f"run{suffix}"
+    written(path, frames)
+    logged = read_log(path)
+    same_frames(logged, frames)
+    shift = logged["time"] - frames["time"]
+    assert shift.max() - shift.min() < 1.6e-6
+    decoded = Decoded(recorded.case, recorded.streams).feed(logged)
+    assert agree(recorded, logged, decoded.chunks, cut=True) > 1200
+    for stream in recorded.streams:
+        column = ("encoder",) if stream.config.stream == 1 else ("raw",)
+        same_samples(joined(decoded.chunks, stream, column), joined(recorded.chunks, stream, column))
+
+
+# -- python-can's programs --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tool() -> Iterator[Callable[..., Program]]:
+    """Start `python -m can.…`; killed at the end of the test."""
+    started: list[Program] = []
+
+    def run(*arguments: str) -> Program:
+        started.append(Program(*arguments))
+        return started[-1]
+
+    yield run
+    for program in started:
+        program.close()
+
+
+def to_heartbeat(frames: np.ndarray) -> np.ndarray:
+    """The frames up to the last whole heartbeat of node 2: after a silence of 0.35 s our decoders wait for the next."""
+    beats = frames["id"] & 0x7FF == 0x124
+    return frames[: np.flatnonzero(beats[:-1] & ~beats[1:])[-1] + 1]
+
+
+def until(condition: Callable[[], bool], turn: Callable[[], object], program: Program) -> None:
+    """Take turns until the condition holds, while the program runs."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, program.err
+        assert program.process.poll() is None, program.err
+        turn()
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "size"), [("extended", ".log", 150_000), ("FD, all channels", ".asc", 500_000)]
+)
+def test_can_logger(name: str, suffix: str, size: int, tool: Callable[..., Program], tmp_path: Path) -> None:
+    """python-can's own slcan and logger, in a process of their own, beside a host that streams."""
+    bench = StreamingBench(CASES[name])
+    port = SlcanPort(None, bench.case.rates)
+    log = tmp_path / f"run{suffix}"
+    given = parse_target(port.target)
+    program = tool(
+        "can.logger", "-i", "slcan", "-c", str(given.channel), "-b", str(bench.case.rates.bitrate),
+        "--bus-kwargs", "sleep_after_open=0", "-f", str(log),
+    )  # fmt: skip
+    shown = 0
+
+    def show_more() -> None:
+        nonlocal shown
+        port.read()  # the adapter opens when it has read the logger's commands; till then it shows nothing
+        if shown == len(bench.heard):
+            bench.host.client.run_for(0.05)
+        taken = port.write(b"".join(bench.heard[shown : shown + PORTION])) // RECORD_BYTES
+        shown += taken
+        if not taken:  # the logger has to read first
+            select.select(port.read_fds(), [], [], 0.002)
+
+    try:
+        until(log.exists, lambda: select.select(port.read_fds(), [], [], 0.02), program)
+        until(lambda: log.stat().st_size > 0, show_more, program)  # heartbeats
+        streams = bench.start()
+        until(lambda: log.stat().st_size > size, show_more, program)
+        program.send(signal.SIGINT)
+        assert program.end() == 0, program.err
+    finally:
+        port.close()
+    bench.stop()
+    logged = read_log(log)
+    heard = np.frombuffer(b"".join(bench.heard), CAN_RECORD)
+    first = next(n for n in range(len(heard)) if (heard["data"][n] == logged["data"][0]).all())
+    same_frames(logged, heard[first : first + len(logged)])
+    logged = to_heartbeat(logged)
+    recorded = Recording(bench.case, streams, logged, bench.host.collector.chunks)
+    decoded = Decoded(bench.case, streams).feed(logged)
+    assert agree(recorded, logged, decoded.chunks, cut=True) > 700
+    for stream in streams:
+        column = ("encoder",) if stream.config.stream == 1 else ("raw",)
+        same_samples(joined(decoded.chunks, stream, column), joined(recorded.chunks, stream, column))
+
+
+def test_can_player(tool: Callable[..., Program], tmp_path: Path) -> None:
+    """python-can's player sends a BLF file over socketcand; our decoders read it off the bus as it comes."""
+    recorded = recording("classic, two groups")
+    frames = to_heartbeat(recorded.frames[:4000])
+    log = tmp_path / "run.blf"
+    written(log, frames)
+    port = SocketcandPort("127.0.0.1", 0, recorded.case.rates)
+    options = dict(parse_target(port.target).options)
+    program = tool(
+        "can.player", "-i", "socketcand", "-c", "can0", "--bus-kwargs", "host=127.0.0.1", f"port={options['port']}",
+        "--ignore-timestamps", str(log),
+    )  # fmt: skip
+    decoded = Decoded(recorded.case, recorded.streams)
+    came: list[np.ndarray] = []
+    end = time.monotonic() + LIMIT
+    try:
+        while sum(map(len, came)) < len(frames):
+            assert time.monotonic() < end, program.err
+            select.select(port.read_fds(), [], [], 0.1)
+            rows = np.frombuffer(port.read(), CAN_RECORD).copy()
+            if len(rows):
+                rows["time"] = time.monotonic()
+                decoded.feed(rows)
+                came.append(rows)
+        assert program.end() == 0, program.err
+    finally:
+        port.close()
+    same_frames(np.concatenate(came), frames)
+    assert port.malformed == 0
+    assert agree(recorded, frames, decoded.chunks, cut=True) > 2500
+    assert all(counters.lost_by_index == counters.out_of_order == 0 for counters in decoded.counters)

@@ -1,0 +1,139 @@
+"""CAN: decoding of stream frames beside cantools, and a whole run over slcan at more than 5000 frames a second.
+
+python -m tests.benchmarks can [--seconds 60]
+
+Frames are decoded as the host does it: rows of CAN_RECORDs as they come from a link, sorted to their stream, to numpy
+columns with index, tick and account of losses. cantools decodes the same frames with the DBC that we write.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import cantools
+import numpy as np
+
+from bench.dbc import NodeStream, dbc_text
+from protocol.canmap.device import CanDevice
+from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
+from protocol.canmap.host import CanWire
+from protocol.descriptor import Descriptor
+from protocol.device_app import DeviceApp, Identity
+from protocol.device_tx import TxQueue
+from protocol.messages import Role, StreamEvent, StreamSet
+from protocol.signals import DRIVE_CHANNELS, Signal
+from protocol.streams import StreamConfig, TickReference
+from protocol.wire import StreamFrames
+from tests.benchmarks.bench_live import account, run
+from tests.benchmarks.table import Row
+
+GOAL = 300e3  # frames/s
+PERIOD = 1250  # ticks
+CLASSIC = BusRates(1_000_000)
+FD = BusRates(1_000_000, 5_000_000)
+BATCHES = (60, 500)  # frames: 12 ms and 100 ms of a busy CAN FD bus
+HEARTBEAT = {CLASSIC: 8, FD: 1}  # frames that come first
+OF_CANTOOLS = 20_000  # frames: it is slow
+CHANNELS = ("hall", "status", "theta_enc", "i_a", "i_b", "i_c", "theta_vt", "omega_vt")
+
+
+class _Streams:
+    """What a `DeviceApp` must be to be streamed."""
+
+    parameters = ()
+    outputs_on = False
+
+    def __init__(self, channels: Sequence[Signal]) -> None:
+        self.channels = channels
+
+    def enter_state(self, state: object) -> None:
+        """Nothing to do."""
+
+
+def recorded(rates: BusRates, names: Sequence[str], decimation: int, frames: int) -> tuple[bytes, StreamConfig]:
+    """Return CAN_RECORDs of the drive's channels with random values, and their stream."""
+    channels = [channel for channel in DRIVE_CHANNELS if channel.name in names]
+    app: DeviceApp = _Streams(channels)  # type: ignore[assignment]
+    device = CanDevice(app, Identity(1, Role.DRIVE, "bench", "0", 1), rates, tx=TxQueue(1 << 30))
+    descriptor = Descriptor.of(channels, ())
+    request = StreamSet(0, StreamEvent.PWM, decimation, 20, tuple(channel.id for channel in channels))
+    device.session.advance(0)
+    device.tx.take()  # what it says at boot
+    device.session.advance(20_000_000)  # a heartbeat
+    reply = device.session.streams.configure(request, 1024)
+    device.session.streams.start(1)
+    rng = np.random.default_rng(0)
+    index, wanted = 0, frames * RECORD_BYTES
+    while len(device.tx) < wanted:
+        raw = rng.integers(0, 256, 16_000 * descriptor.dtype.itemsize, np.uint8).view(descriptor.dtype)
+        device.session.push_samples(index, index * PERIOD, raw)
+        index += len(raw)
+    return device.tx.take(wanted), StreamConfig.of(1, request, reply, descriptor)
+
+
+def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat: int = 3) -> float:
+    """Return the frames/s at which `data` become columns, `batch` frames at a time; the best of `repeat` runs."""
+    parts = [data[k : k + batch * RECORD_BYTES] for k in range(0, len(data), batch * RECORD_BYTES)]
+    best = float("inf")
+    for _ in range(repeat):
+        wire, reference = CanWire(rates), TickReference()
+        decoder = wire.decoder(config, 16_000 * PERIOD, 16_000, reference)
+        first, seconds = True, 0.0
+        for part in parts:
+            start = time.perf_counter()
+            for item in wire.feed(part):
+                if isinstance(item, StreamFrames):
+                    decoder.decode(item.frames)
+            if not first:
+                seconds += time.perf_counter() - start
+            first, reference.tick = False, 1 << 40  # the time of a heartbeat that is never too old
+        best = min(best, seconds)
+        assert decoder.counters.frames == len(data) // RECORD_BYTES - HEARTBEAT[rates]
+        assert decoder.counters.lost_by_index == 0
+    return (len(parts) - 1) * batch / best
+
+
+def theirs(rates: BusRates, config: StreamConfig, data: bytes) -> float:
+    """Return the frames/s of cantools."""
+    database = cantools.database.load_string(
+        dbc_text([NodeStream("drive", 16_000 * PERIOD, 16_000, config)], rates, False), "dbc"
+    )
+    records = np.frombuffer(data, CAN_RECORD)[HEARTBEAT[rates] :][:OF_CANTOOLS]
+    frames = [(int(record["id"]), record["data"][: record["length"]].tobytes()) for record in records]
+    start = time.perf_counter()
+    for number, content in frames:
+        database.decode_message(number, content)  # type: ignore[union-attr]
+    return len(frames) / (time.perf_counter() - start)
+
+
+def rows(seconds: float) -> list[Row]:
+    """The figures."""
+    out = []
+    for name, rates, names, decimation in (
+        ("classic, 3 samples of 1 channel", CLASSIC, ("i_a",), 1),
+        ("FD, 4 samples of 8 channels", FD, CHANNELS, 1),
+    ):
+        data, config = recorded(rates, names, decimation, 100_000)
+        slow = theirs(rates, config, data)
+        for batch in BATCHES:
+            fast = ours(rates, config, data, batch)
+            goal = GOAL / 1e3 if batch == BATCHES[-1] else None
+            out.append(Row(f"{name}, {batch} at a time", fast / 1e3, "k frames/s", goal))
+        out.append(Row(f"{name}, cantools", slow / 1e3, "k frames/s"))
+        out.append(Row(f"{name}: ours is", fast / slow, "x quicker"))
+    # 4000 frames of samples and, at 3000 r/min, some 1200 of edges a second
+    where, options = ["--slcan", "--fd"], ["--speed", "3000", "--channels", ",".join(CHANNELS)]
+    done = run(seconds, where, options)
+    summary = done.summary
+    frames = summary["bus"]["frames"] / summary["duration_s"]
+    return [
+        *out,
+        Row("slcan, FD 1/5 Mbit/s, on a pty", frames, "frames/s", 5000),
+        Row("samples", summary["samples"], "", round(0.99 * seconds * 16000)),
+        *account(summary),
+        Row("load of the bus, measured", 100 * summary["bus"]["load"], "%"),
+        Row("host with recording", summary["cpu_percent"], "% of a core", 40, at_most=True),
+        Row("simulated drive and bus", done.drive_cpu, "% of a core"),
+        Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms"),
+    ]

@@ -1,0 +1,145 @@
+"""A small drive and a host on a CAN bus in memory: frames pass at once, through a function that may spoil them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from small_drive import SmallDrive, identity, samples
+
+from protocol.canmap.device import CanDevice
+from protocol.canmap.frame import CAN_RECORD, BusRates
+from protocol.canmap.host import CanWire
+from protocol.descriptor import Descriptor
+from protocol.device_tx import TxQueue
+from protocol.host import Event, HostSession, ReplyReceived, RequestRefused, StreamFrames
+from protocol.messages import BlobRead, Payload, Request, StreamEvent, StreamReply, StreamSet, StreamStart
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig, pack_edges
+
+CLASSIC = BusRates(1_000_000)
+FD = BusRates(1_000_000, 5_000_000)
+TICKS = 1250
+HZ = 20_000_000
+
+Spoil = Callable[[np.ndarray], np.ndarray]
+
+
+class CanPair:
+    """`now` is both ends' time in s; `spoil` gets the rows of CAN_RECORDs on their way to the host."""
+
+    def __init__(self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None) -> None:
+        self.app = SmallDrive()
+        self.device = CanDevice(self.app, identity(node=node), rates, extended, tx)
+        self.wire = CanWire(rates, node, extended)
+        self.host = HostSession(self.wire)
+        self.now = 0.0
+        self.periods = 0
+        self.edges_made = 0
+        self.spoil: Spoil = lambda records: records
+        self.to_device: list[np.ndarray] = []
+        self.events: list[Event] = []
+        self.decoders: dict[int, object] = {}
+        self.chunks: dict[int, list[SampleChunk | EdgeChunk]] = {}
+        self.device.session.advance(0)
+
+    # -- the bus ----------------------------------------------------------------------------------------------------
+
+    def exchange(self) -> None:
+        """Carry what waits in both directions, and take the host's events."""
+        sent = self.host.data_to_send()
+        self.to_device.append(np.frombuffer(sent, CAN_RECORD))
+        self.device.receive(sent)
+        self.receive(np.frombuffer(self.device.tx.take(), CAN_RECORD))
+
+    def receive(self, records: np.ndarray) -> None:
+        records = self.spoil(records).copy()
+        records["time"] = self.now
+        self.host.receive_data(records.tobytes(), self.now)
+        while (event := self.host.next_event()) is not None:
+            self.events.append(event)
+            if isinstance(event, StreamFrames):
+                chunk = self.decoders[event.stream].decode(event.frames)
+                if chunk is not None:
+                    self.chunks[event.stream].append(chunk)
+
+    def run(self, periods: int, edges: tuple[int, ...] = (), portion: int = 80) -> None:
+        """Let the device take samples; `edges` are PWM periods, from now on, in the middle of which there is one."""
+        end = self.periods + periods
+        at = sorted(self.periods + edge for edge in edges)
+        while self.periods < end:
+            n = min(portion, end - self.periods)
+            mine = [p for p in at if self.periods <= p < self.periods + n]
+            if mine:
+                self.edge(np.array(mine) * TICKS + TICKS // 2 - TICKS)
+            self.device.session.push_samples(self.periods, self.periods * TICKS, samples(self.periods, n))
+            self.periods += n
+            self.device.session.advance((self.periods - 1) * TICKS)
+            self.now = self.periods * TICKS / HZ
+            self.exchange()
+
+    def edge(self, ticks: np.ndarray) -> None:
+        n = len(ticks)
+        old = (1 + (self.edges_made + np.arange(n)) % 6).astype(np.uint8)
+        new = (1 + (self.edges_made + 1 + np.arange(n)) % 6).astype(np.uint8)
+        self.edges_made += n
+        self.device.session.push_edges(
+            pack_edges(ticks.astype(np.int64), old, new, np.zeros(n, bool), (ticks % 4096).astype(np.int64))
+        )
+
+    # -- requests ---------------------------------------------------------------------------------------------------
+
+    def connect(self, nonce: int = 0x1234) -> None:
+        self.host.connect(nonce, self.now)
+        self.exchange()
+
+    def ask(self, message: Request, node: int = 1, exchanges: int = 1) -> Payload:
+        self.host.request(message, node, self.now)
+        for _ in range(exchanges):
+            self.exchange()
+        answer = next(e for e in reversed(self.events) if isinstance(e, ReplyReceived | RequestRefused))
+        return answer.message if isinstance(answer, ReplyReceived) else answer.error
+
+    def descriptor(self) -> Descriptor:
+        blob = b""
+        while True:
+            reply = self.ask(BlobRead(0, 1024, len(blob)))
+            blob += reply.data
+            if len(blob) >= reply.total:
+                return Descriptor.unpack(blob)
+
+    def stream(
+        self, names: tuple[str, ...], decimation: int = 1, edges: bool = True, latency: int = 20
+    ) -> StreamConfig:
+        """Configure stream 0 (samples) and 1 (edges) and start them; returns the configuration of the first."""
+        descriptor = self.descriptor()
+        ids = tuple(descriptor.channel(name).id for name in names)
+        mask = 0
+        for request in (
+            StreamSet(0, StreamEvent.PWM, decimation, latency, ids),
+            *((StreamSet(1, StreamEvent.EDGES, 1, latency),) if edges else ()),
+        ):
+            reply = self.ask(request)
+            assert isinstance(reply, StreamReply), reply
+            config = StreamConfig.of(1, request, reply, descriptor)
+            self.decoders[request.stream] = self.host.decoder(config, HZ, HZ // TICKS)
+            self.chunks[request.stream] = []
+            mask |= 1 << request.stream
+        self.ask(StreamStart(mask))
+        return self.decoders[0].config
+
+    # -- what came --------------------------------------------------------------------------------------------------
+
+    def samples(self) -> SampleChunk:
+        """All samples, joined; they must be in order and have the values of their index."""
+        chunks = self.chunks[0]
+        index, tick = (np.concatenate([getattr(c, n) for c in chunks]) for n in ("index", "tick"))
+        raw = np.concatenate([c.raw for c in chunks])
+        assert (np.diff(index) > 0).all()
+        assert (tick == index * TICKS).all()
+        for name in raw.dtype.names:
+            expected = np.concatenate([samples(i, 1)[name] for i in index.tolist()])
+            assert (raw[name] == expected).all(), name
+        return SampleChunk(chunks[0].config, index, tick, raw, ())
+
+    def edges(self) -> EdgeChunk:
+        return self.chunks[1]

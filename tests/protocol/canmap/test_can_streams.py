@@ -1,0 +1,409 @@
+"""Streams from a device to a host over CAN frames that are lost, doubled, delayed, forged; every value is checked.
+
+The oracle is the small drive's rule by which each value follows from its index (`small_drive.samples`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from can_pair import CLASSIC, FD, HZ, TICKS, CanPair
+
+from protocol.canmap.frame import CAN_RECORD, ERROR, EXTENDED, BusRates
+from protocol.canmap.host import MAX_HELD
+from protocol.canmap.layout import sample_layout
+from protocol.canmap.plan import BusPlan
+from protocol.messages import ErrorReply, StreamEvent, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStop
+from protocol.signals import RawType
+
+ALL = ("hall", "status", "theta", "i_a", "count")
+CASES = [
+    (CLASSIC, ("hall",), 1),
+    (CLASSIC, ("i_a",), 2),
+    (CLASSIC, ("hall", "status", "theta"), 7),
+    (CLASSIC, ALL, 40),
+    (FD, ("i_a",), 1),
+    (FD, ALL, 1),
+    (FD, ALL, 40),
+]
+
+
+def kinds(record: np.ndarray) -> np.ndarray:
+    return record["id"] >> 8 & 7
+
+
+def pair(rates: BusRates, names: tuple[str, ...], decimation: int, extended: bool = False) -> CanPair:
+    made = CanPair(rates, extended)
+    made.connect()
+    made.stream(names, decimation)
+    return made
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
+def test_every_sample_and_edge_arrives_with_its_time(
+    rates: BusRates, names: tuple[str, ...], decimation: int, extended: bool
+) -> None:
+    bus = pair(rates, names, decimation, extended)
+    at = tuple(range(3, 4000, 31))
+    bus.run(4000, at)
+    got = bus.samples()
+    n = len(range(0, 4000, decimation)) // got.config.block * got.config.block
+    assert got.index.tolist() == [decimation * k for k in range(n)]
+    edges = bus.edges()
+    assert np.concatenate([e.tick for e in edges]).tolist() == [p * TICKS - TICKS // 2 for p in at]
+    assert np.concatenate([e.index for e in edges]).tolist() == list(range(len(at)))
+    assert np.concatenate([e.encoder for e in edges]).tolist() == [(p * TICKS - TICKS // 2) % 4096 for p in at]
+    for decoder in bus.decoders.values():
+        counters = decoder.counters
+        assert (counters.lost_by_index, counters.lost_by_seq, counters.late) == (0, 0, 0)
+        assert (counters.out_of_order, counters.malformed) == (0, 0)
+    assert bus.wire.counters.stale == bus.wire.counters.foreign == bus.wire.counters.bad == 0
+
+
+@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
+def test_lost_frames_are_counted_exactly(rates: BusRates, names: tuple[str, ...], decimation: int) -> None:
+    bus = pair(rates, names, decimation)
+    rng = np.random.default_rng(2)
+    lost = {"samples": 0, "edges": 0}
+
+    def lose(records: np.ndarray) -> np.ndarray:
+        gone = (rng.random(len(records)) < 0.2) & (kinds(records) >= 4) & (bus.periods > 800) & (bus.periods < 9600)
+        lost["samples"] += int((gone & (kinds(records) >= 5)).sum())
+        lost["edges"] += int((gone & (kinds(records) == 4)).sum())
+        return records[~gone]
+
+    bus.run(800)
+    bus.spoil = lose
+    bus.run(10_000, tuple(range(1, 10_000, 13)))
+    got, counters = bus.samples(), bus.decoders[0].counters
+    whole = len(range(got.index[0], got.index[-1] + 1, decimation))
+    assert counters.lost_by_seq == lost["samples"] > 4
+    assert counters.samples + counters.lost_by_index == whole
+    assert counters.lost_by_index >= lost["samples"] / len(bus.decoders[0].ids) * got.config.block
+    assert sum(gap.lost_samples for chunk in bus.chunks[0] for gap in chunk.gaps) == counters.lost_by_index
+    for chunk in bus.chunks[0]:
+        for gap in chunk.gaps:
+            assert 0 <= gap.position < len(chunk)
+    edges = bus.decoders[1].counters
+    assert edges.lost_by_index == edges.lost_by_seq == lost["edges"] > 50
+    assert edges.samples + edges.lost_by_index == bus.edges_made
+
+
+@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
+def test_doubled_frames_are_counted_and_change_nothing(
+    rates: BusRates, names: tuple[str, ...], decimation: int
+) -> None:
+    bus = pair(rates, names, decimation)
+    doubled = []
+
+    def double(records: np.ndarray) -> np.ndarray:
+        doubled.append(int((kinds(records) >= 4).sum()))
+        return np.repeat(records, 2)
+
+    bus.spoil = double
+    bus.run(3000, tuple(range(1, 3000, 31)))
+    got = bus.samples()
+    assert (np.diff(got.index) == decimation).all()
+    assert sum(d.counters.out_of_order for d in bus.decoders.values()) == sum(doubled)
+    assert [d.counters.lost_by_index for d in bus.decoders.values()] == [0, 0]
+    assert bus.wire.counters.duplicates >= 1
+
+
+def test_groups_of_a_sample_may_come_apart_and_are_joined() -> None:
+    bus = pair(CLASSIC, ALL, 40)
+    held: list[np.ndarray] = []
+
+    def delay(records: np.ndarray) -> np.ndarray:
+        """The second group comes three exchanges later."""
+        second = records["id"] == bus.decoders[0].ids[1]
+        held.append(records[second])
+        return np.concatenate([records[~second], *([held.pop(0)] if len(held) > 3 else [])])
+
+    bus.spoil = delay
+    bus.run(8000)
+    got = bus.samples()
+    assert (np.diff(got.index) == 40).all()
+    assert got.index[-1] > 7000
+    assert bus.decoders[0].counters.lost_by_index == 0
+
+
+def test_a_group_that_never_comes_costs_its_samples_and_no_memory() -> None:
+    bus = pair(CLASSIC, ALL, 40)
+    bus.run(400)
+    before = len(bus.samples())
+    bus.spoil = lambda records: records[records["id"] != bus.decoders[0].ids[1]]
+    bus.run(40 * 1000)
+    assert len(bus.samples()) == before
+    assert all(len(numbers) <= 257 for numbers, _ in bus.decoders[0]._waiting)
+    bus.spoil = lambda records: records
+    bus.run(400)
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, 40))
+    assert counters.lost_by_index == 1000
+    assert counters.lost_by_seq == 1000
+
+
+def test_edges_that_come_after_their_samples_are_marked() -> None:
+    bus = pair(FD, ALL, 1)
+    held: list[np.ndarray] = []
+
+    def delay(records: np.ndarray) -> np.ndarray:
+        edges = kinds(records) == 4
+        held.append(records[edges])
+        return np.concatenate([records[~edges], *([held.pop(0)] if len(held) > 2 else [])])
+
+    bus.run(800, (200,))
+    assert bus.decoders[1].counters.late == 0
+    bus.spoil = delay
+    bus.run(800, (100, 300))
+    counters = bus.decoders[1].counters
+    assert (counters.samples, counters.late, counters.lost_by_index) == (3, 2, 0)
+    gaps = [gap for chunk in bus.edges() for gap in chunk.gaps]
+    assert [(gap.lost_samples, gap.lost_frames) for gap in gaps] == [(0, 0), (0, 0)]
+
+
+def test_the_counter_of_classic_frames_wraps() -> None:
+    bus = pair(CLASSIC, ("hall",), 1)
+    bus.run(150_000, portion=1600)
+    got = bus.samples()
+    assert (np.diff(got.index) == 1).all()
+    assert got.index[-1] >= 149_990
+
+
+@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 10.0, 65536 * 3 / 16000])
+@pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
+def test_after_a_silence_the_gap_is_exact(
+    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
+) -> None:
+    """However long, a whole turn of the counter included: the next heartbeat says what time it is."""
+    bus = pair(rates, names, decimation)
+    bus.run(3200, tuple(range(1, 3200, 100)))
+    bus.spoil = lambda records: records[:0]
+    n = round(silence * 16000)
+    bus.run(n, tuple(range(1, n, 100)), portion=1600)
+    bus.spoil = lambda records: records
+    bus.run(3200, tuple(range(1, 3200, 100)))
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert got.index[-1] > bus.periods - 10 * decimation
+    assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
+    assert counters.lost_by_index >= (n - 100) / decimation
+    edges = bus.decoders[1].counters
+    assert edges.samples + edges.lost_by_index == bus.edges_made
+    assert bus.edges()[-1].index[-1] == bus.edges_made - 1
+
+
+def test_what_a_stalled_host_reads_late_is_whole() -> None:
+    """An adapter keeps the frames of 3 s: nothing is lost, however late they are read."""
+    bus = pair(CLASSIC, ("hall",), 1)
+    bus.run(3200)
+    kept: list[np.ndarray] = []
+    bus.spoil = lambda records: (kept.append(records), records[:0])[1]
+    bus.run(48_000)
+    bus.spoil = lambda records: np.concatenate([*kept, records])
+    bus.run(80)
+    bus.spoil = lambda records: records
+    bus.run(3200)
+    got = bus.samples()
+    assert (np.diff(got.index) == 1).all()
+    assert bus.decoders[0].counters.lost_by_index == 0
+
+
+def test_a_stalled_host_whose_adapter_ran_over_gets_no_wrong_time() -> None:
+    """The adapter keeps the first 0.3 s of a stall and the last 0.05 s: which is which, only a heartbeat tells."""
+    for stall in (65536 + 4000, 65536 * 2 + 800, 80_000):
+        bus = pair(CLASSIC, ("hall",), 1)
+        bus.run(3200)
+        kept: list[np.ndarray] = []
+        bus.spoil = lambda records, kept=kept: (kept.append(records[kinds(records) >= 4]), records[:0])[1]
+        bus.run(stall)
+        bus.spoil = lambda records, kept=kept: np.concatenate([*kept[:60], *kept[-10:], records])
+        bus.run(80)
+        bus.spoil = lambda records: records
+        bus.run(4800)
+        got, counters = bus.samples(), bus.decoders[0].counters  # `samples` compares each value with its index
+        assert got.index[-1] > bus.periods - 10
+        assert counters.samples + counters.lost_by_index == got.index[-1] + 1
+
+
+def test_without_heartbeats_frames_are_held_back_and_then_given_up() -> None:
+    bus = CanPair(FD)
+    bus.connect()
+    bus.stream(("hall",), 1, edges=False, latency=0)  # a frame a sample
+    bus.run(1600)
+    before = len(bus.samples())
+    bus.spoil = lambda records: records[kinds(records) >= 4]
+    bus.run(16_000)
+    assert len(bus.samples()) - before < 0.5 * 16_000  # some 0.35 s go on, the rest waits for a heartbeat
+    bus.run(16_000 * 3, portion=800)
+    assert bus.wire.counters.overdue > 0
+    assert sum(len(part) for part in bus.wire._nodes[1].held) == MAX_HELD
+    bus.spoil = lambda records: records
+    bus.run(3200)
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert counters.samples + counters.lost_by_index == got.index[-1] + 1
+    assert got.index[-1] > bus.periods - 100
+
+
+def test_old_frames_played_again_are_refused_wherever_the_counter_is() -> None:
+    """Older than nearly a turn of the counter they would look new: SPEC.md says so."""
+    bus = pair(CLASSIC, ("hall",), 1)
+    recorded: dict[int, np.ndarray] = {}
+    back = 0
+
+    def replay(records: np.ndarray) -> np.ndarray:
+        mine = records[kinds(records) >= 4]
+        recorded[bus.periods] = mine
+        return np.concatenate([records, recorded[bus.periods - back]]) if back else records
+
+    bus.spoil = replay
+    for turn, wanted in enumerate((0, 800, 16_000, 30_000, 50_000)):
+        back = 0
+        bus.run(max(1600, wanted - bus.periods // 80 * 80 + 80 * turn))
+        back = wanted
+        bus.run(1600)
+    bus.spoil = lambda records: records
+    bus.run(800)
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert (np.diff(got.index) == 1).all()
+    assert counters.lost_by_index == 0
+    assert counters.out_of_order > 1000
+
+
+def test_a_new_configuration_has_slots_of_its_own() -> None:
+    """Frames that were under way when a stream was configured anew belong to no stream."""
+    bus = CanPair(FD)
+    bus.connect()
+    old: np.ndarray = np.empty(0, CAN_RECORD)
+    slots = set()
+    for names in (("i_a",), ("theta",), ("hall", "status"), ALL) * 6:
+        config = bus.stream(names, edges=False)
+        slots.add(config.slot)
+        stale = bus.wire.counters.stale
+        bus.receive(old)
+        assert bus.wire.counters.stale - stale == len(old)
+        recorded: list[np.ndarray] = []
+        bus.spoil = lambda records, recorded=recorded: (recorded.append(records[kinds(records) >= 4]), records)[1]
+        bus.run(1600)
+        bus.spoil = lambda records: records
+        old = np.concatenate(recorded)
+        assert len(old)
+        bus.samples()
+        bus.ask(StreamStop())
+    assert len(slots) == 24
+
+
+def test_frames_of_a_wrong_length_or_between_the_samples_are_malformed() -> None:
+    bus = pair(FD, ALL, 40)
+    bus.run(800)
+
+    def damage(records: np.ndarray) -> np.ndarray:
+        extra = records[kinds(records) == 5].copy()
+        extra["length"] = 8
+        odd = records[kinds(records) == 5].copy()
+        odd["data"][:, 0] += 1
+        return np.concatenate([records, extra, odd])
+
+    bus.spoil = damage
+    bus.run(4000)
+    counters = bus.decoders[0].counters
+    assert counters.malformed > 10
+    bus.samples()
+
+
+def test_foreign_traffic_and_error_frames_are_counted_and_ignored() -> None:
+    bus = pair(CLASSIC, ("hall",), 1)
+    rng = np.random.default_rng(5)
+    sent = 0
+
+    def add(records: np.ndarray) -> np.ndarray:
+        nonlocal sent
+        noise = np.zeros(40, CAN_RECORD)
+        noise["id"][:20] = 0x700 + rng.integers(0, 0x100, 20)
+        noise["id"][20:30] = EXTENDED | rng.integers(0, 1 << 28, 10)
+        noise["id"][30:] = ERROR | 8
+        noise["length"] = 8
+        noise["data"][:, :8] = rng.integers(0, 256, (40, 8))
+        sent += 10
+        return np.concatenate([noise, records])
+
+    bus.spoil = add
+    bus.run(4000)
+    assert (np.diff(bus.samples().index) == 1).all()
+    assert bus.wire.counters.error_frames == sent
+    assert bus.wire.counters.foreign == 3 * sent
+    assert bus.wire.counters.bad == 0
+
+
+def test_random_frames_on_every_identifier_give_no_sample_and_no_exception() -> None:
+    """On the identifiers of the stream itself too: what passes for a sample there must lie near the present."""
+    bus = pair(CLASSIC, ("hall",), 1)
+    bus.run(1600)
+    rng = np.random.default_rng(6)
+    mine = set(bus.decoders[0].ids) | set(bus.decoders[1].ids)
+    for _ in range(200):
+        noise = np.zeros(500, CAN_RECORD)
+        noise["id"] = rng.integers(0, 0x800, 500)
+        noise["length"] = rng.integers(0, 9, 500)
+        noise["data"][:, :8] = rng.integers(0, 256, (500, 8))
+        bus.receive(noise[~np.isin(noise["id"], list(mine))])
+    bus.run(1600)
+    assert (np.diff(bus.samples().index) == 1).all()
+
+
+# -- what a device answers --------------------------------------------------------------------------------------------
+
+
+def test_stream_get_tells_what_is_configured() -> None:
+    bus = pair(CLASSIC, ("hall", "theta"), 10)
+    info = bus.ask(StreamGet(0))
+    assert isinstance(info, StreamInfo)
+    config = bus.decoders[0].config
+    assert (info.running, info.event, info.decimation, info.max_latency_ms) == (True, StreamEvent.PWM, 10, 20)
+    assert (info.slot, info.cfg_id, info.block, info.channels) == (config.slot, config.cfg_id, config.block, (1, 3))
+    assert StreamInfo.unpack(info.pack()) == info
+    free = bus.ask(StreamGet(2))
+    assert isinstance(free, ErrorReply)
+    assert free.detail == 2
+
+
+def test_what_does_not_fit_the_bus_is_refused_with_what_would() -> None:
+    bus = CanPair(CLASSIC)
+    bus.connect()
+    refusal = bus.ask(StreamSet(0, StreamEvent.PWM, 1, 20, (3, 4)))
+    assert isinstance(refusal, ErrorReply)
+    fits = int(refusal.detail)
+    # 6-byte frames, one sample each: 54 stuffed bits at most 16 stuff bits, 13 that are never stuffed, at 16 kHz
+    worst = (34 + 48 + (34 + 48 - 1) // 4 + 13) * 16_000 / 1e6
+    assert fits == int(np.ceil(worst / 0.95)) == 2
+    reply = bus.ask(StreamSet(0, StreamEvent.PWM, fits, 20, (3, 4)))
+    assert isinstance(reply, StreamReply)
+    assert reply.load == pytest.approx(worst / 2, rel=1e-6)
+
+
+def test_layouts_by_hand() -> None:
+    assert sample_layout([2], False, 100).samples == 3
+    assert sample_layout([1, 1, 2, 2, 4], False, 100).groups == ((0, 6), (6, 10))
+    assert sample_layout([4, 4], False, 100).groups == ((0, 4), (4, 8))
+    assert sample_layout([1, 1, 2, 2, 4], True, 100).samples == 6
+    assert sample_layout([1, 1, 2, 2, 4], True, 100).length(0) == 64
+    assert sample_layout([2] * 31, True, 100).groups == ((0, 60), (60, 62))
+    assert sample_layout([2] * 31, True, 100).length(1) == 6
+    assert sample_layout([2], True, 4).samples == 4
+    assert sample_layout([2], True, 0).samples == 1
+
+
+@pytest.mark.parametrize(("data_bitrate", "most"), [(None, 1), (2_000_000, 4), (5_000_000, 7), (8_000_000, 11)])
+def test_how_many_channels_fit_at_16_khz(data_bitrate: int | None, most: int) -> None:
+    plan = BusPlan(BusRates(1_000_000, data_bitrate), False, HZ // TICKS)
+    fit = plan.most([2] * 14, 1)
+    assert fit is not None
+    assert fit.channels == most
+    for each in plan.choices([2] * 14):
+        widths = [2] * each.channels
+        assert plan.load(widths, round(16_000 / each.rate)) == each.load <= 0.95
+        assert each.rate == 16_000 or plan.load(widths, round(16_000 / each.rate) - 1) > 0.95
+
+
+def test_raw_types_fit_a_classic_frame() -> None:
+    assert max(np.dtype(kind.dtype).itemsize for kind in RawType) <= 6

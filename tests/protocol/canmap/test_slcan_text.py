@@ -1,0 +1,379 @@
+"""slcan's text against lines written by hand, a scalar reading of the same rules, and python-can's own slcan."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import tracemalloc
+import tty
+from collections.abc import Iterator
+from itertools import pairwise
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.slcan import slcanBus
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, ESI, EXTENDED, FD_LENGTHS, FDF, REMOTE
+from protocol.canmap.slcan import BITRATES, DATA_BITRATES, MAX_LINE, MAX_REPLIES, SlcanParser, encode
+
+Records = NDArray[np.void]
+
+
+def record(number: int, data: bytes = b"", flags: int = 0, length: int | None = None, time: float = 0.0) -> Records:
+    made = np.zeros(1, CAN_RECORD)
+    made["id"], made["flags"], made["time"] = number, flags, time
+    made["length"] = len(data) if length is None else length
+    made["data"][0, : len(data)] = list(data)
+    return made
+
+
+def joined(records: list[Records]) -> Records:
+    return np.concatenate([np.empty(0, CAN_RECORD), *records])
+
+
+TABLE = [
+    (b"t1002AA55\r", record(0x100, b"\xaa\x55")),
+    (b"t0000\r", record(0)),
+    (b"t7FF80123456789ABCDEF\r", record(0x7FF, bytes.fromhex("0123456789ABCDEF"))),
+    (b"T000001234DEADBEEF\r", record(0x123 | EXTENDED, bytes.fromhex("DEADBEEF"))),
+    (b"T1FFFFFFF0\r", record(0x1FFFFFFF | EXTENDED)),
+    (b"r1003\r", record(0x100 | REMOTE, length=3)),
+    (b"R000001008\r", record(0x100 | EXTENDED | REMOTE, length=8)),
+    (b"d1232BEEF\r", record(0x123, b"\xbe\xef", FDF)),
+    (b"D000001239" + b"00" * 11 + b"7F\r", record(0x123 | EXTENDED, bytes(11) + b"\x7f", FDF)),
+    (b"b123F" + b"C3" * 64 + b"\r", record(0x123, b"\xc3" * 64, FDF | BRS)),
+    (b"B1ABCDEF0E" + b"5A" * 48 + b"\r", record(0x1ABCDEF0 | EXTENDED, b"\x5a" * 48, FDF | BRS)),
+]
+IDS = [line[:12].decode().strip() for line, _ in TABLE]
+
+
+@pytest.mark.parametrize(("line", "frame"), TABLE, ids=IDS)
+def test_lines_by_hand(line: bytes, frame: Records) -> None:
+    assert encode(frame) == line
+    parser = SlcanParser()
+    assert parser.feed(line, 12.5).tobytes() == with_time(frame, 12.5).tobytes()
+    assert parser.feed(line[:1] + line[1:].lower(), 0.0).tobytes() == frame.tobytes()
+    assert (parser.malformed, parser.replies) == (0, [])
+
+
+@pytest.mark.parametrize(("line", "frame"), TABLE, ids=IDS)
+def test_time_stamps_are_written_and_read_past(line: bytes, frame: Records) -> None:
+    stamped = line[:-1] + b"EA5F\r"  # 59.999 s
+    assert encode(with_time(frame, 179.9995), stamped=True) == stamped
+    assert SlcanParser().feed(stamped, 0.0).tobytes() == frame.tobytes()
+
+
+def with_time(records: Records, time: float) -> Records:
+    timed = records.copy()
+    timed["time"] = time
+    return timed
+
+
+def test_every_fd_length_has_its_dlc() -> None:
+    # ISO 11898-1: DLC 9..15 are 12, 16, 20, 24, 32, 48, 64 bytes
+    by_dlc = {**{n: n for n in range(9)}, 9: 12, 10: 16, 11: 20, 12: 24, 13: 32, 14: 48, 15: 64}
+    for dlc, length in by_dlc.items():
+        assert encode(record(1, bytes(length), FDF)) == b"d001%X" % dlc + b"00" * length + b"\r"
+
+
+def test_nothing_is_nothing() -> None:
+    assert encode(np.empty(0, CAN_RECORD)) == b""
+    assert len(SlcanParser().feed(b"", 0.0)) == 0
+
+
+def test_many_kinds_in_one_go_keep_their_order() -> None:
+    order = np.random.default_rng(3).integers(0, len(TABLE), 500).tolist()
+    text = b"".join(TABLE[k][0] for k in order)
+    frames = joined([TABLE[k][1] for k in order])
+    assert encode(frames) == text
+    assert SlcanParser().feed(text, 0.0).tobytes() == frames.tobytes()
+
+
+def test_error_passive_bit_has_no_place() -> None:
+    assert encode(record(1, b"", FDF | ESI)) == b"d0010\r"
+
+
+@pytest.mark.parametrize(
+    ("frame", "names"),
+    [
+        (record(ERROR | 4, bytes(8)), "0x20000004"),
+        (record(0x800), "0x00000800"),
+        (record(1, bytes(12)), "length 12"),
+        (record(1, bytes(9), FDF), "length 9"),
+        (record(1 | REMOTE, b"", FDF), "flags 4"),
+        (record(1, b"", BRS), "flags 1"),
+        (joined([record(1), record(2), record(0x7FFF)]), "0x00007FFF"),
+    ],
+)
+def test_frames_that_slcan_cannot_write(frame: Records, names: str) -> None:
+    with pytest.raises(ValueError, match=f"slcan has no line for a frame with .*{names}"):
+        encode(frame)
+
+
+DAMAGED = [
+    b"t1002AA5",  # half a byte
+    b"t1002AA55AA",  # a byte too many
+    b"t1002AA",  # a byte too few
+    b"t1002AA5G",
+    b"t1G02AA55",
+    b"t1002 A55",
+    b"t1002AA5\x00",
+    b"t1002AA5\xff",
+    b"t10",
+    b"t100",
+    b"t",
+    b"t8000",  # 12 bits
+    b"tFFF0",
+    b"t1009" + b"00" * 8,  # classic DLC above 8
+    b"t100900" + b"00" * 8,
+    b"tt1002AA55",
+    b"r1009",
+    b"r1001AA",  # remote frames have no data
+    b"T200000000",  # 30 bits
+    b"T0000012",
+    b"R0000010",
+    b"d1239" + b"00" * 9,  # DLC 9 is 12 bytes
+    b"b123F" + b"00" * 63,
+    b"b123F" + b"00" * 65,
+    b"b123F" + b"00" * 67,
+    b"B000001230" + b"0" * 400,
+    b"x1002AA55",
+    b"zz",
+    b"z\x00",
+    b"\x80\x81",
+    b"\n",
+    b"V\x00",
+]
+
+
+@pytest.mark.parametrize("line", DAMAGED, ids=lambda line: line[:14])
+def test_damaged_lines_are_counted_and_are_no_frames(line: bytes) -> None:
+    parser = SlcanParser()
+    frames = parser.feed(b"t0010\r" + line + b"\rt0020\r", 0.0)
+    assert frames["id"].tolist() == [1, 2]
+    assert parser.malformed == 1
+    assert parser.replies == []
+
+
+def test_lines_that_are_no_frames_are_put_aside_with_their_place() -> None:
+    parser = SlcanParser()
+    frames = parser.feed(b"\rz\rt0010\rZ\r\aV1013\rt0020\rt0030\rNA123\rF00\rO\rS8\rs0014\rCANable 2.0\r", 0.0)
+    assert frames["id"].tolist() == [1, 2, 3]
+    early = [(b"", 0), (b"z", 0), (b"Z", 1), (b"\a", 1), (b"V1013", 1)]
+    late = [(text, 3) for text in (b"NA123", b"F00", b"O", b"S8", b"s0014", b"CANable 2.0")]
+    assert parser.replies == early + late
+    assert parser.malformed == 0
+
+
+def test_bell_ends_an_unfinished_line() -> None:
+    parser = SlcanParser()
+    assert parser.feed(b"t0010\aO\at0020\r", 0.0)["id"].tolist() == [2]
+    assert parser.malformed == 2
+    assert parser.replies == [(b"\a", 0), (b"\a", 0)]
+
+
+def test_replies_are_bounded_and_the_rest_counted() -> None:
+    parser = SlcanParser()
+    parser.feed(b"\r" * (MAX_REPLIES + 7), 0.0)
+    assert len(parser.replies) == MAX_REPLIES
+    assert parser.replies_dropped == 7
+
+
+def test_a_run_without_an_end_is_dropped_and_counted_once() -> None:
+    parser = SlcanParser()
+    parser.feed(b"t" * MAX_LINE, 0.0)
+    assert parser.malformed == 0
+    for _ in range(50):
+        assert len(parser.feed(b"t001" * 1000, 0.0)) == 0
+        assert parser.malformed == 1
+    assert parser.feed(b"t0010\rt0020\r", 0.0)["id"].tolist() == [2]  # the first is still a part of the run
+    assert parser.malformed == 1
+
+
+def test_a_run_without_an_end_takes_no_memory() -> None:
+    parser, rubbish = SlcanParser(), b"t" * 65536
+    tracemalloc.start()
+    for _ in range(20):
+        parser.feed(rubbish, 0.0)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 65536
+
+
+def test_time_is_that_of_the_end_of_the_line() -> None:
+    parser = SlcanParser()
+    assert parser.feed(b"t0010\rt00", 1.0)["time"].tolist() == [1.0]
+    assert parser.feed(b"20\r", 2.0)["time"].tolist() == [2.0]
+
+
+def test_byte_by_byte_is_the_same_as_whole() -> None:
+    text = b"".join(line for line, _ in TABLE) + b"z\r\aF00\r" + b"\r".join(DAMAGED) + b"\r"
+    whole, single = SlcanParser(), SlcanParser()
+    expected = whole.feed(text, 0.0)
+    frames = joined([single.feed(text[k : k + 1], 0.0) for k in range(len(text))])
+    assert frames.tobytes() == expected.tobytes() == joined([frame for _, frame in TABLE]).tobytes()
+    assert single.malformed == whole.malformed == len(DAMAGED)
+    assert [reply.text for reply in single.replies] == [reply.text for reply in whole.replies] == [b"z", b"\a", b"F00"]
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Records:
+    extended, kind = draw(st.booleans()), draw(st.sampled_from(["data", "remote", "fd", "brs"]))
+    number = draw(st.integers(0, 0x1FFFFFFF if extended else 0x7FF)) | (EXTENDED if extended else 0)
+    if kind == "remote":
+        return record(number | REMOTE, length=draw(st.integers(0, 8)))
+    flags = {"data": 0, "fd": FDF, "brs": FDF | BRS}[kind]
+    length = draw(st.sampled_from(FD_LENGTHS if flags else range(9)))
+    return record(number, draw(st.binary(min_size=length, max_size=length)), flags)
+
+
+def text_of(frame: Records) -> bytes:
+    """One frame's line in plain Python."""
+    number, flags = int(frame["id"][0]), int(frame["flags"][0])
+    length = int(frame["length"][0])
+    letter = {0: "t", FDF: "d", FDF | BRS: "b"}[flags] if not number & REMOTE else "r"
+    head = f"{letter.upper()}{number & 0x1FFFFFFF:08X}" if number & EXTENDED else f"{letter}{number & 0x7FF:03X}"
+    data = "" if number & REMOTE else frame["data"][0, :length].tobytes().hex().upper()
+    return f"{head}{can.util.len2dlc(length):X}{data}\r".encode()
+
+
+@given(st.lists(frames(), max_size=30), st.lists(st.integers(0, 3000), max_size=8))
+def test_round_trip_with_cuts_anywhere(sent: list[Records], cuts: list[int]) -> None:
+    text = encode(joined(sent))
+    assert text == b"".join(text_of(frame) for frame in sent)
+    parser = SlcanParser()
+    places = [0, *sorted(min(cut, len(text)) for cut in cuts), len(text)]
+    pieces = [parser.feed(text[a:b], 0.0) for a, b in pairwise(places)]
+    assert joined(pieces).tobytes() == joined(sent).tobytes()
+    assert parser.malformed == 0
+
+
+@given(frames(), st.data())
+def test_a_line_cut_short_or_with_a_strange_character_is_no_frame(frame: Records, data: st.DataObject) -> None:
+    line = text_of(frame)[:-1]
+    cut = data.draw(st.integers(1, len(line) - 1))
+    place, strange = data.draw(st.integers(1, len(line) - 1)), data.draw(st.sampled_from(b"GgzZ \n\0\x7f\xff/:@`"))
+    for damaged in (line[:cut], line[:place] + bytes([strange]) + line[place + 1 :]):
+        parser = SlcanParser()
+        assert len(parser.feed(damaged + b"\r", 0.0)) == 0
+        assert parser.malformed == 1
+
+
+_LINE = re.compile(
+    rb"(?:([tdb])([0-7][0-9a-fA-F]{2})|([TDB])([01][0-9a-fA-F]{7}))([0-9a-fA-F])((?:[0-9a-fA-F]{2})*)"
+    rb"|(?:(r)([0-7][0-9a-fA-F]{2})|(R)([01][0-9a-fA-F]{7}))([0-8])((?:[0-9a-fA-F]{4})?)"
+)
+
+
+def is_frame(line: bytes) -> bool:
+    """The rules of a frame's line, one line at a time."""
+    found = _LINE.fullmatch(line)
+    if not found:
+        return False
+    if found[7] or found[9]:
+        return True
+    dlc, size = int(found[5], 16), len(found[6]) // 2
+    if (found[1] or found[3]) in (b"t", b"T") and dlc > 8:
+        return False
+    return size in (FD_LENGTHS[dlc], FD_LENGTHS[dlc] + 2)
+
+
+def is_reply(line: bytes) -> bool:
+    return line in (b"", b"z") or (line[:1] == b"F" and line.isascii())
+
+
+HEADS = [b"t100", b"T00000100", b"r100", b"R10000000", b"d1FF", b"B0000ABC", b"t8FF", b"D20000000", b"F", b"z", b""]
+LINES = st.tuples(
+    st.sampled_from(HEADS),
+    st.sampled_from([b"0", b"1", b"2", b"3", b"9", b""]),
+    st.sampled_from(
+        [b"", b"aA", b"5555", b"012345", b"ABCDEF01", b"0" * 10, b"0" * 24, b"0" * 28, b"0", b"GG", b"\xff"]
+    ),
+    st.sampled_from([b"\r", b"\r", b"\r", b"\a"]),
+).map(b"".join)
+
+
+@given(st.lists(LINES, max_size=60).map(b"".join))
+def test_rubbish_is_read_as_the_rules_say(text: bytes) -> None:
+    parser = SlcanParser()
+    count = len(parser.feed(text, 0.0))
+    lines = re.findall(rb"([^\r\a]*)([\r\a])", text)
+    ended = [line for line, end in lines if end == b"\r"]
+    belled = [line for line, end in lines if end == b"\a"]
+    assert count == sum(map(is_frame, ended))
+    assert [reply.text for reply in parser.replies] == [
+        b"\a" if end == b"\a" else line for line, end in lines if end == b"\a" or is_reply(line)
+    ]
+    assert parser.malformed == sum(map(bool, belled)) + sum(not is_frame(x) and not is_reply(x) for x in ended)
+
+
+def test_bit_rates_are_those_of_python_can() -> None:
+    assert {rate: command.decode() for rate, command in BITRATES.items()} == slcanBus._BITRATES
+    theirs = {rate: command for rate, command in slcanBus._DATA_BITRATES.items() if rate}
+    ours = {rate: command.decode() for rate, command in DATA_BITRATES.items()}
+    assert ours == theirs | {8_000_000: "Y8"}
+
+
+def read_from(fd: int, size: int) -> bytes:
+    data = b""
+    while len(data) < size and select.select([fd], [], [], 5.0)[0]:
+        data += os.read(fd, 65536)
+    return data
+
+
+@pytest.fixture
+def wire() -> Iterator[tuple[int, slcanBus]]:
+    """The adapter's side of a pty, with python-can's slcan at the other."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    bus = slcanBus(os.ttyname(slave), sleep_after_open=0)
+    assert read_from(master, 2) == b"O\r"
+    yield master, bus
+    bus.shutdown()
+    os.close(slave)
+    os.close(master)
+
+
+EVERY_KIND = [
+    *(can.Message(arbitration_id=0x7A5, is_extended_id=False, data=bytes(range(n))) for n in range(9)),
+    can.Message(arbitration_id=0x1ABCDEF5, is_extended_id=True, data=b"\x00\xff\x0d\x07"),
+    can.Message(arbitration_id=0x001, is_extended_id=False, is_remote_frame=True, dlc=5),
+    can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, is_remote_frame=True, dlc=0),
+    *(
+        can.Message(arbitration_id=0x123, is_extended_id=extended, is_fd=True, bitrate_switch=brs, data=bytes(range(n)))
+        for n in FD_LENGTHS
+        for extended in (False, True)
+        for brs in (False, True)
+    ),
+]
+
+
+def record_of(msg: can.Message) -> Records:
+    number = msg.arbitration_id | msg.is_extended_id << 31 | msg.is_remote_frame << 30
+    return record(number, bytes(msg.data), msg.is_fd * FDF | msg.bitrate_switch * BRS, length=msg.dlc)
+
+
+def test_python_can_reads_what_we_write(wire: tuple[int, slcanBus]) -> None:
+    master, bus = wire
+    for msg in EVERY_KIND:
+        os.write(master, encode(record_of(msg)))
+        got = bus.recv(5.0)
+        assert got is not None
+        assert got.equals(msg, timestamp_delta=None), f"{got} is not {msg}"
+
+
+def test_we_read_what_python_can_writes(wire: tuple[int, slcanBus]) -> None:
+    master, bus = wire
+    parser = SlcanParser()
+    for msg in EVERY_KIND:
+        bus.send(msg)
+        frame = np.empty(0, CAN_RECORD)
+        while not len(frame) and select.select([master], [], [], 5.0)[0]:
+            frame = parser.feed(os.read(master, 65536), 0.0)
+        assert frame.tobytes() == record_of(msg).tobytes(), str(msg)
+    assert parser.malformed == 0

@@ -1,0 +1,742 @@
+"""The CAN link over python-can's own buses: virtual, a plug-in that fails to order, and drivers that are not here.
+
+The other end is python-can itself; socketcand is in `tests/sim/drive/test_can_ports.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import os
+import pty
+import select
+import socket
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import can
+import can.interfaces
+import numpy as np
+import pytest
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, REMOTE, BusRates
+from protocol.canmap.host import CanWire
+from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
+from protocol.framing import Frame
+from protocol.links import CanTarget, open_link, parse_target
+from protocol.links import can as can_link
+from protocol.links.can import CanLink
+from protocol.links.can_message import error_kind
+from protocol.links.can_open import bus_arguments
+from protocol.links.slcan_bus import SlcanBus
+from protocol.messages import Hello
+from sim.drive.slcan_port import SlcanPort
+
+CHANNELS = (f"test-{n}" for n in itertools.count())
+
+
+def records(*frames: tuple[int, bytes, int]) -> bytes:
+    rows = np.zeros(len(frames), CAN_RECORD)
+    for row, (number, data, flags) in zip(rows, frames, strict=True):
+        row["id"], row["length"], row["flags"] = number, len(data), flags
+        row["data"][: len(data)] = list(data)
+    return rows.tobytes()
+
+
+def read(link: CanLink, n: int, timeout: float = 5.0, settle: float = 0.0) -> np.ndarray:
+    data, deadline = b"", time.monotonic() + timeout
+    while len(data) < n * CAN_RECORD.itemsize and time.monotonic() < deadline:
+        data += link.read(0.1, settle)
+    return np.frombuffer(data, CAN_RECORD)
+
+
+class Ends:
+    """A link, and python-can's bus at the other end."""
+
+    def __init__(self, query: str = "") -> None:
+        channel = next(CHANNELS)
+        self.bus = can.Bus(interface="virtual", channel=channel, ignore_config=True)
+        link = open_link(f"can:virtual/{channel}{query}")
+        assert isinstance(link, CanLink)
+        self.link = link
+
+    def close(self) -> None:
+        self.link.close()
+        self.bus.shutdown()
+
+
+@pytest.fixture
+def ends() -> Iterator[Ends]:
+    made = Ends()
+    yield made
+    made.close()
+
+
+FRAMES = [
+    (can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1\2\3"), (0x123, b"\1\2\3", 0)),
+    (can.Message(arbitration_id=0, is_extended_id=False, data=b""), (0, b"", 0)),
+    (can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)), (0x7FF, bytes(8), 0)),
+    (can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"x"), (0x1ABCDEF0 | EXTENDED, b"x", 0)),
+    (can.Message(arbitration_id=0x7, is_extended_id=True, data=b""), (0x7 | EXTENDED, b"", 0)),
+    (
+        can.Message(arbitration_id=0x50, is_extended_id=False, data=bytes(range(64)), is_fd=True, bitrate_switch=True),
+        (0x50, bytes(range(64)), FDF | BRS),
+    ),
+    (can.Message(arbitration_id=0x51, is_extended_id=False, data=bytes(12), is_fd=True), (0x51, bytes(12), FDF)),
+]
+
+
+@pytest.mark.parametrize(("message", "frame"), FRAMES)
+def test_frames_pass_both_ways(ends: Ends, message: can.Message, frame: tuple[int, bytes, int]) -> None:
+    ends.link.write(records(frame))
+    got = ends.bus.recv(5.0)
+    assert got is not None
+    assert got.equals(message, timestamp_delta=None, check_channel=False)
+    before = time.monotonic()
+    ends.bus.send(message)
+    (row,) = read(ends.link, 1)
+    assert before <= row["time"] <= time.monotonic()
+    number, data, flags = frame
+    assert (row["id"], row["length"], row["flags"], row["reserved"]) == (number, len(data), flags, 0)
+    assert bytes(row["data"]) == data.ljust(64, b"\0")
+    assert (ends.link.health.sent, ends.link.health.received) == (1, 1)
+
+
+def test_remote_frames_have_no_data(ends: Ends) -> None:
+    ends.bus.send(can.Message(arbitration_id=0x77, is_extended_id=False, is_remote_frame=True, dlc=4))
+    (row,) = read(ends.link, 1)
+    assert (row["id"], row["length"]) == (0x77 | REMOTE, 4)
+
+
+def test_order_and_names(ends: Ends) -> None:
+    ends.link.write(records(*((n, bytes([n]), 0) for n in range(200))))
+    assert [ends.bus.recv(1.0).arbitration_id for _ in range(200)] == list(range(200))  # type: ignore[union-attr]
+    assert ends.link.name.startswith("can:virtual/test-")
+    assert (ends.link.node, ends.link.extended, ends.link.rates) == (1, False, BusRates())
+    assert isinstance(ends.link.wire(), CanWire)
+    assert abs(ends.link.clock() - time.monotonic()) < 1.0
+
+
+def test_rates_node_and_form_are_the_target_s() -> None:
+    ends = Ends("?fd=1&bitrate=500000&data_bitrate=2000000&node=7&ext=1")
+    assert (ends.link.rates, ends.link.node, ends.link.extended) == (BusRates(500_000, 2_000_000), 7, True)
+    ends.close()
+
+
+# class 2 (to a device), node, number of the host; behind "HB" where identifiers are long
+@pytest.mark.parametrize(
+    ("query", "number", "extended"),
+    [
+        ("", 0x210, False),
+        ("?host_number=15", 0x21F, False),
+        ("?node=3&host_number=5", 0x235, False),
+        ("?node=3&host_number=5&ext=1", 0x02421235, True),
+    ],
+)
+def test_a_hello_goes_out_with_the_numbers_of_node_and_host(query: str, number: int, extended: bool) -> None:
+    ends = Ends(query)
+    ends.link.write(ends.link.wire().encode(Frame(Hello.TYPE, 1, 1, 0, Hello(7).pack())))
+    assert ends.link.health.sent > 0
+    for _ in range(ends.link.health.sent):
+        got = ends.bus.recv(5.0)
+        assert got is not None
+        assert (got.arbitration_id, got.is_extended_id) == (number, extended)
+    ends.close()
+
+
+# include/uapi/linux/can/error.h: class in the identifier, controller's state in data[1]
+@pytest.mark.parametrize(
+    ("number", "detail", "kind"),
+    [
+        (0x008, 0, "protocol"),
+        (0x080, 0, "protocol"),
+        (0x020, 0, "no ack"),
+        (0x004, 0x04, "controller warning"),
+        (0x004, 0x08, "controller warning"),
+        (0x004, 0x10, "controller passive"),
+        (0x204, 0x20, "controller passive"),
+        (0x004, 0x01, "overflow"),
+        (0x004, 0x02, "overflow"),
+        (0x004, 0x40, "other"),
+        (0x040, 0, "bus-off"),
+        (0x100, 0, "restarted"),
+        (0x002, 0, "other"),
+        (0x001, 0, "other"),
+        (0x088, 0, "protocol"),
+        (0x044, 0x20, "bus-off"),
+    ],
+)
+def test_error_frames_are_records_counted_by_kind(ends: Ends, number: int, detail: int, kind: str) -> None:
+    data = bytes([0, detail, 0, 0, 0, 0, 0, 0])
+    ends.bus.send(can.Message(arbitration_id=number, is_extended_id=False, is_error_frame=True, data=data))
+    (row,) = read(ends.link, 1)
+    assert (row["id"], row["length"], bytes(row["data"][:8])) == (ERROR | number, 8, data)
+    health = ends.link.health
+    assert {name: count for name, count in health.error_frames.items() if count} == {kind: 1}
+    assert health.received == 0
+    assert health.bus_off == (kind == "bus-off")
+    assert error_kind(ERROR | number, detail) == kind
+
+
+def test_a_restart_ends_bus_off(ends: Ends) -> None:
+    for number in (0x40, 0x100):
+        ends.bus.send(can.Message(arbitration_id=number, is_extended_id=False, is_error_frame=True, data=bytes(8)))
+    read(ends.link, 2)
+    assert not ends.link.health.bus_off
+    assert ends.link.health.error_frames["bus-off"] == 1
+
+
+@pytest.mark.parametrize("settle", [0.0, 0.001])
+def test_a_burst_is_read_whole_and_in_order(ends: Ends, settle: float) -> None:
+    n = 20_000
+
+    def send() -> None:
+        for k in range(n):
+            ends.bus.send(can.Message(arbitration_id=k % 0x700, is_extended_id=False, data=k.to_bytes(4, "little")))
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    rows = read(ends.link, n, 30.0, settle)
+    sender.join()
+    assert np.array_equal(rows["data"][:, :4].copy().view("<u4")[:, 0], np.arange(n))
+    assert np.all(np.diff(rows["time"]) >= 0.0)
+    assert (ends.link.health.received, ends.link.health.dropped) == (n, 0)
+
+
+def test_read_waits_no_longer_than_told(ends: Ends) -> None:
+    started = time.monotonic()
+    for _ in range(50):
+        assert ends.link.read(0.0) == b""
+        assert ends.link.read(-1.0) == b""
+    assert time.monotonic() - started < 2.0
+    started = time.monotonic()
+    assert ends.link.read(0.05) == b""
+    assert 0.05 <= time.monotonic() - started < 2.0
+
+
+def test_a_settled_read_collects(ends: Ends) -> None:
+    timers = [
+        threading.Timer(0.02 * k, ends.bus.send, [can.Message(arbitration_id=k, is_extended_id=False)])
+        for k in range(3)
+    ]
+    for timer in timers:
+        timer.start()
+    assert len(ends.link.read(5.0, settle=0.5)) == 3 * CAN_RECORD.itemsize
+
+
+def test_one_read_gives_whole_records_up_to_its_limit(ends: Ends) -> None:
+    for k in range(1000):
+        ends.bus.send(can.Message(arbitration_id=k, is_extended_id=False))
+    while ends.link.health.received < 1000:
+        time.sleep(0.001)
+    sizes = [len(ends.link.read(0.0)) // CAN_RECORD.itemsize for _ in range(3)]
+    assert sizes == [65536 // 80, 1000 - 65536 // 80, 0]
+
+
+def test_what_the_buffer_cannot_hold_is_counted(monkeypatch: pytest.MonkeyPatch, ends: Ends) -> None:
+    monkeypatch.setattr(can_link, "MAX_BUFFER", 100 * CAN_RECORD.itemsize)
+    for k in range(250):
+        ends.bus.send(can.Message(arbitration_id=k, is_extended_id=False))
+    health = ends.link.health
+    deadline = time.monotonic() + 5.0
+    while health.dropped < 150 and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert (health.received, health.dropped) == (250, 150)
+    assert read(ends.link, 100)["id"].tolist() == list(range(100))
+    ends.bus.send(can.Message(arbitration_id=0x555, is_extended_id=False))
+    assert read(ends.link, 1)["id"].tolist() == [0x555]
+
+
+def test_close_ends_a_read_and_the_thread(ends: Ends) -> None:
+    caught: list[HbpError] = []
+
+    def wait() -> None:
+        try:
+            ends.link.read(30.0)
+        except HbpError as error:
+            caught.append(error)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    name = f"reads {ends.link.name}"
+    assert name in {thread.name for thread in threading.enumerate()}
+    started = time.monotonic()
+    ends.link.close()
+    ends.link.close()
+    waiting.join(5.0)
+    assert time.monotonic() - started < 1.0
+    assert isinstance(caught[0], LinkClosed)
+    assert name not in {thread.name for thread in threading.enumerate()}
+    for use in (lambda: ends.link.read(0.0), lambda: ends.link.write(records((1, b"", 0)))):
+        with pytest.raises(LinkClosed, match=r"can:virtual/\S+ is closed"):
+            use()
+
+
+def test_reopen_opens_the_same_bus_and_keeps_the_counts(ends: Ends) -> None:
+    ends.bus.send(can.Message(arbitration_id=1, is_extended_id=False))
+    read(ends.link, 1)
+    ends.link.reopen()
+    ends.bus.send(can.Message(arbitration_id=2, is_extended_id=False))
+    assert read(ends.link, 1)["id"].tolist() == [2]
+    assert ends.link.health.received == 2
+
+
+# A driver of our own, by python-can's plug-in mechanism: it does what no bus on this machine can be made to do
+
+
+class Wayward(can.BusABC):
+    """A bus with a keyword of its own, that gives, raises or swallows what the test ordered."""
+
+    plan: ClassVar[list[Any]] = []
+    on_open: Exception | None = None
+    on_send: Callable[[], None] = staticmethod(lambda: None)
+    state_now = can.BusState.ACTIVE
+
+    def __init__(self, channel: str, bitrate: int, keyword: int = 0) -> None:
+        super().__init__(channel)
+        if self.on_open is not None:
+            raise self.on_open
+
+    @property
+    def state(self) -> can.BusState:
+        return self.state_now
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.plan:
+            step = self.plan.pop(0)
+            if isinstance(step, Exception):
+                raise step
+            return step, False
+        time.sleep(min(timeout or 0.0, 0.005))
+        return None, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.on_send()
+
+
+@pytest.fixture
+def wayward(monkeypatch: pytest.MonkeyPatch) -> type[Wayward]:
+    class Bus(Wayward):
+        plan: ClassVar[list[Any]] = []
+
+    module = sys.modules[__name__]
+    monkeypatch.setattr(module, "WaywardBus", Bus, raising=False)
+    monkeypatch.setitem(can.interfaces.BACKENDS, "wayward", (__name__, "WaywardBus"))
+    monkeypatch.setattr("can.util.VALID_INTERFACES", can.interfaces.VALID_INTERFACES | {"wayward"})
+    return Bus
+
+
+def os_failure(number: int) -> can.CanOperationError:
+    """What python-can's socketcan raises."""
+    error = can.CanOperationError(f"Failed: {errno.errorcode[number]}", number)
+    error.__cause__ = OSError(number, "the system's text")
+    return error
+
+
+def message(number: int) -> can.Message:
+    return can.Message(arbitration_id=number, is_extended_id=False)
+
+
+def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+    # python-can's socketcand puts a whole traceback into its error
+    wayward.plan += [message(1), message(2), can.CanOperationError("pulled out\nTraceback: File …")]
+    assert read(link, 2)["id"].tolist() == [1, 2]
+    for _ in range(2):
+        with pytest.raises(LinkClosed, match=r"^can:wayward/7 was lost: pulled out$"):
+            link.read(5.0)
+    with pytest.raises(LinkClosed, match="pulled out"):
+        link.write(records((1, b"", 0)))
+    link.reopen()
+    wayward.plan.append(message(3))
+    assert read(link, 1)["id"].tolist() == [3]
+    link.close()
+
+
+def test_frames_that_can_cannot_have_are_counted(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+    wayward.plan += [
+        message(0x800),
+        can.Message(arbitration_id=1, data=bytes(9)),
+        can.Message(arbitration_id=1, data=bytes(65), is_fd=True),
+        message(5),
+    ]
+    assert read(link, 1)["id"].tolist() == [5]
+    assert (link.health.malformed, link.health.received) == (3, 1)
+    link.close()
+
+
+def test_error_frames_of_drivers_without_linux_bits_are_other(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+    wayward.plan.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))  # no bus-off here
+    assert read(link, 1)["id"].tolist() == [ERROR]
+    assert link.health.error_frames["other"] == 1
+    assert not link.health.bus_off
+    link.close()
+
+
+def test_a_state_of_bus_off_is_reported_once_and_the_link_stays(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+    wayward.state_now = can.BusState.ERROR
+    assert read(link, 1)["id"].tolist() == [ERROR | 0x40]
+    assert link.health.bus_off
+    assert link.read(0.25) == b""
+    wayward.state_now = can.BusState.ACTIVE
+    assert read(link, 1)["id"].tolist() == [ERROR | 0x100]
+    assert not link.health.bus_off
+    assert (link.health.error_frames["bus-off"], link.health.error_frames["restarted"]) == (1, 1)
+    link.close()
+
+
+def test_a_full_transmit_buffer_is_tried_again(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+    refusals = iter([os_failure(errno.ENOBUFS)] * 5)
+
+    def send() -> None:
+        for refusal in refusals:
+            raise refusal
+
+    wayward.on_send = staticmethod(send)
+    link.write(records((1, b"", 0), (2, b"", 0)))
+    assert link.health.sent == 2
+    link.close()
+
+
+def test_a_transmit_buffer_that_stays_full_fails_the_write(
+    wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(can_link, "WRITE_TIMEOUT", 0.03)
+    link = CanLink(CanTarget("wayward", "7"))
+    sends = itertools.count()
+
+    def send() -> None:
+        if next(sends):
+            raise can.CanOperationError("Transmit buffer full")
+
+    wayward.on_send = staticmethod(send)
+    with pytest.raises(LinkError, match=r"can:wayward/7 took 1 of 3 frames: .* for 0.03 s: is another node") as caught:
+        link.write(records((1, b"", 0), (2, b"", 0), (3, b"", 0)))
+    assert not isinstance(caught.value, LinkClosed)
+    assert link.health.sent == 1
+    link.close()
+
+
+def test_a_refused_frame_is_an_error_and_a_dead_socket_a_loss(wayward: type[Wayward]) -> None:
+    link = CanLink(CanTarget("wayward", "7"))
+
+    def fail(error: Exception) -> None:
+        raise error
+
+    wayward.on_send = staticmethod(lambda: fail(can.CanOperationError("no FD here")))
+    with pytest.raises(LinkError, match="took 0 of 1 frames: no FD here"):
+        link.write(records((1, b"", 0)))
+    assert link.read(0.0) == b""
+    wayward.on_send = staticmethod(lambda: fail(BrokenPipeError(errno.EPIPE, "Broken pipe")))
+    with pytest.raises(LinkClosed, match="Broken pipe"):
+        link.write(records((1, b"", 0)))
+    with pytest.raises(LinkClosed, match="Broken pipe"):
+        link.read(0.0)
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "parts"),
+    [
+        (OSError(errno.ENODEV, "No such device"), LinkNotFound, ["No such device", "`ip link` lists"]),
+        (OSError(errno.EAFNOSUPPORT, "Address family not supported"), LinkNotFound, ["modprobe can_raw"]),
+        (OSError("pcanbasic library not found."), LinkNotFound, ["library not found: is the adapter plugged in"]),
+        (NameError("name 'canGetNumberOfChannels' is not defined"), LinkNotFound, ["its library is missing"]),
+        (ImportError("Please install x"), LinkNotFound, ["Please install x", "driver installed?"]),
+        (can.CanInterfaceNotImplementedError("Windows only"), LinkNotFound, ["Windows only"]),
+        (can.CanInitializationError(""), LinkNotFound, ["CanInitializationError"]),
+        (can.CanInitializationError("hardware is already in use by a net"), LinkBusy, ["held by another program"]),
+        (OSError(errno.EBUSY, "Device or resource busy"), LinkBusy, ["close it and try again"]),
+        (PermissionError(errno.EACCES, "Permission denied"), LinkError, ["no permission", "dialout"]),
+        (ValueError("bitrate 7 is not possible"), TargetError, ["refuses these options: bitrate 7"]),
+        (can.CanInitializationError("first\nsecond"), LinkNotFound, ["first"]),
+    ],
+)
+def test_what_a_driver_raises_is_one_line(
+    wayward: type[Wayward], error: Exception, kind: type[HbpError], parts: list[str]
+) -> None:
+    wayward.on_open = error
+    with pytest.raises(HbpError) as caught:
+        open_link("can:wayward/7")
+    assert type(caught.value) is kind
+    text = str(caught.value)
+    assert "\n" not in text
+    assert "can:wayward/7" in text
+    for part in parts:
+        assert part in text
+
+
+def test_an_interface_that_is_down_is_not_found(wayward: type[Wayward]) -> None:
+    wayward.plan.append(os_failure(errno.ENETDOWN))  # SocketCAN opens it, and says so at the first read
+    with pytest.raises(LinkNotFound, match=r"can:wayward/can0 .*: bring it up with `ip link set can0 up`"):
+        open_link("can:wayward/can0")
+
+
+def test_unknown_keyword(wayward: type[Wayward]) -> None:
+    with pytest.raises(TargetError, match=r"can:wayward/7: .*wayward refuses these options: .*'keywrod'"):
+        open_link("can:wayward/7?keywrod=1")
+    open_link("can:wayward/7?keyword=1").close()
+
+
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """No configuration of python-can's, and an empty home."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+# An adapter that speaks slcan: the pty's other end
+
+
+@pytest.fixture
+def adapter() -> Iterator[tuple[int, str]]:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    os.close(slave)
+    yield master, name
+    with contextlib.suppress(OSError):
+        os.close(master)
+
+
+def test_slcan_is_opened_with_our_own_bus(adapter: tuple[int, str]) -> None:
+    master, name = adapter
+    link = open_link(f"can:slcan/{name}?bitrate=500000")
+    assert isinstance(link, CanLink)
+    assert (link.name, link.rates) == (f"can:slcan/{name}", BusRates(500_000))
+    assert b"S6\r" in os.read(master, 100)
+    os.write(master, b"t1232AABB\rtXYZ\r\aT000000070\r")
+    assert read(link, 2)["id"].tolist() == [0x123, 0x7 | EXTENDED]
+    assert (link.health.received, link.health.malformed, link.health.refused) == (2, 1, 1)
+    link.write(records((0x321, b"\x0f", 0), (0x8 | EXTENDED, b"", 0)))
+    assert os.read(master, 100) == b"t32110F\rT000000080\r"
+    assert link.health.sent == 2
+    with pytest.raises(LinkBusy, match=f"can:slcan/{name}: .*held by another program"):
+        open_link(f"can:slcan/{name}")
+    os.write(master, b"t0010\r")
+    assert read(link, 1)["id"].tolist() == [1]
+    os.close(master)
+    with pytest.raises(LinkClosed, match=f"can:slcan/{name} was lost: {name} is gone"):
+        link.read(5.0)
+    with pytest.raises(LinkNotFound, match=f"can:slcan/{name}: "):
+        link.reopen()
+
+
+def test_slcan_has_few_bit_rates(adapter: tuple[int, str]) -> None:
+    with pytest.raises(TargetError, match=r"refuses these options: bitrate 123456 .* choose one of .*500000"):
+        open_link(f"can:slcan/{adapter[1]}?bitrate=123456")
+
+
+# LAWICEL's S and s (for an SJA1000's registers at 8 MHz), CANable 2.0's Y
+@pytest.mark.parametrize(
+    ("query", "commands"),
+    [
+        ("", [b"S8"]),
+        ("?fd=1", [b"S8", b"Y5"]),
+        ("?fd=1&bitrate=500000", [b"S6", b"Y5"]),
+        ("?fd=1&data_bitrate=2000000", [b"S8", b"Y2"]),
+        ("?f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1", [b"s0014"]),
+    ],
+)
+def test_slcan_is_always_told_its_rates(
+    bare: Path, adapter: tuple[int, str], query: str, commands: list[bytes]
+) -> None:
+    link = open_link(f"can:slcan/{adapter[1]}{query}")
+    assert os.read(adapter[0], 100).split(b"\r") == [b"", b"C", *commands, b"O", b""]
+    link.close()
+
+
+def obey(port: SlcanPort) -> bytes:
+    """Let the emulated adapter read what the host has written."""
+    assert select.select(port.read_fds(), [], [], 5.0)[0]
+    return port.read()
+
+
+@pytest.mark.parametrize(
+    ("query", "rates", "flags"), [("", BusRates(1_000_000), 0), ("?fd=1", BusRates(1_000_000, 5_000_000), FDF | BRS)]
+)
+def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
+    bare: Path, query: str, rates: BusRates, flags: int
+) -> None:
+    path = bare / "ttyCAN"
+    port = SlcanPort(path, rates)
+    before = SlcanBus(str(path), bitrate=125_000, data_bitrate=2_000_000)
+    obey(port)
+    frame = records((0x123, b"ab", flags))
+    port.write(frame)
+    assert port.mismatched == 1  # it does run at those
+    before.shutdown()
+    obey(port)
+    link = open_link(f"can:slcan/{path}{query}")
+    assert isinstance(link, CanLink)
+    assert link.rates == rates
+    assert obey(port) == b""
+    link.write(frame)
+    assert obey(port) == frame
+    port.write(frame)
+    assert read(link, 1)["id"].tolist() == [0x123]
+    assert (port.mismatched, port.refused) == (1, 0)
+    link.close()
+    port.close()
+
+
+# What is not here, and python-can's configuration
+
+
+@pytest.mark.parametrize("interface", ["pcan", "kvaser", "ixxat", "gs_usb", "neovi", "cantact", "systec"])
+def test_missing_drivers(interface: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(LinkNotFound) as caught:
+        open_link(f"can:{interface}/0?bitrate=500000" if interface != "pcan" else "can:pcan/PCAN_USBBUS1")
+    text = str(caught.value)
+    assert text.startswith(f"can:{interface}/")
+    assert text.endswith("driver installed?")
+    assert "\n" not in text
+    assert capfd.readouterr() == ("", "")  # python-can's own reports
+
+
+@pytest.mark.parametrize("interface", ["robotell", "seeedstudio", "slcan"])
+def test_missing_serial_ports(interface: str) -> None:
+    with pytest.raises(LinkNotFound, match=rf"can:{interface}//dev/ttyNONE.*"):
+        open_link(f"can:{interface}/dev/ttyNONE")
+
+
+@pytest.mark.skipif(not hasattr(socket, "PF_CAN"), reason="SocketCAN is Linux's")
+def test_no_such_socketcan_interface() -> None:
+    with pytest.raises(LinkNotFound, match="can:socketcan/nocan0 cannot be opened: "):
+        open_link("can:socketcan/nocan0")
+
+
+def test_unknown_interface() -> None:
+    with pytest.raises(TargetError, match=r"can:socketcn/can0: .*no interface 'socketcn': did you mean socketcan\?"):
+        open_link("can:socketcn/can0")
+    with pytest.raises(TargetError, match=r"it knows .*pcan, .*virtual"):
+        open_link("can:zzz/can0")
+
+
+def test_a_value_that_python_can_refuses() -> None:
+    with pytest.raises(TargetError, match="does not accept this configuration: Port config must be a number"):
+        open_link("can:virtual/x?port=first")
+
+
+def test_nothing_named_anywhere(bare: Path) -> None:
+    with pytest.raises(TargetError, match=r"no CAN interface is named.*set CAN_INTERFACE"):
+        open_link("can:")
+
+
+def test_configuration_by_environment(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    monkeypatch.setenv("CAN_CHANNEL", "by-environment")
+    monkeypatch.setenv("CAN_BITRATE", "250000")
+    bus = can.Bus(interface="virtual", channel="by-environment")
+    link = open_link("can:")
+    assert isinstance(link, CanLink)
+    bus.send(message(9))
+    assert read(link, 1)["id"].tolist() == [9]
+    assert (link.name, link.rates) == ("can:virtual/by-environment", BusRates(250_000))
+    link.close()
+    bus.shutdown()
+
+
+def test_configuration_by_file_and_context(bare: Path) -> None:
+    (bare / "can.conf").write_text(
+        "[default]\ninterface = virtual\nchannel = by-file\nbitrate = 500000\n\n"
+        "[bench]\nchannel = by-context\nfd = True\ndata_bitrate = 2000000\n"
+    )
+    link = open_link("can:")
+    assert isinstance(link, CanLink)
+    assert (link.name, link.rates) == ("can:virtual/by-file", BusRates(500_000))
+    link.close()
+    link = open_link("can:?context=bench&node=3")
+    assert isinstance(link, CanLink)
+    assert (link.name, link.rates, link.node) == ("can:virtual/by-context", BusRates(500_000, 2_000_000), 3)
+    link.close()
+    link = open_link("can:virtual/by-target?bitrate=125000")  # the target comes first
+    assert isinstance(link, CanLink)
+    assert (link.name, link.rates) == ("can:virtual/by-target", BusRates(125_000))
+    link.close()
+
+
+def test_a_configuration_that_cannot_be_read(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (bare / "can.conf").write_text("no section\n")
+    with pytest.raises(TargetError, match="does not accept this configuration: File contains no section headers"):
+        open_link("can:")
+    (bare / "can.conf").unlink()
+    monkeypatch.setenv("CAN_CONFIG", "{")
+    with pytest.raises(TargetError, match="does not accept this configuration"):
+        open_link("can:")
+    monkeypatch.delenv("CAN_CONFIG")
+    monkeypatch.setenv("CAN_BITRATE", "fast")
+    for target in ("can:virtual/x", "can:slcan//dev/ttyNONE", "can:pcan/PCAN_USBBUS1?fd=1"):
+        with pytest.raises(TargetError, match=r"does not accept this configuration: .*'fast'"):
+            open_link(target)
+    monkeypatch.delenv("CAN_BITRATE")
+    monkeypatch.setenv("CAN_INTERFACE", "virtul")
+    with pytest.raises(TargetError, match=r"did you mean virtual\?"):
+        open_link("can:")
+
+
+CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"
+
+
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        ("can:pcan/PCAN_USBBUS1", {"bitrate": 1_000_000}),
+        ("can:pcan/PCAN_USBBUS1?bitrate=250000", {"bitrate": 250_000}),
+        ("can:gs_usb/0", {"bitrate": 1_000_000}),
+        ("can:slcan//dev/ttyACM0", {"bitrate": 1_000_000}),
+        ("can:slcan//dev/ttyACM0?fd=1", {"bitrate": 1_000_000, "data_bitrate": 5_000_000}),
+        ("can:ixxat/0?fd=1&bitrate=500000", {"bitrate": 500_000, "data_bitrate": 5_000_000}),
+        ("can:vector/0?fd=1&data_bitrate=2000000", {"bitrate": 1_000_000, "data_bitrate": 2_000_000}),
+        ("can:pcan/PCAN_USBBUS1?fd=1", {"timing": (1_000_000, 5_000_000)}),
+        (f"can:pcan/PCAN_USBBUS1?{CLASSIC_TIMING}", {"timing": (1_000_000,)}),
+        (f"can:slcan//dev/ttyACM0?{CLASSIC_TIMING}", {"timing": (1_000_000,)}),
+        ("can:socketcan/can0", {}),
+        ("can:socketcan/can0?fd=1", {}),
+        ("can:socketcand/can0?host=10.0.0.5&port=29536", {}),
+        ("can:udp_multicast/239.74.163.2?fd=1", {}),
+        ("can:virtual/x?fd=1", {}),
+        ("can:virtual/x?bitrate=125000", {"bitrate": 125_000}),
+    ],
+)
+def test_python_can_is_told_the_rates_that_are_its_to_set(bare: Path, target: str, told: dict[str, object]) -> None:
+    named = parse_target(target)
+    assert isinstance(named, CanTarget)
+    arguments = bus_arguments(named)
+    timing = arguments.pop("timing", None)
+    if isinstance(timing, can.BitTimingFd):
+        arguments["timing"] = (timing.nom_bitrate, timing.data_bitrate)
+    elif timing is not None:
+        arguments["timing"] = (timing.bitrate,)
+    assert {key: arguments[key] for key in ("bitrate", "data_bitrate", "timing") if key in arguments} == told
+
+
+def test_a_configured_rate_comes_before_the_usual_one(bare: Path) -> None:
+    (bare / "can.conf").write_text("[default]\nbitrate = 250000\n\n[fd]\nfd = True\ndata_bitrate = 2000000\n")
+    assert bus_arguments(CanTarget("ixxat", "0"))["bitrate"] == 250_000
+    arguments = bus_arguments(CanTarget("ixxat", "0", context="fd"))
+    assert (arguments["bitrate"], arguments["data_bitrate"]) == (250_000, 2_000_000)
+
+
+@pytest.mark.parametrize("interface", ["pcan", "kvaser"])
+def test_drivers_that_take_fd_rates_as_timing_get_it(bare: Path, interface: str) -> None:
+    """python-can's pcan reads none of `bitrate`, `data_bitrate` on an FD bus: it needs every segment."""
+    target = CanTarget(interface, "0", (("fd", "1"), ("bitrate", "1000000"), ("data_bitrate", "5000000")))
+    timing = bus_arguments(target)["timing"]
+    assert isinstance(timing, can.BitTimingFd)
+    # a bit is 1 + tseg1 + tseg2 time quanta of brp clocks
+    assert timing.f_clock / timing.nom_brp / (1 + timing.nom_tseg1 + timing.nom_tseg2) == 1_000_000
+    assert timing.f_clock / timing.data_brp / (1 + timing.data_tseg1 + timing.data_tseg2) == 5_000_000
+    assert "timing" not in bus_arguments(CanTarget(interface, "0", (("bitrate", "1000000"),)))

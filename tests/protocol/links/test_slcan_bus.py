@@ -1,0 +1,389 @@
+"""The slcan bus against the emulated adapter over a real pty, and under python-can's own tools."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import termios
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FD_LENGTHS, FDF, BusRates
+from protocol.links.slcan_bus import SlcanBus
+from sim.drive.slcan_port import SlcanPort
+
+CLASSIC = BusRates(1_000_000)
+FD = BusRates(1_000_000, 5_000_000)
+
+
+def frame(number: int, data: bytes = b"", flags: int = 0) -> bytes:
+    made = np.zeros(1, CAN_RECORD)
+    made["id"], made["length"], made["flags"] = number, len(data), flags
+    made["data"][0, : len(data)] = list(data)
+    return made.tobytes()
+
+
+def untimed(records: bytes) -> bytes:
+    made = np.frombuffer(records, CAN_RECORD).copy()
+    made["time"] = 0.0
+    return made.tobytes()
+
+
+def path_of(port: SlcanPort) -> str:
+    return port.target.removeprefix("can:slcan/").partition("?")[0]
+
+
+def sent_by_host(port: SlcanPort, count: int) -> bytes:
+    """The next `count` frames that the host sends to the bus."""
+    records = b""
+    while len(records) < 80 * count and select.select(port.read_fds(), [], [], 5.0)[0]:
+        records += port.read()
+    return records
+
+
+def obey_opening(port: SlcanPort) -> None:
+    """Let the adapter read the commands that open its channel, which a bus writes in one go."""
+    assert select.select(port.read_fds(), [], [], 5.0)[0]
+    assert port.read() == b""
+    assert port.refused == 0
+
+
+@pytest.fixture
+def classic(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
+    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
+    bus = SlcanBus(path_of(port), bitrate=1_000_000)
+    obey_opening(port)
+    yield port, bus
+    bus.shutdown()
+    port.close()
+
+
+@pytest.fixture
+def fd(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
+    port = SlcanPort(tmp_path / "ttyCAN", FD)
+    bus = SlcanBus(path_of(port), bitrate=1_000_000, fd=True, data_bitrate=5_000_000)
+    obey_opening(port)
+    yield port, bus
+    bus.shutdown()
+    port.close()
+
+
+CLASSIC_MESSAGES = [
+    *(can.Message(arbitration_id=0x100 + n, is_extended_id=False, data=bytes(range(n))) for n in range(9)),
+    can.Message(arbitration_id=0x1ABCDEF5, data=b"\x0d\x07"),
+    can.Message(arbitration_id=3, is_extended_id=False, is_remote_frame=True, dlc=8),
+]
+FD_MESSAGES = [
+    can.Message(arbitration_id=5, is_extended_id=extended, is_fd=True, bitrate_switch=brs, data=bytes(range(n)))
+    for n in FD_LENGTHS
+    for extended in (False, True)
+    for brs in (False, True)
+]
+
+
+def records_of(messages: list[can.Message]) -> bytes:
+    records = np.zeros(len(messages), CAN_RECORD)
+    for record, msg in zip(records, messages, strict=True):
+        record["id"] = msg.arbitration_id | msg.is_extended_id << 31 | msg.is_remote_frame << 30
+        record["flags"] = msg.is_fd * FDF | msg.bitrate_switch * BRS
+        record["length"] = msg.dlc
+        record["data"][: len(msg.data)] = list(msg.data)
+    return records.tobytes()
+
+
+@pytest.mark.parametrize(("kind", "messages"), [("classic", CLASSIC_MESSAGES), ("fd", CLASSIC_MESSAGES + FD_MESSAGES)])
+def test_messages_both_ways(kind: str, messages: list[can.Message], request: pytest.FixtureRequest) -> None:
+    port, bus = request.getfixturevalue(kind)
+    for msg in messages:
+        bus.send(msg)
+    assert sent_by_host(port, len(messages)) == records_of(messages)
+    assert port.write(records_of(messages)) == 80 * len(messages)
+    for msg in messages:
+        got = bus.recv(5.0)
+        assert got is not None
+        assert got.equals(msg, timestamp_delta=None), f"{got} is not {msg}"
+        assert abs(got.timestamp - time.time()) < 5.0
+    assert (bus.refused, bus.malformed, port.refused, port.mismatched) == (0, 0, 0, 0)
+
+
+def test_records_both_ways(fd: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = fd
+    records = records_of(CLASSIC_MESSAGES + FD_MESSAGES)
+    bus.send_records(records)
+    assert sent_by_host(port, len(records) // 80) == records
+    before = time.monotonic()
+    port.write(records)
+    got = b""
+    while len(got) < len(records) and (more := bus.recv_records(5.0, settle=0.001)):
+        got += more
+    assert untimed(got) == records
+    times = np.frombuffer(got, CAN_RECORD)["time"]
+    assert before <= times.min() <= times.max() <= time.monotonic()
+
+
+def test_nothing_there_is_empty_within_the_timeout(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    port.write(frame(1))
+    assert len(bus.recv_records(5.0)) == 80
+    start = time.monotonic()
+    assert bus.recv_records(0.0) == b""
+    assert bus.recv_records(0.02) == b""
+    assert bus.recv(0.0) is None
+    assert 0.02 <= time.monotonic() - start < 2.0
+
+
+def test_acknowledgements_do_not_end_the_wait(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    bus.send(CLASSIC_MESSAGES[0])
+    sent_by_host(port, 1)  # writes its z
+    start = time.monotonic()
+    assert bus.recv_records(0.05) == b""
+    assert time.monotonic() - start >= 0.05
+
+
+def test_messages_then_records_lose_nothing(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    port.write(frame(1) + frame(2) + frame(3))
+    first = bus.recv(5.0)
+    assert first is not None
+    assert first.arbitration_id == 1
+    rest = b""
+    while len(rest) < 160 and (more := bus.recv_records(5.0)):
+        rest += more
+    assert untimed(rest) == frame(2) + frame(3)
+
+
+def test_an_fd_frame_between_two_lengths_is_padded(fd: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = fd
+    bus.send(can.Message(arbitration_id=1, is_fd=True, data=b"\xff" * 9))
+    assert sent_by_host(port, 1) == frame(1 | EXTENDED, b"\xff" * 9 + bytes(3), FDF)
+
+
+def test_frames_that_do_not_fit_the_bus(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    _, bus = classic
+    with pytest.raises(can.CanOperationError, match=r"slcan .*ttyCAN: a CAN FD frame needs a bus opened with fd=True"):
+        bus.send(FD_MESSAGES[0])
+    for unfit in (frame(ERROR | 4, bytes(8)), frame(1, bytes(9)), frame(1) + frame(0x800)):
+        with pytest.raises(can.CanOperationError, match="slcan has no line for a frame with id"):
+            bus.send_records(unfit)
+    with pytest.raises(can.CanOperationError, match="slcan has no line for a frame with id 0xA0000000"):
+        bus.send(can.Message(is_error_frame=True))
+
+
+def test_refused_frames_are_counted(tmp_path: Path) -> None:
+    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
+    bus = SlcanBus(path_of(port), fd=True)  # this adapter has no CAN FD
+    obey_opening(port)
+    for msg in FD_MESSAGES[:3]:
+        bus.send(msg)
+    while port.refused < 3 and select.select(port.read_fds(), [], [], 5.0)[0]:
+        assert port.read() == b""
+    port.write(frame(1))
+    assert untimed(bus.recv_records(5.0)) == frame(1)
+    assert bus.refused == 3
+    bus.shutdown()
+    port.close()
+
+
+@pytest.fixture
+def raw() -> Iterator[tuple[int, str]]:
+    """An adapter that is only a pty: the test writes its lines."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(slave)
+    os.close(master)
+
+
+def test_damaged_lines_are_counted_and_answers_kept(raw: tuple[int, str]) -> None:
+    master, path = raw
+    with SlcanBus(path) as bus:
+        os.write(master, b"t12\rF04\r\a\xff\rz\r\rV1013\rt0010\r")
+        assert untimed(bus.recv_records(5.0)) == frame(1)
+        assert (bus.malformed, bus.refused, list(bus.replies)) == (2, 1, [b"F04", b"V1013"])
+
+
+@pytest.mark.parametrize(
+    ("keywords", "typed"),
+    [
+        ({}, b"\rC\rO\r"),
+        ({"bitrate": 500_000}, b"\rC\rS6\rO\r"),
+        ({"bitrate": 83_300, "listen_only": True, "timeout": 5.0}, b"\rC\rS9\rL\r"),
+        ({"bitrate": 1_000_000, "fd": True}, b"\rC\rS8\rO\r"),
+        ({"bitrate": 1_000_000, "data_bitrate": 8_000_000}, b"\rC\rS8\rY8\rO\r"),
+        ({"timing": can.BitTiming.from_registers(8_000_000, 0x03, 0x1C)}, b"\rC\rs031C\rO\r"),
+        (
+            {"timing": can.BitTimingFd.from_sample_point(80_000_000, 500_000, 80.0, 2_000_000, 80.0)},
+            b"\rC\rS6\rY2\rO\r",
+        ),
+    ],
+)
+def test_commands_that_open_it(raw: tuple[int, str], keywords: dict[str, object], typed: bytes) -> None:
+    master, path = raw
+    bus = SlcanBus(path, **keywords)
+    assert os.read(master, 100) == typed
+    assert (bus.protocol is can.CanProtocol.CAN_FD) == ("fd" in keywords or b"Y" in typed)
+    bus.shutdown()
+    assert os.read(master, 100) == b"C\r"
+    bus.shutdown()
+    assert not select.select([master], [], [], 0.0)[0]
+
+
+def test_rates_that_slcan_does_not_have(raw: tuple[int, str]) -> None:
+    _, path = raw
+    with pytest.raises(ValueError, match=r"bitrate 800000 is none of slcan's: choose one of 10000, .*1000000, 83300"):
+        SlcanBus(path, bitrate=800_000)
+    with pytest.raises(ValueError, match=r"data_bitrate 4000000 is none of slcan's: .* 2000000, 5000000, 8000000"):
+        SlcanBus(path, fd=True, bitrate=500_000, data_bitrate=4_000_000)
+    with pytest.raises(ValueError, match="the port's rate must be a whole number, got 'fast'"):
+        SlcanBus(f"{path}@fast")
+    with pytest.raises(ValueError, match="must name a serial port"):
+        SlcanBus("")
+
+
+def test_rate_of_the_port(raw: tuple[int, str]) -> None:
+    master, path = raw
+    for channel, keywords in ((f"{path}@230400", {"tty_baudrate": 9600}), (path, {"tty_baudrate": 230_400})):
+        with SlcanBus(channel, **keywords):
+            assert termios.tcgetattr(master)[5] == termios.B230400
+
+
+def test_hardware_handshake(raw: tuple[int, str]) -> None:
+    master, path = raw
+    for rtscts in (False, True):
+        with SlcanBus(path, rtscts=rtscts):
+            attributes = termios.tcgetattr(master)
+            assert bool(attributes[2] & termios.CRTSCTS) == rtscts
+            assert attributes[6][termios.VMIN] == 1  # an empty read means that the port is gone, never nothing to read
+
+
+def test_missing_and_held_ports(tmp_path: Path, classic: tuple[SlcanPort, SlcanBus]) -> None:
+    with pytest.raises(can.CanInitializationError, match=r"no port .*ttyNONE"):
+        SlcanBus(str(tmp_path / "ttyNONE"))
+    with pytest.raises(can.CanInitializationError, match=r"ttyCAN is held by another program"):
+        SlcanBus(path_of(classic[0]))
+
+
+def test_another_bit_rate_than_the_bus(tmp_path: Path) -> None:
+    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
+    bus = SlcanBus(path_of(port), bitrate=500_000)
+    obey_opening(port)
+    port.write(frame(1) * 3)
+    bus.send(CLASSIC_MESSAGES[0])
+    while port.mismatched < 4 and select.select(port.read_fds(), [], [], 5.0)[0]:
+        assert port.read() == b""
+    assert bus.recv_records(0.02) == b""
+    bus.shutdown()
+    port.close()
+
+
+def test_unplug_delivers_what_had_come_and_then_names_the_port(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    port.write(frame(1) + frame(2) + frame(3))
+    got = [bus.recv(5.0)]  # has read all three
+    port.unplug()
+    got += [bus.recv(5.0), bus.recv(5.0)]
+    assert [msg and msg.arbitration_id for msg in got] == [1, 2, 3]
+    with pytest.raises(can.CanOperationError, match="ttyCAN is gone"):
+        bus.recv(5.0)
+    with pytest.raises(can.CanOperationError, match="ttyCAN"):
+        bus.recv_records(5.0)
+    with pytest.raises(can.CanOperationError, match="ttyCAN"):
+        bus.send(CLASSIC_MESSAGES[0])
+    bus.shutdown()
+
+
+def test_unplug_ends_an_endless_wait(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    timer = threading.Timer(0.05, port.unplug)
+    timer.start()
+    with pytest.raises(can.CanOperationError, match="ttyCAN is gone"):
+        bus.recv()
+    timer.join()
+
+
+def test_an_adapter_that_takes_nothing_is_an_error(
+    classic: tuple[SlcanPort, SlcanBus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, bus = classic
+    monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
+    with pytest.raises(can.CanOperationError, match=r"ttyCAN took \d+ of 440000 bytes in 0.02 s"):
+        bus.send_records(frame(1, bytes(8)) * 20_000)
+
+
+def test_one_thread_receives_while_two_send(fd: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = fd
+    batches, each = 40, 50  # more than the pty takes at once
+    stop = threading.Event()
+    failed: list[can.CanError] = []
+
+    def echo() -> None:
+        rest = b""
+        while not stop.is_set():
+            select.select(port.read_fds(), [], [], 0.001)
+            rest += port.read()
+            rest = rest[port.write(rest) :]
+
+    def send(number: int) -> None:
+        try:
+            for n in range(batches):
+                bus.send_records(frame(number, n.to_bytes(8, "little") * 8, FDF | BRS) * each)
+        except can.CanError as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=echo), *(threading.Thread(target=send, args=(number,)) for number in (1, 2))]
+    for thread in threads:
+        thread.start()
+    got = b""
+    while len(got) < 2 * batches * each * 80 and (more := bus.recv_records(5.0, settle=0.002)):
+        got += more
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    records = np.frombuffer(got, CAN_RECORD)
+    for number in (1, 2):
+        data = records["data"][records["id"] == number]
+        assert data.tobytes() == b"".join(n.to_bytes(8, "little") * 8 * each for n in range(batches))
+    assert (bus.malformed, bus.refused, port.refused) == (0, 0, 0)
+
+
+def test_filters(classic: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = classic
+    bus.set_filters([{"can_id": 0x120, "can_mask": 0x7F0, "extended": False}])
+    port.write(b"".join(frame(number) for number in (0x11F, 0x120, 0x12F, 0x130, 0x120 | EXTENDED, 0x121)))
+    got = [bus.recv(5.0) for _ in range(3)]
+    assert [msg and msg.arbitration_id for msg in got] == [0x120, 0x12F, 0x121]
+
+
+def test_a_burst_in_an_event_loop(fd: tuple[SlcanPort, SlcanBus]) -> None:
+    port, bus = fd
+
+    async def listen() -> list[int]:
+        reader = can.AsyncBufferedReader()
+        with can.Notifier(bus, [reader], timeout=0.02, loop=asyncio.get_running_loop()):
+            port.write(b"".join(frame(n) for n in range(50)))
+            return [(await asyncio.wait_for(reader.get_message(), 5.0)).arbitration_id for _ in range(50)]
+
+    assert asyncio.run(listen()) == list(range(50))
+
+
+def test_notifier_and_logger(fd: tuple[SlcanPort, SlcanBus], tmp_path: Path) -> None:
+    port, bus = fd
+    messages = CLASSIC_MESSAGES + FD_MESSAGES
+    reader = can.BufferedReader()
+    with can.Notifier(bus, [reader, can.Logger(tmp_path / "log.blf")], timeout=0.02):  # it stops the logger too
+        port.write(records_of(messages))
+        got = [reader.get_message(5.0) for _ in messages]
+    for msg, heard in zip(messages, got, strict=True):
+        assert heard is not None
+        assert heard.equals(msg, timestamp_delta=None)
+    with can.LogReader(tmp_path / "log.blf") as logged:
+        for msg, kept in zip(messages, logged, strict=True):
+            assert kept.equals(msg, timestamp_delta=None, check_channel=False)

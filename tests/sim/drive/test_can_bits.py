@@ -1,0 +1,206 @@
+"""The exact length of CAN frames, against a frame written out as a string of bits, and against published figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ESI, EXTENDED, FD_LENGTHS, FDF, REMOTE, BusRates
+from sim.drive.can_bits import arbitration, count_bits, frame_bits, frame_seconds
+
+CLASSIC = BusRates(1_000_000)
+FD = BusRates(1_000_000, 5_000_000)
+
+
+def record(can_id: int, data: bytes = b"", flags: int = 0, length: int | None = None) -> np.ndarray:
+    row = np.zeros(1, CAN_RECORD)
+    row["id"], row["flags"], row["length"] = can_id, flags, len(data) if length is None else length
+    row["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
+    return row
+
+
+def bits_of(row: np.ndarray) -> tuple[int, int]:
+    nominal, fast = count_bits(row)[0].tolist()
+    return nominal, fast
+
+
+# The oracle: ISO 11898-1:2015 as strings of "0" and "1".
+
+
+def crc_15(bits: str) -> str:
+    """Remainder of the bits as a polynomial, by long division in whole numbers."""
+    divisor = 0b1100010110011001  # x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1
+    rest = int(bits, 2) << 15
+    while rest.bit_length() > 15:
+        rest ^= divisor << (rest.bit_length() - 16)
+    return f"{rest:015b}"
+
+
+def stuff(bits: str) -> str:
+    sent = ""
+    for bit in bits:
+        sent += bit
+        if sent.endswith("00000"):
+            sent += "1"
+        elif sent.endswith("11111"):
+            sent += "0"
+    return sent
+
+
+def written_out(row: np.ndarray) -> tuple[int, int]:
+    can_id, length, flags = int(row["id"][0]), int(row["length"][0]), int(row["flags"][0])
+    data = "".join(f"{byte:08b}" for byte in row["data"][0, :length].tolist())
+    remote = "1" if can_id & REMOTE else "0"
+    end = "1" + "0" + "1" + "1" * 7 + "111"  # CRC delimiter, ACK, ACK delimiter, end of frame, interframe space
+    if can_id & EXTENDED:
+        identifier = f"{can_id & 0x1FFFFFFF:029b}"
+        head = "0" + identifier[:11] + "11" + identifier[11:] + remote
+    else:
+        head = "0" + f"{can_id & 0x7FF:011b}" + remote + "0"
+    if not flags & FDF:
+        body = head + ("00" if can_id & EXTENDED else "0") + f"{length:04b}" + ("" if remote == "1" else data)
+        return len(stuff(body + crc_15(body)) + end), 0
+    to_brs = head + "10" + ("1" if flags & BRS else "0")
+    body = to_brs + ("1" if flags & ESI else "0") + f"{FD_LENGTHS.index(length):04b}" + data
+    dynamic = stuff(body[:-1]) + body[-1]  # behind the last bit there is a fixed stuff bit instead
+    crc_field = "s" * 4 + "c" * (17 if length <= 16 else 21)
+    fixed = "".join("|" + crc_field[k : k + 4] for k in range(0, len(crc_field), 4))
+    total = len(dynamic + fixed + end)
+    if not flags & BRS:
+        return total, 0
+    slow = len(stuff(to_brs) + end)
+    return slow, total - slow
+
+
+def test_the_oracle_has_the_published_crc() -> None:
+    # CRC-15/CAN in the catalogue of parametrised CRC algorithms: check value of "123456789"
+    assert crc_15("".join(f"{byte:08b}" for byte in b"123456789")) == f"{0x059E:015b}"
+
+
+def test_the_oracle_stuffs_a_known_sequence() -> None:
+    assert stuff("0000011110000") == "000001" + "11110" + "0000" + "1"
+    assert stuff("111110000") == "111110" + "0000" + "1"
+
+
+# Data whose runs of equal bits touch and cross the limit, beside any bytes.
+runs = st.lists(st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0x1E, 0xE1, 0x3C, 0xC3, 0x78, 0x87, 0xF8, 0x07]), min_size=64)
+payloads = st.one_of(st.binary(min_size=64, max_size=64), runs.map(lambda each: bytes(each[:64])))
+base_ids = st.one_of(st.integers(0, 0x7FF), st.sampled_from([0, 0x7FF, 0x078, 0x41E, 0x787]))
+extended_ids = st.one_of(st.integers(0, 0x1FFFFFFF), st.sampled_from([0, 0x1FFFFFFF, 0x01E1F0F0, 0x1E1F0F0F]))
+ids = st.one_of(base_ids, extended_ids.map(lambda each: each | EXTENDED))
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> np.ndarray:
+    can_id, data = draw(ids), draw(payloads)
+    if draw(st.booleans()):
+        flags = FDF | draw(st.sampled_from([0, BRS, ESI, BRS | ESI]))
+        return record(can_id, data[: draw(st.sampled_from(FD_LENGTHS))], flags)
+    if draw(st.booleans()):
+        return record(can_id, data[: draw(st.integers(0, 8))])
+    return record(can_id | REMOTE, length=draw(st.integers(0, 8)))
+
+
+@settings(max_examples=300, deadline=None)
+@given(frames())
+def test_bits_are_those_of_the_frame_written_out(row: np.ndarray) -> None:
+    assert bits_of(row) == written_out(row)
+
+
+@settings(max_examples=300, deadline=None)
+@given(frames())
+def test_no_frame_is_longer_than_the_worst_case(row: np.ndarray) -> None:
+    length = 0 if row["id"][0] & REMOTE else int(row["length"][0])
+    fd = bool(row["flags"][0] & FDF)
+    rates = FD if row["flags"][0] & BRS else CLASSIC
+    worst = rates.seconds(length, extended=bool(row["id"][0] & EXTENDED), fd=fd, worst=True)
+    assert frame_seconds(row, FD)[0] <= worst * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("extended", [0, EXTENDED])
+@pytest.mark.parametrize(
+    ("rates", "flags", "length"), [(CLASSIC, 0, 8), (FD, FDF | BRS, 8), (FD, FDF | BRS, 24), (FD, FDF | BRS, 64)]
+)
+def test_random_frames_take_the_average_time(extended: int, rates: BusRates, flags: int, length: int) -> None:
+    rng = np.random.default_rng(3)
+    rows = np.zeros(3000, CAN_RECORD)
+    rows["id"] = rng.integers(0, 0x20000000 if extended else 0x800, len(rows)) | extended
+    rows["flags"], rows["length"] = flags, length
+    rows["data"] = rng.integers(0, 256, (len(rows), 64))
+    expected = rates.seconds(length, extended=bool(extended))
+    assert frame_seconds(rows, rates).mean() == pytest.approx(expected, rel=0.006)
+
+
+@pytest.mark.parametrize(("extended", "least", "most"), [(0, 111, 135), (EXTENDED, 131, 160)])
+def test_classic_frames_of_8_bytes_lie_in_the_published_range(extended: int, least: int, most: int) -> None:
+    rng = np.random.default_rng(4)
+    data = rng.choice([0x00, 0xFF, 0x0F, 0x55], (500, 8)).astype(np.uint8)
+    lengths = [bits_of(record(int(rng.integers(0, 0x800)) | extended, each.tobytes())) for each in data]
+    assert all(least <= nominal <= most and fast == 0 for nominal, fast in lengths)
+    assert max(lengths)[0] > least + 10  # stuffed data are among them
+
+
+def test_frame_without_five_equal_bits_has_its_nominal_length() -> None:
+    # SOF, ID, RTR, IDE, r0, DLC, data, CRC; the CRC by long division
+    data = "01011010" * 8
+    assert crc_15("0" + "10101010101" + "000" + "1000" + data) == "110110000111101"
+    assert bits_of(record(0x555, b"\x5a" * 8)) == (111, 0)
+
+
+def test_fd_frame_of_iso_16845_by_hand() -> None:
+    # ISO 16845-1, 8.1.6, CAN FD case 1. Up to BRS stuff bits come behind 0 0000, 1111 and 000 0 (with the stuff bit
+    # before): 17 + 3 + 13 bits. Then ESI 0, DLC 1110, and 11111000: one stuff bit. Each 01111000 then completes five
+    # zeros and five ones: 47 x 2. CRC-21: 4 + 21 + 7.
+    row = record(0x078, b"\xf8" + b"\x78" * 47, FDF | BRS)
+    assert bits_of(row) == (17 + 3 + 13, 1 + 4 + 8 * 48 + 1 + 47 * 2 + 4 + 21 + 7)
+
+
+@pytest.mark.parametrize(
+    ("length", "crc_field"),
+    [(0, 27), (16, 27), (20, 32), (64, 32)],  # Linux, include/linux/can/length.h: 28 and 33 with the CRC delimiter
+)
+def test_crc_field_of_fd_frames(length: int, crc_field: int) -> None:
+    row = record(0x555, b"\x55" * length, FDF | BRS)
+    assert bits_of(row)[1] == 1 + 4 + 8 * length + crc_field  # no five equal bits in it
+
+
+def test_five_equal_bits_at_the_end_of_fd_data_get_no_second_stuff_bit() -> None:
+    plain, equal = record(0x555, b"\x55\x54", FDF | BRS), record(0x555, b"\x55\x5f", FDF | BRS)
+    inside = record(0x555, b"\x5f\x55", FDF | BRS)
+    assert bits_of(equal) == bits_of(plain)
+    assert bits_of(inside)[1] == bits_of(plain)[1] + 1
+
+
+def test_without_bit_rate_switch_all_bits_are_slow() -> None:
+    fast, slow = record(0x123, bytes(range(64)), FDF | BRS), record(0x123, bytes(range(64)), FDF)
+    assert bits_of(slow)[1] == 0
+    assert sum(bits_of(fast)) == pytest.approx(bits_of(slow)[0], abs=1)  # BRS itself may move a stuff bit
+    assert frame_seconds(slow, FD)[0] == bits_of(slow)[0] / 1_000_000
+
+
+def test_seconds_divide_each_part_by_its_rate() -> None:
+    nominal, fast = bits_of(record(0x123, b"\x12\x34", FDF | BRS))
+    assert frame_seconds(record(0x123, b"\x12\x34", FDF | BRS), FD)[0] == pytest.approx(nominal / 1e6 + fast / 5e6)
+
+
+def test_one_frame_and_many_agree() -> None:
+    rng = np.random.default_rng(5)
+    rows = np.zeros(50, CAN_RECORD)
+    rows["id"], rows["length"], rows["flags"] = rng.integers(0, 0x800, 50), 64, FDF | BRS
+    rows["data"] = rng.integers(0, 256, (50, 64))
+    each = [frame_bits(int(row["id"]), 64, FDF | BRS, row["data"]) for row in rows]
+    assert count_bits(rows).tolist() == [list(pair) for pair in each]
+
+
+def test_no_records_take_no_time() -> None:
+    assert frame_seconds(np.zeros(0, CAN_RECORD), CLASSIC).shape == (0,)
+
+
+def test_arbitration_bits_written_out() -> None:
+    assert arbitration(0x555) == int("10101010101" + "0" + "0" + 19 * "0", 2)
+    assert arbitration(0x555 | REMOTE) == int("10101010101" + "1" + "0" + 19 * "0", 2)
+    extended = 0b10101010101 << 18 | 0b110011001100110011 | EXTENDED
+    assert arbitration(extended) == int("10101010101" + "1" + "1" + "110011001100110011" + "0", 2)
+    assert arbitration(extended | REMOTE) == arbitration(extended) + 1

@@ -1,0 +1,498 @@
+"""The simulated bus's ports, with python-can and our own link at the other end; the socketcand text also by hand."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import numpy as np
+import pytest
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
+from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
+from protocol.links import can_open, open_link
+from protocol.links.can import CanLink
+from sim.drive.can_ports import QUIET, BusPort, SocketcandPort
+
+RATES = BusRates()
+
+
+def records(*frames: tuple[int, bytes, int], when: float = 0.0) -> bytes:
+    rows = np.zeros(len(frames), CAN_RECORD)
+    for row, (number, data, flags) in zip(rows, frames, strict=True):
+        row["id"], row["length"], row["flags"], row["time"] = number, len(data), flags, when
+        row["data"][: len(data)] = list(data)
+    return rows.tobytes()
+
+
+def parts(data: bytes) -> list[tuple[int, bytes, int]]:
+    rows = np.frombuffer(data, CAN_RECORD)
+    return [(int(row["id"]), bytes(row["data"][: row["length"]]), int(row["flags"])) for row in rows]
+
+
+CLASSIC = [
+    (0x123, b"\1\2\3", 0),
+    (0x000, b"", 0),
+    (0x7FF, bytes(range(0xF8, 0x100)), 0),
+    (0x12345678 | EXTENDED, b"\0\x0f\xf0", 0),
+    (0x00000007 | EXTENDED, b"", 0),
+]
+
+
+class Server:
+    """A socketcand port stepped by a thread, with a clock that stands still."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: self.now)
+        self.got = bytearray()
+        self._lock = threading.Lock()
+        self._stop = False
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop:
+            select.select(self.port.read_fds(), [], [], 0.002)
+            with self._lock:
+                self.got += self.port.read()
+
+    def write(self, data: bytes) -> int:
+        with self._lock:
+            return self.port.write(data)
+
+    def wait(self, n: int) -> list[tuple[int, bytes, int]]:
+        deadline = time.monotonic() + 5.0
+        while len(self.got) < n * RECORD_BYTES and time.monotonic() < deadline:
+            time.sleep(0.001)
+        return parts(bytes(self.got))
+
+    def stop(self) -> None:
+        self._stop = True
+        self._thread.join()
+        self.port.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    made = Server()
+    yield made
+    made.stop()
+
+
+def opened(target: str) -> CanLink:
+    link = open_link(target)
+    assert isinstance(link, CanLink)
+    return link
+
+
+def read(link: CanLink, n: int) -> bytes:
+    data, deadline = b"", time.monotonic() + 10.0
+    while len(data) < n * RECORD_BYTES and time.monotonic() < deadline:
+        data += link.read(0.1)
+    return data
+
+
+def test_our_link_and_the_server_understand_each_other(server: Server) -> None:
+    target = server.port.target
+    assert target == f"can:socketcand/can0?host=127.0.0.1&port={server.port._address[1]}&bitrate=1000000"
+    link = opened(target)
+    link.write(records(*CLASSIC))
+    assert server.wait(len(CLASSIC)) == CLASSIC
+    server.write(records(*CLASSIC, when=12.5))
+    assert parts(read(link, len(CLASSIC))) == CLASSIC
+    assert (link.name, link.rates, server.port.malformed) == ("can:socketcand/can0", RATES, 0)
+    link.close()
+
+
+def test_python_can_reads_and_writes_the_same(server: Server) -> None:
+    port = server.port._address[1]
+    bus = can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port, ignore_config=True)
+    server.now += 2 * QUIET
+    server.write(records(*CLASSIC, when=1234.000001))
+    for number, data, _ in CLASSIC:
+        message = bus.recv(5.0)
+        assert message is not None
+        assert (message.arbitration_id, message.is_extended_id) == (number & ~EXTENDED, bool(number & EXTENDED))
+        assert (bytes(message.data), message.dlc, message.timestamp) == (data, len(data), 1234.000001)
+        bus.send(message)
+    assert server.wait(len(CLASSIC)) == CLASSIC
+    bus.shutdown()
+
+
+def test_error_frames_pass_with_their_kind(server: Server) -> None:
+    link = opened(server.port.target)
+    server.now += 2 * QUIET
+    server.write(records((ERROR | 0x40, bytes(8), 0), (ERROR | 0x20, bytes(8), 0)))
+    assert [number for number, _, _ in parts(read(link, 2))] == [ERROR | 0x40, ERROR | 0x20]
+    assert (link.health.error_frames["bus-off"], link.health.error_frames["no ack"]) == (1, 1)
+    link.close()
+
+
+def test_a_burst_passes_whole(server: Server) -> None:
+    link = opened(server.port.target)
+    server.now += 2 * QUIET
+    n = 20_000
+    sent = records(*((k % 0x800, k.to_bytes(8, "little"), 0) for k in range(n)))
+    at = 0
+    got = bytearray()
+    while at < len(sent):
+        at += server.write(sent[at : at + 100 * RECORD_BYTES])
+        got += link.read(0.0)
+    got += read(link, n - len(got) // RECORD_BYTES)
+    assert parts(bytes(got)) == parts(sent)
+    assert link.health.dropped == 0
+    link.close()
+
+
+def read_empty(link: CanLink) -> None:
+    for _ in range(100):
+        link.read(0.1)
+
+
+# By hand
+
+
+class Client:
+    """A plain socket to a port that is stepped by the same thread."""
+
+    def __init__(self, port: SocketcandPort) -> None:
+        self.port = port
+        self.socket = socket.create_connection(port._address, 5.0)
+        self.got = b""
+
+    def say(self, text: bytes) -> None:
+        self.socket.sendall(text)
+        assert select.select(self.port.read_fds(), [], [], 5.0)[0]
+        self.got += self.port.read()
+
+    def hear(self) -> bytes:
+        return self.socket.recv(65536)
+
+    def shake_hands(self) -> None:
+        self.say(b"")
+        assert self.hear() == b"< hi >"
+        self.say(b"< open can0 >")
+        assert self.hear() == b"< ok >"
+        self.say(b"< rawmode >")
+        assert self.hear() == b"< ok >"
+
+
+@pytest.fixture
+def port() -> Iterator[SocketcandPort]:
+    made = SocketcandPort("127.0.0.1", 0, RATES)
+    yield made
+    made.close()
+
+
+def test_handshake_and_commands(port: SocketcandPort) -> None:
+    client = Client(port)
+    client.say(b"")
+    assert client.hear() == b"< hi >"
+    for text, answer in (
+        (b"< rawmode >", b"< error unknown command >"),
+        (b"< send 123 0 >", b"< error unknown command >"),
+        (b"< open can7 >", b"< error could not open bus >"),
+        (b"< open can0 >", b"< ok >"),
+        (b"< send 123 0 >", b"< error unknown command >"),
+        (b"< echo >", b"< echo >"),
+        (b"< rawmode >", b"< ok >"),
+        (b"< echo >", b"< echo >"),
+        (b"< bcmmode >", b"< error unknown command >"),
+        (b"noise< echo >", b"< echo >"),
+    ):
+        client.say(text)
+        assert client.hear() == answer, text
+    assert (port.malformed, client.got) == (4, b"")
+
+
+def test_the_text_of_frames(port: SocketcandPort) -> None:
+    client = Client(port)
+    client.shake_hands()
+    client.say(b"< send 7FF 8 0 1 a ff 10 0 0 0 >< send 00000123 1 7 >< send 001 0  >")
+    data = bytes([0, 1, 10, 255, 16, 0, 0, 0])
+    assert parts(client.got) == [(0x7FF, data, 0), (0x123 | EXTENDED, b"\7", 0), (1, b"", 0)]
+    port.write(records((0x12, b"\xab\xc0", 0), (0x12 | EXTENDED, b"", 0), (ERROR | 0x8, bytes(8), 0), when=3.25))
+    assert client.hear() == b"< frame 012 3.250000 ABC0 >< frame 00000012 3.250000  >< error 008 3.250000 >"
+
+
+def test_commands_cut_anywhere(port: SocketcandPort) -> None:
+    client = Client(port)
+    client.shake_hands()
+    for byte in b"< send 123 2 1 2 >< send 124 1 3 >":
+        client.say(bytes([byte]))
+    assert parts(client.got) == [(0x123, b"\1\2", 0), (0x124, b"\3", 0)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"< send 123 9 1 2 3 4 5 6 7 8 9 >",
+        b"< send 123 2 1 >",
+        b"< send 123 1 1 2 >",
+        b"< send 123 1 100 >",
+        b"< send 123 1 -1 >",
+        b"< send 800 0 >",
+        b"< send 20000000 0 >",
+        b"< send 1234 0 >",
+        b"< send 0x1 0 >",
+        b"< send 123 >",
+        b"< send 123 8  >",  # python-can's form of a remote frame
+        b"x" * 300,
+    ],
+)
+def test_what_cannot_be_read_is_counted_and_no_frame(port: SocketcandPort, text: bytes) -> None:
+    client = Client(port)
+    client.shake_hands()
+    client.say(text)
+    client.say(b"< send 321 1 5 >< echo >")
+    assert parts(client.got) == [(0x321, b"\5", 0)]
+    assert port.malformed == 1
+    assert client.hear() == b"< echo >"  # and no answer to the other
+
+
+def test_no_frame_follows_the_handshake_too_closely() -> None:
+    now = [0.0]
+    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    frame = records((0x1, b"", 0))
+    client = Client(port)
+    assert port.write(frame) == len(frame)  # nobody there
+    client.shake_hands()
+    now[0] = QUIET - 0.01
+    assert port.write(frame) == len(frame)
+    client.say(b"< echo >")
+    assert client.hear() == b"< echo >"
+    now[0] = QUIET
+    port.write(frame)
+    assert client.hear() == b"< frame 001 0.000000  >"
+    client.socket.close()
+    second = Client(port)
+    second.shake_hands()
+    second.say(b"< send 123 0 >")  # who speaks has read the last answer
+    port.write(frame)
+    assert second.hear() == b"< frame 001 0.000000  >"
+    port.close()
+
+
+def test_a_client_that_reads_nothing_is_bounded() -> None:
+    now = [0.0]
+    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    client = Client(port)
+    client.shake_hands()
+    now[0] = QUIET
+    taken = 0
+    while True:
+        burst = records(*((k % 0x800, k.to_bytes(8, "little"), 0) for k in range(taken, taken + 1000)))
+        some = port.write(burst)
+        if some == 0:
+            break
+        assert some % RECORD_BYTES == 0
+        taken += some // RECORD_BYTES
+        assert taken < 1_000_000, "and still no end"
+    assert len(port._session.output) < 300_000
+    text = b""
+    while text.count(b">") < taken:  # once it reads, it gets all that were taken, whole
+        text += client.hear()
+        port.read()
+    datas = [bytes.fromhex(each.split()[-1].decode()) for each in text.split(b">")[:-1]]
+    assert datas == [k.to_bytes(8, "little") for k in range(taken)]
+    port.close()
+
+
+def test_frames_without_a_form_are_counted(port: SocketcandPort) -> None:
+    client = Client(port)
+    client.shake_hands()
+    client.say(b"< send 001 0 >")
+    data = records((1, b"", FDF | BRS), (2 | REMOTE, b"", 0), (3, b"", 0))
+    assert port.write(data) == len(data)
+    assert client.hear() == b"< frame 003 0.000000  >"
+    assert port.dropped == 2
+
+
+def test_extended_identifiers_are_in_the_target() -> None:
+    port = SocketcandPort("127.0.0.1", 0, BusRates(500_000), extended=True)
+    assert port.target.endswith("&bitrate=500000&ext=1")
+    port.close()
+
+
+def test_fd_is_refused() -> None:
+    with pytest.raises(LinkError, match="socketcand has no CAN FD frames, and the bus is FD 1/5 Mbit/s"):
+        SocketcandPort("127.0.0.1", 0, BusRates(1_000_000, 5_000_000))
+
+
+# The ends of a connection
+
+
+def test_a_second_client_is_sent_away(server: Server) -> None:
+    first = opened(server.port.target)
+    with pytest.raises(LinkBusy, match="is another program connected"):
+        open_link(server.port.target)
+    assert server.port.refused == 1
+    first.close()
+    second = opened(server.port.target)
+    second.write(records((5, b"", 0)))
+    assert server.wait(1) == [(5, b"", 0)]
+    second.close()
+
+
+def test_a_server_that_dies_closes_the_link(server: Server) -> None:
+    link = opened(server.port.target)
+    server.now += 2 * QUIET
+    server.write(records((1, b"tail", 0)))
+    server.stop()
+    started = time.monotonic()
+    assert parts(read(link, 1)) == [(1, b"tail", 0)]
+    with pytest.raises(LinkClosed, match="can:socketcand/can0 was"):
+        read_empty(link)
+    assert time.monotonic() - started < 5.0
+    with pytest.raises(LinkClosed):
+        link.write(records((1, b"", 0)))
+    assert "reads can:socketcand/can0" not in {thread.name for thread in threading.enumerate()}  # python-can would spin
+    with pytest.raises(LinkNotFound, match="nothing listens"):
+        link.reopen()
+
+
+def test_unplug_plug_and_reopen(server: Server) -> None:
+    link = opened(server.port.target)
+    with server._lock:
+        server.port.unplug()
+        assert server.port.read_fds() == []
+        assert server.port.write(records((1, b"", 0))) == RECORD_BYTES
+    with pytest.raises(LinkClosed):
+        read_empty(link)
+    with server._lock:
+        server.port.plug()
+    link.reopen()
+    link.write(records((6, b"", 0)))
+    assert server.wait(1) == [(6, b"", 0)]
+    link.close()
+
+
+def test_nothing_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        number = listener.getsockname()[1]
+    with pytest.raises(LinkNotFound, match=f"can:socketcand/can0: nothing listens on port {number} of 127.0.0.1"):
+        open_link(f"can:socketcand/can0?host=127.0.0.1&port={number}")
+
+
+def test_no_server_named() -> None:
+    with pytest.raises(TargetError, match=r"names no server: write can:socketcand/can0\?host="):
+        open_link("can:socketcand/can0?host=127.0.0.1")
+
+
+@pytest.mark.parametrize(
+    ("greeting", "match"),
+    [
+        (b"", "no answer from port .* within 0.3 s"),
+        (b"220 smtp ready\r\n", "is no socketcand server"),
+        (b"< hi >", "no handshake within 0.3 s"),  # and never an answer
+    ],
+)
+def test_servers_that_are_no_socketcand(monkeypatch: pytest.MonkeyPatch, greeting: bytes, match: str) -> None:
+    monkeypatch.setattr(can_open, "OPEN_TIMEOUT", 0.3)
+    listener = socket.create_server(("127.0.0.1", 0))
+    clients: list[socket.socket] = []
+
+    def serve() -> None:
+        while True:
+            try:
+                clients.append(listener.accept()[0])
+            except OSError:
+                return
+            clients[-1].sendall(greeting)
+
+    serving = threading.Thread(target=serve)
+    serving.start()
+    with pytest.raises(LinkNotFound, match=match):
+        open_link(f"can:socketcand/can0?host=127.0.0.1&port={listener.getsockname()[1]}")
+    listener.shutdown(socket.SHUT_RDWR)
+    serving.join()
+    for each in (listener, *clients):
+        each.close()
+
+
+def test_a_wrong_channel_is_named(server: Server) -> None:
+    with pytest.raises(LinkNotFound, match=r"can:socketcand/can9 cannot be opened: .*could not open bus"):
+        open_link(server.port.target.replace("can0", "can9"))
+
+
+# Any bus of python-can's
+
+
+@pytest.fixture
+def channel() -> str:
+    return f"port-{time.monotonic_ns()}"
+
+
+def virtual(channel: str) -> can.BusABC:
+    return can.Bus(interface="virtual", channel=channel, ignore_config=True)
+
+
+FD = [(0x10, bytes(range(64)), FDF | BRS), (0x11 | EXTENDED, bytes(12), FDF), (ERROR | 0x8, bytes(8), 0)]
+
+
+def test_a_virtual_bus_with_our_link_at_the_other_end(channel: str) -> None:
+    rates = BusRates(500_000, 2_000_000)
+    port = BusPort.virtual(channel, rates, extended=True)
+    link = opened(port.target)
+    assert (link.name, link.rates, link.extended) == (f"can:virtual/{channel}", rates, True)
+    link.write(records(*CLASSIC, *FD))
+    assert parts(port.read()) == [*CLASSIC, *FD]
+    assert port.read() == b""
+    sent = records(*CLASSIC, *FD)
+    assert port.write(sent) == len(sent)
+    assert parts(read(link, len(CLASSIC) + len(FD))) == [*CLASSIC, *FD]
+    assert port.read_fds() == []
+    link.close()
+    port.close()
+
+
+def test_a_bus_is_unplugged_and_plugged(channel: str) -> None:
+    port = BusPort.virtual(channel, RATES)
+    assert port.target == f"can:virtual/{channel}?bitrate=1000000"
+    other = virtual(channel)
+    port.unplug()
+    port.unplug()
+    other.send(can.Message(arbitration_id=1))
+    assert (port.read(), port.write(records((1, b"", 0))), port.read_fds()) == (b"", RECORD_BYTES, [])
+    port.plug()
+    other.send(can.Message(arbitration_id=2, is_extended_id=False))
+    assert parts(port.read()) == [(2, b"", 0)]
+    port.write(records((3, b"", 0)))
+    message = other.recv(5.0)
+    assert message is not None
+    assert message.arbitration_id == 3
+    other.shutdown()
+    port.close()
+
+
+def test_unreadable_frames_are_counted_and_full_buses_take_no_more(channel: str) -> None:
+    port = BusPort.virtual(channel, RATES)
+    other = can.Bus(interface="virtual", channel=channel, rx_queue_size=2, ignore_config=True)
+    other.send(can.Message(arbitration_id=0x800, is_extended_id=False))
+    other.send(can.Message(arbitration_id=0x1, is_extended_id=False))
+    assert parts(port.read()) == [(1, b"", 0)]
+    assert port.malformed == 1
+    assert port.write(records(*((k, b"", 0) for k in range(5)))) == 2 * RECORD_BYTES
+    other.shutdown()
+    port.close()
+
+
+def test_a_bus_with_a_descriptor_shows_it() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    port = BusPort(lambda: can.Bus(interface="slcan", channel=path, sleep_after_open=0, ignore_config=True), "")
+    os.write(master, b"t1232AABB\r")
+    assert select.select(port.read_fds(), [], [], 5.0)[0]
+    assert parts(port.read()) == [(0x123, b"\xaa\xbb", 0)]
+    port.close()
+    os.close(master)
+    os.close(slave)

@@ -1,0 +1,337 @@
+"""The emulated slcan adapter: its answers as LAWICEL's, frames both ways, python-can's slcan as its host."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.slcan import slcanBus
+
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, EXTENDED, FDF, BusRates
+from sim.drive.slcan_port import MAX_ANSWERS, SlcanPort
+
+CLASSIC = BusRates(1_000_000)
+FD = BusRates(1_000_000, 5_000_000)
+
+
+def frame(number: int, data: bytes = b"", flags: int = 0, time: float = 0.0) -> bytes:
+    made = np.zeros(1, CAN_RECORD)
+    made["id"], made["length"], made["flags"], made["time"] = number, len(data), flags, time
+    made["data"][0, : len(data)] = list(data)
+    return made.tobytes()
+
+
+class Host:
+    """A terminal on the adapter's pty: what it types, and what the adapter types back."""
+
+    def __init__(self, rates: BusRates, path: Path | None = None) -> None:
+        self.port = SlcanPort(path, rates)
+        self.fd = -1
+        self.open()
+
+    def open(self) -> None:
+        name = self.port.target.removeprefix("can:slcan/").partition("?")[0]
+        self.fd = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def types(self, text: bytes) -> bytes:
+        """Frames that this sends to the bus."""
+        os.write(self.fd, text)
+        assert select.select(self.port.read_fds(), [], [], 5.0)[0]
+        return self.port.read()
+
+    def sees(self, size: int) -> bytes:
+        """What the adapter has written, once it is `size` bytes, and all that is there with them."""
+        text = b""
+        while select.select([self.fd], [], [], 5.0 if len(text) < size else 0.0)[0]:
+            text += os.read(self.fd, 65536)
+        return text
+
+    def must_see(self, text: bytes) -> None:
+        assert self.sees(len(text)) == text
+
+    def close(self) -> None:
+        os.close(self.fd)
+        self.port.close()
+
+
+@pytest.fixture
+def classic() -> Iterator[Host]:
+    host = Host(CLASSIC)
+    yield host
+    host.close()
+
+
+@pytest.fixture
+def fd() -> Iterator[Host]:
+    host = Host(FD)
+    yield host
+    host.close()
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [
+        (b"V\r", b"V1013\r"),
+        (b"v\r", b"v1013\r"),
+        (b"N\r", b"NSIM1\r"),
+        (b"\r", b"\r"),
+        (b"C\r", b"\r"),
+        (b"S0\r", b"\r"),
+        (b"S9\r", b"\r"),
+        (b"S\r", b"\a"),
+        (b"S10\r", b"\a"),
+        (b"s031C\r", b"\r"),
+        (b"s03\r", b"\a"),
+        (b"s03xx\r", b"\a"),
+        (b"Y2\r", b"\r"),
+        (b"Y5\r", b"\r"),
+        (b"Y8\r", b"\r"),
+        (b"Y3\r", b"\a"),
+        (b"Z0\r", b"\r"),
+        (b"Z2\r", b"\a"),
+        (b"W2\r", b"\a"),
+        (b"W0\r", b"\r"),
+        (b"M00000000\r", b"\r"),
+        (b"M0000\r", b"\a"),
+        (b"mFFFFFFFF\r", b"\r"),
+        (b"m00000000\r", b"\a"),
+        (b"X1\r", b"\r"),
+        (b"X0\r", b"\a"),
+        (b"F\r", b"\a"),  # only while open
+        (b"O\rF\r", b"\rF00\r"),
+        (b"O\rO\r", b"\r\a"),
+        (b"O\rS8\r", b"\r\a"),
+        (b"O\rC\rS8\r", b"\r\r\r"),
+        (b"t1230\r", b"\a"),  # closed
+        (b"O\rt1230\rT000001230\r", b"\rz\rZ\r"),
+        (b"O\rr1234\rR000001234\r", b"\rz\rZ\r"),
+        (b"L\rt1230\r", b"\r\a"),
+        (b"O\rt12\r", b"\r\a"),
+        (b"O\rb1230\r", b"\r\a"),  # no CAN FD on this bus
+        (b"?\r", b"\a"),
+        (b"z\r", b"\a"),
+    ],
+)
+def test_answers(classic: Host, typed: bytes, answer: bytes) -> None:
+    classic.types(typed)
+    classic.must_see(answer)
+    assert classic.port.refused == answer.count(b"\a")
+
+
+def test_frames_leave_in_order_only_while_open(classic: Host) -> None:
+    sent = classic.types(b"t0010\rO\rt0021AA\rT000000030\rC\rt0040\rO\rr0052\rt0060\r")
+    numbers = np.frombuffer(sent, CAN_RECORD)["id"].tolist()
+    assert numbers == [2, 3 | EXTENDED, 5 | 0x40000000, 6]
+    assert sent[:80] == frame(2, b"\xaa")
+    classic.must_see(b"\a\rz\rZ\r\r\a\rz\rz\r")  # and no frame of its own
+
+
+def test_bytes_cut_anywhere(classic: Host) -> None:
+    typed = b"O\rt1232AA55\rt1240\r"
+    sent = b"".join(classic.types(typed[k : k + 1]) for k in range(len(typed)))
+    assert sent == frame(0x123, b"\xaa\x55") + frame(0x124)
+
+
+def test_a_damaged_line_gets_one_bell(classic: Host) -> None:
+    classic.types(b"O\rt12\r")
+    classic.types(b"V\r")
+    classic.types(b"?\r")
+    classic.must_see(b"\r\aV1013\r\a")
+    assert classic.port.refused == 2
+
+
+def test_frames_of_the_bus_reach_the_host(fd: Host) -> None:
+    records = frame(0x123, b"\x01\x02") + frame(5 | EXTENDED, bytes(12), FDF) + frame(6, b"\xff", FDF | BRS)
+    assert fd.port.write(records) == len(records)
+    fd.must_see(b"")  # closed: lost
+    fd.types(b"O\r")
+    assert fd.port.write(records) == len(records)
+    fd.must_see(b"\rt12320102\rD000000059" + b"00" * 12 + b"\rb0061FF\r")
+    assert fd.port.mismatched == 0
+
+
+def test_time_stamps(classic: Host) -> None:
+    classic.types(b"Z1\rO\r")
+    classic.port.write(frame(0x123, b"\x01", time=60.2585))
+    classic.must_see(b"\r\rt1231010102\r")  # 258 ms = 0x0102
+    classic.types(b"C\rZ0\rO\r")
+    classic.port.write(frame(0x123, b"\x01", time=60.2585))
+    classic.must_see(b"\r\r\rt123101\r")
+
+
+def test_listen_only_hears(classic: Host) -> None:
+    assert classic.types(b"L\rt1230\r") == b""
+    classic.port.write(frame(7))
+    classic.must_see(b"\r\at0070\r")
+
+
+@pytest.mark.parametrize("code", ["S0", "S6", "S7", "s0114", "s411C"])
+def test_another_bit_rate_loses_frames_both_ways(classic: Host, code: str) -> None:
+    assert classic.types(code.encode() + b"\rO\rt1230\rt1240\r") == b""
+    assert classic.port.write(frame(1) * 3) == 240
+    classic.must_see(b"\r\rz\rz\r")
+    assert classic.port.mismatched == 5
+    # the same host at the bus's own rate
+    assert classic.types(b"C\rS8\rO\rt1230\r") == frame(0x123)
+    assert classic.port.mismatched == 5
+
+
+@pytest.mark.parametrize("registers", [0x0014, 0x0023, 0x4014, 0x001C, 0x0114, 0x411C, 0x432B])
+@pytest.mark.parametrize("bitrate", [1_000_000, 500_000, 125_000])
+def test_timing_registers_mean_what_python_can_says(registers: int, bitrate: int) -> None:
+    timing = can.BitTiming.from_registers(8_000_000, registers >> 8, registers & 255)
+    host = Host(BusRates(bitrate))
+    assert bool(host.types(b"s%04X\rO\rt1230\r" % registers)) == (timing.bitrate == bitrate)
+    host.close()
+
+
+def test_another_data_bit_rate_loses_the_frames_that_switch(fd: Host) -> None:
+    mixed = frame(1) + frame(2, b"", FDF) + frame(3, b"", FDF | BRS)
+    assert fd.types(b"Y2\rO\rt0010\rd0020\rb0030\r") == mixed[:160]
+    assert fd.port.write(mixed) == 240
+    fd.must_see(b"\r\rz\rz\rz\rt0010\rd0020\r")
+    assert fd.port.mismatched == 2
+    assert fd.types(b"C\rY5\rO\rb0030\r") == mixed[160:]
+
+
+def test_errors_of_the_bus_show_in_the_status(classic: Host) -> None:
+    classic.types(b"O\r")
+    records = frame(ERROR | ERROR_CONTROLLER, bytes([0, 0x08, *bytes(6)])) + frame(1)
+    assert classic.port.write(records) == 160
+    classic.types(b"F\rF\r")
+    classic.must_see(b"\rt0010\rF04\rF00\r")  # warning; read once
+    classic.port.write(frame(ERROR | ERROR_CONTROLLER, bytes([0, 0x10, *bytes(6)])))
+    classic.port.write(frame(ERROR | ERROR_CONTROLLER, bytes([0, 0x01, *bytes(6)])))
+    classic.port.write(frame(ERROR | ERROR_PROTOCOL, bytes(8)))
+    classic.types(b"F\r")
+    classic.must_see(b"FA8\r")  # passive, overrun, bus error
+
+
+def test_a_full_pty_cuts_no_line_and_takes_no_more(fd: Host) -> None:
+    fd.types(b"O\r")
+    records = b"".join(frame(n % 2048, n.to_bytes(4, "little") + bytes(60), FDF | BRS) for n in range(3000))
+    taken = 0
+    for _ in range(10_000):
+        step = fd.port.write(records[taken : taken + 80 * 64])
+        taken += step
+        if not step:
+            break
+    assert 0 < taken < len(records)
+    assert taken % 80 == 0
+    fd.types(b"F\r")  # its answer waits behind the line that was cut
+    text = fd.sees(taken // 2)
+    while text.count(b"\r") < 3002:  # the acknowledged O, 3000 frames, F00
+        fd.port.read()
+        taken += fd.port.write(records[taken : taken + 80 * 64])
+        text += fd.sees(1)
+    lines = text.removeprefix(b"\r").split(b"\r")
+    lines.remove(b"F00")
+    whole = [b"b%03XF" % (n % 2048) + n.to_bytes(4, "little").hex().upper().encode() + b"00" * 60 for n in range(3000)]
+    assert lines == [*whole, b""]
+
+
+def test_answers_to_a_host_that_does_not_read_are_bounded(classic: Host) -> None:
+    asked = 0
+    while not classic.port.answers_dropped and asked < 1_000_000:
+        classic.types(b"V\r" * 1000)
+        asked += 1000
+    classic.types(b"?\r")
+    while not classic.port.refused:  # all that was asked has been read
+        classic.port.read()
+    answers = asked + 1 - classic.port.answers_dropped
+    assert answers * len(b"V1013\r") > MAX_ANSWERS  # what the pty holds, and then our own buffer
+    text = b""
+    while text.count(b"V") + text.count(b"\a") < answers:
+        text += classic.sees(1)
+        classic.port.read()
+    assert set(text.rstrip(b"\a").split(b"\r")[1:]) == {b"V1013", b""}
+
+
+def test_target_names_port_and_rates(tmp_path: Path) -> None:
+    port = SlcanPort(tmp_path / "ttyCAN", FD)
+    assert port.target == f"can:slcan/{tmp_path}/ttyCAN?bitrate=1000000&fd=1&data_bitrate=5000000"
+    port.close()
+    port = SlcanPort(None, BusRates(500_000))
+    assert port.target.startswith("can:slcan//dev/")
+    assert port.target.endswith("?bitrate=500000")
+    port.close()
+
+
+def test_unplugged_it_vanishes_and_comes_back_closed(tmp_path: Path) -> None:
+    host = Host(CLASSIC, tmp_path / "ttyCAN")
+    host.types(b"S0\rO\r")
+    host.must_see(b"\r\r")
+    host.port.unplug()
+    assert not (tmp_path / "ttyCAN").is_symlink()
+    assert host.port.read_fds() == []
+    assert host.port.read() == b""
+    assert host.port.write(frame(1)) == 80
+    os.close(host.fd)
+    host.port.plug()
+    host.open()
+    host.port.write(frame(2))
+    assert host.types(b"O\rt1230\r") == frame(0x123)  # the bit rate went with the power
+    host.port.write(frame(3))
+    host.must_see(b"\rz\rt0030\r")
+    host.close()
+
+
+@contextmanager
+def served(port: SlcanPort) -> Iterator[list[bytes]]:
+    """Serve the port in a thread: the list of what the host sent grows."""
+    sent: list[bytes] = []
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.is_set():
+            select.select(port.read_fds(), [], [], 0.01)
+            if records := port.read():
+                sent.append(records)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield sent
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_python_can_as_host() -> None:
+    port = SlcanPort(None, FD)
+    timing = can.BitTimingFd.from_sample_point(80_000_000, 1_000_000, 80.0, 5_000_000, 80.0)
+    path = port.target.removeprefix("can:slcan/").partition("?")[0]
+    with served(port) as sent:
+        bus = slcanBus(path, sleep_after_open=0, timing=timing)
+        assert bus.get_version(5.0) == (10, 13)
+        assert bus.get_serial_number(5.0) == "SIM1"
+        bus.send(can.Message(arbitration_id=0x1234567, data=b"\x01\x02\x03", is_fd=True, bitrate_switch=True))
+        bus.send(can.Message(arbitration_id=0x12, is_extended_id=False, is_remote_frame=True, dlc=2))
+        deadline = time.monotonic() + 5.0
+        while len(b"".join(sent)) < 160 and time.monotonic() < deadline:
+            time.sleep(0.001)
+    wanted = np.frombuffer(
+        frame(0x1234567 | EXTENDED, b"\x01\x02\x03", FDF | BRS) + frame(0x40000012), CAN_RECORD
+    ).copy()
+    wanted["length"][1] = 2
+    assert b"".join(sent) == wanted.tobytes()
+    port.write(frame(0x321, bytes(range(48)), FDF))
+    got = None
+    while got is None:  # answers to what was sent come first
+        got = bus.recv(1.0)
+    assert (got.arbitration_id, got.is_fd, got.bitrate_switch, bytes(got.data)) == (
+        0x321,
+        True,
+        False,
+        bytes(range(48)),
+    )
+    bus.shutdown()
+    port.close()
