@@ -179,8 +179,9 @@ class Client:
 
     def connect(self, timeout: float = 3.0) -> HelloReply:
         """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s."""
+        before = self.hello
         self.session.connect(self.nonce(), self.now())
-        if not self.wait(lambda: self.hello is not None, timeout):
+        if not self.wait(lambda: self.hello is not before, timeout):
             framing = self.session.counters.framing
             advice = self.session.wire.advice(bool(self.bytes_in))
             raise NoReply(

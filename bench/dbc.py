@@ -7,7 +7,6 @@ has no words. This module reads how streams are configured and changes nothing i
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,12 +23,13 @@ from cantools.database.conversion import BaseConversion
 from bench.client import Client
 from bench.errors import BenchError
 from bench.node import DRIVE, EDGES, SAMPLES, Node
+from bench.rate import decimation_of
+from bench.scan import scan
 from protocol.canmap.device import CanCarrier
 from protocol.canmap.frame import EXTENDED_MASK, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import STREAM_SLOTS, CanClass, CanId, stream_id
 from protocol.canmap.layout import EDGE_BYTES, sample_layout
-from protocol.canmap.plan import MAX_DECIMATION
 from protocol.descriptor import Descriptor
 from protocol.device_app import Identity
 from protocol.device_streams import StreamTable
@@ -220,7 +220,7 @@ def configured_streams(client: Client) -> list[NodeStream]:
     """
     hello = client.hello or client.connect()
     streams = []
-    for number in sorted({hello.node, *range(1, hello.nodes + 1)}):
+    for number in sorted({hello.node, *(reply.node for reply in scan(client.link))}):
         node = Node(client, number)
         try:
             identity = node.identity
@@ -283,7 +283,7 @@ def simulated_dbc(names: Sequence[str] | None, rate_hz: float | None, fd: bool, 
 
     edges = configure(StreamSet(EDGES, StreamEvent.EDGES, 1, LATENCY_MS))
     try:
-        stream = samples(1 if rate_hz is None else _decimation(identity.pwm_hz, rate_hz))
+        stream = samples(decimation_of(identity.pwm_hz, rate_hz))
     except Refused as refusal:
         fits = int(refusal.detail)
         if rate_hz is not None:
@@ -304,11 +304,3 @@ def _channel_ids(names: Sequence[str] | None) -> tuple[int, ...]:
             hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(known)}"
             raise BenchError(f"the simulated drive has no channel '{name}': {hint}")
     return tuple(channel.id for channel in DRIVE_CHANNELS if names is None or channel.name in names)
-
-
-def _decimation(pwm_hz: int, rate_hz: float) -> int:
-    decimation = min(max(round(pwm_hz / rate_hz), 1), MAX_DECIMATION)
-    rate = pwm_hz / decimation
-    if not math.isclose(rate, rate_hz, rel_tol=1e-4):
-        raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {rate:g} Hz")
-    return decimation

@@ -23,6 +23,7 @@ from bench.energise import RPM, Plan, check_limits, require_consent
 from bench.errors import BenchError, DoesNotFit, Interrupted, NodeError
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
+from bench.rate import decimation_of
 from bench.rerunio.schema import RunInfo
 from bench.show import SHOW, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
@@ -40,7 +41,6 @@ OBSERVERS = {source.name.lower().replace("_", "-"): source for source in AngleSo
 RECONNECT = 30.0  # s that a lost link is waited for
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
-MAX_DECIMATION = 65535  # a u16 on the wire
 SILENCE = 2.0  # s without samples after which a note says so
 WATCHING = Act("watching", math.inf, 0.0, 0.0, None)
 
@@ -189,7 +189,7 @@ class LiveRun:
     def configure(self) -> tuple[Channel, ...]:
         """Configure samples and edges; returns the channels that will come."""
         options, identity = self.options, self.drive.identity
-        decimation = _decimation(identity.pwm_hz, options.rate_hz)
+        decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(options.channels)
         if options.host_observers:
             from bench.estimators import INPUTS
@@ -409,18 +409,6 @@ class LiveRun:
         """Tell the screen and every sink."""
         for sink in self.client.sinks:
             sink.note(text, level)
-
-
-def _decimation(pwm_hz: int, rate_hz: float | None) -> int:
-    if rate_hz is None:
-        return 1
-    decimation = round(pwm_hz / rate_hz)
-    if decimation > MAX_DECIMATION:
-        raise BenchError(f"--rate {rate_hz:g} Hz is too low; the lowest is {pwm_hz / MAX_DECIMATION:g} Hz")
-    if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=1e-4):
-        near = pwm_hz / max(decimation, 1)
-        raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
-    return decimation
 
 
 @contextmanager
