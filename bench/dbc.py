@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -210,17 +210,16 @@ def _identifiers(names: Sequence[str], most: int, taken: str = "") -> list[str]:
     return made
 
 
-def configured_streams(client: Client) -> list[NodeStream]:
-    """Return the streams that are configured at present in the nodes that answer, by whomever; none is touched.
+def configured_streams(client: Client, nodes: Iterable[int]) -> list[NodeStream]:
+    """Return the streams that are configured at present in these nodes, by whomever; none is touched.
 
     Raises:
         NoReply: no device answers.
         RemoteProtocolError: a device lays its frames out otherwise than HBP does, or sends others than this bus's.
         LinkError: the link was lost.
     """
-    hello = client.hello or client.connect()
     streams = []
-    for number in sorted({hello.node, *(reply.node for reply in scan(client.link))}):
+    for number in nodes:
         node = Node(client, number)
         try:
             identity = node.identity
@@ -245,8 +244,11 @@ def target_dbc(target: str) -> str:
         raise TargetError(f"{target} is no CAN bus, and a DBC describes CAN frames: write can:socketcan/can0")
     link = open_link(named)
     try:
+        nodes = [reply.node for reply in scan(link)]
         client = Client(link)
-        streams = configured_streams(client)
+        if not nodes:
+            client.connect()  # says what to look at when nobody is there
+        streams = configured_streams(client, nodes)
         wire = client.session.wire
         assert isinstance(wire, CanWire)
     finally:

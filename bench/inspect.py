@@ -26,9 +26,10 @@ def inspect_link(target: str) -> dict[str, Any]:
     """All nodes on the link of `target` and, on CAN, the bus. Raises LinkError, NoReply or TargetError."""
     link = open_link(target)
     try:
+        on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)}
         client = Client(link)
         hello = client.connect()
-        numbers = {hello.node, *range(1, hello.nodes + 1), *(reply.node for reply in scan(link, SCAN_SECONDS))}
+        numbers = {hello.node, *range(1, hello.nodes + 1), *on_bus}
         nodes = [Node(client, number) for number in sorted(numbers)]
         return {
             "target": target,

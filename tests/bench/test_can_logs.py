@@ -97,7 +97,7 @@ class StreamingBench:
             machine.set_samples(machine.descriptor.channels, 32)
             machine.start_streams()
         host.stream(case.names, case.decimation)
-        return configured_streams(host.client)
+        return configured_streams(host.client, (1, 2))
 
     def stop(self) -> None:
         """Switch off, and wait for the last frame."""

@@ -357,7 +357,7 @@ def test_reading_disturbs_no_stream(capsysbinary: pytest.CaptureFixture[bytes]) 
     assert [m.name for m in database.messages] == ["simulated_drive_samples_0", "simulated_drive_edges_0"]
     assert before + 1000 < during < len(after) - 700
     assert (np.diff(after) % 65536 == 1).all()
-    assert bench.drive.active_streams() == [s.config for s in configured_streams(Client(watched.link))]
+    assert bench.drive.active_streams() == [s.config for s in configured_streams(Client(watched.link), (1, 2))]
 
 
 def test_streams_of_every_node_that_is_there(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
