@@ -141,7 +141,7 @@ class Client:
         self.hello: HelloReply | None = None
         self.heartbeats: dict[int, Heartbeat] = {}
         self.bytes_in = 0
-        self.on_reconnected: Callable[[bool], None] | None = None  # argument: the drive has rebooted
+        self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
         self._decoders: dict[tuple[int, int], Decoder] = {}
         self._closed: dict[int, Losses] = {}
         self._watches: dict[int, _Watch] = {}
@@ -276,8 +276,11 @@ class Client:
                 self._settle(tid, error=NoReply(text))
             case Connected(hello=hello):
                 self._connected(hello)
-            case Rebooted():
+            case Rebooted(node=node):
                 self.health.reboots += 1
+                self._note(f"node {node} has rebooted", "WARN")
+                if self.on_reboot:
+                    self.on_reboot(node)
 
     def _deliver(self, chunk: SampleChunk | EdgeChunk | None) -> None:
         if isinstance(chunk, SampleChunk):
@@ -289,12 +292,8 @@ class Client:
 
     def _connected(self, hello: HelloReply) -> None:
         before, self.hello = self.hello, hello
-        if before is None:
-            return
-        rebooted = hello.boot_id != before.boot_id
-        self._note("the drive is back" + (", but it has rebooted" if rebooted else ""), "WARN")
-        if self.on_reconnected:
-            self.on_reconnected(rebooted)
+        if before is not None:
+            self._note("the drive is back", "WARN")
 
     def _seen(self, node: int, now: float) -> None:
         self._watches.setdefault(node, _Watch()).last_seen = now

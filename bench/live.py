@@ -123,7 +123,7 @@ class LiveRun:
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
         self._silent = False
-        self._rebooted = False
+        self._rebooted: set[int] = set()
         self._pole_pairs = 1.0
         self._bus: dict[str, Any] | None = None
 
@@ -136,7 +136,7 @@ class LiveRun:
             raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
         self.drive = Node(self.client, hello.node)
         self.client.reconnect = RECONNECT
-        self.client.on_reconnected = self._reconnected
+        self.client.on_reboot = self._rebooted.add
         self.drive.stop_streams()
         self.screen.note(
             f"{hello.name} {hello.firmware} on {self.target}: boot {hello.boot_id:08x}, "
@@ -358,10 +358,13 @@ class LiveRun:
     def _look(self, stats: RunStatistics) -> None:
         now = self.client.now()
         if self.client.health.down_since is None:
-            if self._rebooted:
-                self._rebooted = False
-                self._trip("the drive has rebooted")
-                self.drive.resume_streams(rebooted=True)
+            while self._rebooted:
+                node = self._rebooted.pop()
+                if node == self.drive.number:
+                    self._trip("the drive has rebooted")
+                    self.drive.resume_streams()
+                elif self.load is not None and node == self.load.number:
+                    self._trip("the load machine has rebooted")
             self._look_at_samples(now, stats)
             faulty = next((node for node in self._energised if node.state == DriveState.FAULT), None)
             if faulty is not None and not self.tripped:
@@ -401,9 +404,6 @@ class LiveRun:
         self.tripped = why
         self.note(why, "ERROR")
         self.make_safe()
-
-    def _reconnected(self, rebooted: bool) -> None:
-        self._rebooted = rebooted  # no request from inside poll: `_look` does the rest
 
     def note(self, text: str, level: str = "INFO") -> None:
         """Tell the screen and every sink."""

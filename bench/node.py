@@ -304,13 +304,12 @@ class Node:
         """Start the streams that were configured."""
         self.client.request(StreamStart(sum(1 << stream for stream in self._streams)), self.number, Empty)
 
-    def resume_streams(self, rebooted: bool) -> None:
-        """After a reconnect: configure and start again if the device forgot, else go on where it is."""
-        if rebooted:
-            self.forget()
-            for request in tuple(self._streams.values()):
-                self._configure(request)
-            self.start_streams()
+    def resume_streams(self) -> None:
+        """After a reboot: configure and start again what the device has forgotten."""
+        self.forget()
+        for request in tuple(self._streams.values()):
+            self._configure(request)
+        self.start_streams()
 
     def _configure(self, request: StreamSet) -> StreamConfig:
         try:

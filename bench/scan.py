@@ -27,21 +27,17 @@ def scan(link: Link, seconds: float = 0.5) -> list[HelloReply]:
     end = link.clock() + seconds
     next_hello = link.clock()
     while (now := link.clock()) < end:
-        nodes = {n for reply in found.values() for n in range(1, reply.nodes + 1)} if not _shared(wire) else set()
+        nodes = {n for reply in found.values() for n in range(1, reply.nodes + 1)} if not wire.shared else set()
         if now >= next_hello or nodes - asked - found.keys():
             next_hello = now + REPEAT
             for node in sorted(nodes - found.keys()) or [0]:
                 asked.add(node)
                 link.write(_ask(wire, hello, node))
-        for item in wire.feed(link.read(min(REPEAT, end - now))):
+        for item in wire.feed(link.read(min(REPEAT, end - now)), link.clock()):
             reply = None if isinstance(item, StreamFrames) else _answer(item, hello.nonce)
             if reply is not None:
                 found[reply.node] = reply
     return [found[node] for node in sorted(found)]
-
-
-def _shared(wire: HostWire) -> bool:
-    return isinstance(wire, CanWire)
 
 
 def _ask(wire: HostWire, hello: Hello, node: int) -> bytes:

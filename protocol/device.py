@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -81,6 +82,15 @@ MIN_RX_MAX = 128  # a host takes at least this payload
 _ALWAYS_FRESH = (MessageType.HELLO, MessageType.TIME_SYNC)  # change nothing, and an old answer would mislead
 
 
+@dataclass(slots=True)
+class _Peer:
+    """What is remembered of a host: its last HELLO, and the last requests with their replies."""
+
+    tx_max: int
+    nonce: int | None = None
+    replies: deque[tuple[bytes, bytes]] = field(default_factory=lambda: deque(maxlen=REPLIES_KEPT))
+
+
 class LinkCounters(Protocol):
     """What a link's receiver counts."""
 
@@ -112,9 +122,8 @@ class DeviceSession:
         self._next_heartbeat = 0
         self._setpoint_counter = 0
         self._last_tid = 0
-        self._nonce: int | None = None
-        self._tx_max = identity.tx_max
-        self._replies: deque[tuple[bytes, bytes]] = deque(maxlen=REPLIES_KEPT)
+        self._peers: dict[int, _Peer] = {}
+        self._peer = self._peer_of(0)
         self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
             Hello: self._hello,
             TimeSync: self._time_sync,
@@ -169,7 +178,7 @@ class DeviceSession:
 
     def log(self, level: int, text: str) -> None:
         """Send a LOG."""
-        self._send(Log(level, text[: (self._tx_max - 1) // 4]))
+        self._send(Log(level, text[: (self._peer.tx_max - 1) // 4]))
 
     def heartbeat(self) -> Heartbeat:
         """Return the health as of now."""
@@ -190,9 +199,13 @@ class DeviceSession:
             edges=self.streams.edges & 0xFFFFFFFF,
         )
 
-    def receive(self, raw: bytes) -> None:
-        """Handle a frame (header + payload) that is meant for this node."""
+    def receive(self, raw: bytes, host: int = 0) -> None:
+        """Handle a frame (header + payload) that is meant for this node; `host`: number of its sender on the link."""
+        self._peer = self._peer_of(host)
         self._receive(raw, parse_frame(raw))
+
+    def _peer_of(self, host: int) -> _Peer:
+        return self._peers.setdefault(host, _Peer(self.identity.tx_max))
 
     def stop(self) -> None:
         """Carry out a STOP that nobody waits for."""
@@ -216,11 +229,11 @@ class DeviceSession:
         elif frame.tid == 0 or frame.type in _ALWAYS_FRESH:
             self._execute(kind, frame)
         else:
-            for seen, wire in self._replies:
+            for seen, wire in self._peer.replies:
                 if seen == raw:
                     self.tx.put_control(wire)
                     return
-            self._replies.append((raw, self._execute(kind, frame)))
+            self._peer.replies.append((raw, self._execute(kind, frame)))
 
     def _execute(self, kind: type[Request], frame: Frame) -> bytes:
         try:
@@ -252,17 +265,18 @@ class DeviceSession:
         if request.rx_max < MIN_RX_MAX:
             raise Refused(f"rx_max {request.rx_max}", ErrorCode.OUT_OF_RANGE, MIN_RX_MAX)
         identity = self.identity
-        self._tx_max = min(identity.tx_max, request.rx_max)
-        if request.nonce != self._nonce:  # a new host may use the same tids again
-            self._nonce = request.nonce
-            self._replies.clear()
+        peer = self._peer
+        peer.tx_max = min(identity.tx_max, request.rx_max)
+        if request.nonce != peer.nonce:  # a new host may use the same tids again
+            peer.nonce = request.nonce
+            peer.replies.clear()
         return HelloReply(
             nonce=request.nonce,
             boot_id=identity.boot_id,
             major=MAJOR,
             minor=MINOR,
             rx_max=identity.rx_max,
-            tx_max=self._tx_max,
+            tx_max=peer.tx_max,
             features=identity.features,
             schema_crc=self.descriptor.crc,
             tick_hz=identity.tick_hz,
@@ -307,7 +321,7 @@ class DeviceSession:
         total = len(self._blob)
         if request.offset > total:
             raise Refused(f"offset {request.offset}", ErrorCode.OUT_OF_RANGE, total)
-        room = self._tx_max - BlobReply.FIXED_BYTES
+        room = self._peer.tx_max - BlobReply.FIXED_BYTES
         data = self._blob[request.offset : request.offset + min(request.length, room)]
         return BlobReply(0, len(data), request.offset, total, data)
 
@@ -343,7 +357,7 @@ class DeviceSession:
         return Empty()
 
     def _stream_set(self, request: StreamSet) -> Payload:
-        return self.streams.configure(request, self._tx_max)
+        return self.streams.configure(request, self._peer.tx_max)
 
     def _stream_get(self, request: StreamGet) -> StreamInfo:
         return self.streams.describe(request.stream)

@@ -96,8 +96,8 @@ class Carrier(Protocol):
     def edges(self, node: int, request: StreamSet, cfg_id: int, block: int) -> EdgeStream:
         """Return a stream of edges."""
 
-    def close(self, stream: SampleStream | EdgeStream) -> None:
-        """The stream is no more."""
+    def close(self, stream: int) -> None:
+        """Stream number `stream` is no more."""
 
 
 class _Stream:
@@ -272,7 +272,7 @@ class ByteCarrier:
         """See `Carrier.edges`."""
         return _ByteEdges(node, request.stream, cfg_id, block, self.tx)
 
-    def close(self, stream: SampleStream | EdgeStream) -> None:
+    def close(self, stream: int) -> None:
         """See `Carrier.close`."""
 
 

@@ -41,11 +41,13 @@ class StreamTable:
         self._dropped = 0
         self.edges = 0
         """Hall edges since boot."""
+        self.expired = 0
+        """Stream frames that waited too long."""
 
     @property
     def dropped(self) -> int:
-        """Stream frames that found no room since boot."""
-        return self._dropped + sum(stream.dropped for stream in self._all.values())
+        """Stream frames that were not sent since boot."""
+        return self.expired + self._dropped + sum(stream.dropped for stream in self._all.values())
 
     @property
     def _all(self) -> dict[int, SampleStream | EdgeStream]:
@@ -123,6 +125,7 @@ class StreamTable:
         self.flush(chosen)
         for number in chosen:
             self._forget(number)
+            self._carrier.close(number)
 
     def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
         """Take samples of all channels: see `DeviceSession.push_samples`."""
@@ -173,7 +176,6 @@ class StreamTable:
         stream = self._samples.pop(number, None) or self._edges.pop(number, None)
         if stream is not None:
             self._dropped += stream.dropped
-            self._carrier.close(stream)
             del self._configured[number]
             del self._tx.rates[self._identity.node, number]
 

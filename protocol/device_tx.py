@@ -23,6 +23,8 @@ class TxQueue:
         self.capacity = capacity
         self.rates: dict[tuple[int, int], float] = {}
         self._bulk: deque[bytes] = deque()
+        self._stamps: deque[tuple[int, int]] = deque()  # how many stream frames had been queued when, by `expire`
+        self._queued = self._gone = 0  # stream frames ever queued, and taken or given up
         self._control: deque[bytes] = deque()
         self._latest: dict[int, bytes] = {}
         self._rest = b""
@@ -41,6 +43,7 @@ class TxQueue:
             return False
         self._bulk_bytes = size
         self._bulk.append(wire)
+        self._queued += 1
         return True
 
     def put_control(self, wire: bytes) -> bool:
@@ -67,6 +70,7 @@ class TxQueue:
             self._rest = b""
             self._control.clear()
             self._latest.clear()
+            self._gone += len(self._bulk)
             self._bulk.clear()
             self._control_bytes = self._bulk_bytes = 0
             return b"".join(parts)
@@ -89,8 +93,28 @@ class TxQueue:
         elif self._latest:
             wire = self._latest.pop(next(iter(self._latest)))
         elif self._bulk:
-            wire = self._bulk.popleft()
-            self._bulk_bytes -= len(wire)
+            wire = self._pop_bulk()
         else:
             wire = b""
         return wire
+
+    def _pop_bulk(self) -> bytes:
+        wire = self._bulk.popleft()
+        self._bulk_bytes -= len(wire)
+        self._gone += 1
+        return wire
+
+    def expire(self, now: int, age: int) -> int:
+        """Give up stream frames that have waited longer than `age`; return how many.
+
+        To be called at every step, with `now` and `age` in the device's ticks: a frame's age is counted from the
+        call that follows its being queued.
+        """
+        old = 0
+        while self._stamps and now - self._stamps[0][1] > age:
+            old = self._stamps.popleft()[0]
+        given_up = max(0, old - self._gone)
+        for _ in range(given_up):
+            self._pop_bulk()
+        self._stamps.append((self._queued, now))
+        return given_up

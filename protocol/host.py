@@ -17,6 +17,7 @@ from protocol.messages import (
     UNACKNOWLEDGED,
     UNSOLICITED,
     DeviceEvent,
+    ErrorCode,
     ErrorReply,
     Heartbeat,
     Hello,
@@ -34,7 +35,9 @@ from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames, WireCounter
 
 TRIES = 3
 BASE_TIMEOUT = 0.1  # s, to which two round trips are added
+MAX_TICK = 1 << 62  # 7000 years at 20 MHz
 MAX_ROUND_TRIP = 1.0  # s, as far as timeouts go
+_ECHOED = ("nonce", "id", "offset", "stream")  # fields of requests that come back in their replies
 HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
 
 
@@ -175,6 +178,7 @@ class HostSession:
         `nonce` must be new and unguessed by older traffic; `now` in s, of any monotonic clock.
         """
         self._pending = None
+        self._tid = nonce & 0xFFFF if self.wire.shared else self._tid
         self._out.append(self.wire.preamble())
         return self._transmit(Hello(nonce), node, now, connecting=True)
 
@@ -232,7 +236,7 @@ class HostSession:
 
     def receive_data(self, data: bytes, now: float) -> None:
         """Take bytes from the link, cut anywhere."""
-        for item in self.wire.feed(data):
+        for item in self.wire.feed(data, now):
             if isinstance(item, StreamFrames):
                 self._events.append(item)
             else:
@@ -261,7 +265,9 @@ class HostSession:
             counters.unknown_types += 1
 
     def _receive_unsolicited(self, node: int, message: Message) -> None:
-        if isinstance(message, Heartbeat):
+        if isinstance(message, Heartbeat) and message.tick > MAX_TICK:
+            self.counters.malformed += 1
+        elif isinstance(message, Heartbeat):
             self._note_boot(node, message.boot_id)
             reference = self.tick_reference(node)
             reference.tick, reference.edges = message.tick, message.edges
@@ -281,13 +287,20 @@ class HostSession:
         except PayloadError:
             self.counters.malformed += 1
             return
+        other_node = pending.frame.node not in (0, frame.node)
         if isinstance(message, ErrorReply):
+            if other_node and message.code != ErrorCode.UNKNOWN_NODE:
+                self.counters.unexpected_replies += 1
+                return
             self._pending = None
             self._events.append(RequestRefused(frame.tid, frame.node, message))
             return
-        foreign = isinstance(message, HelloReply) and message.nonce != getattr(pending.message, "nonce", None)
-        if foreign or pending.frame.node not in (0, frame.node):
-            self.counters.unexpected_replies += 1
+        echoed = ((getattr(pending.message, name, None), getattr(message, name, None)) for name in _ECHOED)
+        if other_node or any(asked != answered and None not in (asked, answered) for asked, answered in echoed):
+            self.counters.unexpected_replies += 1  # meant for another host
+            return
+        if isinstance(message, TimeSyncReply) and max(message.rx_tick, message.tx_tick) > MAX_TICK:
+            self.counters.malformed += 1
             return
         self._pending = None
         round_trip = now - pending.sent
@@ -308,6 +321,7 @@ class HostSession:
         old = self._boot_ids.setdefault(node, boot_id)
         if old != boot_id:
             self._boot_ids[node] = boot_id
+            self.wire.forget(node)
             self._events.append(Rebooted(node, old, boot_id))
 
     def _transmit(self, message: Request, node: int, now: float, connecting: bool) -> int:

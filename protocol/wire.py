@@ -63,7 +63,9 @@ class WireCounters(Protocol):
 
 
 class HostWire(Protocol):
-    """A link's language, at the host's end."""
+    """A link's language, at the host's end. `shared`: other hosts may use the link at the same time."""
+
+    shared: bool
 
     @property
     def counters(self) -> WireCounters:
@@ -75,11 +77,17 @@ class HostWire(Protocol):
     def encode(self, frame: Frame) -> bytes:
         """Return what is written for a message; its node 0 is the device that the link leads to."""
 
-    def feed(self, data: bytes) -> Sequence[bytes | StreamFrames]:
-        """Return the messages (header + payload) and stream frames that `data`, as the link read it, completes."""
+    def feed(self, data: bytes, now: float) -> Sequence[bytes | StreamFrames]:
+        """Return the messages (header + payload) and stream frames that `data` completes.
+
+        `data` as the link read it; `now` in s of the link's clock.
+        """
 
     def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
         """Return a decoder for a stream as it was just configured; its frames are looked for from now on."""
+
+    def forget(self, node: int) -> None:
+        """The node has rebooted: what was said of its streams is no longer so."""
 
     def advice(self, heard: bool) -> str:
         """Return what to look at when nothing answers; `heard`: something came all the same."""
@@ -87,6 +95,8 @@ class HostWire(Protocol):
 
 class ByteWire:
     """COBS frames: serial ports, TCP, memory."""
+
+    shared = False
 
     def __init__(self) -> None:
         self._deframer = Deframer()
@@ -105,7 +115,7 @@ class ByteWire:
         """See `HostWire.encode`."""
         return encode_frame(frame)
 
-    def feed(self, data: bytes) -> list[bytes | StreamFrames]:
+    def feed(self, data: bytes, now: float) -> list[bytes | StreamFrames]:
         """See `HostWire.feed`; stream frames between two messages are one batch a stream."""
         out: list[bytes | StreamFrames] = []
         groups: dict[tuple[int, int, int], list[bytes]] = {}
@@ -128,6 +138,9 @@ class ByteWire:
         if config.event == StreamEvent.EDGES:
             return EdgeDecoder(config, reference)
         return SampleDecoder(config, tick_hz // pwm_hz, reference)
+
+    def forget(self, node: int) -> None:
+        """See `HostWire.forget`: its frames carry another cfg_id, and their decoders will see that."""
 
     def advice(self, heard: bool) -> str:
         """See `HostWire.advice`."""

@@ -1,9 +1,9 @@
 """Stream frames on the host: from rows of CAN_RECORDs to chunks, with every loss counted.
 
-A frame carries only the low bits of its number. They are continued from the frame before, which is sound as long as
-heartbeats come in between; what comes after a silence is held back (see `protocol.canmap.host`) and comes with an
-`Anchor`, the heartbeat that ended it: what does not agree with that is given up. A frame that is repeated, late or of
-another length is counted and never delivered. This module knows no link, no session and no transfers.
+A frame carries only the low bits of its number: it is the one that lies nearest to the heartbeat (`Beat`) with which
+the frame comes. `protocol.canmap.host` sees to it that there is one, not old, and holds frames back where there is not.
+A frame that is repeated, late, too far ahead or of another length is counted and never delivered. This module knows
+no link, no session and no transfers.
 """
 
 from __future__ import annotations
@@ -29,90 +29,51 @@ from protocol.streams import (
 )
 
 WAIT = 256  # samples for which a silent group of channels is waited for
-AHEAD = 0.5  # s that a sample may be ahead of the newest heartbeat
+AHEAD = 0.5  # s that a sample or edge may be ahead of the heartbeat before it
+FRESH = 0.11  # s before and after a heartbeat for which its count of edges alone places an edge
+EDGE_RANGE = 256  # of the counter in a frame of an edge
 
 Bools = NDArray[np.bool_]
 
 
-class Anchor(NamedTuple):
-    """A heartbeat's device time and count of edges: surely newer than the frames it comes with, but not by much."""
+class Beat(NamedTuple):
+    """A heartbeat's device time and count of edges."""
 
     tick: int
     edges: int
 
 
 class CanFrames(NamedTuple):
-    """CAN_RECORDs of one stream as they came; `anchor` if they were held back."""
+    """CAN_RECORDs of one stream as they came, with the last heartbeats, newest last.
 
-    records: NDArray[np.void]
-    anchor: Anchor | None = None
-
-
-class _Counter:
-    """Continues a number of which frames carry the low `bits`; each frame holds `step` records.
-
-    Up to a quarter of the range back is late, all other is ahead.
+    They came after the newest one; if they were `held` back for it, before it and after the one before.
     """
 
-    def __init__(self, bits: int, step: int) -> None:
-        self._range = 1 << bits
+    records: NDArray[np.void]
+    beats: tuple[Beat, ...]
+    held: bool = False
+
+
+def _from(start: I64 | int, low: I64, bits: int) -> I64:
+    """Return the numbers with these low `bits` in [start, start + 2**bits)."""
+    return np.asarray(start + (low - start & (1 << bits) - 1))
+
+
+class _Order:
+    """Lets numbers pass that are beyond all before them; each stands for `step` records."""
+
+    def __init__(self, step: int) -> None:
+        self.expected: int | None = None
         self._step = step
-        self._piece = max(1, (self._range >> 2) // step)
-        self._expected: int | None = None
-        self._base = 0
-        self._continues = False
 
-    def _ahead(self, low: NDArray[np.int64] | int, expected: int, behind: int) -> I64:
-        return np.asarray((low - expected + behind & self._range - 1) - behind)
-
-    def agrees(self, low: I64, near: int) -> bool:
-        """Whether frames that continue what was before end about at `near`; if not, the next ones start anew there."""
-        expected = self._expected
-        if expected is None or not len(low):
-            return True
-        last = expected
-        for value in (*low[:: self._piece].tolist(), int(low[-1])):
-            last += int(self._ahead(value, last, self._range >> 2))
-        self._continues = abs(near - last) < self._range >> 1
-        return self._continues
-
-    def restart(self) -> None:
-        """Take the next number from where it should be about, not from the one before."""
-        self._continues = False
-
-    def place(self, low: I64, near: int, limit: int | None) -> tuple[I64, Bools, I64]:
-        """Return the whole number of each frame, whether it is accepted, and what was expected before it.
-
-        `near`: about where a first frame is. Numbers above `limit` are not accepted.
-        """
-        if not self._continues:
-            start = near + int(self._ahead(int(low[0]), near, self._range >> 1))
-            self._base = start if self._expected is None else max(start, self._expected)
-            self._continues = True
-            if self._expected is None:
-                self._expected = start
-        else:
-            assert self._expected is not None
-            self._base = self._expected
-        pieces = [self._place(low[n : n + self._piece], limit) for n in range(0, len(low), self._piece)]
-        if len(pieces) == 1:
-            return pieces[0]
-        numbers, accepted, before = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-        return numbers, accepted, before
-
-    def _place(self, low: I64, limit: int | None) -> tuple[I64, Bools, I64]:
-        assert self._expected is not None
-        numbers = self._base + self._ahead(low, self._base, self._range >> 2)
-        ends = numbers + self._step
-        if limit is not None:
-            ends = np.where(numbers <= limit, ends, self._expected)
-        reached = np.maximum(np.maximum.accumulate(ends), self._expected)
-        before = np.concatenate([[self._expected], reached[:-1]])
-        accepted = numbers >= before
-        if limit is not None:
-            accepted &= numbers <= limit
-        self._expected = self._base = int(reached[-1])
-        return numbers, accepted, before
+    def follow(self, numbers: I64) -> tuple[Bools, I64]:
+        """Return which numbers (one at least) pass, and what was expected before each of them."""
+        if self.expected is None:
+            self.expected = int(numbers[0])
+        reached = np.maximum(np.maximum.accumulate(numbers + self._step), self.expected)
+        before = np.concatenate([[self.expected], reached[:-1]])
+        self.expected = int(reached[-1])
+        return numbers >= before, before
 
 
 class CanSampleDecoder:
@@ -139,28 +100,22 @@ class CanSampleDecoder:
         self._ahead = max(layout.samples, round(AHEAD * tick_hz / self._ticks_per_sample))
         self._reference = reference
         self._unit = config.decimation if layout.fd else 1  # what frames count, in samples
-        bits = 8 * layout.counter
-        self._counters = [_Counter(bits, layout.samples * self._unit) for _ in layout.groups]
+        self._bits = 8 * layout.counter
+        self._orders = [_Order(layout.samples * self._unit) for _ in layout.groups]
         self._waiting = [(np.empty(0, np.int64), np.empty((0, b - a), np.uint8)) for a, b in layout.groups]
         self._next: int | None = None  # number of the sample that is delivered next
 
     def decode(self, frames: CanFrames) -> SampleChunk | None:
         """Return the samples of `frames`, or None if there are none."""
-        parts, anchor = self._sorted(frames.records), frames.anchor
-        if anchor is not None:
-            near = self._number(anchor.tick) * self._unit
-            agreed = [
-                counter.agrees(self._low(part), near) for counter, part in zip(self._counters, parts, strict=True)
-            ]
-            if not all(agreed):
-                self.counters.out_of_order += sum(map(len, parts))
-                for counter in self._counters:
-                    counter.restart()
-                self._waiting = [(numbers[:0], data[:0]) for numbers, data in self._waiting]
+        near = self._number(frames.beats[-1].tick) * self._unit
+        if frames.held and len(frames.beats) > 1:
+            between = near - self._number(frames.beats[-2].tick) * self._unit
+            if between >= 1 << self._bits - 1:  # nobody can tell when they were made
+                self.counters.out_of_order += len(frames.records)
                 return None
-        for group, part in enumerate(parts):
+        for group, part in enumerate(self._sorted(frames.records)):
             if len(part):
-                self._take(group, part)
+                self._take(group, part, near)
         return self._deliver()
 
     def _number(self, tick: int) -> int:
@@ -183,21 +138,20 @@ class CanSampleDecoder:
         data = np.ascontiguousarray(frames["data"][:, : self._layout.counter])
         return data.view("<u4" if self._layout.fd else "<u2")[:, 0].astype(np.int64)
 
-    def _take(self, group: int, frames: NDArray[np.void]) -> None:
-        """Add what a group's frames hold to what waits."""
+    def _take(self, group: int, frames: NDArray[np.void], near: int) -> None:
+        """Add what a group's frames hold to what waits; `near` as frames count."""
         layout, counters, unit = self._layout, self.counters, self._unit
-        near = self._number(self._reference.tick)
-        numbers, accepted, before = self._counters[group].place(
-            self._low(frames), near * unit, (near + self._ahead) * unit
-        )
-        counters.out_of_order += int(len(accepted) - accepted.sum())
-        if unit > 1:
-            uneven = accepted & (numbers % unit != 0)
-            counters.malformed += int(uneven.sum())
-            accepted &= ~uneven
-            numbers, before = numbers // unit, before // unit
-        if not accepted.all():
-            frames, numbers, before = frames[accepted], numbers[accepted], before[accepted]
+        numbers = _from(near - (1 << self._bits - 1), self._low(frames), self._bits)
+        even = numbers % unit == 0
+        counters.malformed += int(len(even) - even.sum())
+        believed = even & (numbers <= near + self._ahead * unit)
+        counters.out_of_order += int(even.sum() - believed.sum())
+        frames, numbers = frames[believed], numbers[believed]
+        if not len(frames):
+            return
+        passed, before = self._orders[group].follow(numbers)
+        counters.out_of_order += int(len(passed) - passed.sum())
+        frames, numbers, before = frames[passed], numbers[passed] // unit, before[passed] // unit
         if not len(frames):
             return
         samples = layout.samples
@@ -254,34 +208,35 @@ class CanSampleDecoder:
 class CanEdgeDecoder:
     """Decodes the frames of one configured stream of edges."""
 
-    def __init__(self, config: StreamConfig, reference: TickReference, extended: bool) -> None:
+    def __init__(self, config: StreamConfig, tick_hz: int, reference: TickReference, extended: bool) -> None:
         self.config = config
         self.counters = LossCounters()
         self.ids = (CanId(CanClass.EDGES, config.node, config.slot).pack(extended),)
+        self._tick_hz = tick_hz
         self._reference = reference
-        self._counter = _Counter(8, 1)
+        self._order = _Order(1)
         self._last_tick = -1
 
     def decode(self, frames: CanFrames) -> EdgeChunk | None:
         """Return the edges of `frames`, or None if there are none."""
-        counters, anchor = self.counters, frames.anchor
+        counters, beat = self.counters, frames.beats[-1]
         fits = frames.records["length"] == EDGE_BYTES
         counters.malformed += int(len(fits) - fits.sum())
         records = np.ascontiguousarray(frames.records["data"][fits][:, :EDGE_BYTES]).view(EDGE_RECORD)[:, 0]
-        if anchor is not None and not self._counter.agrees(records["flags"].astype(np.int64), anchor.edges):
-            counters.out_of_order += len(records)
-            self._counter.restart()
-            return None
-        tick = self._reference.unwrap(records["tick"])
-        newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))
-        fresh = self._counted(tick >= newest[:-1])
-        records, tick = records[fresh], tick[fresh]
+        tick = TickReference(beat.tick).unwrap(records["tick"])
+        newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))[:-1]
+        believed = self._counted((tick >= newest) & (tick <= beat.tick + AHEAD * self._tick_hz))
+        records, tick = records[believed], tick[believed]
         if not len(records):
             return None
-        low = records["flags"].astype(np.int64)
-        numbers, accepted, before = self._counter.place(low, self._reference.edges, None)
-        accepted = self._counted(accepted)
-        records, tick, numbers, before = records[accepted], tick[accepted], numbers[accepted], before[accepted]
+        numbers, sure = self._place(records["flags"].astype(np.int64), tick, frames.beats)
+        self._counted(sure)
+        records, tick, numbers = records[sure], tick[sure], numbers[sure]
+        if not len(records):
+            return None
+        passed, before = self._order.follow(numbers)
+        self._counted(passed)
+        records, tick, numbers, before = records[passed], tick[passed], numbers[passed], before[passed]
         if not len(records):
             return None
         self._last_tick = int(tick[-1])
@@ -307,7 +262,27 @@ class CanEdgeDecoder:
             ),
         )
 
+    def _place(self, low: I64, tick: I64, beats: tuple[Beat, ...]) -> tuple[I64, Bools]:
+        """Return the edges' numbers, and where they are sure.
+
+        A heartbeat counts the edges up to its tick, so that two of them bound the numbers of those between.
+        """
+        ticks, edges = (np.array(column, np.int64) for column in zip(*beats, strict=True))
+        after = np.searchsorted(ticks, tick, side="left")  # heartbeats before each edge
+        fresh = round(FRESH * self._tick_hz)
+        least = np.concatenate([[edges[0] - EDGE_RANGE], edges])[after]
+        most = np.concatenate([edges, [edges[-1] + EDGE_RANGE]])[after]
+        sure = (after > 0) | (tick > ticks[0] - fresh)
+        stale = (after == len(beats)) & (tick > ticks[-1] + fresh)
+        if stale.any():  # the last heartbeat is old: go on from the edge before, if there was one
+            expected = self._order.expected
+            sure &= ~stale | (expected is not None)
+            least = np.where(stale, max(int(edges[-1]), expected or 0), least)
+            most = np.where(stale, least + EDGE_RANGE, most)
+        numbers = _from(least, low, 8)
+        return numbers, sure & (most - least <= EDGE_RANGE) & (numbers < most)
+
     def _counted(self, keep: Bools) -> Bools:
-        """Count the frames that come again, or late."""
+        """Count the frames that come again, late, or too early."""
         self.counters.out_of_order += int(len(keep) - keep.sum())
         return keep

@@ -6,7 +6,6 @@ module never looks into a message and never controls a motor.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,24 +33,21 @@ from protocol.framing import Frame
 from protocol.messages import ErrorCode, MessageType, StreamSet
 from protocol.streams import EDGE_RECORD
 
-RESERVED = 7  # offset of the reserved byte of a message's header
+MAX_AGE = 0.5  # s that a stream frame may wait
 _HOST_STATUS = (STATUS_SLOTS[MessageType.ALIVE], STATUS_SLOTS[MessageType.SETPOINT])
 
 
 class _Samples:
     """A stream of samples: whole frames only."""
 
-    def __init__(
-        self, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, ticks: int, tx: TxQueue
-    ) -> None:
+    def __init__(self, slot: int, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, tx: TxQueue):
         self.running = False
         self.dropped = 0
-        self.slot = 0
+        self.slot = slot
         self._ids = ids
         self._layout = layout
         self._runs = runs
         self._decimation = decimation
-        self._ticks = ticks * decimation
         self._tx = tx
         self._size = layout.groups[-1][1]
         self._pending = np.empty((0, self._size), np.uint8)
@@ -114,10 +110,10 @@ class _Samples:
 class _Edges:
     """A stream of edges: a frame each, at once."""
 
-    def __init__(self, can_id: int, fd: bool, tx: TxQueue) -> None:
+    def __init__(self, slot: int, can_id: int, fd: bool, tx: TxQueue) -> None:
         self.running = False
         self.dropped = 0
-        self.slot = 0
+        self.slot = slot
         self._id = can_id
         self._fd = fd
         self._tx = tx
@@ -139,19 +135,46 @@ class _Edges:
         return None
 
 
-class CanCarrier:
-    """CAN frames (a `protocol.device_carrier.Carrier`). Rates are shares of the bus: the queue's `capacity` is 1."""
+class _Slots:
+    """Slots of one kind of stream, handed out in a circle."""
 
-    def __init__(self, tx: TxQueue, rates: BusRates, extended: bool) -> None:
+    def __init__(self, size: int, first: int) -> None:
+        self._size = size
+        self._next = first % size
+        self._taken: dict[int, list[int]] = {}
+
+    def take(self, stream: int, n: int) -> list[int]:
+        """Return n slots in a row for a stream that no stream has; if need be those that it has itself."""
+        for used in (self._taken, {other: slots for other, slots in self._taken.items() if other != stream}):
+            busy = {slot for slots in used.values() for slot in slots}
+            for start in range(self._size):
+                slots = [(self._next + start + k) % self._size for k in range(n)]
+                if not busy.intersection(slots):
+                    self._next = (slots[-1] + 1) % self._size
+                    self._taken[stream] = slots
+                    return slots
+        raise Refused(f"{n} slots", ErrorCode.DOES_NOT_FIT, 0)
+
+    def free(self, stream: int) -> None:
+        """The stream is no more."""
+        self._taken.pop(stream, None)
+
+
+class CanCarrier:
+    """CAN frames (a `protocol.device_carrier.Carrier`). Rates are shares of the bus: the queue's `capacity` is 1.
+
+    `boot_id` decides which slots come first, so that they differ from those before a reboot.
+    """
+
+    def __init__(self, tx: TxQueue, rates: BusRates, extended: bool, boot_id: int = 0) -> None:
         self.tx = tx
         self._rates = rates
         self._extended = extended
         self._encoder = TransferEncoder(rates.fd, extended)
         self.host = 0
         """Number of the host whose request is being answered."""
-        self._next_slot = 0
-        self._slots: dict[SampleStream | EdgeStream, list[int]] = {}
-        self._next_edge_slot = itertools.cycle(range(SLOTS))
+        self._sample_slots = _Slots(STREAM_SLOTS, boot_id)
+        self._edge_slots = _Slots(SLOTS, boot_id)
 
     def encode(self, frame: Frame) -> bytes:
         """See `Carrier.encode`."""
@@ -175,33 +198,21 @@ class CanCarrier:
     ) -> SampleStream:
         """See `Carrier.samples`. Each configuration has slots of its own, after those of the one before."""
         layout = sample_layout(widths, self._rates.fd, block)
-        slots = self._free_slots(len(layout.groups))
-        self._next_slot = (slots[-1] + 1) % STREAM_SLOTS
+        self._edge_slots.free(request.stream)
+        slots = self._sample_slots.take(request.stream, len(layout.groups))
         ids = [stream_id(node, slot).pack(self._extended) for slot in slots]
-        stream = _Samples(ids, layout, runs, request.decimation, ticks, self.tx)
-        stream.slot = slots[0]
-        self._slots[stream] = slots
-        return stream
-
-    def _free_slots(self, n: int) -> list[int]:
-        """Return the next n slots in a row that no stream has."""
-        used = {slot for slots in self._slots.values() for slot in slots}
-        for start in range(STREAM_SLOTS):
-            slots = [(self._next_slot + start + k) % STREAM_SLOTS for k in range(n)]
-            if not used.intersection(slots):
-                return slots
-        raise Refused(f"{n} slots", ErrorCode.DOES_NOT_FIT, 0)
+        return _Samples(slots[0], ids, layout, runs, request.decimation, self.tx)
 
     def edges(self, node: int, request: StreamSet, cfg_id: int, block: int) -> EdgeStream:
         """See `Carrier.edges`."""
-        slot = next(self._next_edge_slot)
-        stream = _Edges(CanId(CanClass.EDGES, node, slot).pack(self._extended), self._rates.fd, self.tx)
-        stream.slot = slot
-        return stream
+        self._sample_slots.free(request.stream)
+        (slot,) = self._edge_slots.take(request.stream, 1)
+        return _Edges(slot, CanId(CanClass.EDGES, node, slot).pack(self._extended), self._rates.fd, self.tx)
 
-    def close(self, stream: SampleStream | EdgeStream) -> None:
+    def close(self, stream: int) -> None:
         """See `Carrier.close`: its slots are free."""
-        self._slots.pop(stream, None)
+        self._sample_slots.free(stream)
+        self._edge_slots.free(stream)
 
 
 class CanDevice:
@@ -223,7 +234,7 @@ class CanDevice:
         self.tx = TxQueue() if tx is None else tx
         self.tx.capacity = 1.0
         self.counters = CanCounters()
-        self._carrier = CanCarrier(self.tx, rates, extended)
+        self._carrier = CanCarrier(self.tx, rates, extended, identity.boot_id)
         self.session = DeviceSession(app, identity, self._carrier, self.counters)
         self._node = identity.node
         self._extended = extended
@@ -233,6 +244,11 @@ class CanDevice:
         """Take CAN_RECORDs from the bus, those of others too."""
         for record in np.frombuffer(frames, CAN_RECORD):
             self._receive(int(record["id"]), record["data"][: record["length"]].tobytes())
+
+    def advance(self, tick: int) -> None:
+        """Let time pass up to the device's 64-bit `tick`; stream frames that have waited too long are given up."""
+        self.session.advance(tick)
+        self.session.streams.expired += self.tx.expire(tick, round(MAX_AGE * self.session.identity.tick_hz))
 
     def _receive(self, can_id: int, data: bytes) -> None:
         if can_id & ERROR:
@@ -249,14 +265,22 @@ class CanDevice:
         if parts not in self._reassemblers:
             self._reassemblers[parts] = Reassembler(parts.node, self.counters)
         message = self._reassemblers[parts].feed(data)
-        if message is not None and (parts.node == self._node or message[0] == MessageType.HELLO):
-            self._carrier.host = parts.slot
-            # two hosts may use the same tid: the reserved byte tells their requests apart
-            self.session.receive(message[:RESERVED] + bytes((parts.slot,)) + message[RESERVED + 1 :])
+        if message is None:
+            return
+        if self._belongs(parts, message[0]):
+            host = parts.slot if parts.kind == CanClass.TO_DEVICE else 0
+            self._carrier.host = host
+            self.session.receive(message, host)
+        else:
+            self.counters.foreign += 1
 
     def _is_mine(self, parts: CanId) -> bool:
-        if parts.kind == CanClass.STOP:
-            return parts.node in (self._node, BROADCAST)
-        if parts.kind == CanClass.TO_DEVICE:
-            return parts.node in (self._node, BROADCAST)
-        return parts.kind == CanClass.STATUS and parts.node == self._node and parts.slot in _HOST_STATUS
+        if parts.kind == CanClass.STATUS:
+            return parts.node == self._node and parts.slot in _HOST_STATUS
+        return parts.kind in (CanClass.STOP, CanClass.TO_DEVICE) and parts.node in (self._node, BROADCAST)
+
+    def _belongs(self, parts: CanId, kind: int) -> bool:
+        """Whether a message of this type may come on this identifier."""
+        if parts.kind == CanClass.STATUS:
+            return STATUS_SLOTS.get(kind) == parts.slot
+        return kind not in STATUS_SLOTS and (parts.node == self._node or kind == MessageType.HELLO)

@@ -13,19 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.canmap.decoders import Anchor, CanEdgeDecoder, CanFrames, CanSampleDecoder
+from protocol.canmap.decoders import Beat, CanEdgeDecoder, CanFrames, CanSampleDecoder
 from protocol.canmap.frame import CAN_RECORD, ERROR, FDF, STANDARD_MASK, BusRates
-from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
+from protocol.canmap.ids import BROADCAST, MAX_NODE, SLOTS, STATUS_SLOTS, STREAM_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.layout import sample_layout
 from protocol.canmap.transport import NODE_OFFSET, CanCounters, Reassembler, TransferEncoder, pack_record
 from protocol.codes import Command
-from protocol.errors import RemoteProtocolError
+from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import HEADER_BYTES, Frame
 from protocol.messages import Heartbeat, MessageType, PayloadError, StreamEvent
 from protocol.streams import StreamConfig, TickReference
 from protocol.wire import Decoder, StreamFrames
 
 OVERDUE = 0.35  # s without a heartbeat after which a node's stream frames are held back: three of them, and some
+MAX_BEATS = 16  # heartbeats of a node that are remembered
 MAX_HELD = 1 << 15  # frames of a node
 
 _DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
@@ -42,12 +43,13 @@ class _Route(NamedTuple):
 
 @dataclass(slots=True)
 class _Node:
-    """What is known of a node: when its last heartbeat came, and for which streams this one ended a silence."""
+    """What is known of a node: its last heartbeats, when the newest came, and what is held back for the next one."""
 
+    beats: tuple[Beat, ...] = ()
     heard: float = -1e9
     held: list[NDArray[np.void]] = field(default_factory=list)
     n_held: int = 0
-    anchors: dict[int, Anchor] = field(default_factory=dict)
+    fd: bool | None = None  # format of its messages
 
 
 class CanWire:
@@ -59,6 +61,8 @@ class CanWire:
         extended: 29-bit identifiers.
         host: number of this host among those on the bus, 0..15.
     """
+
+    shared = True
 
     def __init__(self, rates: BusRates, node: int = 1, extended: bool = False, host: int = 0) -> None:
         self.counters = CanCounters()
@@ -73,17 +77,30 @@ class CanWire:
         self._routes: list[_Route] = []
         self._meaning = self._meanings()  # of the low 11 bits of an identifier: number of a route, or what it is else
         self._nodes: dict[int, _Node] = {}
-        self._format: int | None = None  # FDF or 0, as the device's messages came
 
     def preamble(self) -> bytes:
         """See `HostWire.preamble`: nothing has to be written."""
         self._reassemblers.clear()
+        for node in self._nodes.values():
+            self._give_up(node)
         self._nodes.clear()
         return b""
+
+    def forget(self, node: int) -> None:
+        """See `HostWire.forget`: its slots may have another meaning now."""
+        self._give_up(self._nodes.setdefault(node, _Node()))
+        self._routes = [route for route in self._routes if route.node != node]
+        self._meaning = self._meanings()
+
+    def _give_up(self, node: _Node) -> None:
+        self.counters.overdue += node.n_held
+        node.held, node.n_held = [], 0
 
     def encode(self, frame: Frame) -> bytes:
         """See `HostWire.encode`. A STOP goes ahead of all else, then again as a request that is answered."""
         node = frame.node or self._node
+        if node > MAX_NODE:
+            raise LocalProtocolError(f"there is no node {node} on a CAN bus: they are 1 to {MAX_NODE}")
         return self._sent(self._encode(frame._replace(node=node).pack(), node))
 
     def to_everybody(self, frame: Frame) -> bytes:
@@ -103,7 +120,7 @@ class CanWire:
             return stop_record(node, self.extended, self.rates.fd) + wire
         return wire
 
-    def feed(self, data: bytes) -> list[bytes | StreamFrames]:
+    def feed(self, data: bytes, now: float) -> list[bytes | StreamFrames]:
         """See `HostWire.feed`."""
         records = np.frombuffer(data, CAN_RECORD)
         self.busy_seconds += self.rates.occupied(records[records["id"] & ERROR == 0])
@@ -115,15 +132,19 @@ class CanWire:
             message = self._receive(record)
             if message is None:
                 continue
-            out += self._streams(records[done:at], meaning[done:at])
+            out += self._streams(records[done:at], meaning[done:at], now)
             done = at
             out.append(message)
             if message[0] == MessageType.HEARTBEAT:
                 out += self._heartbeat(message, float(record["time"]))
-        return out + self._streams(records[done:], meaning[done:])
+        return out + self._streams(records[done:], meaning[done:], now)
 
     def _meanings(self) -> NDArray[np.int16]:
         """Return the table of what the identifiers mean."""
+        self._routes_of = {
+            node: [number for number, route in enumerate(self._routes) if route.node == node]
+            for node in {route.node for route in self._routes}
+        }
         table = np.full(STANDARD_MASK + 1, _FOREIGN, np.int16)
         for can_id in range(STANDARD_MASK + 1):
             parts = parse_id(can_id, extended=False)
@@ -161,45 +182,55 @@ class CanWire:
             self._reassemblers[parts] = Reassembler(parts.node, self.counters)
         message = self._reassemblers[parts].feed(record["data"][: record["length"]].tobytes())
         if message is not None:
-            self._format = int(record["flags"]) & FDF
+            self._nodes.setdefault(parts.node, _Node()).fd = bool(record["flags"] & FDF)
         return message
 
     def _heartbeat(self, message: bytes, time: float) -> list[StreamFrames]:
         """Note a heartbeat; return what was held back for it."""
-        node = self._nodes.setdefault(message[NODE_OFFSET], _Node())
-        silent, node.heard = time - node.heard > OVERDUE, time
-        held, node.held, node.n_held = node.held, [], 0
-        if not silent:
-            return []
         try:
             heartbeat = Heartbeat.unpack(message[HEADER_BYTES:])
-        except PayloadError:
-            self.counters.overdue += sum(map(len, held))
+        except PayloadError:  # the session counts it
             return []
-        anchor = Anchor(heartbeat.tick, heartbeat.edges)
-        node.anchors = {route.stream: anchor for route in self._routes if route.node == message[NODE_OFFSET]}
-        if not held:
+        node = self._nodes[message[NODE_OFFSET]]
+        first = not node.beats
+        node.beats = (*node.beats, Beat(heartbeat.tick, heartbeat.edges))[-MAX_BEATS:]
+        node.heard = time
+        if not node.held:
             return []
-        records = np.concatenate(held)
-        return self._by_stream(records, self._meaning[records["id"] & STANDARD_MASK])
+        records = np.concatenate(node.held)
+        if first and time - float(records["time"][0]) > OVERDUE:
+            self._give_up(node)
+            return []
+        node.held, node.n_held = [], 0
+        return self._by_stream(records, self._meaning[records["id"] & STANDARD_MASK], node.beats, held=True)
 
-    def _streams(self, records: NDArray[np.void], meaning: NDArray[np.int16]) -> list[StreamFrames]:
+    def _streams(self, records: NDArray[np.void], meaning: NDArray[np.int16], now: float) -> list[StreamFrames]:
         """Return the stream frames among these by stream, but for those that are held back."""
-        self.counters.stale += int((meaning == _STALE).sum())
-        return self._by_stream(records, meaning)
-
-    def _by_stream(self, records: NDArray[np.void], meaning: NDArray[np.int16]) -> list[StreamFrames]:
         out: list[StreamFrames] = []
+        self.counters.stale += int((meaning == _STALE).sum())
+        for number, routes in self._routes_of.items():
+            chosen = np.isin(meaning, routes) if len(self._routes_of) > 1 else meaning >= 0
+            if not chosen.any():
+                continue
+            node = self._nodes.setdefault(number, _Node())
+            if not node.beats or node.held or now - node.heard > OVERDUE:
+                self._hold(node, records[chosen])
+            else:
+                out += self._by_stream(records[chosen], meaning[chosen], node.beats)
+        return out
+
+    def _by_stream(
+        self, records: NDArray[np.void], meaning: NDArray[np.int16], beats: tuple[Beat, ...], held: bool = False
+    ) -> list[StreamFrames]:
+        """Return frames by stream, those of edges first."""
+        out: list[StreamFrames] = []
+        left = len(records)
         for number, route in enumerate(self._routes):
             mine = records[meaning == number]
-            if not len(mine):
-                continue
-            node = self._nodes.setdefault(route.node, _Node())
-            if float(mine["time"][0]) - node.heard > OVERDUE:
-                self._hold(node, mine)
-            else:
-                frames = CanFrames(mine, node.anchors.pop(route.stream, None))
-                out.append(StreamFrames(route.node, route.stream, route.type, frames))
+            left -= len(mine)
+            if len(mine):
+                out.append(StreamFrames(route.node, route.stream, route.type, CanFrames(mine, beats, held)))
+        self.counters.stale += left
         return out
 
     def _hold(self, node: _Node, records: NDArray[np.void]) -> None:
@@ -211,14 +242,18 @@ class CanWire:
 
     def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`. Raises RemoteProtocolError if host and device are not of one mind on the format."""
-        if self._format is not None and bool(self._format) != self.rates.fd:
+        node = self._nodes.setdefault(config.node, _Node())
+        if node.fd is not None and node.fd != self.rates.fd:
             here, there = ("CAN FD", "classic CAN") if self.rates.fd else ("classic CAN", "CAN FD")
             fix = "remove fd=1 from" if self.rates.fd else "add fd=1 and data_bitrate to"
             raise RemoteProtocolError(f"the device sends {there} frames, {here} was asked for: {fix} the target")
+        slots = SLOTS if config.event == StreamEvent.EDGES else STREAM_SLOTS
+        if config.slot >= slots:
+            raise RemoteProtocolError(f"stream {config.stream}: the device gives it slot {config.slot} of {slots}")
         decoder: CanSampleDecoder | CanEdgeDecoder
         if config.event == StreamEvent.EDGES:
             kind = MessageType.EDGES
-            decoder = CanEdgeDecoder(config, reference, self.extended)
+            decoder = CanEdgeDecoder(config, tick_hz, reference, self.extended)
         else:
             kind = MessageType.DATA
             widths = [np.dtype(channel.raw.dtype).itemsize for channel in config.channels]

@@ -111,15 +111,28 @@ class Controller:
         self._source = source
         self._sink = sink
         self._errors = errors
-        self._record = b""  # the mailbox; the two below belong to it
+        self._record = b""  # the mailbox; the three below belong to it
         self._key = _NO_KEY
         self._seconds = 0.0
+        self._since = 0.0
         self._back_at = inf
 
     def restart(self) -> None:
         """Rejoin the bus after bus-off, when 128 x 11 bit times have passed; nothing in any other state."""
         if self.state is State.BUS_OFF:
             self._rejoin(0.0)
+
+    @property
+    def waits(self) -> float:
+        """Seconds that the frame in the mailbox has waited for the bus; 0 if there is none."""
+        return self._bus.time - self._since if self._record else 0.0
+
+    def abort(self) -> bool:
+        """Take back the frame in the mailbox; False if there is none, or it is on the bus now."""
+        if not self._record or self._bus._sender is self:
+            return False
+        self._record = b""
+        return True
 
     def _rejoin(self, delay: float) -> None:
         bus = self._bus
@@ -321,6 +334,7 @@ class SimulatedBus:
             nominal, fast = frame_bits(can_id, length, flags, np.frombuffer(record, np.uint8, MAX_DATA, _DATA_AT))
             rates = self.rates
             node._record = record
+            node._since = self.time
             node._key = arbitration(can_id)
             node._seconds = nominal / rates.bitrate + fast / (rates.data_bitrate or rates.bitrate)
             return True

@@ -10,13 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
-from protocol.canmap.device import CanDevice
+from protocol.canmap.device import MAX_AGE, CanDevice
 from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_OVERFLOW, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.device import DeviceApp, DeviceLink, DeviceSession, Identity
 from protocol.device_tx import TxQueue
 from protocol.wire import ByteWire, HostWire
-from sim.drive.can_bus import SimulatedBus
+from sim.drive.can_bus import Controller, SimulatedBus
 
 ADAPTER_FRAMES = 8192  # that the host's CAN adapter holds for it
 _OVERFLOW = np.zeros(1, CAN_RECORD)
@@ -106,9 +106,11 @@ class CanNetwork:
     def __init__(self, rates: BusRates, extended: bool = False, tx_frames: int = 1024, seed: int = 0) -> None:
         self.bus = SimulatedBus(rates, seed)
         self.devices: dict[int, CanDevice] = {}
+        self._controllers: dict[int, Controller] = {}
         self.adapter = self.bus.attach(self._next_from_host, self._to_host, "adapter", self._to_host)
         self.overflows = 0
         """Frames for which the adapter had no room."""
+        self._overflowing = False
         self.frames_sent = 0
         self._extended = extended
         self._tx_bytes = tx_frames * RECORD_BYTES
@@ -119,7 +121,8 @@ class CanNetwork:
         """See `Network`."""
         tx = TxQueue(self._tx_bytes, control_limit=1 << 16)
         device = CanDevice(app, identity, self.bus.rates, self._extended, tx)
-        self.bus.attach(lambda: tx.take(RECORD_BYTES), device.receive, identity.name, device.receive)
+        controller = self.bus.attach(lambda: tx.take(RECORD_BYTES), device.receive, identity.name, device.receive)
+        self._controllers[identity.node] = controller
         self.devices[identity.node] = device
         for each in self.devices.values():
             each.session.nodes = len(self.devices)
@@ -132,11 +135,14 @@ class CanNetwork:
     def carry(self, now: float) -> None:
         """See `Network`."""
         self.bus.advance(now)
+        for node, controller in self._controllers.items():
+            if controller.waits > MAX_AGE and controller.abort():
+                self.devices[node].session.streams.expired += 1
 
     def advance(self, tick: int) -> None:
         """See `Network`."""
         for device in self.devices.values():
-            device.session.advance(tick)
+            device.advance(tick)
 
     @property
     def waiting(self) -> int:
@@ -157,7 +163,8 @@ class CanNetwork:
         """See `Network`."""
         bus = self.bus
         load = bus.busy_seconds / bus.time if bus.time else 0.0
-        return f"; the bus carried {bus.frames} frames, {load:.0%} busy, {bus.error_frames} error frames"
+        lost = f", {self.overflows} lost in the adapter" if self.overflows else ""
+        return f"; the bus carried {bus.frames} frames, {load:.0%} busy, {bus.error_frames} error frames{lost}"
 
     def _next_from_host(self) -> bytes:
         return self._from_host.popleft() if self._from_host else b""
@@ -165,7 +172,9 @@ class CanNetwork:
     def _to_host(self, record: bytes) -> None:
         if len(self._for_host) < ADAPTER_FRAMES:
             self._for_host.append(record)
+            self._overflowing = False
             return
-        if not self.overflows:
+        if not self._overflowing:
             self._for_host.append(_OVERFLOW.tobytes())
+        self._overflowing = True
         self.overflows += 1

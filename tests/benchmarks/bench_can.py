@@ -82,7 +82,7 @@ def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat:
         first, seconds = True, 0.0
         for part in parts:
             start = time.perf_counter()
-            for item in wire.feed(part):
+            for item in wire.feed(part, 0.0):
                 if isinstance(item, StreamFrames):
                     decoder.decode(item.frames)
             if not first:

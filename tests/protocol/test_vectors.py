@@ -11,7 +11,7 @@ import pytest
 from small_drive import small_link
 
 from protocol import messages
-from protocol.canmap.decoders import CanFrames
+from protocol.canmap.decoders import Beat, CanFrames
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass, CanId
@@ -206,7 +206,7 @@ def test_can_messages(case: dict, feed: str) -> None:
     wire = CanWire(rates(case["fd"]), 1, case["extended"])
     records = can_records(case["frames"])
     parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]
-    bodies = [item.hex() for part in parts for item in wire.feed(part.tobytes())]
+    bodies = [item.hex() for part in parts for item in wire.feed(part.tobytes(), 0.0)]
     assert bodies == case["bodies_hex"]
     names = ("bad_crc", "bad_length", "aborted", "orphans", "duplicates", "foreign")
     assert {name: getattr(wire.counters, name) for name in names} == {
@@ -245,15 +245,15 @@ def test_can_streams(case: dict, feed: str) -> None:
     event = StreamEvent.EDGES if edges else StreamEvent.PWM
     config = StreamConfig(1, 0, 1, event, c["decimation"], channels, c["block"], c["slot"], c["tick0"])
     wire = CanWire(rates(c["fd"]))
-    reference = TickReference(case["reference_tick"], case["reference_edges"])
-    decoder = wire.decoder(config, 20_000_000, 16_000, reference)
+    beat = Beat(case["reference_tick"], case["reference_edges"])
+    decoder = wire.decoder(config, 20_000_000, 16_000, TickReference())
     records = can_records(case["frames"])
     assert set(records["id"].tolist()) <= set(decoder.ids)
     parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]
     index: list[int] = []
     gaps: list[list[int]] = []
     for part in parts:
-        chunk = decoder.decode(CanFrames(part))
+        chunk = decoder.decode(CanFrames(part, (beat,)))
         if chunk is None:
             continue
         gaps += [[gap.position + len(index), gap.lost_samples, gap.lost_frames] for gap in chunk.gaps]

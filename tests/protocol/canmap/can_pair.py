@@ -27,9 +27,11 @@ Spoil = Callable[[np.ndarray], np.ndarray]
 class CanPair:
     """`now` is both ends' time in s; `spoil` gets the rows of CAN_RECORDs on their way to the host."""
 
-    def __init__(self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None) -> None:
+    def __init__(
+        self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None, boot_id: int = 0xB0071D
+    ) -> None:
         self.app = SmallDrive()
-        self.device = CanDevice(self.app, identity(node=node), rates, extended, tx)
+        self.device = CanDevice(self.app, identity(node, boot_id), rates, extended, tx)
         self.wire = CanWire(rates, node, extended)
         self.host = HostSession(self.wire)
         self.now = 0.0
@@ -55,9 +57,14 @@ class CanPair:
         records = self.spoil(records).copy()
         records["time"] = self.now
         self.host.receive_data(records.tobytes(), self.now)
+        self.take_events()
+
+    def take_events(self) -> None:
         while (event := self.host.next_event()) is not None:
             self.events.append(event)
             if isinstance(event, StreamFrames):
+                if event.stream not in self.decoders:
+                    continue
                 chunk = self.decoders[event.stream].decode(event.frames)
                 if chunk is not None:
                     self.chunks[event.stream].append(chunk)
@@ -73,7 +80,7 @@ class CanPair:
                 self.edge(np.array(mine) * TICKS + TICKS // 2 - TICKS)
             self.device.session.push_samples(self.periods, self.periods * TICKS, samples(self.periods, n))
             self.periods += n
-            self.device.session.advance((self.periods - 1) * TICKS)
+            self.device.advance((self.periods - 1) * TICKS)
             self.now = self.periods * TICKS / HZ
             self.exchange()
 

@@ -13,6 +13,7 @@ from protocol.canmap.frame import CAN_RECORD, ERROR, EXTENDED, BusRates
 from protocol.canmap.host import MAX_HELD
 from protocol.canmap.layout import sample_layout
 from protocol.canmap.plan import BusPlan
+from protocol.host import Rebooted
 from protocol.messages import ErrorReply, StreamEvent, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStop
 from protocol.signals import RawType
 
@@ -298,9 +299,9 @@ def test_frames_of_a_wrong_length_or_between_the_samples_are_malformed() -> None
     bus.run(800)
 
     def damage(records: np.ndarray) -> np.ndarray:
-        extra = records[kinds(records) == 5].copy()
+        extra = records[kinds(records) >= 5].copy()
         extra["length"] = 8
-        odd = records[kinds(records) == 5].copy()
+        odd = records[kinds(records) >= 5].copy()
         odd["data"][:, 0] += 1
         return np.concatenate([records, extra, odd])
 
@@ -335,20 +336,129 @@ def test_foreign_traffic_and_error_frames_are_counted_and_ignored() -> None:
     assert bus.wire.counters.bad == 0
 
 
-def test_random_frames_on_every_identifier_give_no_sample_and_no_exception() -> None:
-    """On the identifiers of the stream itself too: what passes for a sample there must lie near the present."""
+@pytest.mark.parametrize(("rates", "names"), [(CLASSIC, ("hall",)), (FD, ALL)])
+def test_forged_frames_of_the_stream_lie_near_the_present_and_do_not_stop_it(
+    rates: BusRates, names: tuple[str, ...]
+) -> None:
+    """Nothing tells a forged frame from a true one but its counter and its time."""
+    bus = pair(rates, names, 1)
+    bus.run(1600, tuple(range(1, 1600, 20)))
+    rng = np.random.default_rng(6)
+    mine = [*bus.decoders[0].ids, *bus.decoders[1].ids]
+    for _ in range(20):
+        noise = np.zeros(100, CAN_RECORD)
+        noise["id"] = rng.choice(mine, 100)
+        noise["length"] = rng.choice([8, bus.decoders[0]._layout.length(0)], 100)
+        noise["data"] = rng.integers(0, 256, (100, 64))
+        bus.receive(noise)
+    bus.run(16_000, tuple(range(1, 16_000, 20)))
+    newest = bus.periods
+    assert all(abs(int(chunk.index[-1]) - newest) < 40_000 for chunk in bus.chunks[0])
+    assert bus.chunks[0][-1].index[-1] > newest - 100
+    assert bus.edges()[-1].index[-1] == bus.edges_made - 1
+
+
+@pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
+@pytest.mark.parametrize("silence", [0.25, 1.0, 4.2, 8.3])
+def test_streams_that_pause_while_heartbeats_go_on(
+    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
+) -> None:
+    bus = pair(rates, names, decimation)
+    bus.run(3200, tuple(range(1, 3200, 16)))
+    bus.spoil = lambda records: records[kinds(records) < 4]
+    n = round(silence * 16000)
+    bus.run(n, tuple(range(1, n, 16)), portion=800)
+    bus.spoil = lambda records: records
+    bus.run(3200, tuple(range(1, 3200, 16)))
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
+    assert got.index[-1] > bus.periods - 10 * decimation
+    edges = bus.decoders[1].counters
+    assert edges.samples + edges.lost_by_index == bus.edges_made
+    for chunk in bus.edges():
+        assert (chunk.tick % 4096 == chunk.encoder).all()
+
+
+def test_frames_that_waited_in_the_device_are_given_up_there() -> None:
+    """A device off the bus for 10 s does not send what is older than half a second, and says so."""
+    bus = pair(CLASSIC, ("hall",), 1)
+    bus.run(3200)
+    take, stopped = bus.device.tx.take, [True]
+    bus.device.tx.take = lambda limit=None: b"" if stopped[0] else take(limit)  # type: ignore[method-assign]
+    bus.run(160_000, portion=800)
+    stopped[0] = False
+    bus.run(4800)
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert counters.samples + counters.lost_by_index == got.index[-1] + 1
+    assert counters.lost_by_seq == bus.device.session.heartbeat().tx_dropped > 20_000
+
+
+def test_frames_of_before_and_after_a_gap_in_one_read() -> None:
+    """The adapter ran over while the host stood still: old frames and heartbeats, then new ones, read at once."""
+    bus = pair(CLASSIC, ("hall",), 1)
+    bus.run(3200)
+    kept: list[np.ndarray] = []
+    stamps: list[float] = []
+    bus.spoil = lambda records: (kept.append(records), stamps.append(bus.now), records[:0])[2]
+    bus.run(65536 + 4000)
+    bus.spoil = lambda records: records
+    old, new = np.concatenate(kept[:60]), np.concatenate(kept[-10:])
+    records = np.concatenate([old, new[kinds(new) >= 4]])
+    records["time"] = stamps[0]  # they may have been there since then
+    bus.host.receive_data(records.tobytes(), bus.now)
+    bus.take_events()
+    bus.run(8000)
+    got, counters = bus.samples(), bus.decoders[0].counters
+    assert counters.samples + counters.lost_by_index == got.index[-1] + 1
+    assert got.index[-1] > bus.periods - 10
+
+
+def test_edges_are_placed_from_the_first_on_however_many_there_are() -> None:
+    """2000 a second: some 200 come between a heartbeat and the first frame of a stream."""
+    bus = CanPair(FD)
+    bus.connect()
+    for n in range(12):
+        bus.run(1600 + 130 * n, tuple(range(1, 1600 + 130 * n, 8)))
+        bus.decoders.clear()
+        made = bus.edges_made
+        bus.stream(ALL)
+        bus.run(160, tuple(range(1, 160, 8)))
+        first = next((chunk for chunk in bus.edges()), None)
+        if first is not None:
+            assert first.index[0] == made
+        bus.run(3200, tuple(range(1, 3200, 8)))
+        assert bus.edges()[-1].index[-1] == bus.edges_made - 1
+        bus.ask(StreamStop())
+
+
+def test_after_a_reboot_frames_belong_to_nobody_until_a_stream_is_configured() -> None:
     bus = pair(CLASSIC, ("hall",), 1)
     bus.run(1600)
-    rng = np.random.default_rng(6)
-    mine = set(bus.decoders[0].ids) | set(bus.decoders[1].ids)
-    for _ in range(200):
-        noise = np.zeros(500, CAN_RECORD)
-        noise["id"] = rng.integers(0, 0x800, 500)
-        noise["length"] = rng.integers(0, 9, 500)
-        noise["data"][:, :8] = rng.integers(0, 256, (500, 8))
-        bus.receive(noise[~np.isin(noise["id"], list(mine))])
-    bus.run(1600)
-    assert (np.diff(bus.samples().index) == 1).all()
+    before = len(bus.chunks[0])
+    slots = bus.decoders[0].ids
+    again = CanPair(CLASSIC, boot_id=77)
+    again.connect()
+    again.stream(("status",), 1)
+    assert again.decoders[0].ids != slots
+    again.host.receive_data = lambda data, now: None  # type: ignore[method-assign]
+    bus.device = again.device
+    bus.periods = 0
+    bus.run(4800)
+    assert any(isinstance(event, Rebooted) for event in bus.events)
+    assert len(bus.chunks[0]) == before
+    assert bus.wire.counters.stale > 100
+
+
+def test_a_forged_edge_far_ahead_does_not_stop_the_edges() -> None:
+    bus = pair(FD, ALL, 1)
+    bus.run(1600, tuple(range(1, 1600, 16)))
+    forged = np.zeros(1, CAN_RECORD)
+    forged["id"], forged["length"] = bus.decoders[1].ids[0], 8
+    forged["data"][0, :4] = np.frombuffer(((bus.periods + 40_000) * TICKS).to_bytes(4, "little"), np.uint8)
+    bus.receive(forged)
+    bus.run(1600, tuple(range(1, 1600, 16)))
+    counters = bus.decoders[1].counters
+    assert (counters.samples, counters.lost_by_index, counters.out_of_order) == (200, 0, 1)
 
 
 # -- what a device answers --------------------------------------------------------------------------------------------
