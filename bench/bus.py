@@ -9,7 +9,7 @@ from protocol.canmap.host import CanWire
 
 
 class BusMeter:
-    """The load of the client's bus, and what was counted on it, from now on."""
+    """The load of the client's bus, and what is counted on it, from now on."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -17,6 +17,17 @@ class BusMeter:
         self._wire = wire if isinstance(wire, CanWire) else None
         self._since = client.now()
         self._busy = 0.0 if self._wire is None else self._wire.busy_seconds
+        self._before = self._counts()
+
+    def _counts(self) -> dict[str, dict[str, int]]:
+        """All counts since the link was made: of the bus, of errors by kind, of the adapter."""
+        health = getattr(self._client.link, "health", None)  # a link in virtual time has no adapter
+        adapter = ("dropped", "malformed", "refused")
+        return {
+            "bus": {} if self._wire is None else self._wire.counters.as_dict(),
+            "errors": {} if health is None else dict(health.error_frames),
+            "adapter": {} if health is None else {name: getattr(health, name) for name in adapter},
+        }
 
     def report(self, predicted: float = 0.0) -> dict[str, Any] | None:
         """The figures as plain data; None on a byte link. `predicted`: the load that the device foresaw at most."""
@@ -24,16 +35,17 @@ class BusMeter:
         if wire is None:
             return None
         seconds = self._client.now() - self._since
-        health = getattr(self._client.link, "health", None)  # a link in virtual time has no adapter
+        risen = {
+            kind: {name: n - self._before[kind].get(name, 0) for name, n in counts.items()}
+            for kind, counts in self._counts().items()
+        }
         return {
             "rates": str(wire.rates),
             "load": (wire.busy_seconds - self._busy) / seconds if seconds > 0 else 0.0,
             "load_predicted": predicted,
-            **wire.counters.as_dict(),
-            "errors": {} if health is None else {kind: n for kind, n in health.error_frames.items() if n},
-            "adapter": {}
-            if health is None
-            else {"dropped": health.dropped, "malformed": health.malformed, "refused": health.refused},
+            **risen["bus"],
+            "errors": {kind: n for kind, n in risen["errors"].items() if n},
+            "adapter": risen["adapter"],
         }
 
 

@@ -146,6 +146,7 @@ class Client:
         self._closed: dict[int, Losses] = {}
         self._watches: dict[int, _Watch] = {}
         self._pending: _Pending | None = None
+        self._must_open = False  # the link must be opened again
         self._next_reopen = 0.0
 
     # -- time ---------------------------------------------------------------------------------------------------
@@ -184,6 +185,9 @@ class Client:
         if not self.wait(lambda: self.hello is not before, timeout):
             framing = self.session.counters.framing
             advice = self.session.wire.advice(bool(self.bytes_in))
+            refused = getattr(getattr(self.link, "health", None), "refused", 0)  # by an adapter
+            if refused:
+                advice = f"the adapter refused {refused} commands or frames; {advice}"
             raise NoReply(
                 f"no HBP device answered on {self.link.name} within {timeout:g} s ({self.bytes_in} bytes heard, "
                 f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
@@ -195,6 +199,7 @@ class Client:
         now = self.now()
         if self.reconnect <= 0:
             raise error
+        self._must_open = True
         if self.health.down_since is None:
             self.health.down_since = now
             self.health.outages += 1
@@ -202,7 +207,10 @@ class Client:
             self._note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
             if self._pending:
                 self._pending.error = error
-        if now - self.health.down_since > self.reconnect:
+
+    def _give_up_in_time(self) -> None:
+        """Raise LinkClosed when a drive that was lost has not answered again in time."""
+        if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
             raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
 
     def _reopen(self, timeout: float) -> None:
@@ -215,19 +223,17 @@ class Client:
         try:
             self.link.reopen()
         except LinkError as error:
-            assert self.health.down_since is not None
             self._lost(error)
             return
-        assert self.health.down_since is not None
-        self.health.downtime += now - self.health.down_since
-        self.health.down_since = None
-        self.session.connect(self.nonce(), now)
+        self._must_open = False
+        self.session.connect(self.nonce(), now)  # the outage lasts until the drive answers
 
     # -- the loop -----------------------------------------------------------------------------------------------
 
     def poll(self, timeout: float = POLL) -> None:
         """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send."""
-        if self.health.down_since is not None:
+        self._give_up_in_time()
+        if self._must_open:
             self._reopen(timeout)
             return
         try:
@@ -275,7 +281,7 @@ class Client:
                 text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
                 self._settle(tid, error=NoReply(text))
             case Connected(hello=hello):
-                self._connected(hello)
+                self._connected(hello, now)
             case Rebooted(node=node):
                 self.health.reboots += 1
                 self._note(f"node {node} has rebooted", "WARN")
@@ -290,9 +296,11 @@ class Client:
             for sink in self.sinks:
                 sink.edges(chunk)
 
-    def _connected(self, hello: HelloReply) -> None:
-        before, self.hello = self.hello, hello
-        if before is not None:
+    def _connected(self, hello: HelloReply, now: float) -> None:
+        self.hello = hello
+        if self.health.down_since is not None:
+            self.health.downtime += now - self.health.down_since
+            self.health.down_since = None
             self._note("the drive is back", "WARN")
 
     def _seen(self, node: int, now: float) -> None:

@@ -259,7 +259,7 @@ def target_dbc(target: str) -> str:
 
 
 def simulated_dbc(names: Sequence[str] | None, rate_hz: float | None, fd: bool, extended: bool) -> str:
-    """Return the DBC of the simulated drive, freshly booted, on a bus with the usual bit rates.
+    """Return the DBC of the simulated drive, booted with boot_id 0, on a bus with the usual bit rates.
 
     Args:
         names: channels to stream; None: all.

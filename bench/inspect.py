@@ -18,7 +18,7 @@ from protocol.links import open_link
 from protocol.messages import Heartbeat
 from protocol.signals import Flag
 
-SCAN_SECONDS = 0.3  # for which further nodes on a bus are waited for
+SCAN_SECONDS = 0.6  # for which further nodes on a bus are waited for
 BUS_SECONDS = 1.0  # for which a bus is watched
 
 
@@ -26,8 +26,9 @@ def inspect_link(target: str) -> dict[str, Any]:
     """All nodes on the link of `target` and, on CAN, the bus. Raises LinkError, NoReply or TargetError."""
     link = open_link(target)
     try:
-        on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)}
         client = Client(link)
+        shared = client.session.wire.shared
+        on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)} if shared else set()
         hello = client.connect()
         numbers = {hello.node, *range(1, hello.nodes + 1), *on_bus}
         nodes = [Node(client, number) for number in sorted(numbers)]
@@ -50,7 +51,7 @@ def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
     plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
     widths = [np.dtype(channel.raw.dtype).itemsize for channel in drive.descriptor.channels]
     fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
-    return (meter.report() or {}) | {"fits": fits}
+    return (meter.report() or {}) | {"fits": fits, "fits_node": drive.number}
 
 
 def inspect_node(node: Node) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from bench.rerunio.schema import RunInfo
 from bench.show import SHOW, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
 from protocol.canmap.host import CanWire
+from protocol.codes import fault_names
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError, NoReply
 from protocol.links import Link, open_link
@@ -204,7 +205,12 @@ class LiveRun:
         try:
             self.drive.set_samples(channels, decimation)
         except DoesNotFit as error:
-            if not options.fit or not error.decimation or options.host_observers:
+            if options.host_observers:
+                from bench.estimators import INPUTS
+
+                few = ",".join(INPUTS)
+                raise BenchError(f"{error}; --host-observers needs every PWM period: --channels {few}") from None
+            if not options.fit or not error.decimation:
                 raise
             self.drive.set_samples(channels, error.decimation)
             self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
@@ -288,6 +294,8 @@ class LiveRun:
         with _undisturbed(), suppress(HbpError):
             self.drive.next_heartbeat()  # the drive's own drop count, up to date
             self.drive.stop_streams()
+        if acts and stats.faults and not self.tripped:  # in the last moment
+            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}"
         if self.tripped and exit_code == 0:
             result, exit_code = self.tripped, 1
         return result, exit_code, duration, percent
@@ -465,6 +473,8 @@ def run(
             target = stack.enter_context(EmbeddedDrive(options.config, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)
+        if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say
+            target = link.name
         live = LiveRun(options, link, target, screen)
         stack.callback(_undisturbed_call, live.make_safe)  # in case a second signal came before STOP
         live.connect()

@@ -16,6 +16,7 @@ import numpy as np
 from bench.client import Client
 from bench.errors import DoesNotFit, NodeError
 from protocol.canmap.host import CanWire
+from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
@@ -333,6 +334,13 @@ class Node:
             plan = BusPlan(wire.rates, wire.extended, pwm_hz, request.max_latency_ms)
             by_id = {channel.id: channel for channel in self.descriptor.channels}
             widths = [np.dtype(by_id[number].raw.dtype).itemsize for number in request.channels]
+            if not widths:
+                alone = edge_load(wire.rates, wire.extended)
+                return DoesNotFit(
+                    f"{link} ({wire.rates}) is too slow: the Hall edges alone, counted as {EDGES_PER_SECOND:g} a "
+                    f"second, would load it to {alone:.0%}; 250 kbit/s is enough",
+                    0,
+                )
             fits = ", ".join(
                 f"{_channels(fit.channels)} at {fit.rate:g} Hz ({fit.load:.0%})"
                 for fit in plan.choices(widths, request.decimation)

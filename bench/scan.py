@@ -14,7 +14,7 @@ REPEAT = 0.1  # s between HELLOs
 _TID = 1
 
 
-def scan(link: Link, seconds: float = 0.5) -> list[HelloReply]:
+def scan(link: Link, seconds: float = 1.0) -> list[HelloReply]:
     """Return what the devices that answer within `seconds` say of themselves, in the order of their nodes.
 
     On a CAN bus every device is asked at once, on a byte link each node that the first one names. Raises LinkError.

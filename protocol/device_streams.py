@@ -6,6 +6,7 @@ Every edge goes out before the frame whose last sample is at or after it. What a
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -228,10 +229,9 @@ class StreamTable:
         """Return the smallest decimation at which the stream fits beside the others, 0 if none does."""
         if request.event == StreamEvent.EDGES or self._load(request, 0.0) > MAX_LOAD:
             return 0
-        for decimation in range(request.decimation + 1, 0x10000):
-            if self._load(request, shape_at(decimation).rate) <= MAX_LOAD:
-                return decimation
-        return 0
+        slower = range(request.decimation + 1, 0x10000)
+        first = bisect_left(slower, True, key=lambda n: self._load(request, shape_at(n).rate) <= MAX_LOAD)
+        return slower[first] if first < len(slower) else 0
 
 
 def _bits(mask: int) -> list[int]:

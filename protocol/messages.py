@@ -37,6 +37,15 @@ __all__ = [
 ]  # fmt: skip
 
 
+MAX_TICK = 1 << 62  # 7000 years at 20 MHz
+
+
+def _tick(value: int) -> int:
+    if value >= MAX_TICK:
+        raise ValueError(f"tick {value} is not below 2^62")
+    return value
+
+
 @dataclass(frozen=True, slots=True)
 class Hello(Request):
     """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes.
@@ -104,6 +113,7 @@ class TimeSyncReply(Message):
     _LAYOUT = struct.Struct("<QQ")
     rx_tick: int
     tx_tick: int
+    _CONVERT = {"rx_tick": _tick, "tx_tick": _tick}  # noqa: RUF012
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +122,7 @@ class Heartbeat(Message):
 
     TYPE = MessageType.HEARTBEAT
     _LAYOUT = struct.Struct("<QIIIIIHHHHBB2xI")
-    tick: int
+    tick: int  # below 2**62
     boot_id: int
     faults: Fault
     first_fault: Fault
@@ -125,7 +135,13 @@ class Heartbeat(Message):
     state: DriveState
     outputs_on: bool
     edges: int = 0
-    _CONVERT = {"faults": Fault, "first_fault": Fault, "state": DriveState, "outputs_on": bool}  # noqa: RUF012
+    _CONVERT = {  # noqa: RUF012
+        "tick": _tick,
+        "faults": Fault,
+        "first_fault": Fault,
+        "state": DriveState,
+        "outputs_on": bool,
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,17 +34,19 @@ def command(target: str | None, as_json: bool) -> None:
             "tcp:HOST:PORT reaches one on the network"
         )
     else:
-        rows = _nodes(target)
+        rows, advice = _nodes(target)
         headers, keys = ["node", "role", "name", "firmware", "state", "boot"], list(_NODE)
-        nothing = f"nobody who speaks HBP answered on {target}"
+        nothing = f"nobody who speaks HBP answered on {target}: {advice}"
     if as_json:
         click.echo(json.dumps(rows, indent=2))
-    elif not rows:
+    elif not rows and target is None:
         click.echo(nothing)
-    else:
+    elif rows:
         from bench.cli.output import table
 
         table(headers, [[str(row[key]) for key in keys] for row in rows])
+    if not rows and target is not None:
+        raise click.ClickException(nothing)
 
 
 _PORT = ("target", "description", "usb_id", "serial_number")
@@ -85,13 +87,14 @@ def _can_interfaces() -> list[dict[str, Any]]:
     ]
 
 
-def _nodes(target: str) -> list[dict[str, Any]]:
+def _nodes(target: str) -> tuple[list[dict[str, Any]], str]:
+    """The nodes that answer, and what to look at if there are none."""
     from bench.scan import scan
     from bench.summary import describe
     from protocol.links import open_link
 
     link = open_link(target)
     try:
-        return [describe(reply) | {"state": reply.state.name} for reply in scan(link)]
+        return [describe(reply) | {"state": reply.state.name} for reply in scan(link)], link.wire().advice(heard=False)
     finally:
         link.close()

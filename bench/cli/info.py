@@ -68,8 +68,11 @@ def _show_bus(target: str, bus: dict[str, Any]) -> None:
 
     pairs(f"the bus of {target}, watched for a second", bus_rows(bus))
     click.echo()
+    if not bus["fits"]:
+        click.echo(f"no stream of node {bus['fits_node']} fits on it beside its Hall edges: it is too slow")
+        return
     table(
-        ["what fits on it, beside nothing else", "rate, Hz", "load at most"],
+        [f"what fits on it of node {bus['fits_node']}", "rate, Hz", "load at most"],
         [[_channels(fit["channels"]), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
     )
     click.echo()

@@ -56,7 +56,7 @@ def dbc(
 
     TARGET: can:INTERFACE/CHANNEL. Its devices are asked what they are configured to stream at present, and go on
     streaming; where another program is connected to them too, give this one a number of its own: ?host_number=1.
-    Without TARGET: the streams of the simulated drive, as it sends them when it has just booted.
+    Without TARGET: the streams of the simulated drive, as an example: identifiers differ from boot to boot.
 
     Identifiers and layout follow the configuration: write the file anew when the channels or their rate change.
 

@@ -16,7 +16,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--slcan", is_flag=True, help="On a CAN bus, behind an slcan adapter on a pseudo terminal.")
 @click.option("--socketcand", metavar="HOST:PORT", help="On a CAN bus (classic), behind a socketcand server.")
 @click.option("--virtual", metavar="CHANNEL", help="On a CAN bus, python-can's virtual one: for this process only.")
-@click.option("--bitrate", metavar="N", type=int, default=1_000_000, show_default=True, help="Of the CAN bus.")
+@click.option("--bitrate", metavar="N", type=int, help="Of the CAN bus [default: 1000000].")
 @click.option("--fd", is_flag=True, help="CAN FD.")
 @click.option("--data-bitrate", metavar="N", type=int, help="Of CAN FD's data phase [default: 5000000].")
 @click.option("--ext", is_flag=True, help="29-bit identifiers on the CAN bus, as beside CANopen.")
@@ -28,7 +28,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
 def command(
     pty: bool,
-    bitrate: int,
+    bitrate: int | None,
     fd: bool,
     data_bitrate: int | None,
     ext: bool,
@@ -50,7 +50,15 @@ def command(
         raise click.UsageError(f"choose one of {', '.join(f'--{name}' for name in places)}")
     if data_bitrate is not None and not fd:
         raise click.UsageError("--data-bitrate is that of CAN FD: add --fd")
+    on_can = any(given[name] for name in ("slcan", "socketcand", "virtual"))
+    for name, value in (("--bitrate", bitrate), ("--fd", fd), ("--ext", ext)):
+        if value and not on_can:
+            raise click.UsageError(f"{name} is for a CAN bus: add --slcan, --socketcand or --virtual")
     from sim.drive.server import ServeOptions, can_rates, parse_override, serve
 
     overrides = dict(parse_override(text) for text in settings)
-    serve(ServeOptions(rates=can_rates(bitrate, fd, data_bitrate), extended=ext, overrides=overrides, **given))
+    serve(
+        ServeOptions(
+            rates=can_rates(bitrate or 1_000_000, fd, data_bitrate), extended=ext, overrides=overrides, **given
+        )
+    )

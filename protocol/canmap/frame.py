@@ -6,6 +6,7 @@ is what a CAN link reads and writes, so that many frames are one numpy array. Th
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,6 +26,9 @@ CAN_RECORD = np.dtype(
     ]
 )
 """`length` in data bytes; `time` in s of the link's clock when the frame had arrived, 0 in frames to be sent."""
+
+RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")
+"""A CAN_RECORD as `struct` reads it, for one frame at a time."""
 
 RECORD_BYTES = CAN_RECORD.itemsize
 

@@ -5,6 +5,7 @@ This module asks no device: the device decides, by the same formulas (`protocol.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,11 +43,10 @@ class BusPlan:
 
     def fastest(self, widths: Sequence[int]) -> Fit | None:
         """Return the highest rate at which all these channels fit, None if there is none."""
-        for decimation in range(1, MAX_DECIMATION + 1):
-            load = self.load(widths, decimation)
-            if load <= MAX_LOAD:
-                return Fit(len(widths), self.pwm_hz / decimation, load)
-        return None
+        first = bisect_left(range(1, MAX_DECIMATION + 1), True, key=lambda n: self.load(widths, n) <= MAX_LOAD) + 1
+        if first > MAX_DECIMATION:
+            return None
+        return Fit(len(widths), self.pwm_hz / first, self.load(widths, first))
 
     def most(self, widths: Sequence[int], decimation: int) -> Fit | None:
         """Return how many of these channels, from the first on, fit at this decimation, None if not even one does."""

@@ -9,11 +9,10 @@ the same there and here. This module knows no message and no stream.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, fields
 from zlib import crc32
 
-from protocol.canmap.frame import BRS, FDF, MAX_DATA, padded_length
+from protocol.canmap.frame import BRS, FDF, MAX_DATA, RECORD, padded_length
 from protocol.canmap.ids import CanId
 from protocol.framing import CRC_BYTES, HEADER_BYTES, MAX_PAYLOAD
 
@@ -22,12 +21,10 @@ NODE_OFFSET = 6  # of the node in a message's header: the CAN id has it, a trans
 TRANSFER_HEADER = NODE_OFFSET
 MAX_TRANSFER = TRANSFER_HEADER + MAX_PAYLOAD + CRC_BYTES
 
-_RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")
-
 
 def pack_record(can_id: int, data: bytes, fd: bool) -> bytes:
     """Return one CAN_RECORD; FD frames switch the bit rate, and `data` must have one of their lengths."""
-    return _RECORD.pack(can_id, len(data), FDF | BRS if fd else 0, 0, 0.0, data)
+    return RECORD.pack(can_id, len(data), FDF | BRS if fd else 0, 0, 0.0, data)
 
 
 @dataclass(slots=True)

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 import can
 import numpy as np
 
-from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_BUS_OFF, ERROR_RESTARTED, RECORD_BYTES
+from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_BUS_OFF, ERROR_RESTARTED, RECORD, RECORD_BYTES
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkClosed, LinkError
 from protocol.links.base import MAX_READ, WRITE_TIMEOUT
-from protocol.links.can_message import ERROR_KINDS, RECORD, WITH_KINDS, error_kind, to_messages, to_record
+from protocol.links.can_message import ERROR_KINDS, WITH_KINDS, error_kind, to_messages, to_record
 from protocol.links.can_open import (
     bus_arguments,
     bus_rates,
@@ -34,6 +34,12 @@ from protocol.links.slcan_bus import SlcanBus
 from protocol.links.target import CanTarget
 from protocol.wire import HostWire
 
+STALL = 0.25
+"""Seconds without a look at the bus after which what has come may be old: an idle bus is looked at every 0.1 s."""
+
+MISTRUST = 0.3
+"""Seconds after such a stall in which an adapter may still hand over what it had kept."""
+
 MAX_BUFFER = (8 << 20) // RECORD_BYTES * RECORD_BYTES
 """Most bytes that wait for `read`; frames that come on top are dropped and counted."""
 
@@ -43,7 +49,7 @@ _SETTLE = 0.001  # s that it goes on collecting from an adapter that sends text
 _JOIN = 1.0  # s that a driver may take to let the thread go
 _FULL_PAUSE = 0.001  # s before a full transmit buffer is tried again
 _BUSY_WINDOW = 0.5  # s in which nothing came, and
-_BUSY_SHARE = 0.1  # more of them computed than this: python-can does not wait, because the connection is dead
+_BUSY_SHARE = 0.1  # more of them computed than this: python-can's socketcand does not wait at an end of file
 
 
 @dataclass(slots=True)
@@ -107,12 +113,12 @@ class CanLink:
         bus = None
         try:
             bus = open_bus(self._name, arguments)
-            self._reader = _Reader(bus, self._name, self.health, interface in WITH_KINDS)
-        except HbpError:
-            raise
-        except Exception as error:  # a driver raises what it likes
+            self._reader = _Reader(bus, self._name, self.health, interface)
+        except BaseException as error:  # a driver raises what it likes, and a user interrupts when he likes
             if bus is not None:
                 shut_down(bus)
+            if isinstance(error, HbpError) or not isinstance(error, Exception):
+                raise
             raise cannot_open(self._name, interface, error) from None
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
@@ -164,23 +170,30 @@ class CanLink:
 class _Reader:
     """The thread that empties one open bus into a buffer. Once the bus is lost it ends and stays ended.
 
-    It reads once on the caller's thread first, so that an interface that is down is an error of the opening.
+    It reads once on the caller's thread first, so that an interface that is down is an error of the opening. The time
+    of a record is that at which it was read; after a stall (`STALL`, `MISTRUST`) it is that of the last look before,
+    because an adapter that nobody empties keeps old frames and loses new ones.
     """
 
-    def __init__(self, bus: can.BusABC, name: str, health: CanHealth, with_kinds: bool) -> None:
+    def __init__(self, bus: can.BusABC, name: str, health: CanHealth, interface: str) -> None:
         self.bus = bus
         self.lost: str | None = None
         """Why nothing more will come."""
         self._name = name
         self._health = health
-        self._with_kinds = with_kinds
+        self._with_kinds = interface in WITH_KINDS
+        self._spins = interface == "socketcand"
         self._arrived = threading.Condition()
         self._ended = threading.Event()
         self._buffer = bytearray()
         self._off = False  # what the bus object last said
         self._rejected = (0, 0)  # malformed and refused, of the bus object
+        self._looked = time.monotonic()  # when the last look at the bus ended
+        self._certain = self._looked  # the last look before a stall
+        self._trusted = self._looked  # from then on records have the time at which they were read
         first = bytearray()
         self._collect(first, 0.0)
+        self._date(first)
         self._store(first)
         self._thread = threading.Thread(target=self._run, name=f"reads {name}", daemon=True)
         self._thread.start()
@@ -226,11 +239,12 @@ class _Reader:
                     self._look_at_state(rows)
             except Exception as error:
                 reason = f"{self._name} was lost: {one_line(error)}{remedy(self._name, error)}"
+            self._date(rows)
             waited, busy = time.monotonic() - since, time.thread_time() - computed
             if rows:
                 self._store(rows)
-            elif not reason and waited >= _BUSY_WINDOW and busy > _BUSY_SHARE * waited:
-                reason = f"{self._name} was closed by the other end"  # python-can's socketcand at an end of file
+            elif self._spins and not reason and waited >= _BUSY_WINDOW and busy > _BUSY_SHARE * waited:
+                reason = f"{self._name} was closed by the other end"
             if rows or waited >= _BUSY_WINDOW:
                 since, computed = time.monotonic(), time.thread_time()
             if reason:
@@ -262,6 +276,17 @@ class _Reader:
             self._off = off
             kind = ERROR_BUS_OFF if off else ERROR_RESTARTED
             rows += RECORD.pack(ERROR | kind, 8, 0, 0, time.monotonic(), b"")
+
+    def _date(self, rows: bytearray) -> None:
+        """End a look at the bus: where it follows a stall, its records get the time of the last look before that."""
+        now = time.monotonic()
+        if rows and now - self._looked > STALL:
+            if self._looked >= self._trusted:
+                self._certain = self._looked
+            self._trusted = now + MISTRUST
+        if rows and now < self._trusted:
+            np.frombuffer(rows, CAN_RECORD)["time"] = self._certain
+        self._looked = now
 
     def _store(self, rows: bytearray) -> None:
         records = np.frombuffer(bytes(rows), CAN_RECORD)

@@ -5,7 +5,6 @@ This module opens no bus and keeps nothing. It knows no HBP.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 
 import can
@@ -25,12 +24,11 @@ from protocol.canmap.frame import (
     EXTENDED_MASK,
     FDF,
     MAX_DATA,
+    RECORD,
     REMOTE,
     STANDARD_MASK,
+    padded_length,
 )
-
-RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")
-"""A CAN_RECORD as `struct` reads it: id, length, flags, reserved, time, data."""
 
 ERROR_KINDS = (
     "protocol",
@@ -52,7 +50,7 @@ _PASSIVE = 0x30
 
 
 def to_record(message: can.Message, when: float, with_kinds: bool = True) -> bytes:
-    """Return a message as a CAN_RECORD; `when` is its time in s.
+    """Return a message as a CAN_RECORD; `when` is its time in s. CAN FD data are padded to a length that there is.
 
     `with_kinds`: the identifier of an error frame is Linux's; where it is the driver's own it is left out.
 
@@ -68,8 +66,12 @@ def to_record(message: can.Message, when: float, with_kinds: bool = True) -> byt
         number |= (EXTENDED if message.is_extended_id else 0) | (REMOTE if message.is_remote_frame else 0)
     if len(data) > (MAX_DATA if message.is_fd else 8):
         raise ValueError(f"no length of a CAN frame: {len(data)}")
-    length = min(message.dlc, 8) if message.is_remote_frame else len(data)
-    flags = FDF * message.is_fd | BRS * message.bitrate_switch | ESI * message.error_state_indicator
+    length, flags = len(data), 0
+    if message.is_remote_frame:
+        length = min(message.dlc, 8)
+    elif message.is_fd:
+        length = padded_length(length)
+        flags = FDF | BRS * message.bitrate_switch | ESI * message.error_state_indicator
     return RECORD.pack(number, length, flags, 0, when, bytes(data))
 
 

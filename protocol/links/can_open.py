@@ -11,20 +11,25 @@ import logging
 import re
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from configparser import ConfigParser
 from contextlib import suppress
 from difflib import get_close_matches
+from inspect import signature
 from typing import Any
 
 import can
 from can.interfaces import VALID_INTERFACES
-from can.util import load_config
+from can.interfaces.socketcand import SocketCanDaemonBus
+from can.interfaces.virtual import VirtualBus
+from can.typechecking import BitTimingDict, BitTimingFdDict
+from can.util import load_config, load_environment_config, load_file_config
 
 from protocol.canmap.frame import BusRates
 from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.slcan_bus import SlcanBus
-from protocol.links.target import DEFAULT_BITRATE, DEFAULT_DATA_BITRATE, CanTarget
+from protocol.links.target import CAN_KEYS, DEFAULT_BITRATE, DEFAULT_DATA_BITRATE, CanTarget
 
 OPEN_TIMEOUT = 3.0
 """Seconds that a socketcand server may take to answer."""
@@ -34,6 +39,15 @@ _FD_BY_TIMING = frozenset({"pcan", "kvaser"})  # these take most FD bit rates on
 _FD_CLOCK = 80_000_000
 _SAMPLE_POINT = 80.0  # %
 
+_SWITCHES = ("fd", "listen_only", "receive_own_messages", "rtscts")
+_BOUNDED: Mapping[str, Callable[..., can.BusABC]] = {
+    "slcan": SlcanBus,
+    "socketcand": SocketCanDaemonBus,
+    "virtual": VirtualBus,
+}  # of these we know every key; python-can's own ignore one that they do not know
+_RATE_KEYS = frozenset({"bitrate", "data_bitrate", "fd", "timing"})
+_TIMING_KEYS = frozenset(BitTimingDict.__annotations__) | frozenset(BitTimingFdDict.__annotations__)
+
 logging.getLogger("can").addHandler(logging.NullHandler())  # python-can's reports go nowhere unless asked for
 
 
@@ -41,9 +55,11 @@ def bus_arguments(target: CanTarget) -> dict[str, Any]:
     """Return python-can's arguments for a target, completed from its configuration files and environment.
 
     The bit rates are among them, the usual ones if need be, unless `timing` is, or they are not python-can's to set.
+    Keys of a configuration that the target's interface does not know are left out.
 
     Raises:
-        TargetError: no such interface, none named at all, or a configuration that cannot be read.
+        TargetError: no such interface, none named at all, no such context, a key that slcan, socketcand or python-can's
+            virtual bus does not know, or a configuration that cannot be read.
     """
     given: dict[str, Any] = dict(target.options)
     if target.interface is not None:
@@ -51,13 +67,68 @@ def bus_arguments(target: CanTarget) -> dict[str, Any]:
     if target.channel is not None:
         given["channel"] = target.channel
     try:
+        _read_switches(target, given)
         arguments: dict[str, Any] = dict(load_config(config=given, context=target.context))
+        _check_values(arguments)
+        _check_keys(target, arguments)
         _complete_rates(arguments)
+    except HbpError:
+        raise
     except can.CanInterfaceNotImplementedError as error:
         raise _unknown_interface(target, str(error).split('"')[1]) from None
     except Exception as error:  # JSON, INI syntax, values
         raise TargetError(f"{target}: python-can does not accept this configuration: {one_line(error)}") from None
     return arguments
+
+
+def _read_switches(target: CanTarget, given: dict[str, Any]) -> None:
+    """Add the switches of python-can's configuration to what is given: it would take any word for yes."""
+    context = target.context
+    by_context = [{}, {}] if context is None else [load_environment_config(context), load_file_config(section=context)]
+    if context is not None and not any(by_context):
+        raise TargetError(
+            f"{target}: python-can's configuration has no context '{context}': "
+            f"no section [{context}] in can.conf, and no variable CAN_INTERFACE_{context}"
+        )
+    sources: list[Mapping[str, Any]] = [given, can.rc, by_context[0], load_environment_config(), by_context[1]]
+    sources.append(load_file_config())
+    for key in _SWITCHES:
+        for source in sources:  # the first one counts
+            if key in source:
+                value = str(source[key])
+                if value.lower() not in ConfigParser.BOOLEAN_STATES:
+                    raise ValueError(f"{key} must be yes or no, got '{value}'")
+                given[key] = ConfigParser.BOOLEAN_STATES[value.lower()]
+                break
+
+
+def _check_values(arguments: Mapping[str, Any]) -> None:
+    for key in ("bitrate", "data_bitrate"):
+        value = arguments.get(key)
+        if value is not None and (type(value) is not int or value <= 0):
+            raise ValueError(f"{key} must be a whole number of bit/s, got '{value}'")
+    timing = arguments.get("timing")
+    if timing is not None and not isinstance(timing, (can.BitTiming, can.BitTimingFd)):
+        raise ValueError(f"timing is no key of a text, got '{timing}': give {', '.join(BitTimingDict.__annotations__)}")
+
+
+def _check_keys(target: CanTarget, arguments: dict[str, Any]) -> None:
+    """Refuse the target's keys that its interface does not know, and take those of the configuration out."""
+    interface = arguments["interface"]
+    if interface not in _BOUNDED:
+        return
+    known = {*signature(_BOUNDED[interface]).parameters, *_RATE_KEYS} - {"kwargs"}
+    foreign = arguments.keys() - known - {"interface", "channel"}
+    if "timing" in arguments:  # made of these
+        foreign -= _TIMING_KEYS
+        for key in _TIMING_KEYS & arguments.keys():
+            del arguments[key]
+    for key in sorted(foreign):
+        if target.interface is None or key in dict(target.options):
+            near = get_close_matches(key, sorted({*known, *CAN_KEYS}), 1)
+            hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(sorted(known - {'channel'}))}"
+            raise TargetError(f"{target}: the interface {interface} has no key '{key}': {hint}")
+        del arguments[key]
 
 
 def _complete_rates(arguments: dict[str, Any]) -> None:
@@ -71,6 +142,7 @@ def _complete_rates(arguments: dict[str, Any]) -> None:
     if arguments["interface"] in _RATES_ELSEWHERE or "timing" in arguments:
         return
     arguments["bitrate"] = rates.bitrate
+    arguments.pop("data_bitrate", None)
     if rates.fd:
         arguments["data_bitrate"] = rates.data_bitrate
 
@@ -113,6 +185,12 @@ def open_bus(name: str, arguments: dict[str, Any]) -> can.BusABC:
 
 def _meet_socketcand(name: str, arguments: dict[str, Any]) -> None:
     """Look whether a socketcand server is there: python-can tries for 10 s and then waits for its greeting for ever."""
+    if arguments["channel"] is None:
+        raise TargetError(f"{name} names no bus of the server: write can:socketcand/can0?host=10.0.0.5&port=29536")
+    if arguments.get("fd"):
+        raise TargetError(
+            f"{name}: python-can's socketcand has no CAN FD frames: leave fd out, or use another interface"
+        )
     host, port = arguments.get("host"), arguments.get("port")
     if host is None or port is None:
         raise TargetError(f"{name} names no server: write {name}?host=10.0.0.5&port=29536")
@@ -145,9 +223,11 @@ def _in_time(make: Callable[[], can.BusABC]) -> can.BusABC:
     threading.Thread(target=work, name="opens a CAN bus", daemon=True).start()
     try:
         return future.result(OPEN_TIMEOUT)
-    except TimeoutError:
+    except BaseException as error:  # a user's interrupt is one of them
         future.add_done_callback(_shut_down_late)
-        raise TimeoutError(f"no handshake within {OPEN_TIMEOUT:g} s") from None
+        if isinstance(error, TimeoutError):
+            raise TimeoutError(f"no handshake within {OPEN_TIMEOUT:g} s") from None
+        raise
 
 
 def _shut_down_late(future: Future[can.BusABC]) -> None:
@@ -220,6 +300,8 @@ def cannot_open(name: str, interface: str, error: Exception) -> HbpError:
         return type(error.__context__)(f"{name}: {text}")
     if isinstance(error, (TypeError, ValueError)):
         return TargetError(f"{name}: python-can's interface {interface} refuses these options: {text}")
+    if interface == "socketcand" and "could not open bus" in text:
+        return LinkNotFound(f"{name}: the server has no bus {name.rpartition('/')[2]}")
     number = _errno(error)
     if number in (errno.EACCES, errno.EPERM):
         return LinkError(f"{name}: no permission: {text}: add your user to the device's group (often dialout)")

@@ -2,41 +2,33 @@
 
 python-can's own slcan reads one byte at a time; this one empties the descriptor at each read and turns many lines into
 frames at once. It takes the same keywords. It has no `fileno`: frames that are already read make no descriptor
-readable, so a `can.Notifier` must use its thread. It never waits for an adapter's answers, it counts them.
+readable, so a `can.Notifier` must use its thread. It waits for an adapter's answers only when it opens the channel;
+later it counts them.
 """
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
 
 import can
 import numpy as np
 from can.util import check_or_adjust_timing_clock
-from numpy.typing import NDArray
 
-from protocol.canmap.frame import (
-    BRS,
-    CAN_RECORD,
-    ERROR,
-    EXTENDED,
-    EXTENDED_MASK,
-    FDF,
-    MAX_DATA,
-    RECORD_BYTES,
-    REMOTE,
-    padded_length,
-)
+from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES
 from protocol.canmap.slcan import BELL, BITRATES, DATA_BITRATES, END, TIMING_CLOCK, SlcanParser, encode
 from protocol.errors import LinkError, TargetError
+from protocol.links.can_message import to_messages, to_record
 from protocol.links.serial import SerialLink
 from protocol.links.target import DEFAULT_BAUD, SerialTarget
 
-_RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")  # a CAN_RECORD
+ANSWER_TIMEOUT = 0.3
+"""Seconds that an adapter may take to answer the commands that open its channel; some answer nothing."""
+
+_MORE = 0.05  # s in which the answer to an empty line would have come
 _PATIENCE = 1.0  # s that one wait of an endless `recv` takes
 _KEPT_REPLIES = 16
 
@@ -53,14 +45,15 @@ class SlcanBus(can.BusABC):
             is opened; USB adapters do not, so here it is 0.
         rtscts: hardware handshake of the port.
         listen_only: neither send nor acknowledge.
-        timeout: accepted as python-can's, and ignored: reading waits on the descriptor.
+        timeout, single_handle: accepted as python-can's, and ignored: reading waits on the descriptor.
         fd: the bus carries CAN FD frames.
         data_bitrate: of CAN FD's data phase, in bit/s; implies `fd`. None leaves the adapter's own setting.
-        kwargs: of `can.BusABC`, such as `can_filters`.
+        can_filters: as `can.BusABC` takes them.
 
     Raises:
         ValueError: no channel, a bit rate that slcan does not have, or a port's rate that it cannot have.
-        can.CanInitializationError: the port is missing, held by another program or no serial port.
+        can.CanInitializationError: the port is missing, held by another program or no serial port, or the adapter
+            refused a command.
     """
 
     def __init__(
@@ -75,22 +68,26 @@ class SlcanBus(can.BusABC):
         timeout: float = 0.001,
         fd: bool = False,
         data_bitrate: int | None = None,
-        **kwargs: Any,
+        single_handle: bool = False,
+        can_filters: can.typechecking.CanFilters | None = None,
     ) -> None:
         if not channel:
             raise ValueError("channel must name a serial port, for example /dev/ttyACM0")
-        commands = [b"", b"C"]  # the first one ends a line that another program may have left unfinished
+        if not isinstance(sleep_after_open, (int, float)) or sleep_after_open < 0:
+            raise ValueError(f"sleep_after_open must be a number of seconds from 0 on, got '{sleep_after_open}'")
+        commands: list[tuple[bytes, str]] = []  # with what the adapter refuses when it refuses one
         if isinstance(timing, can.BitTiming):
             timing = check_or_adjust_timing_clock(timing, [TIMING_CLOCK])
-            commands.append(b"s%02X%02X" % (timing.btr0, timing.btr1))
+            commands.append((b"s%02X%02X" % (timing.btr0, timing.btr1), f"the bit rate {timing.bitrate}"))
         else:
             if timing is not None:
                 bitrate, data_bitrate = timing.nom_bitrate, timing.data_bitrate
             if bitrate is not None:
-                commands.append(_command("bitrate", bitrate, BITRATES))
+                commands.append((_command("bitrate", bitrate, BITRATES), f"the bit rate {bitrate}"))
         if data_bitrate is not None:
-            commands.append(_command("data_bitrate", data_bitrate, DATA_BITRATES))
-        commands += [b"L" if listen_only else b"O", b""]
+            command = _command("data_bitrate", data_bitrate, DATA_BITRATES)
+            commands.append((command, f"the data bit rate {data_bitrate}"))
+        commands.append((b"L", "to open in order to listen only") if listen_only else (b"O", "to open"))
 
         self.refused = 0
         """Bells of the adapter: commands that it refused, or frames for which its transmit buffer had no room."""
@@ -101,6 +98,7 @@ class SlcanBus(can.BusABC):
         self._parser = SlcanParser()
         self._pending = memoryview(b"")  # records read and not yet given to `recv`
         self._sending = threading.Lock()
+        self._unfinished = False  # a line may have been cut by a write that failed
         port, at, baud = channel.rpartition("@")
         if at and not baud.isdecimal():
             raise ValueError(f"channel '{channel}': the port's rate must be a whole number, got '{baud}'")
@@ -111,18 +109,58 @@ class SlcanBus(can.BusABC):
             raise ValueError(str(error)) from None
         except (LinkError, OSError) as error:
             raise can.CanInitializationError(str(error)) from None
-        time.sleep(sleep_after_open)
         try:
-            self._port.write(END.join(commands))
+            time.sleep(sleep_after_open)
+            self._start(commands)
+            super().__init__(channel, can_filters)
         except (LinkError, OSError) as error:
             self._port.close()
             raise can.CanInitializationError(str(error)) from None
-        super().__init__(channel, **kwargs)
+        except BaseException:
+            self._port.close()
+            raise
 
     @property
     def malformed(self) -> int:
         """Lines of the adapter that could not be read; they are dropped."""
         return self._parser.malformed
+
+    def _start(self, commands: Sequence[tuple[bytes, str]]) -> None:
+        """Open the channel and look at the answers: an end of line or a bell for each command.
+
+        The frames that come meanwhile are kept. Where text comes that is no slcan nothing is concluded.
+
+        Raises:
+            LinkError: the port has failed, or the adapter refused one of these commands.
+        """
+        lines = [b"", b"C", *(command for command, _ in commands)]  # first end what another program left unfinished
+        self._port.write(END.join(lines) + END)
+        answers: list[bytes] = []
+        frames: list[bytes] = []
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while len(answers) < len(lines) and (left := deadline - time.monotonic()) > 0.0:
+            last = len(answers) == len(lines) - 1  # unless the adapter answers the empty line too
+            data = self._port.read(min(left, _MORE) if last else left)
+            if last and not data:
+                break
+            frames.append(self._parser.feed(data, time.monotonic()).tobytes())
+            answers += self._take_replies()
+        self._pending = memoryview(b"".join(frames))
+        if self.malformed or len(answers) < len(lines) - 1:
+            return
+        # a bell for C says that the channel was closed
+        for (command, what), answer in zip(commands, answers[-len(commands) :], strict=True):
+            if answer == BELL:
+                with suppress(LinkError):
+                    self._port.write(b"C" + END)
+                raise LinkError(f"the adapter refused {what} ({command.decode()})")
+
+    def _take_replies(self) -> list[bytes]:
+        """Return the ends of line and bells that have come, and keep the answers that say more."""
+        texts = [reply.text for reply in self._parser.replies]
+        self._parser.replies.clear()
+        self.replies += [text for text in texts if text not in (b"", b"z", b"Z", BELL)]
+        return [text for text in texts if text in (b"", BELL)]
 
     def recv_records(self, timeout: float, settle: float = 0.0) -> bytes:
         """Return the frames that have come, as CAN_RECORDs; b"" when none came within `timeout` s.
@@ -143,12 +181,7 @@ class SlcanBus(can.BusABC):
                 raise can.CanOperationError(str(error)) from None
             now = time.monotonic()
             frames = self._parser.feed(data, now)
-            for reply in self._parser.replies:
-                if reply.text == BELL:
-                    self.refused += 1
-                elif reply.text not in (b"", b"z", b"Z"):
-                    self.replies.append(reply.text)
-            self._parser.replies.clear()
+            self.refused += self._take_replies().count(BELL)
             if len(frames) or now >= deadline:
                 return frames.tobytes()
 
@@ -159,7 +192,11 @@ class SlcanBus(can.BusABC):
             can.CanOperationError: the port is gone or did not take all of it within 0.5 s, or a frame that slcan cannot
                 carry; then nothing was sent.
         """
-        self._send(np.frombuffer(data, CAN_RECORD))
+        try:
+            lines = encode(np.frombuffer(data, CAN_RECORD))
+        except ValueError as error:
+            raise can.CanOperationError(str(error)) from None
+        self._write(lines)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._pending:
@@ -167,7 +204,10 @@ class SlcanBus(can.BusABC):
             if not self._pending:
                 return None, False
         record, self._pending = self._pending[:RECORD_BYTES], self._pending[RECORD_BYTES:]
-        return _message(record), False
+        (message,) = to_messages(bytes(record))
+        message.timestamp = float(np.frombuffer(record, CAN_RECORD)["time"][0]) + time.time() - time.monotonic()
+        message.is_rx = True
+        return message, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """See `can.BusABC.send`. `timeout` is not needed: the port takes the frame within 0.5 s or has failed.
@@ -177,19 +217,19 @@ class SlcanBus(can.BusABC):
         """
         if msg.is_fd and self.protocol is not can.CanProtocol.CAN_FD:
             raise can.CanOperationError(f"{self.channel_info}: a CAN FD frame needs a bus opened with fd=True")
-        self._send(_record(msg))
-
-    def _send(self, records: NDArray[np.void]) -> None:
         try:
-            lines = encode(records)
+            record = to_record(msg, 0.0)
         except ValueError as error:
             raise can.CanOperationError(str(error)) from None
-        self._write(lines)
+        self.send_records(record)
 
     def _write(self, lines: bytes) -> None:
         try:
             with self._sending:
-                self._port.write(lines)
+                text = END + lines if self._unfinished else lines
+                self._unfinished = True
+                self._port.write(text)
+                self._unfinished = False
         except (LinkError, OSError, ValueError) as error:
             raise can.CanOperationError(str(error)) from None
 
@@ -220,29 +260,3 @@ def _command(name: str, value: int, commands: dict[int, bytes]) -> bytes:
     if value not in commands:
         raise ValueError(f"{name} {value} is none of slcan's: choose one of {', '.join(map(str, commands))}")
     return commands[value]
-
-
-def _message(record: memoryview) -> can.Message:
-    number, length, flags, _, when, data = _RECORD.unpack(record)
-    return can.Message(
-        timestamp=when + time.time() - time.monotonic(),
-        arbitration_id=number & EXTENDED_MASK,
-        is_extended_id=bool(number & EXTENDED),
-        is_remote_frame=bool(number & REMOTE),
-        is_fd=bool(flags & FDF),
-        bitrate_switch=bool(flags & BRS),
-        dlc=length,
-        data=None if number & REMOTE else data[:length],
-    )
-
-
-def _record(msg: can.Message) -> NDArray[np.void]:
-    number = (
-        msg.arbitration_id
-        | (EXTENDED if msg.is_extended_id else 0)
-        | (REMOTE if msg.is_remote_frame else 0)
-        | (ERROR if msg.is_error_frame else 0)
-    )
-    flags = (FDF | BRS if msg.bitrate_switch else FDF) if msg.is_fd else 0
-    length = padded_length(msg.dlc) if msg.is_fd else msg.dlc
-    return np.frombuffer(_RECORD.pack(number, length, flags, 0, 0.0, bytes(msg.data)), CAN_RECORD)

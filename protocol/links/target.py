@@ -28,6 +28,9 @@ DEFAULT_NODE = 1
 MAX_NODE = 15
 MAX_HOST = 15
 
+CAN_KEYS = ("node", "ext", "context", "host_number")
+"""Our own keys of a CAN target; of the others python-can knows which there are."""
+
 _FORMS = "serial:/dev/ttyACM0?baud=3000000, tcp:127.0.0.1:7000 or can:socketcan/can0"
 
 
@@ -180,9 +183,6 @@ def _parse_tcp(text: str, address: str, options: Mapping[str, str]) -> TcpTarget
         raise TargetError(f"target '{text}': {error}") from None
 
 
-_OWN_KEYS = ("node", "ext", "context", "host_number")  # of the others python-can knows which there are
-
-
 def _parse_can(text: str, place: str, options: Mapping[str, str]) -> CanTarget:
     interface, _, channel = place.partition("/")
     if channel.startswith("dev/"):
@@ -197,7 +197,7 @@ def _parse_can(text: str, place: str, options: Mapping[str, str]) -> CanTarget:
     return CanTarget(
         interface or None,
         channel or None,
-        tuple((key, value) for key, value in options.items() if key not in _OWN_KEYS),
+        tuple((key, value) for key, value in options.items() if key not in CAN_KEYS),
         _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE),
         bool(_whole(text, options, "ext", 0, 0, 1)),
         options.get("context"),

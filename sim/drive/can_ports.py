@@ -14,9 +14,19 @@ from dataclasses import dataclass, field
 
 import can
 
-from protocol.canmap.frame import ERROR, EXTENDED, EXTENDED_MASK, FDF, RECORD_BYTES, REMOTE, STANDARD_MASK, BusRates
+from protocol.canmap.frame import (
+    ERROR,
+    EXTENDED,
+    EXTENDED_MASK,
+    FDF,
+    RECORD,
+    RECORD_BYTES,
+    REMOTE,
+    STANDARD_MASK,
+    BusRates,
+)
 from protocol.errors import LinkError
-from protocol.links.can_message import RECORD, to_messages, to_record
+from protocol.links.can_message import to_messages, to_record
 from protocol.links.target import CanTarget
 from sim.drive.ports import TcpPort
 
@@ -233,6 +243,10 @@ class BusPort:
     def close(self) -> None:
         """See `Port.close`."""
         self.unplug()
+
+    def account(self) -> str:
+        """See `Port.account`."""
+        return ""
 
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`; none where the bus has no descriptor, so that it has to be asked."""

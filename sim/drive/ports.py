@@ -47,6 +47,10 @@ class Port(Protocol):
         """Vanish, as when the cable is pulled."""
         ...
 
+    def account(self) -> str:
+        """What there is to say at the end."""
+        ...
+
     def plug(self) -> None:
         """Come back after `unplug`."""
         ...
@@ -119,6 +123,10 @@ class PtyPort:
     def close(self) -> None:
         """See `Port.close`."""
         self.unplug()
+
+    def account(self) -> str:
+        """See `Port.account`."""
+        return ""
 
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
@@ -201,6 +209,10 @@ class TcpPort:
     def close(self) -> None:
         """See `Port.close`."""
         self.unplug()
+
+    def account(self) -> str:
+        """See `Port.account`."""
+        return f"; {self.refused} clients refused" if self.refused else ""
 
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""

@@ -180,7 +180,7 @@ class Server:
         late = f"late {schedule.late} times ({schedule.skipped:.2f} s skipped)" if schedule.late else "never late"
         return (
             f"stopped after {device.periods} periods: {device.network.frames_sent} frames sent, "
-            f"{device.frames_dropped} dropped, {late}{device.network.account()}"
+            f"{device.frames_dropped} dropped, {late}{device.network.account()}{self.port.account()}"
         )
 
 
@@ -228,11 +228,12 @@ def serving(options: ServeOptions) -> Iterator[str]:
         server = Server(_make_device(params, options, _say_nothing), port, time.monotonic(), options.baud)
         thread = threading.Thread(target=_run, args=(server, received, False, _say_nothing), daemon=True)
         thread.start()
-        yield port.target
-        received.add(signal.SIGTERM)
-        thread.join()
+        try:
+            yield port.target
+        finally:
+            received.add(signal.SIGTERM)
+            thread.join()
     finally:
-        received.add(signal.SIGTERM)
         port.close()
 
 
@@ -308,6 +309,7 @@ def _make_can_port(options: ServeOptions) -> Port:
     from sim.drive.slcan_port import SlcanPort
 
     if options.slcan:
+        check_slcan_rates(options.rates)
         return SlcanPort(options.link, options.rates, options.extended)
     if options.socketcand is not None:
         return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
@@ -324,6 +326,18 @@ def check_rates(rates: BusRates) -> None:
         raise ConfigError(
             f"data bitrate must be between the bitrate, {rates.bitrate}, and {MAX_DATA_BITRATE} bit/s, got {data}"
         )
+
+
+def check_slcan_rates(rates: BusRates) -> None:
+    """Raise ConfigError for bit rates that no slcan command sets."""
+    from protocol.canmap.slcan import BITRATES, DATA_BITRATES
+
+    for name, rate, known in (
+        ("bitrate", rates.bitrate, BITRATES),
+        ("data bitrate", rates.data_bitrate, DATA_BITRATES),
+    ):
+        if rate is not None and rate not in known:
+            raise ConfigError(f"{name} {rate} is none of slcan's: {', '.join(map(str, sorted(known)))}")
 
 
 def _make_network(options: ServeOptions) -> Network:

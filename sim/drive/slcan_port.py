@@ -91,6 +91,12 @@ class SlcanPort:
             options += [("fd", "1"), ("data_bitrate", str(self._rates.data_bitrate))]
         return str(CanTarget("slcan", path, tuple(options), extended=self._extended))
 
+    def account(self) -> str:
+        """See `Port.account`."""
+        lost = f"; {self.mismatched} frames lost at other bit rates" if self.mismatched else ""
+        refused = f"; {self.refused} lines refused" if self.refused else ""
+        return lost + refused + (f"; {self.answers_dropped} answers dropped" if self.answers_dropped else "")
+
     def read_fds(self) -> list[int]:
         """See `Port.read_fds`."""
         return self._pty.read_fds()

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import can
+import can.interfaces
 import pytest
 from virtual_run import RecordingScreen
 
 from bench import live
 from bench.cli import main
+from bench.client import Client
 from bench.errors import BenchError, DoesNotFit
 from bench.scan import scan
 from bench.summary import Summary
 from protocol.canmap.frame import BusRates
-from protocol.errors import NoReply, RemoteProtocolError
+from protocol.errors import LinkClosed, NoReply, RemoteProtocolError
 from protocol.links import open_link
 from protocol.messages import Role
 from sim.drive.server import ServeOptions, serving
@@ -67,14 +71,15 @@ def test_devices_lists_the_nodes_of_a_bus(capsys: pytest.CaptureFixture[str], fd
     ]
     out, _ = bench(capsys, "devices", fd)
     assert "load machine" in out
-    assert "nobody who speaks HBP answered" in bench(capsys, "devices", "can:virtual/empty")[0]
+    _, err = bench(capsys, "devices", "can:virtual/empty", code=2)
+    assert "nobody who speaks HBP answered on can:virtual/empty: check power, cable, termination" in err
 
 
 def test_a_scan_asks_every_node_at_once_and_hosts_do_not_disturb_each_other(classic: str) -> None:
     first, second = open_link(classic), open_link(classic + "&host_number=3")
     try:
-        assert [reply.role for reply in scan(first, 0.3)] == [Role.DRIVE, Role.LOAD]
-        assert [reply.node for reply in scan(second, 0.3)] == [1, 2]
+        assert [reply.role for reply in scan(first)] == [Role.DRIVE, Role.LOAD]
+        assert [reply.node for reply in scan(second)] == [1, 2]
     finally:
         first.close()
         second.close()
@@ -157,5 +162,51 @@ def test_frames_of_the_other_format_are_named(fd: str) -> None:
 
 
 def test_host_observers_need_every_period(classic: str) -> None:
-    with pytest.raises(BenchError, match=r"would load|--host-observers needs"):
+    with pytest.raises(BenchError, match=r"would load .*--host-observers needs every PWM period: --channels hall,"):
         run(classic, fit=True, host_observers=True)
+
+
+def test_a_bus_that_is_too_slow_for_the_edges_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    with serving(ServeOptions(virtual="slow", rates=BusRates(100_000), overrides=PATIENT)) as target:
+        _, err = bench(capsys, "live", target, "--fit", "--viewer", "none", code=2)
+        assert "error: can:virtual/slow (0.1 Mbit/s) is too slow: the Hall edges alone" in err
+        out, _ = bench(capsys, "info", target)
+        assert "no stream of node 1 fits on it" in out
+
+
+def test_a_bus_that_pythons_configuration_names_is_shown_by_its_name(
+    classic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    monkeypatch.setenv("CAN_CHANNEL", "cli")
+    summary, notes = run("can:", fit=True)
+    assert summary.target == "can:virtual/cli"
+    assert any("on can:virtual/cli: boot" in note for note in notes)
+
+
+class FullBus(can.BusABC):
+    """An adapter that takes nothing: nobody acknowledges."""
+
+    channel_info = "full"
+
+    def __init__(self, channel: str, **kwargs: object) -> None:
+        super().__init__(channel, **kwargs)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError("Transmit buffer full")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[None, bool]:
+        time.sleep(timeout or 0.0)
+        return None, False
+
+
+def test_a_bus_that_opens_but_takes_nothing_is_one_outage_and_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(can.interfaces.BACKENDS, "full", (__name__, "FullBus"))
+    monkeypatch.setattr("can.util.VALID_INTERFACES", can.interfaces.VALID_INTERFACES | {"full"})
+    link = open_link("can:full/x")
+    client = Client(link, reconnect=1.2)
+    client.session.connect(1, client.now())
+    with pytest.raises(LinkClosed, match=r"did not come back within 1\.2 s"):
+        client.run_for(20.0)
+    assert client.health.outages == 1
+    link.close()

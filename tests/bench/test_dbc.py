@@ -293,7 +293,7 @@ class Watched:
 
     def __init__(self, rates: BusRates, extended: bool = False) -> None:
         self.network = CanNetwork(rates, extended)
-        self.device = SimulatedDevice(load_params(), 1, network=self.network)
+        self.device = SimulatedDevice(load_params(), 1, boot_id=64, network=self.network)
         self.frames: list[bytes] = []
         self.network.bus.attach(lambda: b"", self.frames.append, "listener")
         self.link = VirtualLink(self.device)
@@ -338,7 +338,7 @@ def test_all_channels_as_quick_as_the_bus_carries(capsysbinary: pytest.CaptureFi
 
 
 def numbers(frames: list[bytes]) -> np.ndarray:
-    """The ctr of a drive's classic samples, slot 0 of node 1."""
+    """The ctr of a drive's classic samples, slot 0 of node 1 (its boot_id is a multiple of 32)."""
     records = np.frombuffer(b"".join(frames), CAN_RECORD)
     return records["data"][records["id"] == 0x510][:, :2].copy().view("<u2")[:, 0].astype(int)
 

@@ -12,8 +12,9 @@ from bench.errors import BenchError, Interrupted, UnsafeError
 from bench.node import Node
 from bench.statistics import position_errors
 from protocol.errors import LinkClosed
+from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
-from protocol.messages import DriveState, Fault
+from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.drive.device import SimulatedDevice
 
 
@@ -296,3 +297,22 @@ def test_the_link_is_closed_however_a_run_ends() -> None:
         run(link)
     with pytest.raises(LinkClosed):
         link.read(0.0)
+
+
+class TripsAtStop(WatchedLink):
+    """A virtual link whose drive has an overcurrent at the moment in which STOP is on its way."""
+
+    def write(self, data: bytes) -> None:
+        frames = [parse_frame(raw) for raw in Deframer().feed(b"\0" + data)]
+        if any(frame.type == MessageType.STATE_CMD and frame.payload[0] == Command.STOP for frame in frames):
+            self.device.drive.fault(Fault.OVERCURRENT)
+        super().write(data)
+
+
+def test_a_trip_in_the_last_moment_is_no_success() -> None:
+    link = TripsAtStop(simulated())
+    ended = run(link)
+    assert ended.exit_code == 1
+    assert ended.summary.result == "the drive tripped: OVERCURRENT"
+    assert ended.summary.faults == ["OVERCURRENT"]
+    assert at_rest(link.device)

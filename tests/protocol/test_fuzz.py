@@ -127,7 +127,7 @@ def device_snapshot(session: DeviceSession, app: SmallDrive) -> object:
     return (
         session.state, beat.faults, beat.setpoint_counter, beat.setpoints_rejected, beat.last_tid,
         session.ignored, dict(app.values), list(app.states), list(app.setpoints), session.streams.running,
-        len(session.tx), list(session._replies), session._nonce, session.machine._fed,
+        len(session.tx), list(session._peer.replies), session._peer.nonce, session.machine._fed,
     )  # fmt: skip
 
 

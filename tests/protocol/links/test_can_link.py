@@ -294,6 +294,7 @@ class Wayward(can.BusABC):
     """A bus with a keyword of its own, that gives, raises or swallows what the test ordered."""
 
     plan: ClassVar[list[Any]] = []
+    shut: ClassVar[list[Wayward]] = []
     on_open: Exception | None = None
     on_send: Callable[[], None] = staticmethod(lambda: None)
     state_now = can.BusState.ACTIVE
@@ -310,20 +311,25 @@ class Wayward(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if self.plan:
             step = self.plan.pop(0)
-            if isinstance(step, Exception):
+            if isinstance(step, BaseException):
                 raise step
-            return step, False
+            return step() if callable(step) else step, False
         time.sleep(min(timeout or 0.0, 0.005))
         return None, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self.on_send()
 
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.shut.append(self)
+
 
 @pytest.fixture
 def wayward(monkeypatch: pytest.MonkeyPatch) -> type[Wayward]:
     class Bus(Wayward):
         plan: ClassVar[list[Any]] = []
+        shut: ClassVar[list[Wayward]] = []
 
     module = sys.modules[__name__]
     monkeypatch.setattr(module, "WaywardBus", Bus, raising=False)
@@ -391,6 +397,70 @@ def test_a_state_of_bus_off_is_reported_once_and_the_link_stays(wayward: type[Wa
     assert read(link, 1)["id"].tolist() == [ERROR | 0x100]
     assert not link.health.bus_off
     assert (link.health.error_frames["bus-off"], link.health.error_frames["restarted"]) == (1, 1)
+    link.close()
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), LinkNotFound("no"), OSError(errno.ENETDOWN, "down")])
+def test_what_ends_an_opening_leaves_no_bus_open(wayward: type[Wayward], stop: BaseException) -> None:
+    wayward.plan.append(stop)
+    with pytest.raises((KeyboardInterrupt, LinkNotFound)):
+        CanLink(CanTarget("wayward", "7"))
+    assert len(wayward.shut) == 1
+
+
+STALL = 0.3  # s, more than an idle bus is ever left alone
+
+
+def error_message() -> can.Message:
+    return can.Message(arbitration_id=0x20, is_error_frame=True, data=bytes(8))
+
+
+def fresh_again(link: CanLink, send: Callable[[], None]) -> bool:
+    """Whether a frame soon has the time at which it was read; a machine that is busy may stall the link again."""
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        sent = time.monotonic()
+        send()
+        if read(link, 1)["time"][0] >= sent:
+            return True
+    return False
+
+
+def test_after_a_stall_records_are_no_younger_than_the_last_look(
+    wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(can_link, "MISTRUST", 1.0)
+    opened = time.monotonic()
+    link = CanLink(CanTarget("wayward", "7"))
+    began: list[float] = []
+
+    def stall() -> can.Message:
+        began.append(time.monotonic())
+        time.sleep(STALL)
+        return message(1)
+
+    wayward.plan += [stall, message(2), error_message()]
+    rows = read(link, 3)
+    assert opened <= rows["time"].max() <= began[0]
+    wayward.plan.append(message(4))
+    assert read(link, 1)["time"][0] <= began[0]
+    assert fresh_again(link, lambda: wayward.plan.append(message(5)))
+    assert time.monotonic() >= began[0] + STALL + 1.0
+    link.close()
+
+
+def test_a_short_pause_is_no_stall(wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(can_link, "STALL", 30.0)
+    link = CanLink(CanTarget("wayward", "7"))
+    paused: list[float] = []
+
+    def pause() -> can.Message:
+        time.sleep(0.05)
+        paused.append(time.monotonic())
+        return message(1)
+
+    wayward.plan.append(pause)
+    assert read(link, 1)["time"][0] >= paused[0]
     link.close()
 
 
@@ -532,6 +602,60 @@ def test_slcan_is_opened_with_our_own_bus(adapter: tuple[int, str]) -> None:
         link.read(5.0)
     with pytest.raises(LinkNotFound, match=f"can:slcan/{name}: "):
         link.reopen()
+
+
+def test_after_a_stall_frames_of_slcan_are_no_younger_either(
+    adapter: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    master, name = adapter
+    receive = SlcanBus.recv_records
+    ordered: list[bytes] = []
+    began: list[float] = []
+
+    def stalled(self: SlcanBus, timeout: float, settle: float = 0.0) -> bytes:
+        if ordered:
+            began.append(time.monotonic())
+            time.sleep(STALL)
+            os.write(master, ordered.pop())
+        return receive(self, timeout, settle)
+
+    monkeypatch.setattr(SlcanBus, "recv_records", stalled)
+    link = open_link(f"can:slcan/{name}")
+    assert isinstance(link, CanLink)
+    ordered.append(b"t0010\rt0020\r")
+    assert read(link, 2)["time"].max() <= began[0]
+    assert fresh_again(link, lambda: os.write(master, b"t0030\r") and None)
+    link.close()
+
+
+def test_text_that_is_no_slcan_is_no_loss(adapter: tuple[int, str]) -> None:
+    master, name = adapter
+    link = open_link(f"can:slcan/{name}")
+    assert isinstance(link, CanLink)
+    deadline = time.monotonic() + 1.2  # more than twice what tells a dead connection
+    while time.monotonic() < deadline:
+        os.write(master, b"no\rframe\r" * 200)
+        assert link.read(0.0) == b""
+    os.write(master, b"\rt0010\r")
+    assert read(link, 1)["id"].tolist() == [1]
+    assert link.health.malformed > 1000
+    link.close()
+
+
+def test_an_adapter_that_refuses_its_rate_is_not_opened(adapter: tuple[int, str]) -> None:
+    master, name = adapter
+    kept = os.open(name, os.O_RDWR | os.O_NOCTTY)  # or the thread would find the pty gone before it is opened
+
+    def refuse() -> None:
+        os.read(master, 100)
+        os.write(master, b"\r\r\a\r")
+
+    thread = threading.Thread(target=refuse)
+    thread.start()
+    with pytest.raises(LinkError, match=rf"^can:slcan/{name}: the adapter refused the bit rate 750000 \(S7\)$"):
+        open_link(f"can:slcan/{name}?bitrate=750000")
+    thread.join()
+    os.close(kept)
 
 
 def test_slcan_has_few_bit_rates(adapter: tuple[int, str]) -> None:
@@ -685,6 +809,79 @@ def test_a_configuration_that_cannot_be_read(bare: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("CAN_INTERFACE", "virtul")
     with pytest.raises(TargetError, match=r"did you mean virtual\?"):
         open_link("can:")
+
+
+@pytest.mark.parametrize(
+    ("target", "hint"),
+    [
+        ("can:slcan//dev/ttyNONE?bitrat=500000", r"'bitrat': did you mean bitrate\?"),
+        ("can:slcan//dev/ttyNONE?rtsct=1", r"'rtsct': did you mean rtscts\?"),
+        ("can:slcan//dev/ttyNONE?brp=1", r"'brp': it knows .*bitrate"),
+        ("can:socketcand/can0?host=127.0.0.1&port=9&bitrat=500000", r"'bitrat': did you mean bitrate\?"),
+        ("can:socketcand/can0?host=127.0.0.1&prot=9", r"'prot': did you mean port\?"),
+        ("can:virtual/x?hostnumber=3", r"'hostnumber': did you mean host_number\?"),
+        ("can:virtual/x?nod=3", r"'nod': did you mean node\?"),
+        ("can:virtual/x?zzz=3", r"'zzz': it knows bitrate, .*rx_queue_size"),
+    ],
+)
+def test_keys_that_an_interface_does_not_know(bare: Path, target: str, hint: str) -> None:
+    interface = target.partition(":")[2].partition("/")[0]
+    with pytest.raises(TargetError, match=f"the interface {interface} has no key {hint}"):
+        open_link(target)
+
+
+def test_keys_of_a_configuration_count_where_it_names_the_interface(bare: Path) -> None:
+    (bare / "can.conf").write_text("[default]\ninterface = slcan\nchannel = /dev/ttyNONE\nbitrat = 500000\n")
+    with pytest.raises(TargetError, match=r"the interface slcan has no key 'bitrat': did you mean bitrate\?"):
+        open_link("can:")
+    assert bus_arguments(CanTarget("virtual", "x")).keys() == {"interface", "channel"}
+
+
+def test_a_context_that_is_nowhere(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (bare / "can.conf").write_text("[default]\ninterface = virtual\nchannel = x\n\n[bench]\nchannel = y\n")
+    with pytest.raises(TargetError, match=r"no context 'nosuch': no section \[nosuch\] in can.conf, and no variable"):
+        open_link("can:?context=nosuch")
+    assert bus_arguments(CanTarget(context="bench"))["channel"] == "y"
+    monkeypatch.setenv("CAN_CHANNEL_nosuch", "z")
+    assert bus_arguments(CanTarget(context="nosuch"))["channel"] == "z"
+
+
+@pytest.mark.parametrize(
+    ("word", "on"),
+    [("yes", True), ("On", True), ("true", True), ("1", True), ("no", False), ("off", False), ("False", False)],
+)
+def test_switches_of_a_configuration(bare: Path, word: str, on: bool) -> None:
+    switches = ("fd", "listen_only", "rtscts")
+    (bare / "can.conf").write_text(
+        "[default]\ndata_bitrate = 2000000\n" + "".join(f"{key} = {word}\n" for key in switches)
+    )
+    arguments = bus_arguments(CanTarget("slcan", "/dev/ttyACM0"))
+    assert [arguments[key] for key in switches] == [on] * 3
+    assert arguments.get("data_bitrate") == (2_000_000 if on else None)
+    assert bus_arguments(CanTarget("slcan", "/dev/ttyACM0", (("listen_only", "1"),)))["listen_only"] is True
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fd = maybe", "fd must be yes or no, got 'maybe'"),
+        ("listen_only = 2", "listen_only must be yes or no, got '2'"),
+        ("bitrate = 1M", "bitrate must be a whole number of bit/s, got '1M'"),
+        ("bitrate = 0", "bitrate must be a whole number of bit/s, got '0'"),
+        ("data_bitrate = fast", "data_bitrate must be a whole number of bit/s, got 'fast'"),
+        ("timing = 1", "timing is no key of a text, got '1': give f_clock, brp, tseg1, tseg2, sjw, nof_samples"),
+    ],
+)
+def test_values_of_a_configuration_that_mean_nothing(bare: Path, line: str, said: str) -> None:
+    (bare / "can.conf").write_text(f"[default]\n{line}\n")
+    with pytest.raises(TargetError) as caught:
+        open_link("can:slcan//dev/ttyNONE")
+    assert str(caught.value) == f"can:slcan//dev/ttyNONE: python-can does not accept this configuration: {said}"
+
+
+def test_a_wait_that_is_no_number(bare: Path) -> None:
+    with pytest.raises(TargetError, match="refuses these options: sleep_after_open must be a number of seconds"):
+        open_link("can:slcan//dev/ttyNONE?sleep_after_open=abc")
 
 
 CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"

@@ -9,6 +9,7 @@ import termios
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -43,23 +44,27 @@ def path_of(port: SlcanPort) -> str:
 def sent_by_host(port: SlcanPort, count: int) -> bytes:
     """The next `count` frames that the host sends to the bus."""
     records = b""
-    while len(records) < 80 * count and select.select(port.read_fds(), [], [], 5.0)[0]:
+    while len(records) <= 80 * count and select.select(port.read_fds(), [], [], 5.0)[0]:
         records += port.read()
+        if len(records) == 80 * count:
+            break
     return records
 
 
-def obey_opening(port: SlcanPort) -> None:
-    """Let the adapter read the commands that open its channel, which a bus writes in one go."""
-    assert select.select(port.read_fds(), [], [], 5.0)[0]
-    assert port.read() == b""
+def opened(port: SlcanPort, **keywords: object) -> SlcanBus:
+    """A bus on this adapter, which reads the commands that open its channel and answers them."""
+    obeying = threading.Thread(target=sent_by_host, args=(port, 0))
+    obeying.start()
+    bus = SlcanBus(path_of(port), **keywords)
+    obeying.join()
     assert port.refused == 0
+    return bus
 
 
 @pytest.fixture
 def classic(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
     port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = SlcanBus(path_of(port), bitrate=1_000_000)
-    obey_opening(port)
+    bus = opened(port, bitrate=1_000_000)
     yield port, bus
     bus.shutdown()
     port.close()
@@ -68,8 +73,7 @@ def classic(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
 @pytest.fixture
 def fd(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
     port = SlcanPort(tmp_path / "ttyCAN", FD)
-    bus = SlcanBus(path_of(port), bitrate=1_000_000, fd=True, data_bitrate=5_000_000)
-    obey_opening(port)
+    bus = opened(port, bitrate=1_000_000, fd=True, data_bitrate=5_000_000)
     yield port, bus
     bus.shutdown()
     port.close()
@@ -173,14 +177,13 @@ def test_frames_that_do_not_fit_the_bus(classic: tuple[SlcanPort, SlcanBus]) -> 
     for unfit in (frame(ERROR | 4, bytes(8)), frame(1, bytes(9)), frame(1) + frame(0x800)):
         with pytest.raises(can.CanOperationError, match="slcan has no line for a frame with id"):
             bus.send_records(unfit)
-    with pytest.raises(can.CanOperationError, match="slcan has no line for a frame with id 0xA0000000"):
+    with pytest.raises(can.CanOperationError, match="slcan has no line for a frame with id 0x20000000"):
         bus.send(can.Message(is_error_frame=True))
 
 
 def test_refused_frames_are_counted(tmp_path: Path) -> None:
     port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = SlcanBus(path_of(port), fd=True)  # this adapter has no CAN FD
-    obey_opening(port)
+    bus = opened(port, fd=True)  # this adapter has no CAN FD
     for msg in FD_MESSAGES[:3]:
         bus.send(msg)
     while port.refused < 3 and select.select(port.read_fds(), [], [], 5.0)[0]:
@@ -213,7 +216,7 @@ def test_damaged_lines_are_counted_and_answers_kept(raw: tuple[int, str]) -> Non
     ("keywords", "typed"),
     [
         ({}, b"\rC\rO\r"),
-        ({"bitrate": 500_000}, b"\rC\rS6\rO\r"),
+        ({"bitrate": 500_000, "single_handle": True}, b"\rC\rS6\rO\r"),
         ({"bitrate": 83_300, "listen_only": True, "timeout": 5.0}, b"\rC\rS9\rL\r"),
         ({"bitrate": 1_000_000, "fd": True}, b"\rC\rS8\rO\r"),
         ({"bitrate": 1_000_000, "data_bitrate": 8_000_000}, b"\rC\rS8\rY8\rO\r"),
@@ -247,6 +250,99 @@ def test_rates_that_slcan_does_not_have(raw: tuple[int, str]) -> None:
         SlcanBus("")
 
 
+@contextmanager
+def answering(master: int, answers: bytes) -> Iterator[list[bytes]]:
+    """An adapter that gives these answers once it has been told to open; the list gets what it was told."""
+    told: list[bytes] = []
+
+    def answer() -> None:
+        text = b""
+        while not text.endswith((b"O\r", b"L\r")):
+            text += os.read(master, 100)
+        told.append(text)
+        os.write(master, answers)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    yield told
+    thread.join()
+
+
+# LAWICEL's CAN232 answers \r or a bell to each line; not every adapter answers an empty line
+@pytest.mark.parametrize(
+    ("keywords", "answers"),
+    [
+        ({"bitrate": 500_000}, b"\r\r\r\r"),
+        ({"bitrate": 500_000}, b"\r\a\r\r"),  # no channel to close
+        ({"bitrate": 500_000}, b"\a\a\r\r"),
+        ({"bitrate": 500_000, "data_bitrate": 2_000_000}, b"\r\a\r\r\r"),
+        ({}, b"\r\r\r"),
+        ({"bitrate": 500_000}, b"\a\r\r"),  # the empty line is not answered
+        ({"bitrate": 500_000}, b"z\r\r\az\r\r\r"),  # acknowledged frames of another program
+    ],
+)
+def test_an_adapter_that_answers_is_open_at_once(
+    raw: tuple[int, str], monkeypatch: pytest.MonkeyPatch, keywords: dict[str, int], answers: bytes
+) -> None:
+    monkeypatch.setattr("protocol.links.slcan_bus.ANSWER_TIMEOUT", 30.0)
+    master, path = raw
+    started = time.monotonic()
+    with answering(master, answers), SlcanBus(path, **keywords) as bus:
+        assert time.monotonic() - started < 10.0
+        assert bus.recv_records(0.0) == b""
+        assert (bus.refused, bus.malformed) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "answers", "match"),
+    [
+        ({"bitrate": 750_000}, b"\r\r\a\r", r"the adapter refused the bit rate 750000 \(S7\)"),
+        ({"bitrate": 750_000}, b"\a\a\r", r"the adapter refused the bit rate 750000 \(S7\)"),
+        ({"bitrate": 750_000}, b"\r\a\a\a", r"the adapter refused the bit rate 750000 \(S7\)"),
+        ({"bitrate": 500_000, "data_bitrate": 8_000_000}, b"\r\a\r\a\r", r"the data bit rate 8000000 \(Y8\)"),
+        ({"timing": can.BitTiming.from_registers(8_000_000, 0x03, 0x1C)}, b"\r\a\a\r", r"rate 125000 \(s031C\)"),
+        ({"bitrate": 500_000}, b"\r\r\r\a", r"the adapter refused to open \(O\)"),
+        ({"listen_only": True}, b"\r\r\a", r"the adapter refused to open in order to listen only \(L\)"),
+    ],
+)
+def test_a_refused_command_fails_the_opening(
+    raw: tuple[int, str], keywords: dict[str, object], answers: bytes, match: str
+) -> None:
+    master, path = raw
+    with answering(master, answers), pytest.raises(can.CanInitializationError, match=match):
+        SlcanBus(path, **keywords)
+    assert os.read(master, 100) == b"C\r"
+    SlcanBus(path).shutdown()  # the port was let go
+
+
+@pytest.mark.parametrize("text", [b"", b"\a", b"READY\r\n\a\a\a\a\a\a\a", b"\x07\x07\x07\x07\x00\xff\x07\r\x07"])
+def test_nothing_is_concluded_from_silence_or_foreign_text(raw: tuple[int, str], text: bytes) -> None:
+    master, path = raw
+    started = time.monotonic()
+    with answering(master, text) as told, SlcanBus(path, bitrate=500_000):
+        assert time.monotonic() - started < 5.0
+        assert told == [b"\rC\rS6\rO\r"]
+
+
+def test_frames_among_the_answers_are_kept(raw: tuple[int, str]) -> None:
+    master, path = raw
+    before = time.monotonic()
+    with answering(master, b"\r\rt0010\r\rt0021AA\r\rt0030\r"), SlcanBus(path, bitrate=500_000) as bus:
+        got = b""
+        while len(got) < 240 and (more := bus.recv_records(5.0)):
+            got += more
+        assert untimed(got) == frame(1) + frame(2, b"\xaa") + frame(3)
+        assert before <= np.frombuffer(got, CAN_RECORD)["time"].min()
+
+
+def test_unknown_keywords(raw: tuple[int, str]) -> None:
+    with pytest.raises(TypeError, match="'bitrat'"):
+        SlcanBus(raw[1], bitrat=500_000)  # type: ignore[call-arg]
+    for wait in ("abc", -1):
+        with pytest.raises(ValueError, match=f"sleep_after_open must be a number of seconds from 0 on, got '{wait}'"):
+            SlcanBus(raw[1], sleep_after_open=wait)  # type: ignore[arg-type]
+
+
 def test_rate_of_the_port(raw: tuple[int, str]) -> None:
     master, path = raw
     for channel, keywords in ((f"{path}@230400", {"tty_baudrate": 9600}), (path, {"tty_baudrate": 230_400})):
@@ -272,8 +368,7 @@ def test_missing_and_held_ports(tmp_path: Path, classic: tuple[SlcanPort, SlcanB
 
 def test_another_bit_rate_than_the_bus(tmp_path: Path) -> None:
     port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = SlcanBus(path_of(port), bitrate=500_000)
-    obey_opening(port)
+    bus = opened(port, bitrate=500_000)
     port.write(frame(1) * 3)
     bus.send(CLASSIC_MESSAGES[0])
     while port.mismatched < 4 and select.select(port.read_fds(), [], [], 5.0)[0]:
@@ -315,6 +410,40 @@ def test_an_adapter_that_takes_nothing_is_an_error(
     monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
     with pytest.raises(can.CanOperationError, match=r"ttyCAN took \d+ of 440000 bytes in 0.02 s"):
         bus.send_records(frame(1, bytes(8)) * 20_000)
+
+
+def test_a_cut_line_is_ended_before_the_next_one(
+    classic: tuple[SlcanPort, SlcanBus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, bus = classic
+    with monkeypatch.context() as patch:
+        patch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
+        with pytest.raises(can.CanOperationError, match="took"):
+            bus.send_records(frame(1, bytes(8)) * 20_000)
+    while select.select(port.read_fds(), [], [], 0.05)[0]:
+        assert set(np.frombuffer(port.read(), CAN_RECORD)["id"]) == {1}
+    for number in (2, 3):
+        bus.send_records(frame(number, b"ab"))
+        assert sent_by_host(port, 1) == frame(number, b"ab")
+
+
+def test_an_interrupted_write_is_ended_too(raw: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    master, path = raw
+    with SlcanBus(path) as bus:
+        os.read(master, 100)
+        write = os.write
+
+        def interrupted(fd: int, data: bytes) -> int:
+            write(fd, bytes(data)[:4])
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                bus.send_records(frame(0x123, b"ab"))
+        for _ in range(2):
+            bus.send_records(frame(0x123, b"ab"))
+        assert os.read(master, 100) == b"t123" + b"\r" + b"t12326162\r" * 2
 
 
 def test_one_thread_receives_while_two_send(fd: tuple[SlcanPort, SlcanBus]) -> None:

@@ -385,6 +385,17 @@ def test_nothing_listens() -> None:
 def test_no_server_named() -> None:
     with pytest.raises(TargetError, match=r"names no server: write can:socketcand/can0\?host="):
         open_link("can:socketcand/can0?host=127.0.0.1")
+    with pytest.raises(
+        TargetError, match=r"can:socketcand names no bus of the server: write can:socketcand/can0\?host="
+    ):
+        open_link("can:socketcand?host=127.0.0.1&port=29536")
+
+
+def test_a_target_with_fd() -> None:
+    with pytest.raises(
+        TargetError, match=r"can:socketcand/can0: python-can's socketcand has no CAN FD frames: leave fd"
+    ):
+        open_link("can:socketcand/can0?host=127.0.0.1&port=29536&fd=1")
 
 
 @pytest.mark.parametrize(
@@ -419,7 +430,7 @@ def test_servers_that_are_no_socketcand(monkeypatch: pytest.MonkeyPatch, greetin
 
 
 def test_a_wrong_channel_is_named(server: Server) -> None:
-    with pytest.raises(LinkNotFound, match=r"can:socketcand/can9 cannot be opened: .*could not open bus"):
+    with pytest.raises(LinkNotFound, match=r"^can:socketcand/can9: the server has no bus can9$"):
         open_link(server.port.target.replace("can0", "can9"))
 
 
