@@ -114,7 +114,7 @@ class CanLink:
         try:
             bus = open_bus(self._name, arguments)
             self._reader = _Reader(bus, self._name, self.health, interface)
-        except BaseException as error:  # a driver raises what it likes, and a user interrupts when he likes
+        except BaseException as error:  # a driver raises what it likes, and a user may interrupt
             if bus is not None:
                 shut_down(bus)
             if isinstance(error, HbpError) or not isinstance(error, Exception):
