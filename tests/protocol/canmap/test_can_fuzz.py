@@ -56,7 +56,7 @@ def test_noise_moves_nothing(rates: BusRates, extended: bool) -> None:
 def test_mutated_traffic_gives_no_wrong_value(rates: BusRates) -> None:
     """Frames of a real conversation, some with another identifier, length or content, some gone, some twice.
 
-    The content of frames that stand alone, as a heartbeat in FD does, is left as it is: only CAN's own CRC protects that.
+    The content of frames that stand alone, as a heartbeat in FD does, is left as it is: CAN's own CRC protects that.
     """
     bus = CanPair(rates)
     bus.connect()
