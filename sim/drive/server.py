@@ -362,7 +362,8 @@ def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> Simul
         network=_make_network(options),
         notice=tell,
     )
-    SimulatedDevice(params).advance(1)  # compiles, or loads what was compiled
+    # compiles, or loads what was compiled, the lengths of CAN frames too: a heartbeat is on its way
+    SimulatedDevice(params, network=_make_network(options)).advance(32)
     return device
 
 

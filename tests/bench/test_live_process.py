@@ -150,7 +150,7 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     summary = json.loads("\n".join(live.out))
     assert summary["result"] == "the drive tripped: WATCHDOG"
     assert summary["link"]["outages"] == 1
-    assert summary["link"]["downtime_s"] > 0.15
+    assert summary["link"]["downtime_s"] > 0.05  # from when it was noticed
     assert summary["link"]["reboots"] == 0
     assert summary["faults"] == ["WATCHDOG"]
     run = read_run(recording)
