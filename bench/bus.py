@@ -46,6 +46,7 @@ class BusMeter:
             **risen["bus"],
             "errors": {kind: n for kind, n in risen["errors"].items() if n},
             "adapter": risen["adapter"],
+            "bus_off": bool(getattr(getattr(self._client.link, "health", None), "bus_off", False)),
         }
 
 
@@ -54,6 +55,8 @@ def bus_rows(bus: dict[str, Any]) -> list[list[str]]:
     at_most = bus["load_predicted"]
     predicted = f", at most {at_most:.1%} predicted for the drive's streams" if at_most else ""
     errors = ", ".join(f"{n} {kind}" for kind, n in bus["errors"].items()) or f"{bus['error_frames']} error frames"
+    if bus["bus_off"]:
+        errors += "; the adapter is off the bus"
     rows = [
         ["bus", f"{bus['rates']}, load {bus['load']:.1%} measured{predicted}"],
         ["errors on the bus", errors],

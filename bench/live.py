@@ -192,10 +192,12 @@ class LiveRun:
         options, identity = self.options, self.drive.identity
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(options.channels)
+        needed: tuple[str, ...] = ()
         if options.host_observers:
             from bench.estimators import INPUTS
 
-            missing = [name for name in INPUTS if name not in {channel.name for channel in channels}]
+            needed = INPUTS
+            missing = [name for name in needed if name not in {channel.name for channel in channels}]
             if missing or decimation != 1:
                 raise BenchError(
                     "--host-observers needs every PWM period"
@@ -205,10 +207,8 @@ class LiveRun:
         try:
             self.drive.set_samples(channels, decimation)
         except DoesNotFit as error:
-            if options.host_observers:
-                from bench.estimators import INPUTS
-
-                few = ",".join(INPUTS)
+            if needed:
+                few = ",".join(needed)
                 raise BenchError(f"{error}; --host-observers needs every PWM period: --channels {few}") from None
             if not options.fit or not error.decimation:
                 raise

@@ -49,12 +49,11 @@ from protocol.messages import (
     TimeSync,
     TimeSyncReply,
 )
-from protocol.streams import StreamConfig
+from protocol.streams import MAX_STREAMS, StreamConfig
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
-MAX_STREAMS = 4
 _BLOB_PART = 512
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from bench.errors import BenchError
+from protocol.streams import MAX_DECIMATION
 
-MAX_DECIMATION = 65535  # a u16 on the wire
 _TOLERANCE = 1e-4  # rates are printed with six digits
 
 

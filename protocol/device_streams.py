@@ -18,9 +18,8 @@ from protocol.device_carrier import Carrier, EdgeStream, Run, SampleStream, Shap
 from protocol.errors import Refused
 from protocol.messages import ErrorCode, Feature, StreamEvent, StreamInfo, StreamReply, StreamSet
 from protocol.signals import Signal
-from protocol.streams import EDGE_RECORD
+from protocol.streams import EDGE_RECORD, MAX_DECIMATION, MAX_STREAMS
 
-MAX_STREAMS = 4
 MAX_LOAD = 0.95
 
 
@@ -229,7 +228,7 @@ class StreamTable:
         """Return the smallest decimation at which the stream fits beside the others, 0 if none does."""
         if request.event == StreamEvent.EDGES or self._load(request, 0.0) > MAX_LOAD:
             return 0
-        slower = range(request.decimation + 1, 0x10000)
+        slower = range(request.decimation + 1, MAX_DECIMATION + 1)
         first = bisect_left(slower, True, key=lambda n: self._load(request, shape_at(n).rate) <= MAX_LOAD)
         return slower[first] if first < len(slower) else 0
 

@@ -266,8 +266,7 @@ class HostSession:
     def _receive_unsolicited(self, node: int, message: Message) -> None:
         if isinstance(message, Heartbeat):
             self._note_boot(node, message.boot_id)
-            reference = self.tick_reference(node)
-            reference.tick, reference.edges = message.tick, message.edges
+            self.tick_reference(node).tick = message.tick
             self._events.append(HeartbeatReceived(node, message))
         elif isinstance(message, DeviceEvent):
             self._events.append(DeviceEventReceived(node, message))

@@ -29,6 +29,9 @@ STREAM_OFFSET = HEADER_BYTES + STREAM_HEADER.size  # of the first record in head
 OVERRUN = 1  # stream flag: the device dropped a frame of this stream before this one
 DISCONTINUITY = 2  # stream flag: the index jumps although no frame was dropped
 
+MAX_STREAMS = 4  # of a device
+MAX_DECIMATION = 0xFFFF
+
 EDGE_RECORD = np.dtype([("tick", "<u4"), ("codes", "u1"), ("flags", "u1"), ("encoder", "<u2")])
 EDGE_ILLEGAL = 0x40  # bit of `codes`: old and new are not neighbours, or new is 000 or 111
 
@@ -41,12 +44,10 @@ class TickReference:
     """The newest 64-bit tick known of a device; 32-bit ticks are unwrapped to the value nearest to it.
 
     Heartbeats (10 Hz) and TIME_SYNC keep it fresh. Sound as long as it is within 2^31 ticks (107 s at 20
-    MHz). `edges`: the count of Hall edges in the newest heartbeat; `sampled`: tick of the newest sample delivered
-    of a stream on CAN.
+    MHz). `sampled`: tick of the newest sample delivered of a stream on CAN.
     """
 
     tick: int = 0
-    edges: int = 0
     sampled: int = -1
 
     def unwrap(self, ticks: NDArray[np.uint32]) -> I64:
@@ -328,20 +329,26 @@ class EdgeDecoder:
         accepted = self._sequence.accept(frames)
         if accepted is None:
             return None
-        records = accepted.records
-        codes = records["codes"]
-        tick = self._reference.unwrap(records["tick"])
+        tick = self._reference.unwrap(accepted.records["tick"])
         self._reference.tick = max(self._reference.tick, int(tick[-1]))
-        return EdgeChunk(
-            config=self.config,
-            tick=tick,
-            hall_old=(codes & 7).astype(np.uint8),
-            hall_new=(codes >> 3 & 7).astype(np.uint8),
-            illegal=(codes & EDGE_ILLEGAL) != 0,
-            encoder=records["encoder"].copy(),
-            index=accepted.index(1),
-            gaps=accepted.gaps,
-        )
+        return unpack_edges(self.config, accepted.records, tick, accepted.index(1), accepted.gaps)
+
+
+def unpack_edges(
+    config: StreamConfig, records: NDArray[np.void], tick: I64, index: I64, gaps: tuple[Gap, ...]
+) -> EdgeChunk:
+    """Return wire records (EDGE_RECORD) as a chunk, with their whole ticks and indices."""
+    codes = records["codes"]
+    return EdgeChunk(
+        config=config,
+        tick=tick,
+        hall_old=(codes & 7).astype(np.uint8),
+        hall_new=(codes >> 3 & 7).astype(np.uint8),
+        illegal=(codes & EDGE_ILLEGAL) != 0,
+        encoder=records["encoder"].copy(),
+        index=index,
+        gaps=gaps,
+    )
 
 
 def pack_edges(tick: I64, hall_old: U8, hall_new: U8, illegal: NDArray[np.bool_], encoder: I64) -> NDArray[np.void]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from protocol.canmap.ids import STREAM_SLOTS, CanClass, CanId, stream_id
 from protocol.canmap.layout import EDGE_BYTES, StreamLayout
 from protocol.streams import (
-    EDGE_ILLEGAL,
     EDGE_RECORD,
     I64,
     EdgeChunk,
@@ -26,6 +25,7 @@ from protocol.streams import (
     SampleChunk,
     StreamConfig,
     TickReference,
+    unpack_edges,
 )
 
 WAIT = 256  # samples for which a silent group of channels is waited for
@@ -248,19 +248,10 @@ class CanEdgeDecoder:
         counters.lost_by_index += lost
         counters.lost_by_seq += lost
         counters.late += int(late.sum())
-        codes = records["codes"]
-        return EdgeChunk(
-            config=self.config,
-            tick=tick,
-            hall_old=(codes & 7).astype(np.uint8),
-            hall_new=(codes >> 3 & 7).astype(np.uint8),
-            illegal=(codes & EDGE_ILLEGAL) != 0,
-            encoder=records["encoder"].copy(),
-            index=numbers,
-            gaps=tuple(
-                Gap(int(at), int(missing[at]), int(missing[at]), False) for at in np.flatnonzero((missing > 0) | late)
-            ),
+        gaps = tuple(
+            Gap(int(at), int(missing[at]), int(missing[at]), False) for at in np.flatnonzero((missing > 0) | late)
         )
+        return unpack_edges(self.config, records, tick, numbers, gaps)
 
     def _place(self, low: I64, tick: I64, beats: tuple[Beat, ...]) -> tuple[I64, Bools]:
         """Return the edges' numbers, and where they are sure.

@@ -23,7 +23,7 @@ from protocol.canmap.ids import (
     parse_id,
     stream_id,
 )
-from protocol.canmap.layout import EDGE_BYTES, MAX_GROUPS, StreamLayout, edge_load, sample_layout
+from protocol.canmap.layout import MAX_GROUPS, StreamLayout, edge_load, sample_layout
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
 from protocol.device import DeviceApp, DeviceSession, Identity
 from protocol.device_carrier import EdgeStream, Run, SampleStream, Shape, in_time
@@ -37,18 +37,38 @@ MAX_AGE = 0.5  # s that a stream frame may wait
 _HOST_STATUS = (STATUS_SLOTS[MessageType.ALIVE], STATUS_SLOTS[MessageType.SETPOINT])
 
 
-class _Samples:
-    """A stream of samples: whole frames only."""
+class _Stream:
+    """Common to both kinds: frames go out at once, and nothing less than a frame waits."""
 
-    def __init__(self, slot: int, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, tx: TxQueue):
+    def __init__(self, slot: int, tx: TxQueue) -> None:
         self.running = False
         self.dropped = 0
         self.slot = slot
+        self._tx = tx
+
+    def _put(self, wire: bytes) -> None:
+        """Queue CAN_RECORDs, each on its own."""
+        for at in range(0, len(wire), RECORD_BYTES):
+            if not self._tx.put_bulk(wire[at : at + RECORD_BYTES]):
+                self.dropped += 1
+
+    def flush(self) -> None:
+        """See `SampleStream` and `EdgeStream`."""
+
+    def waits_since(self) -> int | None:
+        """See `SampleStream` and `EdgeStream`."""
+        return None
+
+
+class _Samples(_Stream):
+    """A stream of samples: whole frames only."""
+
+    def __init__(self, slot: int, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, tx: TxQueue):
+        super().__init__(slot, tx)
         self._ids = ids
         self._layout = layout
         self._runs = runs
         self._decimation = decimation
-        self._tx = tx
         self._size = layout.groups[-1][1]
         self._pending = np.empty((0, self._size), np.uint8)
         self._next: int | None = None  # index of the sample after the pending ones
@@ -94,45 +114,22 @@ class _Samples:
             column["data"][:, layout.counter : layout.used(group)] = (
                 shares if len(layout.groups) == 1 else shares[:, start:end]
             )
-        wire = records.tobytes()
-        for at in range(0, len(wire), RECORD_BYTES):
-            if not self._tx.put_bulk(wire[at : at + RECORD_BYTES]):
-                self.dropped += 1
-
-    def flush(self) -> None:
-        """See `SampleStream`: a part of a frame is never sent."""
-
-    def waits_since(self) -> int | None:
-        """See `SampleStream`."""
-        return None
+        self._put(records.tobytes())
 
 
-class _Edges:
-    """A stream of edges: a frame each, at once."""
+class _Edges(_Stream):
+    """A stream of edges: a frame each."""
 
     def __init__(self, slot: int, can_id: int, fd: bool, tx: TxQueue) -> None:
-        self.running = False
-        self.dropped = 0
-        self.slot = slot
+        super().__init__(slot, tx)
         self._id = can_id
         self._fd = fd
-        self._tx = tx
 
     def push(self, index0: int, data: bytes, tick: int) -> None:
         """See `EdgeStream`."""
         records = np.frombuffer(data, EDGE_RECORD).copy()
         records["flags"] = index0 + np.arange(len(records)) & 0xFF
-        wire = records.tobytes()
-        for at in range(0, len(wire), EDGE_BYTES):
-            if not self._tx.put_bulk(pack_record(self._id, wire[at : at + EDGE_BYTES], self._fd)):
-                self.dropped += 1
-
-    def flush(self) -> None:
-        """See `EdgeStream`: nothing waits."""
-
-    def waits_since(self) -> int | None:
-        """See `EdgeStream`."""
-        return None
+        self._put(b"".join(pack_record(self._id, record.tobytes(), self._fd) for record in records))
 
 
 class _Slots:

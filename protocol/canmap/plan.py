@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from protocol.canmap.frame import BusRates
 from protocol.canmap.layout import edge_load, sample_layout
 from protocol.device_streams import MAX_LOAD
-
-MAX_DECIMATION = 0xFFFF
+from protocol.streams import MAX_DECIMATION
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ import pytest
 from virtual_run import RecordingScreen
 
 from bench import live
+from bench.bus import BusMeter, bus_rows
 from bench.cli import main
 from bench.client import Client
 from bench.errors import BenchError, DoesNotFit
@@ -210,3 +211,19 @@ def test_a_bus_that_opens_but_takes_nothing_is_one_outage_and_ends(monkeypatch: 
         client.run_for(20.0)
     assert client.health.outages == 1
     link.close()
+
+
+def test_an_adapter_that_is_off_the_bus_is_shown() -> None:
+    with serving(ServeOptions(virtual="off", overrides=PATIENT)) as target:
+        link = open_link(target)
+        client = Client(link)
+        client.connect()
+        meter = BusMeter(client)
+        with can.Bus("off", interface="virtual") as other:  # Linux's bit for bus-off
+            other.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+            client.wait(lambda: link.health.bus_off, 5.0)  # type: ignore[attr-defined]
+        report = meter.report()
+        assert report is not None
+        assert report["errors"] == {"bus-off": 1}
+        assert ["errors on the bus", "1 bus-off; the adapter is off the bus"] in bus_rows(report)
+        link.close()
