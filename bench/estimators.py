@@ -18,8 +18,8 @@ from protocol.streams import EdgeChunk, SampleChunk
 from sim.observers import bank
 
 INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref")
-
-
+OPTIONAL = ("inject", "inject_amplitude", "inject_hz")
+"""Parameters that a drive need not have: without them nothing is injected."""
 CHECKED = ("theta_avg", "omega_avg", "theta_vt", "omega_vt", "delta_hat", "e_alpha", "e_beta")
 
 
@@ -31,7 +31,7 @@ class HostObservers:
     """
 
     def __init__(self, parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
-        needed = {name: parameters[name] for name in bank.PARAMETERS}
+        needed = {name: parameters.get(name, 0.0) if name in OPTIONAL else parameters[name] for name in bank.PARAMETERS}
         self._params = bank.make_params(tick_hz, pwm_hz, exact_inverse=True, **needed)
         self._state = bank.init()
         self._synchronised = False

@@ -141,6 +141,7 @@ class Status(IntFlag):
 
     OBSERVERS_RESET = 1 << 3  # the observers were initialised in this period
     CORRECTION_ON = 1 << 4  # the vector-tracking observer's back-EMF correction is at work
+    INJECTION_SYNC = 1 << 7  # the injected sine begins a turn in this period; in the first one its phase is 0
 
 
 STATUS_STATE_MASK = 0x07
@@ -153,6 +154,23 @@ class AngleSource(IntEnum):
     ENCODER = 0
     AVERAGE_SPEED = 1
     VECTOR_TRACKING = 2
+
+
+class Injection(IntEnum):
+    """Values of the parameter `inject`: where the vector-tracking observer adds a sine, to measure (11)."""
+
+    OFF = 0
+    BACK_EMF = 1
+    HALL = 2
+
+
+class HallSwap(IntEnum):
+    """Values of the load machine's parameter `hall_swap`: which two wires of the drive's Hall sensors are exchanged."""
+
+    NONE = 0
+    A_B = 1
+    B_C = 2
+    C_A = 3
 
 
 # Scales are float32 on the wire: what both ends compute with is the float32 value.
@@ -232,10 +250,21 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(123, "dead_time_hat", Unit.S, 0.0, 1e-5, _P, "dead time that the compensation assumes"),
     Parameter(124, "dead_time_comp", Unit.NONE, 0.0, 1.5, _P, "share of the dead-time error that is compensated"),
     Parameter(125, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT after which the outputs go off"),
+    Parameter(126, "inject", Unit.NONE, 0, 2, _PW, "test sine: 0 off, 1 on the angle of theta*, 2 on that of theta_h"),
+    Parameter(127, "inject_amplitude", Unit.RAD, 0.0, 0.5, _P, "amplitude of the test sine"),
+    Parameter(128, "inject_hz", Unit.HZ, 0.0, 4e3, _P, "frequency of the test sine"),
+    Parameter(129, "i_range", Unit.A, 0.0, 1e4, _P | Flag.READ_ONLY, "full scale of the current sensors, + and -"),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(101, "tau_max", Unit.NM, 0.0, 100.0, _PI, "largest torque"),
     Parameter(102, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest forced speed"),
     Parameter(103, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT until the torque goes off"),
+    Parameter(104, "hall_swap", Unit.NONE, 0, 3, _PW, "Hall wires exchanged: 0 none, 1 a and b, 2 b and c, 3 c and a"),
+    Parameter(105, "hall_open", Unit.NONE, 0, 7, _PW, "Hall wires broken, one bit each: such an input reads 1"),
+    Parameter(106, "hall_glitch", Unit.PER_S, 0.0, 1e5, _P, "false pulses of 2 to 5 us on the Hall wires, mean rate"),
+    *(
+        Parameter(106 + s, f"hall_delta_{s}", Unit.RAD, -0.506, 0.506, _P, f"where sector {s} opens: ideal minus actual angle")
+        for s in range(1, 7)
+    ),
 )

@@ -29,9 +29,15 @@ KEPT = 6  # cache directories of other source states that are left alone: branch
 _HERE = Path(__file__).parent
 
 # Of `sim/drive` only the control tick and the lengths of CAN frames are kernels; links, servers and parameters are not.
-_PLAIN = ("drive", "params.py", "ranges.py", "__main__.py")
+_PLAIN = ("drive", "params.py", "sections.py", "ranges.py", "__main__.py")
 _KERNELS_IN_DRIVE = ("drive/tick*.py", "drive/can_bits.py")
-_IN_PROTOCOL = ("messages.py", "signals.py", "streams.py", "canmap/frame.py")  # constants that kernels take in
+_IN_PROTOCOL = (
+    "codes.py",
+    "messages.py",
+    "signals.py",
+    "streams.py",
+    "canmap/frame.py",
+)  # constants that kernels take in
 
 
 def _kernel_sources() -> list[Path]:

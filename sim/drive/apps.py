@@ -10,6 +10,7 @@ import json
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,13 @@ from protocol.signals import (
     DRIVE_PARAMETERS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
+    AngleSource,
     Flag,
     Parameter,
     Signal,
 )
 from sim.drive.machine import SimulatedBench
+from sim.drive.tick_record import ENCODER_CHANNELS
 from sim.params import ConfigError
 
 
@@ -43,19 +46,25 @@ class DriveApp:
         self._bench = bench
         self._defaults = dict(bench.parameters)
         self._store = store
+        self._channels, self._parameters = DRIVE_CHANNELS, DRIVE_PARAMETERS
+        if not bench.params.encoder.present:
+            self._channels = tuple(c for c in DRIVE_CHANNELS if c.name not in ENCODER_CHANNELS)
+            self._parameters = tuple(
+                replace(p, lo=float(AngleSource.AVERAGE_SPEED)) if p.name == "observer" else p for p in DRIVE_PARAMETERS
+            )
         if store is not None:
-            for name, value in _read_store(store).items():
+            for name, value in _read_store(store, self._parameters).items():
                 bench.set_param(name, value)
 
     @property
     def channels(self) -> Sequence[Signal]:
         """See `DeviceApp`."""
-        return DRIVE_CHANNELS
+        return self._channels
 
     @property
     def parameters(self) -> Sequence[Parameter]:
         """See `DeviceApp`."""
-        return DRIVE_PARAMETERS
+        return self._parameters
 
     @property
     def outputs_on(self) -> bool:
@@ -101,7 +110,9 @@ class DriveApp:
             raise Refused("this drive has no store", ErrorCode.NOT_SUPPORTED)
         new = self._store.with_name(self._store.name + ".new")
         try:
-            new.write_text(json.dumps(self._bench.parameters, indent=1) + "\n")
+            settable = {p.name for p in self._parameters if not p.flags & Flag.READ_ONLY}
+            values = {name: value for name, value in self._bench.parameters.items() if name in settable}
+            new.write_text(json.dumps(values, indent=1) + "\n")
             os.replace(new, self._store)
         except OSError as error:
             raise Refused(f"cannot write {self._store}: {error.strerror}", ErrorCode.STORE_FAILED) from None
@@ -159,7 +170,10 @@ class LoadApp:
 
     def set_param(self, name: str, value: float) -> None:
         """See `DeviceApp`."""
-        self._bench.load_parameters[name] = value
+        try:
+            self._bench.set_load_param(name, value)
+        except ConfigError as error:
+            raise Refused(str(error), ErrorCode.OUT_OF_RANGE, value) from None
 
     def commit(self) -> None:
         """Refused: the load machine keeps nothing."""
@@ -171,14 +185,14 @@ def _limit(what: str, size: float, limit: float) -> None:
         raise Refused(f"{what} {size:g} is above {limit:g}", ErrorCode.OUT_OF_RANGE, limit)
 
 
-def _read_store(path: Path) -> dict[str, float]:
+def _read_store(path: Path, parameters: Sequence[Parameter]) -> dict[str, float]:
     try:
         stored = json.loads(path.read_text())
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read the parameters in {path}: {error}; remove the file") from None
-    known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
+    known = {parameter.name: parameter for parameter in parameters if not parameter.flags & Flag.READ_ONLY}
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} holds no parameters; remove the file")
     for name, value in stored.items():

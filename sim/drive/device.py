@@ -11,6 +11,10 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+from numpy.typing import NDArray
+
 from protocol.device import DeviceSession, Identity
 from protocol.device_state import WATCHDOG_OFF
 from protocol.device_tx import TxQueue
@@ -67,8 +71,10 @@ class SimulatedDevice:
             )
 
         commit = Feature.COMMIT if store is not None else Feature(0)
+        drive = DriveApp(self.bench, store)
+        self._columns = [channel.name for channel in drive.channels]
         self.drive: DeviceSession = self.network.add(
-            DriveApp(self.bench, store),
+            drive,
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
         )
         self.load: DeviceSession = self.network.add(
@@ -109,7 +115,7 @@ class SimulatedDevice:
             periods -= n
             self.network.carry(self.periods / self.pwm_hz)
             self.drive.push_edges(recorded.edges)
-            self.drive.push_samples(recorded.index, recorded.tick, recorded.samples)
+            self.drive.push_samples(recorded.index, recorded.tick, self._telemetered(recorded.samples))
             self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
             self.network.advance(self.tick)
             if self.bench.faults:
@@ -125,6 +131,12 @@ class SimulatedDevice:
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
         return self.network.data_to_send(limit)
+
+    def _telemetered(self, samples: NDArray[np.void]) -> NDArray[np.void]:
+        """The samples with the columns of the drive's channels only."""
+        if len(self._columns) == len(samples.dtype.names or ()):
+            return samples
+        return repack_fields(samples[self._columns])
 
     def _until_watchdog(self) -> int:
         """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""

@@ -9,8 +9,8 @@ Nothing here knows frames, links, watchdogs or the real clock; limits of setpoin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +20,12 @@ from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.streams import EDGE_RECORD
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
+from sim.drive import tick_protection as protection
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
 from sim.numba_cache import settled
 from sim.observers import bank
 from sim.params import BenchParams
-from sim.plant import current_sensor, encoder, hall_sensor, integrator, inverter, mechanics, noise, pmsm
+from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]
 
@@ -65,15 +66,16 @@ class SimulatedBench:
 
     def __init__(self, params: BenchParams, seed: int = 0) -> None:
         self.params = params
-        self.parameters = {name: _f32(value) for name, value in params.firmware.parameters().items()}
-        self.load_parameters = {name: _f32(value) for name, value in params.load.parameters().items()}
+        self.parameters = {name: _f32(value) for name, value in params.drive_parameters().items()}
+        self.load_parameters = {name: _f32(value) for name, value in params.load_parameters().items()}
         self._quantiles = noise.table()
-        self._params = _make(self.params, self.parameters)
+        self._params = _make(self.params, self.parameters, self.load_parameters)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
-        self._edges_per_period = 2 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
+        self._edges_per_period = 3 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
+        self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
         theta_e = math.radians(params.mechanics.theta_0_deg)
         rng = noise.seeded(seed)
         self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
@@ -96,7 +98,7 @@ class SimulatedBench:
     @property
     def fault_causes(self) -> Fault:
         """Faults whose cause was there at the last sample."""
-        return Fault(int(self._state.firmware.causes))
+        return Fault(int(self._state.firmware.protection.causes))
 
     @property
     def outputs_on(self) -> bool:
@@ -142,7 +144,9 @@ class SimulatedBench:
 
     def clear_faults(self) -> None:
         """Forget the latched faults; what still has a cause comes back as soon as the drive is ARMED."""
-        self._state = self._state._replace(firmware=self._state.firmware._replace(faults=0))
+        firmware = self._state.firmware
+        forgiven = firmware._replace(faults=0, protection=protection.forgiven(firmware.protection))
+        self._state = self._state._replace(firmware=forgiven)
 
     def load_enter_state(self, state: DriveState) -> None:
         """Follow the load machine's state: torque only in RUNNING, none until a setpoint."""
@@ -159,7 +163,19 @@ class SimulatedBench:
         if name not in self.parameters:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
         self.parameters[name] = _f32(value)
-        self._params = _make(self.params, self.parameters)
+        self._params = _make(self.params, self.parameters, self.load_parameters)
+
+    def set_load_param(self, name: str, value: float) -> None:
+        """Set a parameter of the load machine, as a float32; a fault on the wires is there from the next period on.
+
+        An edge of a Hall sensor that moves is met at its new place once the rotor has passed another. Raises
+        ConfigError where no room is left for a sector.
+        """
+        if name not in self.load_parameters:
+            raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.load_parameters)}")
+        changed = self.load_parameters | {name: _f32(value)}
+        self._params = _make(self.params, self.parameters, changed)
+        self.load_parameters = changed
 
     def get_param(self, name: str) -> float:
         """A firmware parameter as it is used."""
@@ -167,7 +183,8 @@ class SimulatedBench:
 
     def advance(self, n: int, log: bool = False) -> Recorded:
         """Run `n` control periods; `log`: also keep estimates and truth unrounded."""
-        places = self._edges_per_period * n
+        disturbed = self.load_parameters["hall_glitch"] > 0.0
+        places = (self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n
         arrays = tick.Arrays(
             np.empty(n, SAMPLE_DTYPE),
             np.empty(n, LOAD_DTYPE),
@@ -196,9 +213,10 @@ class SimulatedBench:
 _advance = settled(tick.advance)
 
 
-def _make(p: BenchParams, drive: Mapping[str, float]) -> tick.Params:
-    """The kernels' constants for a bench whose firmware has the parameters `drive`."""
-    firmware = p.firmware
+def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
+    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
+    has_encoder = bool(p.encoder.present)
+    hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, period
@@ -216,7 +234,8 @@ def _make(p: BenchParams, drive: Mapping[str, float]) -> tick.Params:
             ),
             mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
         ),
-        hall_sensor.make_params(p.hall.delta_deg, p.hall.hysteresis_deg, p.hall.jitter_deg),
+        hall_sensor.make_params(hall.delta_deg, hall.hysteresis_deg, hall.jitter_deg),
+        hall_wiring.make_params(p.clock.tick_hz, **_some(load, "hall_swap", "hall_open", "hall_glitch")),
         current_sensor.make_params(
             p.current_sensor.noise_rms,
             p.current_sensor.offset,
@@ -230,18 +249,24 @@ def _make(p: BenchParams, drive: Mapping[str, float]) -> tick.Params:
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
             dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),
             shaft_encoder,
+            protection.make_params(p.clock.pwm_hz, drive["n_p"], has_encoder, **asdict(p.firmware.protection)),
             period,
             drive["n_p"],
             int(drive["observer"]),
-            firmware.protection.i_trip,
-            firmware.protection.omega_m_trip * drive["n_p"],
-            firmware.protection.u_dc_min,
-            firmware.protection.u_dc_max,
-            max(1, round(firmware.protection.hall_fault_time * p.clock.pwm_hz)),
+            has_encoder,
         ),
         p.clock.period_ticks,
         p.clock.substeps,
         period / p.clock.substeps,
+    )
+
+
+def _delta_deg(own: Sequence[float], load: Mapping[str, float]) -> tuple[float, ...]:
+    """Placement of the Hall edges, degrees: the configuration's own figures as long as nobody has moved them."""
+    given = [load[f"hall_delta_{s}"] for s in range(1, 7)]
+    return tuple(
+        delta if moved == _f32(math.radians(delta)) else math.degrees(moved)
+        for delta, moved in zip(own, given, strict=True)
     )
 
 

@@ -33,10 +33,11 @@ from sim.drive.tick_record import (
 )
 from sim.numba_cache import kernel
 from sim.observers import bank
-from sim.plant import current_sensor, encoder, hall_sensor, integrator, inverter, mechanics, noise, pmsm
+from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
-RESET, CORRECTION = int(Status.OBSERVERS_RESET), int(Status.CORRECTION_ON)
+RESET, CORRECTION, SYNC = int(Status.OBSERVERS_RESET), int(Status.CORRECTION_ON), int(Status.INJECTION_SYNC)
 FAULT = tick_firmware.FAULT
+NEVER = hall_wiring.NEVER
 REFRESH = 256  # samples after which the rotor's cosine and sine are computed anew
 
 LOG_FIELDS = (
@@ -59,6 +60,7 @@ class Params(NamedTuple):
 
     plant: integrator.Params
     hall: hall_sensor.Params
+    wiring: hall_wiring.Params
     current_sensor: current_sensor.Params
     firmware: tick_firmware.Params
     period_ticks: int
@@ -75,6 +77,7 @@ class State(NamedTuple):
     plant: integrator.State
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
+    wiring: hall_wiring.State
     firmware: tick_firmware.State
 
 
@@ -103,21 +106,42 @@ def init(params: Params, theta_e: float, start_tick: int, quantiles: NDArray[np.
     """The state at boot with the rotor at rest at `theta_e` (electrical rad)."""
     rng = noise.advance(rng)
     counter = encoder.count(params.firmware.encoder, theta_e)
+    hall = hall_sensor.init(params.hall, theta_e, quantiles, rng)
     return State(
         0,
         start_tick,
         rng,
         integrator.init(params.plant, theta_e),
         0.0,
-        hall_sensor.init(params.hall, theta_e, quantiles, rng),
+        hall,
+        hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
         tick_firmware.init(counter),
     )
+
+
+@kernel
+def _captured(
+    params: Params, wiring: hall_wiring.State, new: int, tick: int, theta: float, arrays: Arrays, m: int
+) -> tuple[hall_wiring.State, int]:
+    """Capture an edge at `tick`, at the angle `theta`, if the code `new` is another one than before."""
+    old = wiring.pins
+    if new == old:
+        return wiring, m
+    arrays.edge_tick[m] = tick
+    arrays.edge_hall[m] = new
+    row = arrays.edges[m]
+    row["tick"] = tick & 0xFFFFFFFF
+    row["codes"] = edge_codes(old, new)
+    row["flags"] = 0
+    row["encoder"] = encoder.count(params.firmware.encoder, theta) if params.firmware.has_encoder else 0
+    return hall_wiring.State(new, wiring.pulse, wiring.due), m + 1
 
 
 @kernel
 def _edges(
     params: Params,
     hall: hall_sensor.State,
+    wiring: hall_wiring.State,
     before: integrator.State,
     after: integrator.State,
     tick: int,
@@ -126,40 +150,54 @@ def _edges(
     m: int,
     quantiles: NDArray[np.float64],
     rng: np.uint64,
-) -> tuple[hall_sensor.State, int, np.uint64]:
-    """Capture the edges between two plant states.
+) -> tuple[hall_sensor.State, hall_wiring.State, int, np.uint64]:
+    """Capture the edges between two plant states, those of the sensors and those of false pulses, in order.
 
     `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far.
     """
     n_p = params.plant.motor.n_p
+    step_ticks = params.period_ticks / params.substeps
     while m < arrays.edge_tick.shape[0]:
+        way = 0
+        theta = after.theta_e
+        late = math.floor(step_ticks - offset)
         if after.theta_e >= hall.above:
             way = 1
             theta = hall.above
         elif after.theta_e < hall.below:
             way = -1
             theta = hall.below
+        if way != 0:
+            x = hall_sensor.time_of(
+                before.theta_e, n_p * before.omega_m, after.theta_e, n_p * after.omega_m, params.h, theta
+            )
+            late = math.floor(x * step_ticks - offset) + 1
+        captured = tick + min(late, 0)
+        if wiring.due <= captured:  # a false pulse begins or ends before
+            x = (wiring.due - tick + offset) / step_ticks
+            theta = before.theta_e + x * (after.theta_e - before.theta_e)
+            rng = noise.advance(rng)
+            due = wiring.due
+            wiring = hall_wiring.toggled(params.wiring, wiring, rng)
+            pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+            wiring, m = _captured(params, wiring, pins, due, theta, arrays, m)
+        elif way != 0:
+            rng = noise.advance(rng)
+            hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
+            pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+            wiring, m = _captured(params, wiring, pins, captured, theta, arrays, m)
         else:
             break
-        x = hall_sensor.time_of(
-            before.theta_e, n_p * before.omega_m, after.theta_e, n_p * after.omega_m, params.h, theta
-        )
-        step_ticks = params.period_ticks / params.substeps
-        late = math.floor(x * step_ticks - offset) + 1
-        rng = noise.advance(rng)
-        captured = tick + min(late, 0)
-        old = hall_sensor.code(hall.number)
-        hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
-        new = hall_sensor.code(hall.number)
-        arrays.edge_tick[m] = captured
-        arrays.edge_hall[m] = new
-        row = arrays.edges[m]
-        row["tick"] = captured & 0xFFFFFFFF
-        row["codes"] = edge_codes(old, new)
-        row["flags"] = 0
-        row["encoder"] = encoder.count(params.firmware.encoder, theta)
-        m += 1
-    return hall, m, rng
+    return hall, wiring, m, rng
+
+
+@kernel
+def _rewired(params: Params, state: State, arrays: Arrays, m: int) -> tuple[State, int]:
+    """The state with the wires as they are now: a code that changes with them is an edge as the period begins."""
+    pins = hall_wiring.pins(params.wiring, hall_sensor.code(state.hall.number), state.wiring.pulse)
+    tick = state.tick - params.period_ticks + 1
+    wiring, m = _captured(params, state.wiring, pins, tick, state.plant.theta_e, arrays, m)
+    return State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, wiring, state.firmware), m
 
 
 @kernel
@@ -179,18 +217,24 @@ def _move(
         applied = inverter.off()
     plant = state.plant
     hall = state.hall
+    wiring = state.wiring
     rng = state.rng
     alpha = 0.0
+    if params.wiring.gap > 0.0 or wiring.due != NEVER:
+        rng = noise.advance(rng)
+        wiring = hall_wiring.next_pulse(params.wiring, wiring, state.tick - params.period_ticks, rng)
     if state.k % REFRESH == 0:
         plant = integrator.refresh(plant)
     step_ticks = params.period_ticks / params.substeps
     for j in range(params.substeps):
         before = plant
         plant, alpha = integrator.step(params.plant, before, applied, load, params.h)
-        if plant.theta_e >= hall.above or plant.theta_e < hall.below:
+        if plant.theta_e >= hall.above or plant.theta_e < hall.below or wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
-            hall, m, rng = _edges(params, hall, before, plant, state.tick, offset, arrays, m, quantiles, rng)
-    return State(state.k, state.tick, rng, plant, alpha, hall, state.firmware), m
+            hall, wiring, m, rng = _edges(
+                params, hall, wiring, before, plant, state.tick, offset, arrays, m, quantiles, rng
+            )
+    return State(state.k, state.tick, rng, plant, alpha, hall, wiring, state.firmware), m
 
 
 @kernel
@@ -206,7 +250,7 @@ def _sense(
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
     return rng, tick_firmware.Sensed(
         state.tick,
-        hall_sensor.code(state.hall.number),
+        state.wiring.pins,
         encoder.count(params.firmware.encoder, state.plant.theta_e),
         quantised(i_a),
         quantised(i_b),
@@ -230,8 +274,7 @@ def _silenced(firmware: tick_firmware.State) -> tick_firmware.State:
         0.0,
         off,
         off,
-        firmware.illegal,
-        firmware.causes,
+        firmware.protection,
         firmware.faults,
     )
 
@@ -250,8 +293,7 @@ def _with_bank(firmware: tick_firmware.State) -> tick_firmware.State:
         firmware.i_q_ref,
         firmware.now,
         firmware.next,
-        firmware.illegal,
-        firmware.causes,
+        firmware.protection,
         firmware.faults,
     )
 
@@ -273,10 +315,13 @@ def advance(
     n_p = motor.n_p
     m = int(np.int64(0))  # numba would compile a version of everything for the literal 0 too
     if command.drive.state != tick_firmware.RUNNING or state.firmware.faults != 0:
-        state = State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, _silenced(state.firmware))
+        silenced = _silenced(state.firmware)
+        state = State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, state.wiring, silenced)
     for j in range(n):
         first = m
         if state.k > 0:
+            if j == 0 or state.k == 1:
+                state, m = _rewired(params, state, arrays, m)
             state, m = _move(params, state, command.load, arrays, m, quantiles)
 
         plant = state.plant
@@ -297,6 +342,8 @@ def advance(
             status |= RESET
         if estimate.correction_on == 1:
             status |= CORRECTION
+        if estimate.injection_sync == 1:
+            status |= SYNC
         tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta)
         tau_load = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, state.alpha_m)
         row = arrays.samples[j]
@@ -353,6 +400,7 @@ def advance(
             plant,
             state.alpha_m,
             state.hall,
+            state.wiring,
             firmware,
         )
     return state, m

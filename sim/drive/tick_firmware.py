@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.messages import DriveState, Fault, SetpointMode
+from protocol.messages import DriveState, SetpointMode
 from protocol.signals import AngleSource
 from sim.control import current_loop, dead_time, modulation, speed_loop
 from sim.control.transforms import inverse_clarke, inverse_park, park
+from sim.drive import tick_protection as protection
 from sim.drive.tick_record import quantised
 from sim.numba_cache import kernel
-from sim.observers import bank
+from sim.observers import bank, hall_speed
 from sim.observers.transforms import clarke
 from sim.plant import encoder
 from sim.plant.integrator import turn
@@ -29,8 +30,6 @@ from sim.plant.integrator import turn
 ARMED, RUNNING, FAULT = int(DriveState.ARMED), int(DriveState.RUNNING), int(DriveState.FAULT)
 MODE_SPEED = int(SetpointMode.SPEED)
 ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
-OVERCURRENT, OVERSPEED = int(Fault.OVERCURRENT), int(Fault.OVERSPEED)
-UNDERVOLTAGE, OVERVOLTAGE, HALL = int(Fault.UNDERVOLTAGE), int(Fault.OVERVOLTAGE), int(Fault.HALL)
 
 
 class Params(NamedTuple):
@@ -41,14 +40,11 @@ class Params(NamedTuple):
     speed: speed_loop.Params
     dead_time: dead_time.Params
     encoder: encoder.Params
+    protection: protection.Params
     T_s: float
     n_p: float
     source: int  # AngleSource
-    i_trip: float  # A
-    omega_trip: float  # electrical rad/s
-    u_dc_min: float  # V
-    u_dc_max: float  # V
-    hall_periods: int  # periods that an illegal code must stand
+    has_encoder: bool
 
 
 class Command(NamedTuple):
@@ -97,8 +93,7 @@ class State(NamedTuple):
     i_q_ref: float
     now: Output  # in force since the last sample
     next: Output  # in force from the coming sample on
-    illegal: int  # periods in a row with an illegal Hall code
-    causes: int  # Fault bits whose cause is there now
+    protection: protection.State
     faults: int  # latched Fault bits
 
 
@@ -132,27 +127,38 @@ def init(counter: int) -> State:
         0.0,
         output_off(),
         output_off(),
-        0,
-        0,
+        protection.init(),
         0,
     )
 
 
 @kernel
-def fault_causes(params: Params, sensed: Sensed, omega_enc: float, illegal: int) -> int:
-    """The Fault bits whose cause is there now."""
-    bits = 0
-    if max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)) > params.i_trip:
-        bits |= OVERCURRENT
-    if abs(omega_enc) > params.omega_trip:
-        bits |= OVERSPEED
-    if sensed.u_dc < params.u_dc_min:
-        bits |= UNDERVOLTAGE
-    if sensed.u_dc > params.u_dc_max:
-        bits |= OVERVOLTAGE
-    if illegal >= params.hall_periods:
-        bits |= HALL
-    return bits
+def _protect(
+    params: Params,
+    state: State,
+    sensed: Sensed,
+    hall: hall_speed.State,
+    omega_enc: float,
+    estimate: bank.BankEstimate,
+) -> protection.State:
+    """The protection after a sample; `hall`: the Hall front end's state after it."""
+    before = state.bank.hall
+    sampled = 1 if sensed.hall == 0 or sensed.hall == 7 else 0
+    return protection.step(
+        params.protection,
+        state.protection,
+        protection.Sensed(
+            max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
+            omega_enc if params.has_encoder else estimate.omega_avg,
+            sensed.u_dc,
+            sensed.hall,
+            hall.illegal - before.illegal - sampled + hall.skipped - before.skipped,
+            hall.now.direction,
+            estimate.e_alpha,
+            estimate.e_beta,
+        ),
+        state.now.on,
+    )
 
 
 @kernel
@@ -242,11 +248,10 @@ def step(
     tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
     theta, omega = _angle(params, params.source, sensed, omega_enc, estimate)
 
-    illegal = state.illegal + 1 if sensed.hall == 0 or sensed.hall == 7 else 0
-    causes = fault_causes(params, sensed, omega_enc, illegal)
+    protected = _protect(params, state, sensed, estimator.hall, omega_enc, estimate)
     faults = state.faults
     if command.state == ARMED or command.state == RUNNING:
-        faults |= causes
+        faults |= protected.causes
 
     i_alpha, i_beta = clarke(sensed.i_a, sensed.i_b, sensed.i_c)
     cos = math.cos(theta)
@@ -297,8 +302,7 @@ def step(
         i_q_ref,
         now,
         output,
-        illegal,
-        causes,
+        protected,
         faults,
     )
     return after, Result(estimate, omega_enc, i_d, i_q, omega_ref)

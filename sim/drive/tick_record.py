@@ -16,6 +16,7 @@ from sim.numba_cache import kernel
 
 SAMPLE_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in DRIVE_CHANNELS])
 LOAD_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in LOAD_CHANNELS])
+ENCODER_CHANNELS = ("theta_enc", "omega_enc")  # what a drive without an encoder does not have
 
 _SCALES = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 TWO_PI = 2.0 * math.pi

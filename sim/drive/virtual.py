@@ -7,14 +7,21 @@ seed and the same calls give the same bytes. It never waits and never reads a re
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
 from protocol.errors import LinkClosed
 from protocol.links.base import MAX_READ
 from protocol.wire import HostWire
 from sim.drive.device import PORTION, SimulatedDevice
-from sim.params import BenchParams
+from sim.params import BenchParams, Value, load_params
 
 STEP = PORTION  # s: sessions cost as much as 5 ms of simulation each time they look
+
+
+def open_virtual(config: Path | None, overrides: Mapping[str, Value], seed: int) -> VirtualLink:
+    """A link to a new simulated bench, as `load_params` makes it from a file and dotted keys. Raises `ConfigError`."""
+    return VirtualLink.of(load_params(config, overrides), seed)
 
 
 class VirtualLink:

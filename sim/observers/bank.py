@@ -36,6 +36,9 @@ PARAMETERS = (
     "load_angle_comp",
     "literal_sgn",
     "bw_omega_lpf",
+    "inject",
+    "inject_amplitude",
+    "inject_hz",
 )
 
 
@@ -65,6 +68,7 @@ class BankEstimate(NamedTuple):
     e_beta: float
     correction_on: int  # 1: the vector-tracking observer's correction is at work
     sector: int  # 0..5, -1: not known yet
+    injection_sync: int  # 1: the test sine begins a turn at this sample
 
 
 class BankEstimates(NamedTuple):
@@ -79,6 +83,7 @@ class BankEstimates(NamedTuple):
     e_beta: NDArray[np.float64]
     correction_on: NDArray[np.int64]
     sector: NDArray[np.int64]
+    injection_sync: NDArray[np.int64]
 
 
 def make_params(tick_hz: float, pwm_hz: float, *, exact_inverse: bool = True, **drive: float) -> Params:
@@ -138,6 +143,7 @@ def step_span(
         vector.e_beta,
         vector.on,
         front.sector,
+        vector.sync,
     )
 
 
@@ -213,6 +219,7 @@ def run(
         np.empty(n, np.float64),
         np.empty(n, np.int64),
         np.empty(n, np.int64),
+        np.empty(n, np.int64),
     )
     first = 0
     for k in range(n):
@@ -247,4 +254,5 @@ def run(
         out.e_beta[k] = estimate.e_beta
         out.correction_on[k] = estimate.correction_on
         out.sector[k] = estimate.sector
+        out.injection_sync[k] = estimate.injection_sync
     return state, out

@@ -26,6 +26,11 @@ What the paper leaves open, and how it is settled here:
   integral is the change of that loop's integrator and does not drift; with another angle in the loop it has
   no meaning. Size and sign of k_pc and k_ic are commissioned for a drive.
 
+A test sine can be added at either input of the loop, to measure its frequency response (11): the response of the
+estimate at sample k, against sin(phase of k), is then the paper's low-pass or high-pass. `inject` = 1 turns theta* by
+A sin(phase), at the phase of the middle of the period, to which (8) belongs. `inject` = 2 adds to omega_h, as it is fed
+forward, the exact difference of A sin(phase) over the period, by T_s; (6) and the thresholds see omega_h without it.
+
 Never reads a Hall pin (that is `hall_speed`'s) and never adapts a parameter.
 
 Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the paper's.
@@ -42,11 +47,13 @@ from numpy.typing import NDArray
 from sim.numba_cache import jit, kernel
 from sim.observers import hall_speed
 from sim.observers.average_speed import HALF_SECTOR, centre
-from sim.observers.transforms import wrap
+from sim.observers.transforms import TWO_PI, wrap
 
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre beyond which the estimate is not believed
 DELTA_MAX = HALF_SECTOR  # rad, largest load angle
 E_TINY = 1e-6  # V, keeps (7) from dividing by zero where omega_on is zero
+INJECT_OFF, INJECT_BACK_EMF = 0, 1
+TURN = 1.0 - 1e-9  # a turn of the test sine, whose steps add up to 1 but for rounding
 
 
 class Params(NamedTuple):
@@ -68,6 +75,9 @@ class Params(NamedTuple):
     literal_sgn: int
     exact_inverse: int
     a_omega: float  # gain of the filter on the estimated speed
+    inject: int
+    inject_amplitude: float  # rad
+    inject_turns: float  # of the test sine, a sample
 
 
 class State(NamedTuple):
@@ -85,6 +95,7 @@ class State(NamedTuple):
     omega_corr_i: float  # integral part of (9)
     delta_i: float  # integral part of (18)
     omega_lpf: float
+    turn: float  # where in its turn the test sine is at the next sample; from 1 on a new one begins
 
 
 class Estimate(NamedTuple):
@@ -96,6 +107,7 @@ class Estimate(NamedTuple):
     e_alpha: float  # E_f* of (6), V, of the middle of the period
     e_beta: float
     on: int  # 1: the correction is at work
+    sync: int  # 1: the test sine begins a turn at this sample
 
 
 class Estimates(NamedTuple):
@@ -107,6 +119,7 @@ class Estimates(NamedTuple):
     e_alpha: NDArray[np.float64]
     e_beta: NDArray[np.float64]
     on: NDArray[np.int64]
+    sync: NDArray[np.int64]
 
 
 def make_params(
@@ -125,6 +138,9 @@ def make_params(
     load_angle_comp: float,
     literal_sgn: float,
     bw_omega_lpf: float,
+    inject: float = 0.0,
+    inject_amplitude: float = 0.0,
+    inject_hz: float = 0.0,
     exact_inverse: bool = True,
 ) -> Params:
     """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
@@ -150,13 +166,16 @@ def make_params(
         literal_sgn=int(literal_sgn),
         exact_inverse=int(exact_inverse),
         a_omega=1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s),
+        inject=int(inject),
+        inject_amplitude=float(inject_amplitude),
+        inject_turns=float(inject_hz) * T_s,
     )
 
 
 @kernel
 def init() -> State:
     """Nothing known: the next sample gives the first currents and the angle by the Hall sector."""
-    return State(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @kernel
@@ -179,6 +198,24 @@ def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
 
 
 @kernel
+def _injected(params: Params, turn: float) -> tuple[float, int, float, float]:
+    """The test sine at a sample: next `turn`, 1 if a turn begins, the angle (rad) and the speed (rad/s) to add."""
+    if params.inject == INJECT_OFF:
+        return 1.0, 0, 0.0, 0.0
+    sync = 1 if turn >= TURN else 0
+    turn -= sync
+    phase = TWO_PI * turn
+    advance = TWO_PI * params.inject_turns
+    angle = 0.0
+    speed = 0.0
+    if params.inject == INJECT_BACK_EMF:
+        angle = params.inject_amplitude * math.sin(phase - 0.5 * advance)
+    else:
+        speed = params.inject_amplitude * (math.sin(phase) - math.sin(phase - advance)) / params.T_s
+    return turn + params.inject_turns, sync, angle, speed
+
+
+@kernel
 def step(
     params: Params,
     state: State,
@@ -198,8 +235,8 @@ def step(
     """
     omega_h = hall.omega
     if state.primed == 0:
-        state = State(1, 0, 0, i_alpha, i_beta, 0.0, 0.0, theta_avg, omega_h, 0.0, 0.0, omega_h)
-        return state, Estimate(theta_avg, omega_h, 0.0, 0.0, 0.0, 0)
+        state = State(1, 0, 0, i_alpha, i_beta, 0.0, 0.0, theta_avg, omega_h, 0.0, 0.0, omega_h, 1.0)
+        return state, Estimate(theta_avg, omega_h, 0.0, 0.0, 0.0, 0, 0)
 
     # (5): mean back-EMF of the period that ends here
     i_alpha_mean = 0.5 * (i_alpha + state.i_alpha)
@@ -217,6 +254,7 @@ def step(
     f_alpha = g_re * e_alpha - g_im * e_beta
     f_beta = g_re * e_beta + g_im * e_alpha
 
+    turn, sync, injected_angle, injected_speed = _injected(params, state.turn)
     driven = u_alpha != 0.0 or u_beta != 0.0
     on = state.on if driven and speed >= params.omega_off else 0
     direction = state.direction
@@ -226,7 +264,8 @@ def step(
     delta = 0.0
     delta_i = state.delta_i if params.load_angle_comp != 0 else 0.0
     if on == 1:
-        theta_mid = theta + 0.5 * params.T_s * (omega_h + state.omega_corr_i)
+        omega = omega_h + injected_speed
+        theta_mid = theta + 0.5 * params.T_s * (omega + state.omega_corr_i) - injected_angle
         cos = math.cos(theta_mid)
         sin = math.sin(theta_mid)
         e_q = f_beta * cos - f_alpha * sin
@@ -265,8 +304,10 @@ def step(
         theta = wrap(middle + _clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
 
     omega_lpf = state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
-    state = State(1, on, direction, i_alpha, i_beta, e_alpha, e_beta, theta, omega, omega_corr_i, delta_i, omega_lpf)
-    return state, Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on)
+    state = State(
+        1, on, direction, i_alpha, i_beta, e_alpha, e_beta, theta, omega, omega_corr_i, delta_i, omega_lpf, turn
+    )
+    return state, Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on, sync)
 
 
 @jit
@@ -290,6 +331,7 @@ def run(
         np.empty(n, np.float64),
         np.empty(n, np.float64),
         np.empty(n, np.float64),
+        np.empty(n, np.int64),
         np.empty(n, np.int64),
     )
     for k in range(n):
@@ -315,4 +357,5 @@ def run(
         out.e_alpha[k] = estimate.e_alpha
         out.e_beta[k] = estimate.e_beta
         out.on[k] = estimate.on
+        out.sync[k] = estimate.sync
     return state, out

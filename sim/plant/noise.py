@@ -20,6 +20,7 @@ SIZE = 1 << BITS
 _MASK = np.uint64(SIZE - 1)
 _13, _7, _17 = np.uint64(13), np.uint64(7), np.uint64(17)
 _FIRST, _SECOND, _THIRD = np.uint64(52), np.uint64(40), np.uint64(28)
+_ELEVEN = np.uint64(11)
 
 
 def table() -> NDArray[np.float64]:
@@ -64,3 +65,9 @@ def second(quantiles: NDArray[np.float64], state: np.uint64) -> float:
 def third(quantiles: NDArray[np.float64], state: np.uint64) -> float:
     """A third one."""
     return float(quantiles[(state >> _THIRD) & _MASK])
+
+
+@kernel
+def uniform(state: np.uint64) -> float:
+    """A number from [0, 1) from a state; not together with normal ones from the same state."""
+    return float(state >> _ELEVEN) * 2.0**-53

@@ -12,7 +12,7 @@ from virtual_run import WatchedLink, run, simulated
 
 from bench.estimators import CHECKED, HostObservers
 from bench.rerunio.recording import read_run
-from protocol.signals import AngleSource, Status
+from protocol.signals import AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers import bank
 
@@ -73,6 +73,25 @@ def test_host_and_drive_agree_bit_for_bit(source: AngleSource, compensation: int
     assert feed(observers, samples, edges, cuts) == (len(samples) - reset[0], 0)
     assert feed(host_observers(bench), samples, edges, np.array([], int)) == (len(samples) - reset[0], 0)
     assert len(bank.run.signatures) == 1  # compiled once, before the motor turned
+
+
+@pytest.mark.parametrize("where", [Injection.BACK_EMF, Injection.HALL])
+def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> None:
+    bench = Bench(WatchedLink(simulated(seed=3)))
+    for name, value in (("inject", where), ("inject_amplitude", 0.1), ("inject_hz", 123.4)):
+        bench.drive.set(name, value)
+    bench.load.set("hall_glitch", 50.0)
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    collected = bench.collector
+    samples = collected.all_samples()
+    assert np.any(samples.raw["status"] & Status.INJECTION_SYNC)
+    compared, differ = feed(host_observers(bench), samples, collected.all_edges(), np.array([], int))
+    assert compared > 5000
+    assert differ == 0
+    still = HostObservers(bench.drive.parameters() | {"inject": 0.0}, bench.hello.tick_hz, bench.hello.pwm_hz)
+    assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
 
 
 def test_another_parameter_shows_as_a_difference() -> None:

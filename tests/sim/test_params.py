@@ -18,8 +18,14 @@ def test_defaults_are_the_papers_motor() -> None:
 
 def test_every_parameter_of_the_protocol_has_a_value() -> None:
     params = load_params()
-    assert params.firmware.parameters().keys() == {p.name for p in DRIVE_PARAMETERS}
-    assert params.load.parameters().keys() == {p.name for p in LOAD_PARAMETERS}
+    assert params.drive_parameters().keys() == {p.name for p in DRIVE_PARAMETERS}
+    assert params.load_parameters().keys() == {p.name for p in LOAD_PARAMETERS}
+
+
+def test_control_by_an_encoder_needs_one() -> None:
+    assert load_params(None, {"encoder.present": 0}).firmware.observer == 2
+    with pytest.raises(ConfigError, match=r"^firmware.observer must be 1 or 2 where encoder.present = 0, got 0 "):
+        load_params(None, {"encoder.present": 0, "firmware.observer": 0})
 
 
 def test_file_then_overrides_replace_single_keys(tmp_path: Path) -> None:

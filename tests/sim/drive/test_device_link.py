@@ -25,7 +25,7 @@ from protocol.messages import (
     Role,
     SetpointMode,
 )
-from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS, Flag
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS, AngleSource, Flag
 from sim.drive.device import SimulatedDevice
 from sim.drive.networks import ByteNetwork
 from sim.drive.virtual import VirtualLink
@@ -85,13 +85,75 @@ def test_parameters_are_those_of_the_configuration_as_float32() -> None:
     assert host.get("tau_max", node=2).value == 0.5
 
 
-@pytest.mark.parametrize("name", [parameter.name for parameter in DRIVE_PARAMETERS])
+SETTABLE = [parameter.name for parameter in DRIVE_PARAMETERS if not parameter.flags & Flag.READ_ONLY]
+
+
+@pytest.mark.parametrize("name", SETTABLE)
 def test_every_parameter_of_the_drive_takes_its_limits(name: str) -> None:
     host, device = make()
     reply = host.get(name)
     for value in (reply.lo, reply.hi, reply.default):
         assert host.set(name, value) == value
         device.advance(2)
+
+
+def test_the_range_of_the_current_sensors_is_told_and_not_set(tmp_path: Path) -> None:
+    store = tmp_path / "drive.json"
+    host, _ = make(load_params(None, {"current_sensor.range": 15.0}), store=store)
+    assert host.get("i_range").value == 15.0
+    with pytest.raises(Refused) as caught:
+        host.set("i_range", 20.0)
+    assert code(caught)[0] is ErrorCode.READ_ONLY
+    host.request(ParamCommit())
+    host, _ = make(load_params(None, {"current_sensor.range": 10.0}), store=store)
+    assert host.get("i_range").value == 10.0
+
+
+def test_a_drive_without_an_encoder_has_no_channels_nor_control_by_it(tmp_path: Path) -> None:
+    store = tmp_path / "drive.json"
+    host, _ = make(load_params(None, {"encoder.present": 0}), store=store)
+    names = [channel.name for channel in host.descriptor(1).channels]
+    assert names == [c.name for c in DRIVE_CHANNELS if c.name not in ("theta_enc", "omega_enc")]
+    assert "theta_true" in names
+    assert host.get("observer").lo == AngleSource.AVERAGE_SPEED
+    with pytest.raises(Refused) as caught:
+        host.set("observer", AngleSource.ENCODER)
+    assert code(caught) == (ErrorCode.OUT_OF_RANGE, AngleSource.AVERAGE_SPEED)
+    store.write_text('{"observer": 0}')
+    with pytest.raises(ConfigError, match="observer must be between 1 and 2, got 0"):
+        make(load_params(None, {"encoder.present": 0}), store=store)
+
+
+def test_samples_without_an_encoder_are_those_with_one_but_for_its_columns() -> None:
+    chunks, edges = [], []
+    for present in (0, 1):
+        host, _ = make(load_params(None, {"encoder.present": present}), seed=3)
+        names = [c.name for c in DRIVE_CHANNELS if c.name not in ("theta_enc", "omega_enc")]
+        host.stream(names)
+        host.start()
+        host.setpoint(SetpointMode.SPEED, 50.0)
+        host.run(0.2)
+        chunks.append(np.concatenate([chunk.raw for chunk in host.samples[1, 0]]))
+        edges.append(np.concatenate([chunk.encoder for chunk in host.edges]))
+    n = min(map(len, chunks))
+    assert n > 1000
+    assert np.array_equal(chunks[0][:n], chunks[1][:n])
+    assert not edges[0].any()
+    assert edges[1].any()
+
+
+def test_faults_are_put_on_the_wires_while_the_drive_runs() -> None:
+    host, device = make()
+    host.start()
+    host.setpoint(SetpointMode.SPEED, 20.0)
+    host.run(0.3)
+    assert host.set("hall_open", 2, node=2) == 2
+    host.run(0.3)
+    assert host.heartbeats[1].faults == Fault.HALL
+    assert not device.bench.outputs_on
+    host.set("hall_open", 0, node=2)
+    host.run(0.1)
+    assert host.command(Command.FAULT_CLEAR, Fault.HALL) is DriveState.IDLE
 
 
 def test_arm_start_turn_and_stop() -> None:

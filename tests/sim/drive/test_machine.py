@@ -5,7 +5,6 @@ import pytest
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
-from sim.drive import tick_firmware
 from sim.drive.machine import SimulatedBench
 from sim.params import load_params
 
@@ -178,13 +177,19 @@ def test_overspeed_trips_by_the_encoder():
     assert bench.faults == Fault.OVERSPEED
 
 
-def test_illegal_hall_code_is_a_fault_once_it_has_stood():
-    bench = bench_of()
-    firmware = bench._params.firmware
-    sensed = tick_firmware.Sensed(0, 7, 0, 0.0, 0.0, 0.0, 24.0)
-    assert firmware.hall_periods == 80  # 5 ms
-    assert tick_firmware.fault_causes(firmware, sensed, 0.0, 79) == 0
-    assert tick_firmware.fault_causes(firmware, sensed, 0.0, 80) == Fault.HALL
+def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
+    bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.protection.omega_m_trip": 200.0})
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.set_load_param("hall_glitch", 150.0)  # one false edge makes any speed
+    assert np.abs(bench.advance(48000).samples["omega_avg"] * 0.125).max() > 200.0 * 6
+    assert bench.faults == 0
+    bench.set_load_param("hall_glitch", 0.0)
+    bench.load_setpoint(SetpointMode.SPEED, 180.0)
+    bench.advance(4000)
+    assert bench.faults == 0
+    bench.load_setpoint(SetpointMode.SPEED, 240.0)
+    bench.advance(1600)
+    assert bench.faults == Fault.OVERSPEED
 
 
 def test_every_edge_of_the_fastest_shaft_finds_room():

@@ -217,7 +217,10 @@ import numpy as np
 from protocol.messages import SetpointMode, DriveState
 from sim.drive.machine import SimulatedBench
 from sim.params import load_params
-bench = SimulatedBench(load_params(None, {"motor.L_q": 2e-4}), 5)
+bench = SimulatedBench(load_params(None, {
+    "motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3,
+    "firmware.injection.inject": 2, "firmware.injection.inject_hz": 500,
+}), 5)
 bench.load_enter_state(DriveState.RUNNING)
 bench.load_setpoint(SetpointMode.SPEED, 300.0)
 bench.enable()

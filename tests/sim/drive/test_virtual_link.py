@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_host import SmallHost
@@ -12,8 +14,8 @@ from protocol.messages import SetpointMode, StreamStop
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EDGE_RECORD
 from sim.drive.machine import SimulatedBench
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.drive.virtual import VirtualLink, open_virtual
+from sim.params import ConfigError, load_params
 
 PARAMS = load_params()
 
@@ -23,6 +25,17 @@ def quiet(step: float = 0.05) -> VirtualLink:
     link = VirtualLink.of(PARAMS, step=step)
     link.read(0.0)
     return link
+
+
+def test_it_opens_from_a_file_and_dotted_keys(tmp_path: Path) -> None:
+    file = tmp_path / "my.toml"
+    file.write_text("[motor]\nR_s = 0.3\n[inverter]\nu_dc = 20\n")
+    link = open_virtual(file, {"motor.R_s": 0.4}, 5)
+    params = link.device.bench.params
+    assert (params.motor.R_s, params.inverter.u_dc) == (0.4, 20.0)
+    assert SmallHost(link).connect().boot_id == SmallHost(VirtualLink.of(load_params(), 5)).connect().boot_id
+    with pytest.raises(ConfigError, match="R_s must be > 0"):
+        open_virtual(None, {"motor.R_s": -1.0}, 0)
 
 
 def test_it_is_a_link() -> None:

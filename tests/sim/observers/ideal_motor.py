@@ -38,6 +38,9 @@ DRIVE = {
     "load_angle_comp": 0.0,
     "literal_sgn": 0.0,
     "bw_omega_lpf": 50.0,
+    "inject": 0.0,
+    "inject_amplitude": 0.0,
+    "inject_hz": 0.0,
 }
 
 

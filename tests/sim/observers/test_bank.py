@@ -16,6 +16,8 @@ from sim.observers.transforms import clarke
 
 MILLI = 1 / 1024
 LOAD_ANGLE = {**DRIVE, "load_angle_comp": 1.0, "k_ic": 11.0}
+BACK_EMF = {**DRIVE, "inject": 1.0, "inject_amplitude": 0.1, "inject_hz": 123.4}
+HALL = {**BACK_EMF, "inject": 2.0}
 
 
 def busy(seconds=0.6):
@@ -122,7 +124,9 @@ def run_chunks(seed, drive=DRIVE):
     return bits([np.concatenate(c) for c in zip(*parts, strict=True)], state)
 
 
-@pytest.mark.parametrize("drive", [DRIVE, LOAD_ANGLE], ids=["plain", "load angle"])
+@pytest.mark.parametrize(
+    "drive", [DRIVE, LOAD_ANGLE, BACK_EMF, HALL], ids=["plain", "load angle", "sine on theta*", "sine on theta_h"]
+)
 def test_step_run_and_chunks_agree_bit_for_bit(drive):
     whole = run_whole(drive)
     assert run_steps(drive) == whole

@@ -1,0 +1,93 @@
+"""The wires between the Hall sensors and the firmware: exchanged, broken, or disturbed by false pulses.
+
+In this order, as on a real harness: two wires may be exchanged; a broken one is pulled up at the input and reads 1;
+an EMI pulse inverts one input for 2 to 5 us, whatever is connected to it. Pulses come one at a time, at random times
+and on random inputs: the gaps between them are exponentially distributed, so that they are independent of everything
+else.
+
+It never moves an edge of a sensor, and draws no random number where the rate of pulses is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.signals import HallSwap
+from sim.numba_cache import kernel
+from sim.plant import noise
+
+PULSE_MIN, PULSE_SPREAD = 2e-6, 3e-6  # s
+NEVER = 2**63 - 1
+A_B, B_C, C_A = int(HallSwap.A_B), int(HallSwap.B_C), int(HallSwap.C_A)
+
+
+class Params(NamedTuple):
+    """What is wrong with the wires."""
+
+    swap: int  # HallSwap
+    open: int  # one bit each
+    gap: float  # ticks between the end of a pulse and the begin of the next, mean; 0: no pulses
+    pulse_min: float  # ticks
+    pulse_spread: float  # ticks
+
+
+class State(NamedTuple):
+    """What the inputs see."""
+
+    pins: int  # code that the firmware's inputs read
+    pulse: int  # bit of the input that a pulse inverts, 0: none does
+    due: int  # tick at which a pulse begins or ends
+
+
+def make_params(tick_hz: float, *, hall_swap: float, hall_open: float, hall_glitch: float) -> Params:
+    """Constants from the load machine's parameters of the same names."""
+    width = PULSE_MIN + 0.5 * PULSE_SPREAD
+    gap = max(1.0 / hall_glitch - width, 0.0) * tick_hz if hall_glitch > 0.0 else 0.0
+    return Params(int(hall_swap), int(hall_open), gap, PULSE_MIN * tick_hz, PULSE_SPREAD * tick_hz)
+
+
+@kernel
+def pins(params: Params, code: int, pulse: int) -> int:
+    """The code at the inputs where the sensors say `code`."""
+    if params.swap == A_B:
+        code = (code & 1) << 1 | (code & 2) >> 1 | code & 4
+    elif params.swap == B_C:
+        code = (code & 2) << 1 | (code & 4) >> 1 | code & 1
+    elif params.swap == C_A:
+        code = (code & 1) << 2 | (code & 4) >> 2 | code & 2
+    return (code | params.open) ^ pulse
+
+
+@kernel
+def init(params: Params, code: int) -> State:
+    """The state at boot."""
+    return State(pins(params, code, 0), 0, NEVER)
+
+
+@kernel
+def next_pulse(params: Params, state: State, tick: int, rng: np.uint64) -> State:
+    """The state with the begin of the next pulse drawn anew, some time after `tick`; as it is within a pulse.
+
+    An exponential wait has no memory, so drawing it anew in every period changes nothing, and a new rate is used at
+    once.
+    """
+    if state.pulse != 0:
+        return state
+    if params.gap == 0.0:
+        return State(state.pins, 0, NEVER)
+    wait = -params.gap * math.log(1.0 - noise.uniform(rng))
+    return State(state.pins, 0, tick + 1 + math.floor(wait))
+
+
+@kernel
+def toggled(params: Params, state: State, rng: np.uint64) -> State:
+    """The state after a pulse began or ended at `state.due`; the edge is still to be captured."""
+    if state.pulse != 0:
+        return next_pulse(params, State(state.pins, 0, NEVER), state.due, rng)
+    x = 3.0 * noise.uniform(rng)
+    sensor = math.floor(x)
+    width = params.pulse_min + (x - sensor) * params.pulse_spread
+    return State(state.pins, 1 << sensor, state.due + max(1, round(width)))

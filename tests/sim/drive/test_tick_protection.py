@@ -1,0 +1,215 @@
+"""The firmware's watch over its Hall sensors: what trips it, how soon, and all that must not."""
+
+import numpy as np
+import pytest
+
+from protocol.messages import DriveState, Fault, SetpointMode
+from sim.drive import tick_protection as protection
+from sim.drive.machine import SimulatedBench
+from sim.params import load_params
+
+RPM = 2 * np.pi / 60
+PARAMS = protection.make_params(
+    16000.0, 6.0, True,
+    i_trip=16.0, omega_m_trip=400.0, omega_trip_time=1e-3, u_dc_min=12.0, u_dc_max=32.0,
+    hall_fault_time=5e-3, hall_fault_count=40, hall_fault_leak=0.5, hall_turns=6.0, hall_emf=0.3,
+)  # fmt: skip
+QUIET = protection.Sensed(0.0, 0.0, 24.0, 1, 0, 1, 0.0, 0.0)
+
+
+def tripped(samples, on=False):
+    """Number of the sample with which HALL has a cause, None if there is none."""
+    state = protection.init()
+    for number, sensed in enumerate(samples, 1):
+        state = protection.step(PARAMS, state, sensed, on)
+        if state.causes:
+            assert state.causes == Fault.HALL
+            return number
+    return None
+
+
+def back_emf(omega, samples, size=1.0, direction=1):
+    angles = omega / 16000.0 * np.arange(samples)
+    return [
+        QUIET._replace(direction=direction, e_alpha=size * x, e_beta=size * y)
+        for x, y in zip(np.cos(angles), np.sin(angles), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("code", [0, 7])
+def test_an_illegal_code_trips_once_it_has_stood_for_its_time(code):
+    assert tripped([QUIET._replace(hall=code)] * 100) == 80  # 5 ms
+    assert tripped(([QUIET._replace(hall=code)] * 79 + [QUIET] * 8_000) * 2) is None
+
+
+def test_implausible_edges_trip_by_their_number_and_are_forgotten():
+    assert tripped([QUIET._replace(edges=1)] * 100) == 40
+    assert tripped([QUIET._replace(edges=2)] * 100) == 20
+    assert tripped(([QUIET._replace(edges=1)] * 39 + [QUIET] * 8_000) * 3) is None  # 0.5 s forget it all
+    assert tripped(([QUIET._replace(edges=1)] + [QUIET] * 209) * 200) is None  # 76 a second
+
+
+def test_a_back_emf_against_the_hall_sensors_trips_after_its_turns():
+    omega = 300.0
+    turns = 6 * 2 * np.pi / omega * 16000
+    assert tripped(back_emf(-omega, 5000), on=True) == pytest.approx(turns, abs=3)
+    assert tripped(back_emf(omega, 5000, direction=-1), on=True) == pytest.approx(turns, abs=3)
+    assert tripped(back_emf(omega, 5000), on=True) is None
+    assert tripped(back_emf(-omega, 5000, direction=0), on=True) is None
+    assert tripped(back_emf(-omega, 5000, size=0.29), on=True) is None
+    assert tripped(back_emf(-omega, 5000), on=False) is None
+    assert tripped((back_emf(-omega, 1500) + back_emf(omega, 1500)) * 3, on=True) is None
+
+
+def drive(observer=2, **overrides):
+    bench = SimulatedBench(load_params(None, {"firmware.observer": observer, **overrides}), 1)
+    bench.enable()
+    bench.load_enter_state(DriveState.RUNNING)
+    return bench
+
+
+def forced(rpm, observer=2):
+    """The drive at 2 A on a shaft that the load machine turns."""
+    bench = drive(observer)
+    bench.load_setpoint(SetpointMode.SPEED, rpm * RPM)
+    bench.setpoint(SetpointMode.CURRENT, 2.0)
+    bench.advance(16_000)
+    assert bench.faults == 0
+    return bench
+
+
+def loaded(rpm, torque, observer=2):
+    """The drive at a speed against a torque."""
+    bench = drive(observer)
+    bench.setpoint(SetpointMode.SPEED, rpm * RPM)
+    bench.advance(12_000)
+    bench.load_setpoint(SetpointMode.TORQUE, torque)
+    bench.advance(8_000)
+    assert bench.faults == 0
+    assert bench.truth.omega_m == pytest.approx(rpm * RPM, rel=0.25)
+    return bench
+
+
+@pytest.mark.parametrize("wires", [1, 2, 4])
+@pytest.mark.parametrize("rpm", [50, 100, -100, 500, 1500])
+@pytest.mark.parametrize("observer", [0, 1, 2])
+def test_a_broken_wire_trips_within_a_second(observer, rpm, wires):
+    for bench in (forced(rpm, observer), loaded(rpm, 0.05 if rpm == 50 else 0.2, observer)):
+        bench.set_load_param("hall_open", wires)
+        bench.advance(16_000)
+        assert bench.faults == Fault.HALL
+        assert not bench.outputs_on
+
+
+def test_a_mended_wire_lets_the_drive_run_again():
+    bench = forced(500)
+    bench.set_load_param("hall_open", 4)
+    bench.advance(3_200)
+    assert bench.faults == Fault.HALL
+    bench.enter_state(DriveState.FAULT)
+    bench.set_load_param("hall_open", 0)
+    bench.advance(10)
+    assert bench.fault_causes == 0
+    bench.clear_faults()
+    bench.enable()
+    bench.set_load_param("hall_glitch", 1100.0)
+    bench.advance(320)  # what was believed broken gets a full credit of trust again
+    assert bench.faults == 0
+
+
+@pytest.mark.parametrize("observer", [1, 2])
+@pytest.mark.parametrize("rpm", [0, 100, 1000])
+def test_a_burst_of_twenty_false_pulses_in_twenty_milliseconds_trips_nothing(rpm, observer):
+    bench = forced(rpm, observer)
+    bursts = 0
+    for _ in range(20):
+        bench.set_load_param("hall_glitch", 1100.0)
+        bursts += len(bench.advance(320).edges) >= 2 * 20
+        bench.set_load_param("hall_glitch", 0.0)
+        bench.advance(16_000)
+        assert bench.faults == 0
+    assert bursts >= 10
+
+
+@pytest.mark.parametrize("swap", [1, 2, 3])
+@pytest.mark.parametrize("rpm", [100, -300, 1000])
+@pytest.mark.parametrize("observer", [1, 2])
+def test_exchanged_wires_on_a_shaft_turned_from_outside_trip_within_a_second(observer, rpm, swap):
+    bench = forced(rpm, observer)
+    bench.set_load_param("hall_swap", swap)
+    bench.advance(16_000)
+    assert bench.faults == Fault.HALL
+
+
+@pytest.mark.parametrize("swap", [1, 2, 3])
+def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
+    for theta_0 in (0.0, 60.0, 110.0, 200.0, 300.0):
+        bench = drive(**{"wiring.hall_swap": swap, "mechanics.theta_0_deg": theta_0})
+        bench.setpoint(SetpointMode.SPEED, 100 * RPM)
+        recorded = bench.advance(32_000, log=True)
+        assert abs(recorded.log[-1, 7] - recorded.log[0, 7]) < 20 * 2 * np.pi  # one turn of the shaft would be 6
+        assert max(np.abs(recorded.samples[f"i_{x}"] / 1024).max() for x in "abc") < 10.0
+        assert bench.faults in (0, Fault.HALL)
+
+
+def test_skipped_sectors_alone_trip():
+    bench = SimulatedBench(load_params(None, {"mechanics.theta_0_deg": 30.0}), 1)  # code 1; 2 with a and b exchanged
+    bench.enter_state(DriveState.ARMED)
+    for k in range(1, 51):
+        bench.set_load_param("hall_swap", k % 2)
+        recorded = bench.advance(10)
+        assert set(recorded.samples["hall"]) <= {1, 2}
+        assert bool(bench.faults) == (k > 41)  # 40, and one more for what is forgotten meanwhile
+
+
+def watched(bench, periods):
+    """Advance in pieces; the greatest doubt and angle against the Hall sensors."""
+    doubt, opposed = 0.0, 0.0
+    for _ in range(periods // 80):
+        bench.advance(80)
+        state = bench._state.firmware.protection
+        doubt, opposed = max(doubt, state.doubt), max(opposed, state.opposed)
+    assert bench.faults == 0
+    return doubt, opposed
+
+
+@pytest.mark.parametrize("observer", [0, 1, 2])
+@pytest.mark.parametrize("error", [0.8, 1.0, 1.2])
+def test_normal_running_raises_no_doubt(observer, error):
+    """Random speeds, reversals, load steps and coasting, with the firmware's R, L and psi wrong by up to 20 %."""
+    bench = drive(
+        observer,
+        **{
+            "firmware.R_s_hat": 0.158 * error,
+            "firmware.L_s_hat": 0.176e-3 * error,
+            "firmware.psi_f_hat": 6.55e-3 * error,
+            "load.alpha_m_max": 2e4,
+        },
+    )
+    rng = np.random.default_rng(observer)
+    worst = 0.0
+    for _ in range(60):
+        speed = rng.choice([0, 5, 50, 200, 1000, 3000]) * rng.choice([-1, 1]) * RPM
+        what = rng.integers(4)
+        if what < 2:
+            bench.setpoint(SetpointMode.SPEED, speed)
+        elif what == 2:
+            bench.load_setpoint(SetpointMode.TORQUE, rng.uniform(-0.4, 0.4))
+        else:
+            bench.load_setpoint(SetpointMode.SPEED, speed)
+        doubt, opposed = watched(bench, 80 * int(rng.integers(1, 60)))
+        assert doubt == 0.0
+        worst = max(worst, opposed)
+    assert worst < 0.5 * 2 * np.pi  # of 6 turns
+
+
+def test_jitter_at_an_edge_raises_no_doubt_at_standstill():
+    bench = drive(**{"mechanics.theta_0_deg": 62.2, "hall.hysteresis_deg": 0.0, "hall.jitter_deg": 0.15})
+    bench.setpoint(SetpointMode.CURRENT, 0.0)
+    edges = 0
+    for k in range(100):
+        bench.load_setpoint(SetpointMode.SPEED, (-1) ** k * 1.0)
+        edges += len(bench.advance(80).edges)
+        assert bench._state.firmware.protection.doubt == 0.0
+    assert edges > 50
+    assert bench.faults == 0
