@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bench import __version__
@@ -21,6 +20,7 @@ from bench.client import POLL, Client, SinkBase
 from bench.embedded import EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
 from bench.errors import BenchError, DoesNotFit, Interrupted, NodeError
+from bench.interrupts import signals_as_exceptions, undisturbed
 from bench.node import LOAD, Node
 from bench.outputs import Outputs
 from bench.rate import decimation_of
@@ -255,7 +255,7 @@ class LiveRun:
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result = result
             summary.live_view = outputs.viewed()
-            with _undisturbed():
+            with undisturbed():
                 outputs.end_recording(as_markdown(summary))
             summary.recording = outputs.recorded()
             report(summary)
@@ -263,7 +263,7 @@ class LiveRun:
                 self._hold(outputs.view)
             return Ended(summary, exit_code)
         finally:
-            with _undisturbed():
+            with undisturbed():
                 outputs.close()
 
     def _run_acts(self, acts: tuple[Act, ...], stats: RunStatistics) -> tuple[str, int, float, float]:
@@ -289,9 +289,9 @@ class LiveRun:
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
-            with _undisturbed():
+            with undisturbed():
                 self.make_safe()
-        with _undisturbed(), suppress(HbpError):
+        with undisturbed(), suppress(HbpError):
             self.drive.next_heartbeat()  # the drive's own drop count, up to date
             self.drive.stop_streams()
         if acts and stats.faults and not self.tripped:  # in the last moment
@@ -419,35 +419,8 @@ class LiveRun:
             sink.note(text, level)
 
 
-@contextmanager
-def _signals_as_exceptions() -> Iterator[None]:
-    """SIGTERM and SIGHUP raise Interrupted in the main thread, as Ctrl-C raises KeyboardInterrupt."""
-
-    def interrupt(signum: int, frame: FrameType | None) -> None:
-        raise Interrupted(signum)
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """No signal but SIGKILL gets between us and STOP."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def _undisturbed_call(action: Callable[[], None]) -> None:
-    with _undisturbed():
+    with undisturbed():
         action()
 
 
@@ -467,7 +440,7 @@ def run(
     if options.save is not None and options.save.exists() and not options.overwrite:
         raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
     with ExitStack() as stack:
-        stack.enter_context(_signals_as_exceptions())
+        stack.enter_context(signals_as_exceptions())
         target = options.target or "sim"
         if options.embedded:
             target = stack.enter_context(EmbeddedDrive(options.config, screen.note)).target

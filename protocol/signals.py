@@ -264,7 +264,9 @@ LOAD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(105, "hall_open", Unit.NONE, 0, 7, _PW, "Hall wires broken, one bit each: such an input reads 1"),
     Parameter(106, "hall_glitch", Unit.PER_S, 0.0, 1e5, _P, "false pulses of 2 to 5 us on the Hall wires, mean rate"),
     *(
-        Parameter(106 + s, f"hall_delta_{s}", Unit.RAD, -0.506, 0.506, _P, f"where sector {s} opens: ideal minus actual angle")
+        Parameter(
+            106 + s, f"hall_delta_{s}", Unit.RAD, -0.506, 0.506, _P, f"ideal minus actual angle, opening sector {s}"
+        )
         for s in range(1, 7)
     ),
 )

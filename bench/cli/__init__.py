@@ -17,6 +17,7 @@ from bench.errors import BenchError, Interrupted
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
+    "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "sim": "Run the simulated drive on its own, behind a pty, TCP or CAN.",
     "devices": "List the ports and buses that a drive may be on, or who is on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",

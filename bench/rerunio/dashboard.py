@@ -7,7 +7,7 @@ Views exist only for channels that are streamed. Nothing here logs data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import rerun as rr
@@ -89,8 +89,8 @@ def plots(run: schema.RunInfo) -> dict[str, Plot]:
     return {key: plot for key, plot in found.items() if plot.lines}
 
 
-def blueprint(run: schema.RunInfo) -> rrb.Blueprint:
-    """The dashboard of a run."""
+def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blueprint:
+    """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest."""
     found = {key: _view(plot) for key, plot in plots(run).items()}
     last = f"last {TREND:g} s"
     states = rrb.StateTimelineView(
@@ -127,17 +127,34 @@ def blueprint(run: schema.RunInfo) -> rrb.Blueprint:
     )
     left = [found[key] for key in ("error_trend", "speed", "dq") if key in found]
     middle = [found[key] for key in ("position", "error", "phases") if key in found]
+    views: rrb.Container = rrb.Horizontal(
+        rrb.Vertical(*left, states, row_shares=[3] * len(left) + [2.5]),
+        rrb.Vertical(*middle, hall, row_shares=[3] * len(middle) + [2.5]),
+        rrb.Vertical(stator, losses, texts, row_shares=[5, 2.6, 3.9]),
+        column_shares=[5, 5, 4.4],
+    )
+    if marks:
+        views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1])
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(*left, states, row_shares=[3] * len(left) + [2.5]),
-            rrb.Vertical(*middle, hall, row_shares=[3] * len(middle) + [2.5]),
-            rrb.Vertical(stator, losses, texts, row_shares=[5, 2.6, 3.9]),
-            column_shares=[5, 5, 4.4],
-        ),
+        views,
         rrb.TopPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, play_state="following"),
+    )
+
+
+def _marked(run: schema.RunInfo, marks: Sequence[schema.Mark]) -> rrb.StateTimelineView:
+    ends = [min(mark.first_tick for mark in marks), max(mark.last_tick for mark in marks)]
+    start, end = (
+        rrb.TimeRangeBoundary.absolute(seconds=float(schema.ns_from_tick(tick, run.tick_hz)) / 1e9) for tick in ends
+    )
+    return rrb.StateTimelineView(
+        name="Acceptance, all that was measured",
+        origin="/",
+        contents=[f"/{schema.ACCEPTANCE}"],
+        time_ranges=rrb.VisibleTimeRange(schema.TIMELINE, start=start, end=end),
+        time_view=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
     )
 
 

@@ -54,6 +54,7 @@ class RunLog:
         self._layouts: dict[tuple[str, ...], pa.Schema] = {}
         self._lanes: dict[str, str] = dict.fromkeys(states.LANES, states.UNKNOWN)
         self._lanes_ns = 0
+        self.marks: list[schema.Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
         self._status: int | None = None  # last value of the status channel
@@ -70,8 +71,8 @@ class RunLog:
         log = self._stream.log
         self._describe(schema.META, schema.RUN_JSON, self.run.to_json())
         self.summary(identity_text(self.run))
-        for entity in states.STATE_COLOURS:
-            log(entity, states.configuration(entity), static=True)
+        for entity, colours in states.STATE_COLOURS.items():
+            log(entity, states.configuration(colours), static=True)
         for entity, parts in self._plane.frame():
             log(entity, parts, static=True)
 
@@ -98,6 +99,16 @@ class RunLog:
         self._repeat_lanes()
         self._health()
 
+    def mark(self, mark: schema.Mark) -> None:
+        """Log a stretch of an acceptance run; the lane that shows it is drawn by `finish`, from all of them."""
+        self.marks.append(mark)
+        seconds = f"{mark.first_tick / self.run.tick_hz:.3f} … {mark.last_tick / self.run.tick_hz:.3f} s"
+        raw = (mark.name, np.int64(mark.first_tick), np.int64(mark.last_tick), mark.verdict.value)
+        self._at(int(schema.ns_from_tick(mark.first_tick, self.run.tick_hz)))
+        level = states.MARK_LEVELS.get(mark.verdict, "INFO")
+        self._stream.log(schema.NOTES, rr.TextLog(f"{mark.verdict} {mark.name}, {seconds}", level=level))
+        self._stream.log(schema.ACCEPTANCE, _any(dict(zip(schema.MARK_FIELDS, raw, strict=True))))
+
     def touch(self) -> None:
         """Log something that changes nothing, at the newest time seen.
 
@@ -108,8 +119,10 @@ class RunLog:
         self._stream.log(schema.TOUCH, _any({"touch": np.int64(0)}))
 
     def finish(self) -> None:
-        """Log what was held back for a bin or a second that is not full yet."""
+        """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
         self._send_trend(self._trend.rest())
+        if self.marks:
+            self._mark_lane()
         self._next_health_ns = 0
         self._health()
 
@@ -246,6 +259,13 @@ class RunLog:
     def _repeat_lanes(self) -> None:
         if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
             self._log_lanes(self._now_ns)
+
+    def _mark_lane(self) -> None:
+        lane, colours = states.mark_lane(self.marks)
+        self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
+        for tick, words in lane:
+            self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
+            self._stream.log(schema.ACCEPTANCE, rr.StateChange(state=[words]))
 
     def _telemetry_lane(self, t_ns: NDArray[np.int64], chunk: SampleChunk) -> None:
         if not chunk.gaps and self._lanes["telemetry"] == states.COMPLETE:

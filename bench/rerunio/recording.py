@@ -21,6 +21,7 @@ from rerun.chunk import RrdReader
 from bench.errors import BenchError
 from bench.rerunio import schema
 from bench.rerunio.salvage import readable
+from bench.verdict import Verdict
 from protocol.messages import DeviceEvent, StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
@@ -43,6 +44,8 @@ class Run:
     events: tuple[DeviceEvent, ...]
     notes: tuple[tuple[int, str], ...]
     summary: str
+    marks: tuple[schema.Mark, ...]
+    """Stretches that an acceptance run marked, in the order in which it did."""
 
     @property
     def samples(self) -> SampleChunk:
@@ -91,6 +94,7 @@ def read_run(path: str | Path) -> Run:
         events=_events(tables.get(f"/{schema.EVENTS}", [])),
         notes=_notes(tables.get(f"/{schema.NOTES}", []), info.tick_hz),
         summary=_last_text(summaries, "TextDocument:text") if summaries else "",
+        marks=_marks(tables.get(f"/{schema.ACCEPTANCE}", [])),
     )
 
 
@@ -191,6 +195,15 @@ def _events(parts: list[pa.RecordBatch]) -> tuple[DeviceEvent, ...]:
 def _notes(parts: list[pa.RecordBatch], tick_hz: int) -> tuple[tuple[int, str], ...]:
     texts = [str(text) for text in _column(parts, "TextLog:text", object)]
     return tuple(zip(_ticks(parts, tick_hz).tolist(), texts, strict=True))
+
+
+def _marks(parts: list[pa.RecordBatch]) -> tuple[schema.Mark, ...]:
+    parts = [part for part in parts if schema.MARK_FIELDS[0] in part.schema.names]
+    kinds: tuple[Callable[[Any], Any], ...] = (str, int, int, Verdict)
+    columns = [
+        [kind(v) for v in _column(parts, name, object)] for kind, name in zip(kinds, schema.MARK_FIELDS, strict=True)
+    ]
+    return tuple(schema.Mark(*values) for values in zip(*columns, strict=True))
 
 
 def _last_text(parts: list[pa.RecordBatch], component: str) -> str:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
@@ -41,6 +42,7 @@ HEALTH = "health"  # loss and error counters, once a second
 HEALTH_TEXT = "health/text"  # the same for people
 TOUCH = "touch"  # nothing, in a live view only
 DRIVE = "drive"  # state, faults, angle source, correction, telemetry: one lane each
+ACCEPTANCE = "acceptance"  # marks of an acceptance run, and one lane that shows them
 PLANE = "stator/plane"
 VECTORS = "stator/vectors"
 SUMMARY = "summary"
@@ -57,6 +59,7 @@ EDGE_OLD, EDGE_NEW, EDGE_ILLEGAL, EDGE_ENCODER = (
     "edge:encoder",
 )
 EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
+MARK_FIELDS = ("mark:name", "mark:first_tick", "mark:last_tick", "mark:verdict")
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
 DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
@@ -135,6 +138,23 @@ LABELS = {
 }
 
 AnyChannel = Channel | Signal
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """The stretch of a run, in device ticks, over which the measurement `name` was made, and how it ended.
+
+    Raises ValueError for a stretch that ends before it begins.
+    """
+
+    name: str
+    first_tick: int
+    last_tick: int
+    verdict: Verdict
+
+    def __post_init__(self) -> None:
+        if self.last_tick < self.first_tick:
+            raise ValueError(f"mark {self.name}: it ends at tick {self.last_tick}, before its first, {self.first_tick}")
 
 
 def colour(name: str) -> tuple[int, int, int]:

@@ -26,6 +26,7 @@ from bench.rerunio import schema
 from bench.rerunio.blocks import Block, BlockBuilder
 from bench.rerunio.salvage import mend
 from bench.statistics import Percentiles
+from bench.verdict import Verdict
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -46,7 +47,7 @@ CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
 LIVE_CLOSE_TIMEOUT = 2.0  # s for a viewer to take what is left
 
 Now = Callable[[], float]
-_Item = Block | str | None  # a block, the text of the summary, or the end
+_Item = Block | schema.Mark | str | None  # a block, a mark, the text of the summary, or the end
 
 
 class RecordingError(BenchError):
@@ -114,10 +115,13 @@ class _BlockSink:
     def _put(self, item: _Item) -> None:
         raise NotImplementedError
 
-    def _log(self, log: RunLog, item: Block | str) -> None:
+    def _log(self, log: RunLog, item: Block | schema.Mark | str) -> None:
         """Hand one item to rerun; on the sink's own thread."""
         if isinstance(item, str):
             log.summary(item)
+            return
+        if isinstance(item, schema.Mark):
+            log.mark(item)
             return
         log.block(item)
         now, host_time = self._now(), self.host_time
@@ -167,6 +171,13 @@ class FileSink(_BlockSink):
         """Put the summary into the recording."""
         self._put(markdown)
 
+    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict) -> None:
+        """Mark a stretch of the run: `name` was measured there, and ended so. From any thread; marks may overlap.
+
+        Raises ValueError for a stretch that ends before it begins.
+        """
+        self._put(schema.Mark(name, first_tick, last_tick, verdict))
+
     def close(self) -> None:
         """Write what is left and finish the file. Raises RecordingError if that fails and nothing was raised before."""
         try:
@@ -203,6 +214,7 @@ class FileSink(_BlockSink):
             self._room.notify_all()
 
     def _work(self) -> None:
+        from bench.rerunio import dashboard
         from bench.rerunio.log import RunLog
 
         try:
@@ -229,6 +241,8 @@ class FileSink(_BlockSink):
                     self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
                     flushed = time.monotonic()
             log.finish()
+            if log.marks:
+                self._stream.send_blueprint(dashboard.blueprint(self.run, log.marks))
             self._stream.flush(timeout_sec=CLOSE_TIMEOUT)
             self._stream.disconnect()
         except Exception as error:

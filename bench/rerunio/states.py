@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 
 from bench.rerunio import schema
+from bench.verdict import Verdict, worst
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault
 from protocol.signals import AngleSource
@@ -54,6 +57,16 @@ DRIVE_COLOURS: dict[str, Colour] = {
     COMPLETE: _DARK,
     GAP: _RED,
 }
+_VERDICT_COLOURS: dict[Verdict, Colour] = {
+    Verdict.PASS: (38, 84, 58),
+    Verdict.FAIL: _RED,
+    Verdict.INVALID: _AMBER,
+    Verdict.ERROR: (150, 70, 170),
+    Verdict.ABORTED: _DIM,
+    Verdict.SKIPPED: _DARK,
+}
+UNMARKED = "unmarked"
+_NAMED = 2  # marks that a stretch of the lane names; the log has them all
 STATE_COLOURS: dict[str, dict[str, Colour]] = {schema.HALL: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
 
 
@@ -69,11 +82,10 @@ def _hall_lanes() -> pa.Array:
 HALL_LANES = _hall_lanes()  # by Hall code: states of the lanes a, b, c and sector
 
 
-def configuration(entity: str) -> rr.StateConfiguration:
-    """Colours and labels of the states of `entity`."""
-    colours = STATE_COLOURS[entity]
+def configuration(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
+    """Colours and labels of the states of an entity."""
     packed = np.array([r << 24 | g << 16 | b << 8 | 0xFF for r, g, b in colours.values()], np.uint32)
-    visible = [value != UNKNOWN for value in colours]
+    visible = [value not in (UNKNOWN, UNMARKED) for value in colours]
     labels = [_HALL_LABELS.get(value, value) for value in colours]
     return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed, visible=visible)
 
@@ -93,6 +105,27 @@ def fault_text(faults: int) -> str:
     return " ".join(fault_names(faults)) or NO_FAULT
 
 
+def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict[str, Colour]]:
+    """One lane for marks that may overlap: ticks with the words from there on, and the words' colours.
+
+    Where marks overlap, the worst verdict of them stands there, with the names that it belongs to.
+    """
+    lane: list[tuple[int, str]] = []
+    colours: dict[str, Colour] = {UNMARKED: _DARK}
+    for tick in sorted({tick for mark in marks for tick in (mark.first_tick, mark.last_tick)}):
+        there = [mark for mark in marks if mark.first_tick <= tick < mark.last_tick]
+        words = UNMARKED
+        if there:
+            verdict = worst(mark.verdict for mark in there)
+            names = [mark.name for mark in there if mark.verdict is verdict]
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            words = f"{verdict} {', '.join(names[:_NAMED])}{more}"
+            colours[words] = _VERDICT_COLOURS[verdict]
+        lane.append((tick, words))
+    return lane, colours
+
+
+MARK_LEVELS: dict[Verdict, str] = {Verdict.FAIL: "ERROR", Verdict.ERROR: "ERROR", Verdict.INVALID: "WARN"}
 EVENT_LEVELS: dict[int, str] = {
     EventCode.FAULT: "ERROR",
     EventCode.SETPOINT_REJECTED: "WARN",

@@ -6,7 +6,16 @@ import argparse
 import os
 import platform
 
-from tests.benchmarks import bench_accuracy, bench_can, bench_decode, bench_live, bench_sim, bench_slcan, bench_start
+from tests.benchmarks import (
+    bench_accept,
+    bench_accuracy,
+    bench_can,
+    bench_decode,
+    bench_live,
+    bench_sim,
+    bench_slcan,
+    bench_start,
+)
 from tests.benchmarks.table import show
 
 PARTS = {
@@ -19,6 +28,7 @@ PARTS = {
     "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),
     "can": ("CAN: stream frames to numpy columns, and a run over slcan, recorded", bench_can.rows),
     "slcan": ("slcan: text, and reading 5000 CAN FD frames of 64 bytes a second", bench_slcan.rows),
+    "accept": ("Acceptance: the whole suite in virtual time", lambda seconds: bench_accept.rows()),
     "start": ("Start-up, caches warm", lambda seconds: bench_start.rows()),
 }
 

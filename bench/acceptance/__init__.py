@@ -1,0 +1,42 @@
+"""Acceptance tests for drives: a pytest plug-in, measurements with limits, and a report.
+
+    from bench.acceptance import RPM, energises, limit, needs
+
+    @limit("error_std", "deg", hi=5.0)
+    @needs("encoder")
+    @energises(speed_rpm=500, current=4)
+    def test_steady_500_rpm(drive, record, measure):
+        drive.start("vector-tracking")
+        drive.speed(500 * RPM)
+        record.wait(0.5)
+        steady = record(1.0)
+        measure("error_std", np.degrees(steady.position_error("theta_vt").std()), steady)
+
+`docs/acceptance.md` tells the rest. Importing this package opens nothing and, since every pytest of the
+environment does it for the plug-in, loads next to nothing: the names come when they are asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bench.acceptance.capture import Capture
+    from bench.acceptance.drive import Drive, DriveTripped
+    from bench.acceptance.marks import energises, limit, limits, needs
+    from bench.acceptance.results import Limits, Verdict
+    from bench.energise import RPM
+
+__all__ = ["RPM", "Capture", "Drive", "DriveTripped", "Limits", "Verdict", "energises", "limit", "limits", "needs"]
+
+_HOMES = {
+    "RPM": "bench.energise", "Capture": "bench.acceptance.capture",
+    **dict.fromkeys(("Drive", "DriveTripped"), "bench.acceptance.drive"),
+    **dict.fromkeys(("energises", "limit", "limits", "needs"), "bench.acceptance.marks"),
+    **dict.fromkeys(("Limits", "Verdict"), "bench.acceptance.results"),
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,211 @@
+"""`bench accept` without the command line: the shipped suite, or tests of the user's own, run by pytest.
+
+pytest does the running, the selecting (`-k`) and the JUnit file; this module gives it the words to say meanwhile. It
+knows no drive and no measurement.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+from bench.acceptance import plugin
+from bench.acceptance.results import Measurement, RunResult, Verdict
+from bench.acceptance.running import value_text
+from bench.acceptance.session import carried_result
+from bench.acceptance.settings import read_settings
+from bench.acceptance.targets import SIM, target_of
+from bench.errors import BenchError
+
+SUITE = Path(__file__).with_name("suite")
+MOST_BAD = 8  # measurements of a test that are told one by one
+
+
+@dataclass(frozen=True)
+class AcceptOptions:
+    """What `bench accept` was asked for."""
+
+    target: str | None = None
+    tests: tuple[Path, ...] = ()
+    """Files or directories of the user's own; empty: the shipped suite."""
+    keyword: str | None = None
+    report: Path | None = None
+    junit: Path | None = None
+    json: Path | None = None
+    bench_toml: Path | None = None
+    config: Path | None = None
+    jobs: int = 1
+    yes: bool = False
+    list_only: bool = False
+
+
+class Screen(Protocol):
+    """Where progress goes."""
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+
+    def progress(self, text: str) -> None:
+        """The line that tells what is going on now."""
+
+    def pause(self) -> None:
+        """Somebody is about to be asked something."""
+
+    def resume(self) -> None:
+        """It goes on."""
+
+
+class _Teller:
+    """Listens to pytest and tells the screen, one line a test and one for each measurement that did not pass."""
+
+    def __init__(self, screen: Screen, list_only: bool) -> None:
+        self.screen = screen
+        self.run: RunResult | None = None
+        self.problems: list[str] = []
+        """What kept pytest from running tests, in one line each."""
+        self.listed = 0
+        self._list_only = list_only
+        self._total = 0
+        self._done = 0
+
+    def pytest_configure(self, config: pytest.Config) -> None:
+        """Who asks something needs the screen."""
+        config.stash[plugin.SCREEN] = self.screen
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """A file that cannot be read as tests."""
+        if report.failed:
+            lines = [line for line in report.longreprtext.splitlines() if line.strip()]
+            self.problems.append(
+                f"{report.nodeid}: {lines[-1].removeprefix('E ').strip() if lines else 'no reason given'}"
+            )
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Show what there is, where only that was asked for."""
+        items = [item for item in session.items if plugin.is_acceptance_test(item)]
+        self._total = len(items)
+        if self._list_only:
+            for name, limits in plugin.session_of(session.config).declared(items):
+                self.screen.note(f"{name}: {limits}")
+                self.listed += 1
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Say which test runs."""
+        self.screen.progress(f"{self._done + 1} of {self._total or '?'}: {nodeid.rpartition('::')[2]}")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Say how it ended."""
+        result = carried_result(report)
+        if result is None:
+            if report.failed:
+                self.screen.note(f"ERROR   {report.nodeid}: not an acceptance test, but it failed")
+            return
+        self._done += 1
+        text = f"{result.verdict:7} {result.name}"
+        if result.verdict is Verdict.PASS:
+            text += _tightest(result.measurements)
+        elif result.why:
+            text += f": {result.why}"
+        self.screen.note(text)
+        bad = [
+            m for m in result.measurements if m.verdict not in (Verdict.PASS, Verdict.SKIPPED) and m.value is not None
+        ]
+        for measurement in bad[:MOST_BAD]:
+            self.screen.note(f"        {measurement.name} = {value_text(measurement)}")
+        if len(bad) > MOST_BAD:
+            self.screen.note(f"        … and {len(bad) - MOST_BAD} more")
+
+    def pytest_internalerror(self, excrepr: Any) -> None:
+        """A defect of ours, or of a plug-in."""
+        self.problems.append(str(excrepr).strip().splitlines()[-1])
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(self, config: pytest.Config) -> None:
+        """Take the result out of the session."""
+        if plugin.SESSION in config.stash:
+            self.run = config.stash[plugin.SESSION].run
+
+
+def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, int]:
+    """Run; returns the result (None where only names were asked for) and the exit code.
+
+    Raises BenchError when no test could be run.
+    """
+    for path in options.tests:
+        if not path.exists():
+            raise BenchError(f"no tests at {path}")
+    target = target_of(options.target, read_settings(options.bench_toml))
+    if options.jobs > 1 and target != SIM:
+        raise BenchError(f"{target} cannot be tested by {options.jobs} processes at once: leave out --jobs")
+    if options.jobs > 1 and find_spec("xdist") is None:
+        raise BenchError("--jobs needs pytest-xdist: pip install pytest-xdist")
+    teller = _Teller(screen, options.list_only)
+    code = pytest.main(_arguments(options), plugins=[teller])
+    if teller.problems:
+        raise BenchError("; ".join(teller.problems))
+    if options.list_only and teller.listed:
+        return None, 0
+    if teller.run is None or not teller.run.tests:
+        if teller.run is not None and teller.run.error:
+            raise BenchError(teller.run.error)
+        if code == pytest.ExitCode.INTERRUPTED:
+            raise KeyboardInterrupt
+        if code in (pytest.ExitCode.NO_TESTS_COLLECTED, pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            chosen = f" matches -k '{options.keyword}'" if options.keyword else " uses the bench's fixtures"
+            raise BenchError(f"no test{chosen}; bench accept --list shows all")
+        raise BenchError(f"pytest could not start (exit code {int(code)}): see above")
+    # pytest may have failed where no acceptance test did: in another test, or in writing a file
+    return teller.run, teller.run.exit_code or (0 if code == pytest.ExitCode.OK else 2)
+
+
+def _arguments(options: AcceptOptions) -> list[str]:
+    paths = [path.absolute() for path in options.tests or (SUITE,)]
+    inside = all(path.is_relative_to(Path.cwd()) for path in paths)
+    root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
+    # no terminal reporter: the teller speaks; no capture: a person may be asked; no settings of another project
+    arguments = ["-p", "no:terminal", "-p", "no:cacheprovider", "-s", "-c", os.devnull, "--rootdir", root]
+    arguments += map(str, paths)
+    given: tuple[tuple[str, object], ...] = (
+        ("--target", options.target),
+        ("-k", options.keyword),
+        ("--bench-report", options.report),
+        ("--junitxml", options.junit),
+        ("--bench-json", options.json),
+        ("--bench-toml", options.bench_toml),
+        ("--bench-config", options.config),
+        ("-n", options.jobs if options.jobs > 1 else None),
+    )
+    for name, value in given:
+        if value is not None:
+            arguments += [name, str(value)]
+    if options.yes:
+        arguments.append("--bench-yes")
+    if options.list_only:
+        arguments.append("--collect-only")
+    return arguments
+
+
+def _tightest(measurements: tuple[Measurement, ...]) -> str:
+    judged = [m for m in measurements if m.share is not None]
+    if not judged:
+        return f"  {len(measurements)} measurements"
+    closest = min(judged, key=lambda m: m.share if m.share is not None else 0.0)
+    name = closest.limits.name
+    return f"  {len(measurements)} measurements, tightest {name} = {closest.value:.4g} [{closest.limits}]"
+
+
+def closing_lines(run: RunResult) -> list[str]:
+    """How the run ended, in a few lines."""
+    tests = Counter(test.verdict for test in run.tests)
+    measured = Counter(m.verdict for m in run.measurements)
+    return [
+        f"{run.verdict}: " + ", ".join(f"{n} {verdict}" for verdict, n in sorted(tests.items())) + " (tests); "
+        + ", ".join(f"{n} {verdict}" for verdict, n in sorted(measured.items())) + " (measurements); "
+        f"{run.wall_seconds:.0f} s on {run.target}"
+    ]  # fmt: skip

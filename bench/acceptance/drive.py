@@ -1,0 +1,161 @@
+"""The drive as an acceptance test sees it: start, set points, parameters that are put back.
+
+It keeps to what the test announced (its `Envelope`), because that is what a person agreed to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from bench.acceptance.marks import Envelope
+from bench.acceptance.recorder import Recorder
+from bench.energise import RPM
+from bench.errors import BenchError
+from bench.node import Node
+from protocol.codes import Fault, fault_names
+from protocol.errors import HbpError
+from protocol.messages import DriveState
+from protocol.signals import AngleSource
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SOURCES = {source.name.lower().replace("_", "-"): source for source in AngleSource}
+
+
+class DriveTripped(BenchError):
+    """The drive switched itself off, and the test did not expect that."""
+
+    exit_code = 1
+
+
+class Drive:
+    """Node `node`, within `envelope`. `defaults` are its parameters as they were before the test."""
+
+    def __init__(self, node: Node, recorder: Recorder, envelope: Envelope, parameters: Mapping[str, float]) -> None:
+        self.node = node
+        self.parameters = dict(parameters)
+        """As they are now, by name, in their units."""
+        self.changed: dict[str, float] = {}
+        """Those that the test has set, as it last set them."""
+        self._before = dict(parameters)
+        self._recorder = recorder
+        self._envelope = envelope
+        self._may_trip = False
+        self._expected = Fault(0)  # faults that a test was about
+
+    # -- what it is ---------------------------------------------------------------------------------------------
+
+    @property
+    def n_p(self) -> int:
+        """Pole pairs."""
+        return int(self.parameters["n_p"])
+
+    @property
+    def torque_constant(self) -> float:
+        """N·m per A of q current, peak-valued: 1.5 n_p psi_f, by the drive's own parameters."""
+        return 1.5 * self.n_p * self.parameters["psi_f_hat"]
+
+    @property
+    def state(self) -> DriveState:
+        """By the last heartbeat."""
+        return self.node.state
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the faults that it has reported in this test."""
+        return tuple(fault_names(self._recorder.faults))
+
+    # -- what it does -------------------------------------------------------------------------------------------
+
+    def start(self, observer: str | None = None) -> None:
+        """Arm and start, with this angle source: `encoder`, `average-speed`, `vector-tracking`; None leaves it."""
+        if observer is not None:
+            self.observe(observer)
+        with self._trips_first():
+            self.node.arm()
+            self.node.start()
+
+    def observe(self, observer: str) -> None:
+        """Change the angle source that the control uses; also while it runs."""
+        if observer not in SOURCES:
+            raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCES)}")
+        self.set("observer", float(SOURCES[observer]))
+
+    def speed(self, omega_m: float) -> None:
+        """Set the speed reference, mechanical rad/s (RPM times r/min)."""
+        self._within("speed", abs(omega_m) / RPM, self._envelope.speed_rpm, "r/min", "speed_rpm")
+        with self._trips_first():
+            self.node.speed(omega_m)
+
+    def current(self, i_q: float, i_d: float = 0.0) -> None:
+        """Set current references, A, peak-valued."""
+        self._within("current", math.hypot(i_q, i_d), self._envelope.current, "A", "current")
+        with self._trips_first():
+            self.node.current(i_q, i_d)
+
+    def stop(self) -> None:
+        """Outputs off, from any state."""
+        self.node.stop()
+
+    def set(self, name: str, value: float) -> None:
+        """Set a parameter; the test's end puts back what it was."""
+        if self.parameters.get(name) == value:
+            return
+        with self._trips_first():
+            stored = self.node.set(name, value)
+        self.parameters[name] = stored
+        self.changed[name] = stored
+
+    @contextmanager
+    def may_trip(self) -> Iterator[None]:
+        """Within this a trip is no failure of the test: it is what the test is about. `faults` tells which."""
+        self._may_trip = True
+        try:
+            yield
+        finally:
+            self._may_trip = False
+            self._expected |= self._recorder.faults
+
+    def forget_faults(self) -> None:
+        """STOP and clear what is latched. BenchError if a cause persists."""
+        self.stop()
+        if self._recorder.faults:
+            self.node.clear_faults()
+            self.node.next_heartbeat()
+            self._recorder.faults = self._expected = Fault(0)
+
+    # -- for the rig --------------------------------------------------------------------------------------------
+
+    def look(self) -> None:
+        """Raise DriveTripped if the drive has tripped against expectation."""
+        if self._recorder.faults & ~self._expected and not self._may_trip:
+            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}")
+
+    def restore(self) -> None:
+        """Of a stopped drive: faults of this test cleared, every parameter as it was before."""
+        try:
+            if self._recorder.faults:
+                self.node.clear_faults()
+        finally:
+            for name in self.changed:
+                self.node.set(name, self._before[name])
+
+    @contextmanager
+    def _trips_first(self) -> Iterator[None]:
+        """A tripped drive refuses much: that it has tripped is the news."""
+        try:
+            yield
+        except (BenchError, HbpError):
+            self.look()
+            raise
+
+    def _within(self, what: str, value: float, limit: float, unit: str, argument: str) -> None:
+        if not value <= limit * (1 + 1e-9):
+            raise BenchError(
+                f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
+                f"@energises({argument}=…)"
+            )

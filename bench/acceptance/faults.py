@@ -1,0 +1,74 @@
+"""Faults of the Hall wiring, put in on purpose: by the rig's fault insertion, or by a person who is asked.
+
+A rig inserts faults where the load machine's node has the parameters `hall_open`, `hall_swap` and `hall_glitch`, as
+the simulated one has. What was put in goes away at the test's end.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bench.acceptance.loads import NodeLoad
+from bench.errors import BenchError
+
+if TYPE_CHECKING:
+    from bench.acceptance.rig import Rig
+
+WIRES = {"a": 1, "b": 2, "c": 4}
+PAIRS = {"ab": 1, "bc": 2, "ca": 3}
+PARAMETERS = ("hall_open", "hall_swap", "hall_glitch")
+PLACEMENT = tuple(f"hall_delta_{s}" for s in range(1, 7))
+
+
+def can_insert(rig: Rig) -> bool:
+    """Whether the rig itself inserts faults."""
+    return isinstance(rig.load, NodeLoad) and all(rig.load.node.has_parameter(name) for name in PARAMETERS)
+
+
+def can_place(rig: Rig) -> bool:
+    """Whether the rig itself moves the Hall sensors."""
+    return isinstance(rig.load, NodeLoad) and all(rig.load.node.has_parameter(name) for name in PLACEMENT)
+
+
+class HallFaults:
+    """The Hall wires between motor and drive."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+
+    def open(self, wire: str) -> None:
+        """Break the wire `a`, `b` or `c`; the drive's input is pulled up."""
+        self._set("hall_open", WIRES[wire], f"Disconnect the wire of Hall sensor {wire}")
+
+    def swap(self, pair: str) -> None:
+        """Exchange two wires: `ab`, `bc` or `ca`."""
+        self._set("hall_swap", PAIRS[pair], f"Exchange the wires of the Hall sensors {pair[0]} and {pair[1]}")
+
+    def glitches(self, per_second: float) -> None:
+        """Short false pulses; only a rig can make them."""
+        self._set("hall_glitch", per_second, None)
+
+    def clear(self) -> None:
+        """Everything as it belongs."""
+        if can_insert(self._rig):
+            for name in PARAMETERS:
+                self._load().set(name, 0.0)
+        else:
+            self._ask("Put the Hall wires back as they belong")
+
+    def _set(self, name: str, value: float, words: str | None) -> None:
+        if can_insert(self._rig):
+            self._load().set(name, value)
+        elif words is None:
+            raise BenchError(f"this rig cannot insert {name}: node 2 has no such parameter")
+        else:
+            self._ask(words)
+
+    def _load(self) -> NodeLoad:
+        assert isinstance(self._rig.load, NodeLoad)
+        return self._rig.load
+
+    def _ask(self, words: str) -> None:
+        if self._rig.plan.ask is None:
+            raise BenchError("this rig cannot insert Hall faults, and nobody is there to do it")
+        self._rig.plan.ask(words)

@@ -1,0 +1,173 @@
+"""What turns or brakes the shaft: a second node, a class of the user's own, or a person who is asked.
+
+A load says what it can do in `abilities`: "torque" (N·m against the drive's positive direction) and "speed" (forced,
+mechanical rad/s). Nothing here decides when it acts; `off` always works and is always called at a test's end.
+
+A class of one's own needs no base class:
+
+    class Brake:
+        abilities = {"torque"}
+        def __init__(self): self.port = pyvisa.ResourceManager().open_resource("TCPIP::…")
+        def torque(self, tau): self.port.write(f"TORQ {tau:.3f}")
+        def off(self): self.port.write("OUTP OFF")
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+from bench.client import Client
+from bench.errors import BenchError
+from bench.node import Node
+from protocol.errors import HbpError
+from protocol.messages import DriveState
+
+TORQUE, SPEED = "torque", "speed"
+Ask = Callable[[str], None]
+"""Shows a person what to do and returns when it is done."""
+
+
+class Load(Protocol):
+    """What a test does with a load."""
+
+    @property
+    def abilities(self) -> Collection[str]:
+        """Of `torque` and `speed`."""
+
+    def torque(self, tau: float) -> None:
+        """Brake with `tau` N·m against the drive's positive direction."""
+
+    def off(self) -> None:
+        """Leave the shaft alone; from any state, as often as one likes."""
+
+
+class NodeLoad:
+    """A load machine that speaks HBP: node 2 on the drive's link, or a device on a link of its own."""
+
+    abilities = frozenset((TORQUE, SPEED))
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._on = False
+        self._changed: dict[str, float] = {}
+
+    @property
+    def client(self) -> Client:
+        """Whose link it is on."""
+        return self.node.client
+
+    def torque(self, tau: float) -> None:
+        """See `Load`."""
+        self._energise()
+        self.node.torque(tau)
+
+    def speed(self, omega_m: float) -> None:
+        """Force the shaft to `omega_m`, mechanical rad/s."""
+        self._energise()
+        self.node.speed(omega_m)
+
+    def set(self, name: str, value: float) -> None:
+        """Set a parameter; `off` puts back what it was."""
+        self._changed.setdefault(name, self.node.parameter(name).value)
+        self.node.set(name, value)
+
+    def off(self) -> None:
+        """STOP, and every parameter as it was before."""
+        try:
+            if self._on:
+                self.node.stop()
+                self._on = False
+        finally:
+            while self._changed:
+                name, value = self._changed.popitem()
+                self.node.set(name, value)
+
+    def _energise(self) -> None:
+        if self._on and self.node.state != DriveState.FAULT:
+            return
+        self._on = True  # before it is: whatever happens, off() sends STOP
+        if self.node.state == DriveState.FAULT:
+            self.node.stop()
+            self.node.clear_faults()
+        self.node.arm()
+        self.node.start()
+
+
+class PersonLoad:
+    """Somebody with a brake and a knob."""
+
+    abilities = frozenset((TORQUE,))
+
+    def __init__(self, ask: Ask) -> None:
+        self._ask = ask
+        self._set = 0.0
+
+    def torque(self, tau: float) -> None:
+        """Ask for a torque."""
+        if tau != self._set:
+            self._ask(f"Set the brake to {tau:.3f} N·m")
+            self._set = tau
+
+    def off(self) -> None:
+        """Ask to release the brake, if it was set."""
+        if self._set:
+            with suppress(BenchError, KeyboardInterrupt):  # the drive is off, and nobody may be there any more
+                self.torque(0.0)
+
+
+class OwnLoad:
+    """An object of the user's class, whose errors become one line."""
+
+    def __init__(self, name: str, own: object) -> None:
+        self._name = name
+        self._own = own
+        for method in ("torque", "off"):
+            if not callable(getattr(own, method, None)):
+                raise BenchError(f"load {name}: the class has no method {method}()")
+
+    @property
+    def abilities(self) -> Collection[str]:
+        """What the class says, or what methods it has."""
+        default = {TORQUE, SPEED} if callable(getattr(self._own, SPEED, None)) else {TORQUE}
+        return frozenset(getattr(self._own, "abilities", default))
+
+    def torque(self, tau: float) -> None:
+        """See `Load`."""
+        self._call("torque", tau)
+
+    def speed(self, omega_m: float) -> None:
+        """Force a speed, mechanical rad/s."""
+        self._call("speed", omega_m)
+
+    def off(self) -> None:
+        """See `Load`."""
+        self._call("off")
+
+    def _call(self, method: str, *arguments: float) -> None:
+        try:
+            getattr(self._own, method)(*arguments)
+        except (HbpError, BenchError):
+            raise
+        except Exception as error:
+            raise BenchError(f"load {self._name}: {method}() raised {type(error).__name__}: {error}") from error
+
+
+def own_load(text: str, directory: Path) -> OwnLoad:
+    """An object of the class that `text` names as FILE.py:Class, relative to `directory`. BenchError if none."""
+    file, _, name = text.rpartition(":")
+    path = directory / file
+    spec = importlib.util.spec_from_file_location(f"hallbench_load_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise BenchError(f"load '{text}': no Python file {path}; it must look like my_brake.py:Brake")
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for it
+    try:
+        spec.loader.exec_module(module)
+        own = getattr(module, name)()
+    except Exception as error:
+        raise BenchError(f"load '{text}': {type(error).__name__}: {error}") from error
+    return OwnLoad(text, own)

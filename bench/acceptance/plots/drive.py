@@ -1,0 +1,102 @@
+"""A run of the drive over time: speed, position error, currents, Hall inputs, with marks where something happened.
+
+Captures in, a matplotlib figure out. Nothing here measures; what a drive does not stream is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bench.acceptance.capture import F64, Capture
+from bench.acceptance.style import (
+    BLACK,
+    GREEN,
+    GREY,
+    LILAC,
+    VERMILION,
+    axis_labels,
+    degrees_axis,
+    legend_above,
+    limit_lines,
+    line,
+    new_figure,
+    time_axes,
+)
+from bench.energise import RPM
+
+MARKS = ((BLACK, (0, (1, 1))), (GREY, "--"), (BLACK, "-."), (GREY, "-"))
+"""Colour and dashes of the first mark, the second …"""
+
+
+def draw_run(capture: Capture, rows: Sequence[str], marks: Mapping[str, float]) -> Figure:
+    """`rows` of `speed`, `error`, `dq`, `phases` and `hall`, below each other.
+
+    `marks` are device times in s by what happened then; a NaN did not happen and is left out. The abscissa counts from
+    the first that did.
+    """
+    happened = {words: at for words, at in marks.items() if not math.isnan(at)}
+    zero = next(iter(happened.values()), capture.span[0])
+    t = capture.t - zero
+    figure, axes = new_figure(len(rows), height=1.55 * len(rows) + 0.4)
+    for ax, row in zip(axes, rows, strict=True):
+        _ROWS[row](ax, t, capture)
+        for (words, at), (colour, dashes) in zip(happened.items(), MARKS, strict=False):
+            label = words if ax is axes[0] else None
+            ax.axvline(at - zero, color=colour, linestyle=dashes, linewidth=1.0, label=label, zorder=1)
+        legend_above(ax)
+    time_axes(axes, t[0], t[-1])
+    return figure
+
+
+def _speed(ax: Axes, t: F64, capture: Capture) -> None:
+    for name in ("omega_vt", "omega_enc", "omega_ref"):
+        if name in capture:
+            line(ax, t, capture[name] / (capture.parameters["n_p"] * RPM), name)
+    axis_labels(ax, "", "speed", unit_y="r/min")
+
+
+def _error(ax: Axes, t: F64, capture: Capture) -> None:
+    error = np.degrees(capture.position_error("theta_vt"))
+    line(ax, t, error, "theta_vt", linewidth=0.7)
+    degrees_axis(ax, "error", max(10.0, 1.1 * float(np.abs(error).max())))
+
+
+def _dq(ax: Axes, t: F64, capture: Capture) -> None:
+    for name, words in (("i_q_ref", "i_q reference"), ("i_d", "i_d"), ("i_q", "i_q")):
+        if name in capture:
+            line(ax, t, capture[name], name, label=words, linewidth=0.7)
+    axis_labels(ax, "", "current", unit_y="A")
+
+
+def _phases(ax: Axes, t: F64, capture: Capture) -> None:
+    for name in ("i_a", "i_b", "i_c"):
+        if name in capture:
+            line(ax, t, capture[name], name, linewidth=0.7)
+    if "i_max" in capture.parameters:
+        limit_lines(ax, -capture.parameters["i_max"], capture.parameters["i_max"])
+    axis_labels(ax, "", "current", unit_y="A")
+
+
+def _hall(ax: Axes, t: F64, capture: Capture) -> None:
+    code = capture["hall"].astype(np.int64)
+    for bit, colour in enumerate((VERMILION, GREEN, LILAC)):
+        level = 2 - bit + 0.7 * (code >> bit & 1)
+        ax.plot(t, level, color=colour, linewidth=0.9, drawstyle="steps-post")
+    ax.set_yticks([2.35, 1.35, 0.35], ["a", "b", "c"])
+    ax.set_ylim(-0.2, 2.9)
+    ax.grid(False, axis="y")
+    axis_labels(ax, "", "Hall inputs")
+
+
+_ROWS: dict[str, Callable[[Axes, F64, Capture], None]] = {
+    "speed": _speed,
+    "error": _error,
+    "dq": _dq,
+    "phases": _phases,
+    "hall": _hall,
+}

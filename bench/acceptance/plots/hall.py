@@ -1,0 +1,138 @@
+"""Where the Hall edges lie, and what misplaced ones make of the average-speed estimate: Table I and Fig. 2.
+
+Angles are electrical. Nothing here measures: offsets come in as `waveforms.edge_offsets` found them.
+
+Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from bench.acceptance.capture import F64, Capture
+from bench.acceptance.style import (
+    BLACK,
+    BLUE,
+    FONT_SIZE,
+    GREEN,
+    LIGHT,
+    LINE_WIDTH,
+    ORANGE,
+    VERMILION,
+    WIDTH,
+    axis_labels,
+    degrees_axis,
+    legend_above,
+    line,
+    new_figure,
+    wrapped_degrees,
+)
+from bench.acceptance.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
+
+SECTORS = ("I", "II", "III", "IV", "V", "VI")
+
+
+def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> Figure:
+    """The six edges on the circle, and their offsets over the sector that they open, with the figures below.
+
+    `expected` (6,) and `tolerance` in rad: the offsets that they should have, halfway between both directions.
+    """
+    figure = Figure(figsize=(WIDTH, 4.0), layout="constrained", facecolor="white")
+    grid = figure.add_gridspec(2, 2, height_ratios=[2.6, 1.0])
+    circle = figure.add_subplot(grid[0, 0], projection="polar")
+    chart = figure.add_subplot(grid[0, 1])
+    below = figure.add_subplot(grid[1, :])
+    middle = offsets.mean.mean(axis=1)
+
+    ideal = np.arange(6) * math.pi / 3
+    circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=3.0, label="ideal")
+    circle.vlines(ideal - middle, 0, 1, color=BLUE, linewidth=LINE_WIDTH, label="measured")
+    for name, angle in zip(SECTORS, ideal, strict=True):
+        circle.text(angle + math.pi / 6, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE)
+    circle.set_xticks(ideal)
+    circle.set_yticks([])
+    circle.set_ylim(0, 1)
+    circle.grid(False)
+    circle.tick_params(labelsize=FONT_SIZE)
+    circle.legend(loc="upper center", bbox_to_anchor=(0.5, 1.3), ncols=2, frameon=False, fontsize=FONT_SIZE)
+
+    x = np.arange(6)
+    wanted = np.degrees(expected)
+    chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
+    for values, mark, hue, words in (
+        (offsets.mean[:, FORWARDS], ">", GREEN, "forwards"),
+        (offsets.mean[:, BACKWARDS], "<", ORANGE, "backwards"),
+        (middle, "o", BLUE, "middle"),
+    ):
+        chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
+    chart.axhline(0.0, color=BLACK, linewidth=0.6)
+    chart.set_xticks(x, SECTORS)
+    chart.set_xlim(-0.6, 5.6)
+    chart.grid(True, axis="y", color=LIGHT, linewidth=0.5)
+    chart.set_axisbelow(True)
+    chart.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
+    chart.spines[["top", "right"]].set_visible(False)
+    axis_labels(chart, "edge that opens the sector", "ideal − measured", unit_y="el. °")
+    legend_above(chart)
+
+    below.set_axis_off()
+    rows = {
+        "Table I": wanted,
+        "forwards": np.degrees(offsets.mean[:, FORWARDS]),
+        "backwards": np.degrees(offsets.mean[:, BACKWARDS]),
+        "middle": np.degrees(middle),
+    }
+    table = below.table(
+        [[f"{value:.2f}°".replace("-", "−") for value in values] for values in rows.values()],
+        rowLabels=list(rows),
+        colLabels=SECTORS,
+        cellLoc="center",
+        bbox=Bbox.from_bounds(0.12, 0.0, 0.88, 1.0),
+        edges="horizontal",
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(FONT_SIZE)
+    for cell in table.get_celld().values():
+        cell.set_linewidth(0.4)
+    return figure
+
+
+def draw_misaligned_hall(capture: Capture, turns: float = 2.0) -> Figure:
+    """The outputs of the three Hall sensors, actual and estimated position, and the error, over the actual angle.
+
+    The paper's Fig. 2 over the angle in place of the time: at the grid lines a well placed sensor would switch. It
+    shows the first `turns` whole electrical turns of `capture`, which must turn forwards.
+    """
+    theta = np.degrees(capture.theta)
+    start = 360.0 * np.ceil(theta[0] / 360.0)
+    part = (theta >= start) & (theta <= start + 360.0 * turns)
+    x = theta[part] - start
+    figure, (codes, position, error) = new_figure(3, height=5.2)
+    if (grid := codes.get_gridspec()) is not None:
+        grid.set_height_ratios([1.1, 1.6, 1.2])
+
+    hall = capture["hall"].astype(int)[part]
+    for bit, (name, hue) in enumerate((("a", VERMILION), ("b", GREEN), ("c", BLUE))):
+        level = 2 - bit
+        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=hue, linewidth=LINE_WIDTH)
+        codes.text(-0.008, (level + 0.35 + 0.15) / 3.0, f"Hall {name}", ha="right", va="center", fontsize=FONT_SIZE,
+                   transform=codes.transAxes)  # fmt: skip
+    codes.set_ylim(-0.15, 2.85)
+    codes.set_yticks([])
+
+    line(position, x, wrapped_degrees(capture["theta_enc"][part]), capture.reference, label="actual")
+    line(position, x, wrapped_degrees(capture["theta_avg"][part]), "theta_avg", label="estimated")
+    degrees_axis(position, "position", 180)
+    legend_above(position)
+    line(error, x, np.degrees(capture.position_error("theta_avg"))[part], "theta_avg")
+    degrees_axis(error, "error", 40)
+
+    error.set_xlim(0, 360.0 * turns)
+    error.set_xticks(np.arange(0, 360.0 * turns + 1, 60))
+    axis_labels(error, "actual angle", "error", "el. °", "el. °")
+    figure.align_ylabels([position, error])
+    return figure

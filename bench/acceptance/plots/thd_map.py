@@ -1,0 +1,35 @@
+"""Total harmonic distortion of a phase current over load and speed: Fig. 13. Nothing here measures.
+
+Source: (20) and Fig. 13 of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bench.acceptance.capture import F64
+from bench.acceptance.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
+
+MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
+
+
+def draw_thd_map(loads: Sequence[float], approaches: Mapping[str, tuple[F64, F64]]) -> Figure:
+    """One curve a load, the approaches side by side with the same axes.
+
+    `loads` (m,) in A; `approaches` by name: measured speeds in r/min and distortions in %, both (m, n).
+    """
+    figure, axes = new_figure(1, len(approaches), height=3.2)
+    for ax, (name, (speeds, thd)) in zip(axes, approaches.items(), strict=True):
+        for (hue, mark), amps, x, y in zip(MARKS, loads, speeds, thd, strict=False):
+            ax.plot(x, y, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=f"{amps:g} A")
+        axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
+    top = 1.08 * max(float(np.nanmax(thd, initial=0.0)) for _, thd in approaches.values())
+    right = 1.04 * max(float(speeds.max()) for speeds, _ in approaches.values())
+    for ax in axes:
+        ax.set(xlim=(0, right), ylim=(0, top))
+    return figure

@@ -1,0 +1,224 @@
+"""The pytest plug-in: fixtures for acceptance tests, options, verdicts.
+
+It is loaded by every pytest of an environment in which this package is installed, so it imports nothing heavy before a
+test asks for one of its fixtures, and changes nothing for tests that ask for none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Generator, Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from bench.acceptance.marks import MARKS
+
+if TYPE_CHECKING:
+    from bench.acceptance.accept import Screen
+    from bench.acceptance.drive import Drive
+    from bench.acceptance.faults import HallFaults
+    from bench.acceptance.fixtures import Record
+    from bench.acceptance.loads import Load
+    from bench.acceptance.rig import Rig
+    from bench.acceptance.running import Running
+    from bench.acceptance.session import BenchSession
+
+SESSION: pytest.StashKey[BenchSession] = pytest.StashKey()
+RUNNING: pytest.StashKey[Running] = pytest.StashKey()
+RIG: pytest.StashKey[Rig] = pytest.StashKey()
+SCREEN: pytest.StashKey[Screen] = pytest.StashKey()  # of `bench accept`
+RESULT = "hallbench"  # attribute of a report that carries a test's result
+FIXTURE = "_rig"  # whoever asks for it, directly or not, is an acceptance test
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """The options of an acceptance run."""
+    group = parser.getgroup("hallbench", "acceptance tests of a drive")
+    group.addoption("--target", metavar="TARGET", help="drive: serial:…, tcp:…, can:…, or sim (default)")
+    group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
+    group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
+    group.addoption("--bench-yes", action="store_true", help="the shaft is clear: energise a physical drive")
+    group.addoption("--bench-report", metavar="DIR", help="write report.html, figures and recordings there")
+    group.addoption("--bench-json", metavar="FILE", help="write every result as JSON")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marks; listen for results, unless this process only makes them for another."""
+    for name, about in MARKS.items():
+        config.addinivalue_line("markers", f"{name}: {about}")
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Collector(config), "hallbench-collector")
+
+
+class _Collector:
+    """Takes results out of reports. With worker processes it is where they come together."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._began = datetime.now().astimezone()
+        self._order: list[str] = []
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
+        """Keep the order of the tests, in which the results will not come."""
+        self._order = ids
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Hand on the result of an acceptance test."""
+        if hasattr(report, RESULT):
+            session = session_of(self._config)
+            session.collect(report)
+            session.began, session.order = self._began, self._order
+
+
+def session_of(config: pytest.Config) -> BenchSession:
+    """The acceptance session of this process, made at first use."""
+    if SESSION not in config.stash:
+        from bench.acceptance.session import BenchSession
+
+        config.stash[SESSION] = BenchSession(config)
+    return config.stash[SESSION]
+
+
+def is_acceptance_test(item: pytest.Item) -> bool:
+    """Whether a test asks for the bench."""
+    return FIXTURE in getattr(item, "fixturenames", ())
+
+
+# -- collection -----------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Name all tests before some are deselected: what a test is called does not depend on what else is run."""
+    found = [item for item in items if is_acceptance_test(item)]
+    if found:
+        session_of(config).know(found)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Check limits and names before anything moves; ask once whether the drive may be spun."""
+    items = [item for item in session.items if is_acceptance_test(item)]
+    if items and not session.config.option.collectonly:
+        session_of(session.config).prepare(items)
+
+
+# -- fixtures -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def bench_target(pytestconfig: pytest.Config) -> str:
+    """The target string that the tests run against."""
+    return session_of(pytestconfig).target
+
+
+@pytest.fixture
+def _rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    session = session_of(request.config)
+    item = request.node
+    running = item.stash[RUNNING]
+    with session.rig_for(item) as rig:
+        item.stash[RIG] = rig
+        running.mark = rig.mark
+        session.require(item, rig)
+        yield rig
+
+
+@pytest.fixture
+def drive(_rig: Rig) -> Drive:
+    """The drive, idle; it is idle again after the test, with the parameters that it had before."""
+    return _rig.drive
+
+
+@pytest.fixture
+def load(_rig: Rig) -> Load:
+    """What brakes or turns the shaft; the test is skipped where there is nothing."""
+    if _rig.load is None:
+        pytest.skip("needs a load")
+    return _rig.load
+
+
+@pytest.fixture
+def record(_rig: Rig) -> Record:
+    """`record(seconds)` gives the next stretch of samples as a `Capture`."""
+    from bench.acceptance.fixtures import Record
+
+    return Record(_rig)
+
+
+@pytest.fixture
+def measure(_rig: Rig, request: pytest.FixtureRequest) -> Any:
+    """`measure(name, value, capture…)` compares a value with the limit that the test declared."""
+    return request.node.stash[RUNNING].measure
+
+
+@pytest.fixture
+def figure(_rig: Rig, request: pytest.FixtureRequest) -> Any:
+    """`figure(name, caption, draw)` puts the picture that `draw()` makes into the report."""
+    return request.node.stash[RUNNING].figure
+
+
+@pytest.fixture
+def hall_faults(_rig: Rig) -> HallFaults:
+    """Breaks, exchanges and disturbs the Hall wires, where the rig or a person can."""
+    from bench.acceptance.faults import HallFaults
+
+    return HallFaults(_rig)
+
+
+# -- one test -------------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """Know what the test declares before its fixtures are made."""
+    if is_acceptance_test(item):
+        item.stash[RUNNING] = session_of(item.config).running(item)
+    yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    """Fail a test at its end for a trip that it did not come to see, and for what it measured."""
+    yield
+    if is_acceptance_test(item):
+        item.stash[RIG].drive.look()
+        item.stash[RUNNING].end()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    """Hand the result to whoever collects the reports, in this process or another."""
+    report = yield
+    if is_acceptance_test(item):
+        session_of(item.config).note_phase(item, call, report)
+    return report
+
+
+# -- the end --------------------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
+    """Write what was asked for, once every fixture is gone, also if one would not go."""
+    try:
+        yield
+    finally:
+        if SESSION in session.config.stash and not session.config.option.collectonly:
+            session.config.stash[SESSION].finish()
+
+
+def names_of(items: list[pytest.Item]) -> dict[str, str]:
+    """Name of each test by node id: without `test_`, and with its file where two have the same."""
+    short = {item.nodeid: item.name.removeprefix("test_") for item in items}
+    often = Counter(short.values())
+    return {
+        item.nodeid: name
+        if often[name := short[item.nodeid]] == 1
+        else f"{Path(item.path).stem.removeprefix('test_')}.{name}"
+        for item in items
+    }

@@ -1,0 +1,154 @@
+"""Writes the report of an acceptance run: one self-contained HTML file, to read on a screen or on paper.
+
+Everything in it comes from a `RunResult` and the pictures beside it; nothing is measured or judged here, and nothing
+is fetched when it is read. Whatever a test, a drive or a log says is text in it, never markup.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from bench.acceptance.report import words
+from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict
+from bench.errors import BenchError
+
+NAME = "report.html"
+MOST_ROWS = 12  # a test of more measurements shows those that did not pass and folds the others
+FAILED = (Verdict.FAIL,)
+NOT_JUDGED = (Verdict.ABORTED, Verdict.ERROR, Verdict.INVALID)
+
+
+class ReportError(BenchError):
+    """The report cannot be written."""
+
+
+@dataclass(frozen=True)
+class _Test:
+    """A test with what the template needs besides: its anchor, its pictures, the rows to show and to fold."""
+
+    anchor: str
+    result: TestResult
+    figures: tuple[tuple[str, str], ...]  # data URI, caption
+    shown: tuple[Measurement, ...]
+    folded: tuple[Measurement, ...]
+
+    @property
+    def recording(self) -> str:
+        """Relative address of its recording; empty without one."""
+        return quote(self.result.recording)
+
+    @property
+    def to_look_at(self) -> list[Measurement]:
+        """Measurements that did not pass and say where in the recording they were made."""
+        return [m for m in self.result.measurements if m.verdict in FAILED + NOT_JUDGED and m.span]
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """A measurement that did not pass, or, without a measurement, a test that did not."""
+
+    test: _Test
+    name: str
+    verdict: Verdict
+    why: str
+    measurement: Measurement | None = None
+
+
+def write_report(run: RunResult, directory: Path) -> Path:
+    """Write `directory`/report.html and return its path; figures are read from `directory`/<their path>.
+
+    Raises ReportError for a figure that is not there, and where the file cannot be written.
+    """
+    tests = [_test(number, result, directory) for number, result in enumerate(run.tests, 1)]
+    page = (
+        _environment()
+        .get_template("template.html.j2")
+        .render(
+            run=run,
+            tests=tests,
+            failed=list(_findings(tests, FAILED)),
+            not_judged=list(_findings(tests, NOT_JUDGED)),
+            units={parameter.name: parameter.unit for parameter in run.parameters},
+            parameters=sorted(run.parameters, key=lambda p: p.value == p.default),
+        )
+    )
+    path = directory / NAME
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise ReportError(f"report {path} cannot be written: {error.strerror}") from None
+    return path
+
+
+def _test(number: int, result: TestResult, directory: Path) -> _Test:
+    many = len(result.measurements) > MOST_ROWS
+    folded = tuple(m for m in result.measurements if many and m.verdict is Verdict.PASS)
+    return _Test(
+        anchor=f"test-{number}",
+        result=result,
+        figures=tuple((_embedded(figure, result, directory), figure.caption) for figure in result.figures),
+        shown=tuple(m for m in result.measurements if not (many and m.verdict is Verdict.PASS)),
+        folded=folded,
+    )
+
+
+def _embedded(figure: Figure, test: TestResult, directory: Path) -> str:
+    path = directory / figure.path
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ReportError(f"figure {path} of test {test.name} cannot be read: {error.strerror}") from None
+    return "data:image/png;base64," + base64.b64encode(data).decode("ascii")
+
+
+def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Finding]:
+    """What ended with one of `verdicts`, in their order: measurements, and tests that none of theirs speaks for."""
+    for verdict in verdicts:
+        for test in tests:
+            found = [m for m in test.result.measurements if m.verdict is verdict]
+            for measurement in found:
+                yield _Finding(test, measurement.name, verdict, measurement.why, measurement)
+            if test.result.verdict is verdict and not found:
+                yield _Finding(test, test.result.name, verdict, test.result.why)
+
+
+def _breakable(name: str) -> Markup:
+    """A name that may be wrapped after its dots, underscores and slashes."""
+    text = str(escape(name))
+    for sign in "._/":
+        text = text.replace(sign, f"{sign}<wbr>")
+    return Markup(text)  # escaped above
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("bench.acceptance.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "breakable": _breakable,
+        "counted": words.counted,
+        "duration": words.duration,
+        "margin": words.margin_text,
+        "number": words.number,
+        "paragraphs": words.paragraphs,
+        "place": words.place,
+        "plain": words.plain,
+        "span": words.span_text,
+        "tally": words.tally,
+        "title_of": words.title,
+        "value": words.value_text,
+        "zone": words.zone,
+    }
+    return environment

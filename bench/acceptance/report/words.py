@@ -1,0 +1,144 @@
+"""How the report says things: digits, times, counts, text from docstrings, the place of a value between its limits.
+
+Pure functions of plain values; nothing here knows HTML.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable
+
+from bench.acceptance.results import Limits, Measurement, Verdict
+
+STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
+MOST_DECIMALS = 9
+NOTHING = "–"
+ZONE = (20.0, 80.0)  # % of a bar's length that the permitted values take up, where they have both ends
+
+
+def number(value: float, decimals: int | None = None) -> str:
+    """`value` with that many decimals; without, as many as its own size calls for."""
+    if not math.isfinite(value):
+        return "NaN" if math.isnan(value) else ("∞" if value > 0 else "−∞")
+    if abs(value) >= 1e9 or 0 < abs(value) < 1e-6:
+        return _minus(f"{value:.4g}")
+    return _minus(f"{value:.{(_decimals(value) if decimals is None else decimals)}f}")
+
+
+def value_text(measurement: Measurement) -> str:
+    """The value, without its unit."""
+    value = measurement.value
+    return NOTHING if value is None else number(value, digits(value, measurement.limits))
+
+
+def margin_text(measurement: Measurement) -> str:
+    """The margin, signed, and its share of the room that there is."""
+    value, margin, share = measurement.value, measurement.margin, measurement.share
+    if value is None or margin is None or not math.isfinite(margin):
+        return NOTHING
+    sign = "+" if margin > 0 else ""
+    percent = "" if share is None or abs(share) > 99 else f" ({_minus(f'{100 * share:.0f}')} %)"
+    return f"{sign}{number(margin, digits(value, measurement.limits))}{percent}"
+
+
+def digits(value: float, limits: Limits) -> int:
+    """Decimals for a value between limits: fine enough for the room there, none for a count.
+
+    More where rounding would move it onto a limit: what is outside must look outside.
+    """
+    ends = [limit for limit in (limits.lo, limits.hi) if limit is not None]
+    if not math.isfinite(value):
+        return 0
+    if not limits.unit and all(float(number).is_integer() for number in (value, *ends)):
+        return 0
+    width = max(ends) - min(ends) if len(ends) == 2 else 0.0
+    decimals = _decimals(width or max(map(abs, (value, *ends))))
+    while decimals < MOST_DECIMALS and any(value != end and round(value, decimals) == end for end in ends):
+        decimals += 1
+    return decimals
+
+
+def zone(limits: Limits) -> tuple[float, float] | None:
+    """From where to where a bar is permitted, in % of its length; None where there are no limits."""
+    if limits.lo is None and limits.hi is None:
+        return None
+    return (0.0 if limits.lo is None else ZONE[0], 100.0 if limits.hi is None else ZONE[1])
+
+
+def place(measurement: Measurement) -> float | None:
+    """Where on a bar the value lies, in % of its length, held to its ends; None where there is nothing to show."""
+    value, limits = measurement.value, measurement.limits
+    lo, hi = limits.lo, limits.hi
+    if value is None or math.isnan(value) or (lo is None and hi is None):
+        return None
+    if lo is not None and hi is not None:
+        start, width, length = lo, hi - lo, ZONE[1] - ZONE[0]
+    elif hi is not None:
+        start, width, length = hi - abs(hi), abs(hi), ZONE[1]
+    else:
+        start, width, length = lo or 0.0, abs(lo or 0.0), 100 - ZONE[0]
+    if width == 0:  # a limit of 0, or two that are one: on it, below or above
+        edge = ZONE[1] if lo is None else ZONE[0] if hi is None else 50.0
+        return edge if value == start else (0.0 if value < start else 100.0)
+    offset = 0.0 if lo is None else ZONE[0]
+    return min(100.0, max(0.0, offset + length * (value - start) / width))
+
+
+def tally(verdicts: Iterable[Verdict]) -> list[tuple[Verdict, int]]:
+    """How many of each verdict, in the order of `Verdict`; those that do not occur are left out."""
+    counts = Counter(verdicts)
+    return [(verdict, counts[verdict]) for verdict in Verdict if counts[verdict]]
+
+
+def counted(number: int, noun: str) -> str:
+    """So many of a thing."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def span_text(span: tuple[float, float]) -> str:
+    """A stretch of a recording."""
+    return f"{span[0]:.3f} … {span[1]:.3f} s"
+
+
+def duration(seconds: float) -> str:
+    """A time that somebody waited."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def paragraphs(text: str) -> list[str]:
+    """Paragraphs of a docstring, filled: only indented lines and items of lists keep their own lines."""
+    blocks = re.split(r"\n\s*\n", inspect.cleandoc(text))
+    return [re.sub(r"\n(?![ \t]|[-*] )", " ", block) for block in blocks if block.strip()]
+
+
+def title(key: str) -> str:
+    """A key of plain data, as words."""
+    return key.replace("_", " ")
+
+
+def plain(value: object) -> str:
+    """A value of plain data, for people."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(plain, value)) or NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value) or NOTHING
+
+
+def _decimals(scale: float) -> int:
+    if scale == 0:
+        return 0
+    return min(MOST_DECIMALS, max(0, math.ceil(math.log10(STEPS / abs(scale)))))
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−") if float(text) else text.replace("-", "")

@@ -1,0 +1,241 @@
+"""What an acceptance run finds, as plain data: limits, measurements, tests, and the run that holds them.
+
+Everything here goes to JSON and back (`to_json`, `from_json`). Nothing here measures, draws or talks to a drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from bench.verdict import Verdict, worst
+
+__all__ = [
+    "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
+    "result_from_json", "run_from_json", "to_json", "worst",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a measurement may be: from `lo` to `hi`, in `unit`; None is no limit on that side.
+
+    Raises ValueError for limits that are not numbers or leave no room.
+    """
+
+    name: str
+    unit: str = ""
+    lo: float | None = None
+    hi: float | None = None
+    about: str = ""
+    overridden: bool = False
+    """The limits come from bench.toml, not from the test."""
+
+    def __post_init__(self) -> None:
+        for limit in (self.lo, self.hi):
+            if limit is not None and (isinstance(limit, bool) or not math.isfinite(limit)):
+                raise ValueError(f"{self.name}: a limit must be a finite number, got {limit!r}")
+        if self.lo is not None and self.hi is not None and self.lo > self.hi:
+            raise ValueError(f"{self.name}: the lower limit {self.lo:g} is above the upper one, {self.hi:g}")
+
+    def allow(self, value: float) -> bool:
+        """Whether `value` is within them; NaN is not."""
+        if math.isnan(value):
+            return False
+        return (self.lo is None or value >= self.lo) and (self.hi is None or value <= self.hi)
+
+    def margin(self, value: float) -> float | None:
+        """Distance in `unit` from `value` to the nearer limit, negative outside; None where there is no limit."""
+        distances = [value - self.lo] if self.lo is not None else []
+        if self.hi is not None:
+            distances.append(self.hi - value)
+        return min(distances, default=None)
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        if self.lo is not None and self.hi is not None:
+            return f"{self.lo:g} … {self.hi:g}{unit}"
+        if self.hi is not None:
+            return f"≤ {self.hi:g}{unit}"
+        return f"≥ {self.lo:g}{unit}" if self.lo is not None else "for information"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One measured value against its limits. `name` is TEST.LIMIT, and so are the names in bench.toml."""
+
+    name: str
+    limits: Limits
+    verdict: Verdict
+    value: float | None = None
+    """None: the test did not come to it."""
+    why: str = ""
+    """Why it is not PASS, where value and limits do not say it."""
+    span: tuple[float, float] | None = None
+    """Where in the recording it was measured: device time in s."""
+
+    @property
+    def margin(self) -> float | None:
+        """See `Limits.margin`; None without a value."""
+        return None if self.value is None else self.limits.margin(self.value)
+
+    @property
+    def share(self) -> float | None:
+        """Margin as a share of the width between the limits, or of the limit where there is one; None without."""
+        if (margin := self.margin) is None:
+            return None
+        lo, hi = self.limits.lo, self.limits.hi
+        width = hi - lo if lo is not None and hi is not None else abs(hi if hi is not None else lo or 0.0)
+        return margin / width if width else None
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A picture of a test. `path` is relative to the report."""
+
+    path: str
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """What the data of a test are worth."""
+
+    samples: int = 0
+    edges: int = 0
+    lost_samples: int = 0
+    lost_edges: int = 0
+    dropped_by_device: int = 0
+    damaged_frames: int = 0
+    outages: int = 0
+    rate: float = 0.0
+    """Samples a second."""
+    seconds: float = 0.0
+    """Device time."""
+    remarks: tuple[str, ...] = ()
+    """Each thing that made a stretch of data unfit, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestResult:
+    """One acceptance test."""
+
+    __test__ = False  # not for pytest, for all its name
+
+    name: str
+    title: str
+    """First line of its docstring."""
+    about: str
+    """The rest of it."""
+    node_id: str
+    verdict: Verdict
+    why: str = ""
+    measurements: tuple[Measurement, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    recording: str = ""
+    """Path of the .rrd, relative to the report; empty: none was kept."""
+    quality: Quality = Quality()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """The drive's parameters that the test set, as it last set them."""
+    wall_seconds: float = 0.0
+    log: str = ""
+    """Traceback or notes, for whoever looks into a failure."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """One parameter of the drive as it stood before the tests."""
+
+    name: str
+    value: float
+    default: float
+    unit: str
+    about: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """An acceptance run."""
+
+    started: str
+    """Date and time, ISO 8601 with offset."""
+    target: str
+    verdict: Verdict
+    tests: tuple[TestResult, ...]
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """Drive, firmware, boot, protocol: what HELLO says; empty where no drive answered."""
+    parameters: tuple[ParameterValue, ...] = ()
+    rig: Mapping[str, str] = field(default_factory=dict)
+    """What the bench has: load, encoder, fault insertion, link …"""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    wall_seconds: float = 0.0
+    error: str = ""
+    """What kept the run from starting or from going on."""
+
+    @property
+    def measurements(self) -> tuple[Measurement, ...]:
+        """Of all tests, in their order."""
+        return tuple(measurement for test in self.tests for measurement in test.measurements)
+
+    @property
+    def exit_code(self) -> int:
+        """0 passed, 1 the drive failed, 2 the bench did (or there was nothing to pass), 130 aborted."""
+        if self.verdict is Verdict.PASS:
+            return 0
+        return {Verdict.FAIL: 1, Verdict.ABORTED: 130}.get(self.verdict, 2)
+
+
+def to_json(result: TestResult | RunResult) -> dict[str, Any]:
+    """Plain data for `json.dumps`: no NaN, no tuples, verdicts as strings, margins spelled out."""
+    plain = _plain(asdict(result))
+    assert isinstance(plain, dict)
+    tests = plain["tests"] if isinstance(result, RunResult) else [plain]
+    sources = result.tests if isinstance(result, RunResult) else (result,)
+    for test, source in zip(tests, sources, strict=True):
+        for written, measurement in zip(test["measurements"], source.measurements, strict=True):
+            written["margin"] = _plain(measurement.margin)
+    return plain
+
+
+def result_from_json(data: Mapping[str, Any]) -> TestResult:
+    """What `to_json` made of a test."""
+    values = dict(data)
+    values["verdict"] = Verdict(values["verdict"])
+    values["measurements"] = tuple(_measurement(m) for m in values["measurements"])
+    values["figures"] = tuple(Figure(**f) for f in values["figures"])
+    quality = Quality(**values["quality"])
+    values["quality"] = replace(quality, remarks=tuple(quality.remarks))
+    return TestResult(**values)
+
+
+def run_from_json(data: Mapping[str, Any]) -> RunResult:
+    """What `to_json` made of a run."""
+    values = dict(data)
+    values["verdict"] = Verdict(values["verdict"])
+    values["tests"] = tuple(result_from_json(test) for test in values["tests"])
+    values["parameters"] = tuple(ParameterValue(**p) for p in values["parameters"])
+    return RunResult(**values)
+
+
+def _measurement(data: Mapping[str, Any]) -> Measurement:
+    values = {key: value for key, value in data.items() if key != "margin"}
+    values["limits"] = Limits(**values["limits"])
+    values["verdict"] = Verdict(values["verdict"])
+    if isinstance(values["value"], str):  # NaN, inf
+        values["value"] = float(values["value"])
+    values["span"] = None if values["span"] is None else tuple(values["span"])
+    return Measurement(**values)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Verdict):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value) if math.isinf(value) else "NaN"
+    return value

@@ -1,0 +1,332 @@
+"""One test's connection to the bench: drive, load, streams, recording; and the end of it, with everything off.
+
+A `Rig` is opened for a test and closed after it, on a simulated drive in virtual time as on hardware. `close` stops
+what may turn, puts parameters back and finishes the recording, whatever happened before; it raises what went wrong
+only when all of that has been tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench import __version__
+from bench.acceptance.capture import Capture
+from bench.acceptance.drive import Drive, DriveTripped
+from bench.acceptance.loads import Ask, Load, NodeLoad, PersonLoad, own_load
+from bench.acceptance.marks import Envelope
+from bench.acceptance.recorder import Recorder
+from bench.acceptance.results import Measurement, ParameterValue, Quality, Verdict
+from bench.acceptance.settings import Settings
+from bench.client import POLL, Client, Sink
+from bench.errors import BenchError, DoesNotFit
+from bench.interrupts import undisturbed
+from bench.node import LOAD, Node
+from bench.rerunio.schema import RunInfo
+from bench.summary import describe
+from protocol.canmap.host import CanWire
+from protocol.descriptor import Channel
+from protocol.errors import NoReply
+from protocol.links import Link, open_link
+from protocol.messages import DriveState, Role
+from protocol.signals import Flag, Unit
+
+if TYPE_CHECKING:
+    from bench.rerunio.sinks import FileSink
+
+SILENCE = 2.0  # s without samples after which waiting for more is given up
+LATE = 1.0  # s that samples of a stretch may come after its end
+CORE = (
+    "hall", "status", "theta_enc", "omega_enc", "i_a", "i_d", "i_q", "theta_avg", "theta_vt", "omega_avg", "omega_vt",
+)  # fmt: skip
+"""What is streamed where a link cannot carry everything."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a rig is to be made."""
+
+    link: Callable[[], Link]
+    target: str
+    settings: Settings = field(default_factory=Settings)
+    envelope: Envelope = field(default_factory=Envelope)
+    ask: Ask | None = None
+    """None where nobody can be asked."""
+    recording: Path | None = None
+    virtual: bool = False
+    """Time passes as fast as it can be computed."""
+    title: str = ""
+
+
+class Rig:
+    """See the module. Raises BenchError and HbpError; use it as a context manager."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._file: FileSink | None = None
+        with ExitStack() as stack:
+            link = plan.link()
+            stack.callback(link.close)
+            self.client = Client(link)
+            hello = self.client.connect()
+            if hello.role != Role.DRIVE:
+                raise BenchError(f"{plan.target} answers as {hello.role.name}, not as a drive")
+            node = Node(self.client, hello.node)
+            self._clients = [self.client]
+            self._require_rest(node)
+            self.before = tuple(_parameters(node))
+            """The drive's parameters before the test."""
+            parameters = {p.name: p.value for p in self.before}
+            self.recorder = Recorder(hello.node, hello.tick_hz)
+            self.drive = Drive(node, self.recorder, plan.envelope, parameters)
+            self.load = self._find_load(stack)
+            self.channels, self.rate = self._stream(node)
+            self.client.sinks = [self.recorder, *self._open_recording(parameters)]
+            stack.callback(self._close_recording)
+            node.start_streams()
+            self.wait(2 * POLL)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Everything off and put back. Raises the first thing that could not be done, when all was tried."""
+        failures = []
+        loads = [self.load.off] if self.load is not None else []
+        with undisturbed():
+            for step in (
+                self.drive.stop, *loads, self.drive.restore, self.drive.node.stop_streams, self._stack.close,
+            ):  # fmt: skip
+                try:
+                    step()
+                except Exception as error:
+                    failures.append((step, error))
+        if failures:
+            step, first = failures[0]
+            dark = "; the drive's watchdog switches its outputs off" if step == self.drive.stop else ""
+            raise BenchError(f"the bench could not be left as it was: {first}{dark}") from first
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def tick(self) -> int:
+        """Device tick now."""
+        return round(self.drive.node.clock_fit(1).tick)
+
+    def wait(self, seconds: float) -> None:
+        """Let the bench go on for `seconds` of its clock. Raises DriveTripped."""
+        self.until(lambda: False, seconds)
+
+    def until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Go on until `condition()` holds; False when it does not within `timeout` s. Raises DriveTripped."""
+        end = self.client.now() + timeout
+        while not condition():
+            left = end - self.client.now()
+            if left <= 0:
+                return False
+            self._poll(min(POLL, left))
+        return True
+
+    def record(self, seconds: float) -> Capture:
+        """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come."""
+        first = self.tick()
+        last = first + round(seconds * self.recorder.tick_hz)
+        self.until(lambda: self.recorder.newest >= last or self._silent(first), seconds + LATE)
+        return self.capture(first, last)
+
+    @contextmanager
+    def recording(self) -> Iterator[Stretch]:
+        """What happens inside becomes `Stretch.capture`, also when it ends in an exception."""
+        stretch = Stretch(self, self.tick())
+        try:
+            yield stretch
+        finally:
+            stretch.last = self.tick() if self.client.health.down_since is None else self.recorder.newest
+        if self.recorder.newest < stretch.last:
+            self.until(lambda: self.recorder.newest >= stretch.last, LATE)
+
+    def capture(self, first: int, last: int) -> Capture:
+        """What came between two device ticks. BenchError if nothing did."""
+        if self.recorder.newest < first:
+            raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
+        return self.recorder.capture(first, last, self.drive.parameters)
+
+    def _silent(self, first: int) -> bool:
+        newest = max(self.recorder.newest, first)
+        fit = self.client.heartbeats.get(self.drive.node.number)
+        return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
+
+    def _poll(self, timeout: float) -> None:
+        self._clients[0].poll(timeout)
+        for other in self._clients[1:]:
+            other.poll(0.0)
+        if self.client.health.reboots:
+            raise DriveTripped("the drive has rebooted")
+        self.drive.look()
+
+    # -- what it has --------------------------------------------------------------------------------------------
+
+    @property
+    def has_encoder(self) -> bool:
+        """Whether the drive streams a reference position."""
+        return any(c.flags & Flag.REFERENCE and c.unit == Unit.RAD for c in self.channels)
+
+    def describe(self) -> dict[str, str]:
+        """The rig for the report, in words."""
+        load = self.load
+        return {
+            "link": self.client.link.name,
+            "time": "virtual" if self.plan.virtual else "real",
+            "load": "none" if load is None else f"{type(load).__name__}: {', '.join(sorted(load.abilities))}",
+            "encoder": "yes" if self.has_encoder else "no",
+            "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
+        }
+
+    def identity(self) -> dict[str, str]:
+        """The drive for the report."""
+        return {key: str(value) for key, value in describe(self.drive.node.identity).items()}
+
+    def quality(self) -> Quality:
+        """What the data of the whole test are worth."""
+        samples, edges = self.recorder.count()
+        losses = self.client.losses(self.drive.node.number)
+        return Quality(
+            samples=samples,
+            edges=edges,
+            lost_samples=losses.samples.lost_by_index,
+            lost_edges=losses.edges.lost_by_index,
+            dropped_by_device=self.recorder.device.risen["tx_dropped"],
+            damaged_frames=self.client.session.counters.framing.bad,
+            outages=self.client.health.outages,
+            rate=self.rate,
+            seconds=samples / self.rate if self.rate else 0.0,
+            remarks=tuple(words for _, _, words in self.recorder.dropped),
+        )
+
+    # -- the recording ------------------------------------------------------------------------------------------
+
+    def mark(self, measurement: Measurement) -> None:
+        """Show in the recording where a measurement was made that did not pass."""
+        if self._file is not None and measurement.span is not None and measurement.verdict is not Verdict.PASS:
+            first, last = (round(t * self.recorder.tick_hz) for t in measurement.span)
+            self._file.mark(measurement.name, first, last, measurement.verdict)
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """A line in the recording's log."""
+        for sink in self.client.sinks:
+            sink.note(text, level)
+
+    def summary(self, markdown: str) -> None:
+        """The text that a viewer of the recording reads first."""
+        if self._file is not None:
+            self._file.summary(markdown)
+
+    def _open_recording(self, parameters: dict[str, float]) -> list[Sink]:
+        if self.plan.recording is None:
+            return []
+        from bench.rerunio.sinks import FileSink
+
+        identity = self.drive.node.identity
+        about = describe(identity) | {"target": self.plan.target, "hallbench": __version__, "test": self.plan.title}
+        info = RunInfo(
+            tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz,
+            channels=self.channels,
+            parameters=parameters,
+            identity=about,
+            node=identity.node,
+        )
+        self._file = FileSink(self.plan.recording, info, overwrite=True, wait=self.plan.virtual)
+        return [self._file]
+
+    def _close_recording(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    # -- before anything moves ----------------------------------------------------------------------------------
+
+    def _require_rest(self, node: Node) -> None:
+        heartbeat = node.next_heartbeat()
+        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
+            raise BenchError(
+                f"{self.plan.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
+                "(bench live --clear-faults)"
+            )
+        if heartbeat is not None and heartbeat.state in (DriveState.ARMED, DriveState.RUNNING):
+            raise BenchError(f"{self.plan.target} is {heartbeat.state.name}: another host is using it")
+        node.stop_streams()
+
+    def _find_load(self, stack: ExitStack) -> Load | None:
+        kind, settings, ask = self.plan.settings.load, self.plan.settings, self.plan.ask
+        if kind == "none":
+            return None
+        if kind == "node":
+            node = Node(self.client, LOAD)
+            return NodeLoad(node) if self._answers(node) else None
+        if kind == "person":
+            return PersonLoad(ask) if ask is not None else None
+        if ".py:" in kind:
+            return own_load(kind, settings.path.parent if settings.path else Path())
+        link = open_link(kind)
+        stack.callback(link.close)
+        client = Client(link)
+        hello = client.connect()
+        if hello.role != Role.LOAD:
+            raise BenchError(f"{kind} answers as {hello.role.name}, not as a load machine")
+        self._clients.append(client)
+        return NodeLoad(Node(client, hello.node))
+
+    def _answers(self, node: Node) -> bool:
+        hello = self.client.hello
+        on_can = isinstance(self.client.session.wire, CanWire)
+        if hello is not None and hello.nodes < LOAD and not on_can:
+            return False
+        try:
+            return node.identity.role == Role.LOAD
+        except NoReply:
+            return False
+
+    def _stream(self, node: Node) -> tuple[tuple[Channel, ...], float]:
+        """Configure edges and the most channels that fit; returns them and their rate in Hz."""
+        self.recorder.expect(node.set_edges())
+        channels = tuple(c for c in node.descriptor.channels if not c.flags & Flag.TRUTH)
+        core = tuple(c for c in channels if c.name in CORE)
+        decimation = 1
+        try:
+            node.set_samples(channels, 1)
+        except DoesNotFit:
+            channels = core
+            try:
+                node.set_samples(channels, 1)
+            except DoesNotFit as error:
+                if not error.decimation:
+                    raise
+                decimation = error.decimation
+                node.set_samples(channels, decimation)
+        return channels, node.identity.pwm_hz / decimation
+
+
+@dataclass
+class Stretch:
+    """From a tick on, until the rig says to which."""
+
+    rig: Rig
+    first: int
+    last: int = -1
+
+    @property
+    def capture(self) -> Capture:
+        """What came in it. BenchError if nothing did."""
+        return self.rig.capture(self.first, self.last)
+
+
+def _parameters(node: Node) -> Iterator[ParameterValue]:
+    for record in node.descriptor.parameters:
+        now = node.parameter(record.name)
+        yield ParameterValue(record.name, now.value, now.default, record.unit.symbol)

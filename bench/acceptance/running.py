@@ -1,0 +1,105 @@
+"""One test while it runs: what it has measured so far, and the verdict at its end.
+
+Nothing here knows pytest or a link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.acceptance.capture import Capture
+from bench.acceptance.results import Figure, Limits, Measurement, Verdict, worst
+from bench.errors import BenchError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+
+class NotPassed(Exception):
+    """Not all that the test measured is as it should be. `verdict` is the worst of it."""
+
+    def __init__(self, verdict: Verdict, text: str) -> None:
+        super().__init__(text)
+        self.verdict = verdict
+
+
+@dataclass
+class Running:
+    """A test of this name with these limits. `figures` is where pictures go, None when nobody wants any."""
+
+    name: str
+    limits: Sequence[Limits]
+    figures: Path | None = None
+    measurements: list[Measurement] = field(default_factory=list)
+    pictures: list[Figure] = field(default_factory=list)
+    mark: Callable[[Measurement], None] = lambda measurement: None
+    """Called with each measurement as it is made."""
+
+    def measure(self, name: str, value: float, *captures: Capture) -> bool:
+        """Compare `value`, in the unit of the declared limit `name`, with that limit; True if it is within.
+
+        `captures` are what it was made from: if any of them has a flaw, the measurement is INVALID whatever the value.
+        It never raises for a value that is out of limits: the test goes on, and fails at its end. BenchError for a name
+        that was not declared, or measured before.
+        """
+        declared = next((limits for limits in self.limits if limits.name == name), None)
+        if declared is None:
+            names = ", ".join(limits.name for limits in self.limits)
+            raise BenchError(f"{self.name} measures '{name}' but declares only: {names or 'nothing'}")
+        full = f"{self.name}.{name}"
+        if any(m.name == full for m in self.measurements):
+            raise BenchError(f"{self.name} measures '{name}' twice")
+        value = float(value)
+        flaws = list(dict.fromkeys(flaw for capture in captures for flaw in capture.flaws()))
+        if flaws:
+            verdict, why = Verdict.INVALID, "; ".join(flaws)
+        elif declared.allow(value):
+            verdict, why = Verdict.PASS, ""
+        else:
+            verdict, why = Verdict.FAIL, ""
+        spans = [capture.span for capture in captures]
+        span = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
+        measurement = Measurement(full, declared, verdict, value, why, span)
+        self.measurements.append(measurement)
+        self.mark(measurement)
+        return verdict is Verdict.PASS
+
+    def figure(self, name: str, caption: str, draw: Callable[[], Picture]) -> None:
+        """Keep the picture that `draw` makes; it is not called when no report is wanted."""
+        if self.figures is None:
+            return
+        from bench.acceptance.style import save
+
+        path = self.figures / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(draw(), path)
+        self.pictures.append(Figure(f"{self.figures.name}/{path.name}", caption))
+
+    def end(self) -> None:
+        """Raise NotPassed, with a line for each thing, unless all that was declared was measured and passed."""
+        self.give_up(Verdict.ERROR, "declared, but never measured")
+        bad = [m for m in self.measurements if m.verdict is not Verdict.PASS]
+        if bad:
+            head = f"{len(bad)} of {len(self.measurements)} measurements did not pass"
+            raise NotPassed(
+                worst(m.verdict for m in bad), "\n".join([head, *(f"{m.name} = {value_text(m)}" for m in bad)])
+            )
+
+    def give_up(self, verdict: Verdict, why: str) -> None:
+        """What was declared and not measured gets this verdict."""
+        measured = {m.name for m in self.measurements}
+        for declared in self.limits:
+            if (full := f"{self.name}.{declared.name}") not in measured:
+                self.measurements.append(Measurement(full, declared, verdict, why=why))
+
+
+def value_text(measurement: Measurement) -> str:
+    """Value, limits, verdict and reason in one line."""
+    value = (
+        "not measured" if measurement.value is None else f"{measurement.value:.4g} {measurement.limits.unit}".rstrip()
+    )
+    why = f" ({measurement.why})" if measurement.why else ""
+    return f"{value} [{measurement.limits}] {measurement.verdict}{why}"

@@ -1,0 +1,172 @@
+"""The look of figures, in one place: size, colours by quantity, axes of time and angle, shading, legend, file.
+
+Figures are as wide as a page of two columns (7.16 in), so they may be printed as they are. They have no titles: what
+they show stands in the caption, and the room above the axes is the legend's. Nothing here measures, keeps state or
+touches matplotlib's global settings; figures are made of the object API and drawn by Agg, from any thread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from bench.acceptance.results import Verdict
+from bench.rerunio.schema import label
+
+WIDTH, ROW_HEIGHT = 7.16, 1.9  # in
+DPI = 200
+FONT_SIZE = 8.5  # pt
+LINE_WIDTH = 1.1  # pt
+LETTER, HANDLE, MARGIN = (
+    0.062,
+    0.55,
+    0.75,
+)  # in: a letter of a legend, what stands before its text, room for the ordinate
+CHUNK = 10_000  # points that Agg draws at a time; a noisy line of more can be too much for it
+
+BLACK, GREY, LIGHT = "#1a1a1a", "#7f7f7f", "#d9d9d9"
+ORANGE, BLUE, GREEN, OLIVE, PURPLE, VERMILION, LILAC = (
+    "#d98200",
+    "#0072b2",
+    "#00906a",
+    "#857600",
+    "#b3478f",
+    "#c8401a",
+    "#6a5acd",
+)
+# The hues of the recording's dashboard (bench.rerunio.schema), darkened for white paper; after Okabe and Ito.
+COLOURS: dict[str, str] = {
+    "theta_enc": BLACK,
+    "omega_enc": BLACK,
+    "theta_true": GREY,
+    "omega_true": GREY,
+    "theta_avg": ORANGE,
+    "omega_avg": ORANGE,
+    "theta_vt": BLUE,
+    "omega_vt": BLUE,
+    "omega_ref": OLIVE,
+    "i_a": VERMILION,
+    "i_b": GREEN,
+    "i_c": LILAC,
+    "i_d": GREEN,
+    "i_q": PURPLE,
+    "i_d_ref": GREY,
+    "i_q_ref": OLIVE,
+    "voltage": OLIVE,
+    "back_emf": GREEN,
+}
+SPARE_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, LILAC)
+SHADES = {Verdict.PASS: GREEN, Verdict.FAIL: VERMILION, Verdict.INVALID: ORANGE, Verdict.ERROR: PURPLE}
+
+
+def colour(name: str) -> str:
+    """Colour of a quantity, by its channel's name: fixed for the known ones, steady for one that is not known."""
+    return COLOURS.get(name) or SPARE_COLOURS[sum(name.encode()) % len(SPARE_COLOURS)]
+
+
+def new_figure(
+    rows: int = 1, columns: int = 1, *, height: float | None = None, share_x: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """A figure of the full width with `rows` times `columns` axes, row by row; `height` in inches.
+
+    With `share_x` the axes of a column have one abscissa, whose numbers stand below the lowest only.
+    """
+    figure = Figure(figsize=(WIDTH, height or ROW_HEIGHT * rows + 0.4), layout="constrained", facecolor="white")
+    axes: list[Axes] = list(figure.subplots(rows, columns, squeeze=False, sharex="col" if share_x else "none").flat)
+    for ax in axes:
+        ax.grid(True, color=LIGHT, linewidth=0.5)
+        ax.set_axisbelow(True)
+        ax.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.spines[["left", "bottom"]].set_linewidth(0.6)
+        ax.set_prop_cycle(color=SPARE_COLOURS)
+    return figure, axes
+
+
+def line(ax: Axes, x: NDArray[Any], y: NDArray[Any], name: str, **properties: Any) -> Line2D:
+    """Draw the quantity `name`, both (n,), in its colour and under its label; references are dashed."""
+    dashed = "--" if name.endswith("_ref") else "-"
+    chosen: dict[str, Any] = {"color": colour(name), "label": label(name), "linewidth": LINE_WIDTH, "linestyle": dashed}
+    (drawn,) = ax.plot(x, y, **(chosen | properties))
+    return drawn
+
+
+def axis_labels(ax: Axes, x: str, y: str, unit_x: str = "", unit_y: str = "") -> None:
+    """Name the axes, with their units in brackets."""
+    for axis, name, unit in ((ax.xaxis, x, unit_x), (ax.yaxis, y, unit_y)):
+        axis.set_label_text(f"{name} [{unit}]" if unit else name, fontsize=FONT_SIZE)
+
+
+def time_axes(axes: Sequence[Axes], first: float, last: float) -> None:
+    """Axes that stand below each other show the time from `first` to `last`, in s; it is named below the lowest."""
+    for ax in axes:
+        ax.set_xlim(first, last)
+    axes[-1].set_xlabel("t [s]", fontsize=FONT_SIZE)
+    axes[0].figure.align_ylabels(axes)
+
+
+def degrees_axis(ax: Axes, name: str, limit: float | None = None) -> None:
+    """The ordinate is an electrical angle in degrees; with `limit` it goes from minus to plus that."""
+    ax.set_ylabel(f"{name} [el. °]", fontsize=FONT_SIZE)
+    if limit is not None:
+        ax.set_ylim(-limit, limit)
+        step = next((s for s in (1, 2, 5, 10, 15, 30, 60, 90) if limit / s <= 3), 180)
+        ax.yaxis.set_major_locator(MultipleLocator(step if limit >= 2 else limit / 2))
+
+
+def wrapped_degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles in rad, (n,), in [-pi, pi), as degrees to draw: NaN where they wrap, so that no line crosses the plot."""
+    degrees: NDArray[np.float64] = np.degrees(angle)
+    degrees[1:][np.abs(np.diff(angle)) > math.pi] = np.nan
+    return degrees
+
+
+def shade(axes: Sequence[Axes], first: float, last: float, verdict: Verdict | None = None) -> None:
+    """Shade the abscissa from `first` to `last`, behind the lines, in the colour of `verdict`; grey without one."""
+    for ax in axes:
+        ax.axvspan(first, last, color=SHADES.get(verdict, GREY) if verdict else GREY, alpha=0.13, linewidth=0, zorder=0)
+
+
+def limit_lines(ax: Axes, lo: float | None, hi: float | None) -> None:
+    """Draw limits of the ordinate; None is no limit."""
+    for limit in (lo, hi):
+        if limit is not None:
+            ax.axhline(limit, color=VERMILION, linewidth=0.9, linestyle=(0, (6, 3)))
+
+
+def legend_above(ax: Axes) -> None:
+    """Put the legend above the axes, where it hides no data; nothing where nothing has a label."""
+    handles, labels = ax.get_legend_handles_labels()
+    if not handles:
+        return
+    grid = ax.get_gridspec()
+    room = WIDTH / (grid.ncols if grid is not None else 1) - MARGIN
+    beside = int(room / (LETTER * max(map(len, labels)) + HANDLE))
+    ax.legend(
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.2,
+        ncols=max(1, min(len(labels), beside)),
+        frameon=False,
+        fontsize=FONT_SIZE,
+        handlelength=1.8,
+        columnspacing=1.4,
+    )
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG. The same figure makes the same bytes: no date, no version in it. Raises OSError."""
+    with rc_context({"agg.path.chunksize": CHUNK}):
+        figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})

@@ -1,0 +1,111 @@
+"""What the tests of the suite share: names of the estimates, speeds in r/min, whole turns, transients, ripple.
+
+Nothing here knows a limit, or whether the drive is simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple, ParamSpec
+
+import numpy as np
+
+from bench.acceptance.capture import F64, Capture
+from bench.energise import RPM
+
+if TYPE_CHECKING:
+    from bench.acceptance.fixtures import Record
+
+AVERAGE, PROPOSED = "average-speed", "vector-tracking"
+"""The paper's two approaches, as the drive calls them."""
+WORDS = {AVERAGE: "average", PROPOSED: "proposed"}
+"""The same in names of measurements."""
+THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt"}
+OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt"}
+
+
+Arguments = ParamSpec("Arguments")
+
+
+def or_nan(measure: Callable[Arguments, float | None], *arguments: Arguments.args, **named: Arguments.kwargs) -> float:
+    """What `measure` gives; NaN, which fails every limit, where that is None or the samples are unfit (ValueError)."""
+    try:
+        value = measure(*arguments, **named)
+    except ValueError:
+        return math.nan
+    return math.nan if value is None else value
+
+
+def ratio(value: float, to: float) -> float:
+    """`value / to`; NaN where there is nothing to compare with."""
+    return value / to if to else math.nan
+
+
+def rpm(capture: Capture, channel: str = "omega_enc") -> F64:
+    """A speed as mechanical r/min, shape (n,)."""
+    return capture[channel] / (capture.parameters["n_p"] * RPM)
+
+
+def error_deg(capture: Capture, observer: str) -> F64:
+    """Actual minus estimated angle of an approach in electrical degrees, shape (n,)."""
+    return np.degrees(capture.position_error(THETA[observer]))
+
+
+def whole_turns(capture: Capture) -> Capture:
+    """The part, from the first sample on, that is a whole number of mechanical turns; all of it if that is none.
+
+    A mean over it is not biased by what repeats with every turn, such as the ripple of misplaced Hall sensors.
+    """
+    turns = np.abs(capture.theta - capture.theta[0]) / (math.tau * capture.parameters["n_p"])
+    whole = math.floor(turns.max())
+    if not whole:
+        return capture
+    return capture.between(capture.t[0], capture.t[int(np.argmax(turns >= whole)) - 1])
+
+
+def ripple(capture: Capture, channel: str, period: float) -> float:
+    """Standard deviation of a channel, in its unit, about its mean over the `period` s around each sample.
+
+    Raises ValueError where the capture is no longer than that.
+    """
+    length = round(period * capture.rate)
+    if length >= len(capture):
+        raise ValueError(f"{len(capture)} samples are not more than {period:g} s: take a longer stretch")
+    values = capture[channel]
+    mean = np.convolve(values, np.full(length, 1 / length), "valid")
+    first = (length - 1) // 2
+    return float((values[first : first + len(mean)] - mean).std())
+
+
+def speed_error(capture: Capture, observer: str) -> float:
+    """Standard deviation of the estimated speed less the encoder's, r/min."""
+    return float((rpm(capture, OMEGA[observer]) - rpm(capture)).std())
+
+
+class After(NamedTuple):
+    """A transient, with what came before it, and where it began."""
+
+    capture: Capture
+    start: float  # device time, s
+
+    def part(self, first: float, last: float | None = None) -> Capture:
+        """From `first` to `last` s after the start; without `last` to the end, in whole turns."""
+        if last is None:
+            return whole_turns(self.capture.between(self.start + first, self.capture.span[1]))
+        return self.capture.between(self.start + first, self.start + last)
+
+
+def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: float = 5.0) -> bool:
+    """Go on until the shaft has made two turns, each at `speed_rpm` to `within` of it in the mean.
+
+    False when it has not within `timeout` s.
+    """
+    turn = 60.0 / abs(speed_rpm)
+    good = 0
+    for _ in range(math.ceil(timeout / turn)):
+        off = abs(float(rpm(record(turn)).mean()) - speed_rpm)
+        good = good + 1 if off <= within * abs(speed_rpm) else 0
+        if good == 2:
+            return True
+    return False

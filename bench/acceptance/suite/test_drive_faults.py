@@ -1,0 +1,284 @@
+"""What the drive does when something breaks: a Hall wire, exchanged wires, false pulses, a host that falls silent.
+
+Faults of the wiring are put in by the rig. The default limits are those of the paper's drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
+from bench.acceptance.faults import PAIRS, WIRES, HallFaults
+from bench.acceptance.fixtures import Record
+from bench.acceptance.loads import Load, NodeLoad
+from bench.acceptance.plots.drive import draw_run
+from bench.acceptance.suite.common import PROPOSED, error_deg, rpm
+from bench.acceptance.suite.events import (
+    GONE,
+    PHASES,
+    current,
+    currents_gone,
+    illegal,
+    largest,
+    only,
+    speed,
+    states,
+    stepped,
+    tripped,
+)
+from bench.acceptance.wiring import AS_SPECIFIED, diagnose
+from protocol.codes import DriveState
+
+Measure = Callable[..., bool]
+Figure = Callable[..., None]
+
+OPEN = {f"open_{wire}": f"sensor {wire} open (always 1)" for wire in WIRES}
+EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pair in PAIRS}
+
+
+@limit("trip_time", "ms", lo=0.1, hi=80, about="from the first illegal code to FAULT: two electrical turns take 67 ms")
+@limit("named", "", lo=1, hi=1, about="1: HALL is the fault, and the only one")
+@limit("current_max", "A", hi=9.6, about="largest phase current from the break on")
+@limit("current_after", "A", hi=GONE, about="largest phase current 5 ms after the trip and later")
+@limit("speed_again", "r/min", lo=295, hi=305, about="mean once the wire is whole and the fault is cleared")
+@needs("hall-faults")
+@energises(speed_rpm=300, current=8)
+@pytest.mark.parametrize("wire", WIRES)
+def test_hall_wire_broken(
+    wire: str, drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+) -> None:
+    """A Hall wire breaks at 300 r/min: the drive trips by itself, and runs again once the wire is whole.
+
+    How far it may run away follows from the time and the current.
+    """
+    drive.start(PROPOSED)
+    drive.speed(300 * RPM)
+    record.wait(0.4)
+    with drive.may_trip():
+        with record.stretch() as stretch:
+            hall_faults.open(wire)
+            record.until(lambda: bool(drive.faults), 0.5)
+            record.wait(0.1)
+        run = stretch.capture
+        named = drive.faults == ("HALL",)
+        drive.stop()
+        hall_faults.clear()
+        record.wait(0.3)
+        drive.forget_faults()
+    broken, fault = illegal(run), tripped(run)
+    measure("trip_time", 1e3 * (fault - broken), run)
+    measure("named", named)
+    measure("current_max", current(run).max(), run)
+    measure("current_after", largest(current(run), run.t >= fault + 5e-3), run)
+    drive.start(PROPOSED)
+    drive.speed(300 * RPM)
+    record.wait(0.4)
+    again = record(0.2)
+    measure("speed_again", speed(again).mean(), again)
+    figure(
+        f"drive_broken_{wire}",
+        f"Hall wire {wire} breaks at 300 r/min; dashed: the current limit",
+        lambda: draw_run(run, ("speed", "hall", "phases"), {"illegal code": broken, "FAULT": fault}),
+    )
+
+
+@limits(
+    Limits("as_specified", "", 1, 1, "1: nothing is wrong before anything is"),
+    *(Limits(name, "", 1, 1, f"1: diagnosed as {words}") for name, words in (OPEN | EXCHANGED).items()),
+    Limits("as_specified_again", "", 1, 1, "1: nothing is wrong once all is put back"),
+)
+@limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
+@needs("encoder", "load.speed", "hall-faults")
+@energises(speed_rpm=0, current=0)
+def test_hall_wiring_is_named(
+    drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
+) -> None:
+    """Broken and exchanged Hall wires are found and named before the drive is ever switched on.
+
+    The load machine turns the shaft; the encoder tells which codes belong where.
+    """
+    load.speed(60 * RPM)
+    record.wait(0.2)
+
+    def look(name: str, expected: str) -> Capture:
+        run = record(0.3)
+        found = _wiring(run)
+        record.note(f"{name}: {found}")
+        measure(name, found == expected, run)
+        return run
+
+    runs = [look("as_specified", AS_SPECIFIED)]
+    for wire in WIRES:
+        hall_faults.open(wire)
+        runs.append(look(f"open_{wire}", OPEN[f"open_{wire}"]))
+        hall_faults.clear()
+    for pair in PAIRS:
+        hall_faults.swap(pair)
+        runs.append(look(f"swap_{pair}", EXCHANGED[f"swap_{pair}"]))
+        hall_faults.clear()
+    runs.append(look("as_specified_again", AS_SPECIFIED))
+    off = np.concatenate([states(run) != DriveState.RUNNING for run in runs])
+    measure("outputs_off", 100.0 * off.mean(), *runs)
+
+
+@limit("current_max", "A", lo=4, hi=10.5, about="largest phase current while 100 r/min were asked for")
+@limit("speed_max", "r/min", hi=450, about="largest speed, either way")
+@limit("only_hall", "", lo=1, hi=1, about="1: it tripped with HALL or not at all")
+@limit("current_after", "A", hi=GONE, about="largest phase current from 5 ms after STOP on")
+@needs("encoder", "load.speed", "hall-faults")
+@energises(speed_rpm=100, current=8)
+@pytest.mark.parametrize("pair", PAIRS)
+def test_hall_wires_exchanged(
+    pair: str, drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+) -> None:
+    """With two Hall wires exchanged the drive is asked for 100 r/min for a second.
+
+    It cannot turn; it must not draw more than its limit, run away, or trip for another reason.
+    """
+    load.speed(60 * RPM)  # the Hall sensors are seen once before
+    record.wait(0.2)
+    load.torque(0.0)
+    record.wait(0.3)
+    hall_faults.swap(pair)
+    with drive.may_trip():
+        drive.start(PROPOSED)
+        with record.stretch() as stretch:
+            drive.speed(100 * RPM)
+            record.until(lambda: bool(drive.faults), 0.9)
+        run = stretch.capture
+        faults = drive.faults
+        drive.stop()
+        hall_faults.clear()
+        record.wait(0.1)
+        after = record(0.1)
+        drive.forget_faults()
+    measure("current_max", current(run).max(), run)
+    measure("speed_max", np.abs(speed(run)).max(), run)
+    measure("only_hall", faults in ((), ("HALL",)))
+    measure("current_after", current(after).max(), after)
+    figure(
+        f"drive_exchanged_{pair}",
+        f"100 r/min asked for with the Hall wires {pair[0]} and {pair[1]} exchanged; dashed: the current limit",
+        lambda: draw_run(run, ("speed", "hall", "phases"), {"FAULT": tripped(run)}),
+    )
+
+
+class Burst(NamedTuple):
+    """False pulses on the Hall wires at 500 r/min."""
+
+    during: Capture
+    after: Capture
+
+
+@limit("implausible_edges", "", lo=4, hi=200, about="edges that skip a sector or lead to 000 or 111: the burst came")
+@limit("current_max", "A", lo=0.2, hi=13, about="largest phase current from the burst on")
+@limit("speed_after", "r/min", lo=497, hi=503, about="mean 0.2 s later")
+@needs("hall-faults")
+@energises(speed_rpm=500, current=8)
+def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure) -> None:
+    """A thousand false pulses a second for 50 ms at 500 r/min: the drive must not trip, and goes on.
+
+    Two false edges close together make any Hall speed: that `omega_avg` leaves its range is no flaw of the data.
+    """
+    burst = _glitches(drive, record, hall_faults)
+    changed = burst.during.edges.hall_old ^ burst.during.edges.hall_new
+    several = (changed & (changed - 1)) != 0
+    needed = only(burst.during, "hall", "i_d", "i_q", *PHASES)
+    measure("implausible_edges", int((several | (burst.during.edges.illegal != 0)).sum()), needed)
+    measure("current_max", current(burst.during).max(), needed)
+    measure("speed_after", speed(burst.after).mean(), burst.after)
+
+
+@limit("error_max", "deg", lo=4, hi=160, about="largest position error during the burst and 0.1 s after it")
+@limit("speed_deviation", "r/min", lo=0.5, hi=250, about="largest from 500 r/min, in the same time")
+@limit("error_std_after", "deg", lo=1, hi=4, about="position error 0.2 s later")
+@limit("error_max_after", "deg", lo=2, hi=8, about="largest position error 0.2 s later")
+@needs("encoder", "hall-faults")
+@energises(speed_rpm=500, current=8)
+def test_hall_glitches_error(
+    drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+) -> None:
+    """The position error under the same false pulses: bounded, and as before soon after."""
+    burst = _glitches(drive, record, hall_faults)
+    after = error_deg(burst.after, PROPOSED)
+    needed = only(burst.during, "theta_enc", "omega_enc", "theta_vt")
+    measure("error_max", np.abs(error_deg(burst.during, PROPOSED)).max(), needed)
+    measure("speed_deviation", np.abs(rpm(burst.during) - 500.0).max(), needed)
+    measure("error_std_after", after.std(), burst.after)
+    measure("error_max_after", np.abs(after).max(), burst.after)
+    figure(
+        "drive_glitches",
+        "1000 false pulses a second on the Hall wires for 50 ms at 500 r/min; the inputs as the drive samples them",
+        lambda: draw_run(burst.during, ("speed", "error", "hall"), {}),
+    )
+
+
+@limit(
+    "current_before", "A", lo=1, hi=5, about="largest phase current before the trip: there was a torque to take away"
+)
+@limit("trip_time", "s", lo=0.19, hi=0.26, about="from the last set point to FAULT")
+@limit("lateness", "ms", lo=-5, hi=60, about="the same, less the drive's parameter watchdog")
+@limit(
+    "off_time", "s", lo=0.19, hi=0.26, about=f"from the last set point until all currents are below {GONE} A for good"
+)
+@limit("named", "", lo=1, hi=1, about="1: WATCHDOG is the fault, and the only one")
+@needs("load", "parameter:watchdog")
+@energises(speed_rpm=220, current=8)
+def test_watchdog(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+    """The host falls silent at 200 r/min: the drive switches itself off.
+
+    The last that it hears is a set point, whose effect shows in the data when that was.
+    """
+    drive.start(PROPOSED)
+    drive.speed(200 * RPM)
+    load.torque(2.0 * drive.torque_constant)
+    record.wait(0.3)
+    with drive.may_trip():
+        with record.stretch() as stretch:
+            record.wait(0.03)
+            drive.node.client.feed(drive.node.number, on=False)
+            drive.speed(220 * RPM)
+            record.until(lambda: bool(drive.faults), 3.0 * drive.parameters["watchdog"])
+            load.off()
+            record.wait(0.05)
+        run = stretch.capture
+        named = drive.faults == ("WATCHDOG",)
+        drive.forget_faults()
+    last = stepped(run, "omega_ref") if "omega_ref" in run else run.span[0]
+    fault = tripped(run)
+    measure("current_before", largest(current(run), run.t < fault), run)
+    measure("trip_time", fault - last, run)
+    measure("lateness", 1e3 * (fault - last - drive.parameters["watchdog"]), run)
+    measure("off_time", currents_gone(run) - last if not math.isnan(fault) else math.nan, run)
+    measure("named", named)
+    figure(
+        "drive_watchdog",
+        "The host falls silent after a set point of 220 r/min, load torque of 2 A; dashed: the current limit",
+        lambda: draw_run(run, ("speed", "dq", "phases"), {"last set point": last, "FAULT": fault}),
+    )
+
+
+def _glitches(drive: Drive, record: Record, hall_faults: HallFaults) -> Burst:
+    drive.start(PROPOSED)
+    drive.speed(500 * RPM)
+    record.wait(0.5)
+    with record.stretch() as stretch:
+        hall_faults.glitches(1000)
+        record.wait(0.05)
+        hall_faults.glitches(0)
+        record.wait(0.1)
+    record.wait(0.2)
+    return Burst(stretch.capture, record(0.24))
+
+
+def _wiring(run: Capture) -> str:
+    """What `diagnose` names; why it cannot, where it cannot."""
+    try:
+        return diagnose(run[run.reference], run["hall"].astype(np.int64)).best
+    except ValueError as error:
+        return str(error)

@@ -1,0 +1,164 @@
+"""Whether the drive's parameters are those of its motor, and what it does when they are not.
+
+The default limits are those of the paper's drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
+from bench.acceptance.fixtures import Record
+from bench.acceptance.loads import Load
+from bench.acceptance.suite.common import PROPOSED, error_deg, settle, whole_turns
+from bench.acceptance.suite.events import current
+from bench.acceptance.waveforms import FORWARDS, edge_offsets
+
+Measure = Callable[..., bool]
+
+# Angle by which wrong values turn the mean error, deg. An inductance that is dL too large adds w dL i to a back-EMF of
+# w psi_f at right angles: atan(dL i / psi_f), 1.29 deg for 20 % at 4.18 A. A resistance only changes its size.
+MISMATCHES = {
+    "R_s_hat_low": ("R_s_hat", 0.7, 0.0),
+    "R_s_hat_high": ("R_s_hat", 1.3, 0.0),
+    "L_s_hat_low": ("L_s_hat", 0.8, -1.29),
+    "L_s_hat_high": ("L_s_hat", 1.2, 1.29),
+    "psi_f_hat_low": ("psi_f_hat", 0.9, 0.0),
+    "psi_f_hat_high": ("psi_f_hat", 1.1, 0.0),
+}
+
+
+@limit("nominal_error_mean", "deg", lo=-0.35, hi=0.25, about="with the drive's own parameters")
+@limit("nominal_error_std", "deg", lo=1.5, hi=3, about="the same")
+@limit("nominal_error_max", "deg", lo=3, hi=7, about="the same")
+@limits(
+    *(
+        measured
+        for name, (parameter, factor, shift) in MISMATCHES.items()
+        for measured in (
+            Limits(f"{name}_shift", "deg", shift - 0.25, shift + 0.25, f"of the mean error by {factor:g} {parameter}"),
+            Limits(f"{name}_error_std", "deg", 1.5, 3.2, f"with {factor:g} {parameter}"),
+            Limits(f"{name}_error_max", "deg", 3, 8.5, f"with {factor:g} {parameter}"),
+        )
+    )
+)
+@limit("current_max", "A", lo=3.5, hi=6, about="largest phase current of all")
+@needs("encoder", "load", "parameter:R_s_hat", "parameter:L_s_hat", "parameter:psi_f_hat")
+@energises(speed_rpm=500, current=8)
+def test_parameter_mismatch(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
+    """Resistance 30 %, inductance 20 % and flux linkage 10 % off, either way, at 500 r/min and 4 A."""
+    drive.start(PROPOSED)
+    drive.speed(500 * RPM)
+    load.torque(4.0 * drive.torque_constant)
+    settle(record, 500, within=0.005)
+
+    def run_with(name: str) -> tuple[Capture, float]:
+        run = whole_turns(record(0.25))
+        error = error_deg(run, PROPOSED)
+        measure(f"{name}_error_std", error.std(), run)
+        measure(f"{name}_error_max", np.abs(error).max(), run)
+        return run, float(error.mean())
+
+    nominal, mean = run_with("nominal")
+    measure("nominal_error_mean", mean, nominal)
+    runs = [nominal]
+    for name, (parameter, factor, _) in MISMATCHES.items():
+        own = drive.parameters[parameter]
+        drive.set(parameter, factor * own)
+        record.wait(0.1)
+        run, shifted = run_with(name)
+        measure(f"{name}_shift", shifted - mean, nominal, run)
+        drive.set(parameter, own)
+        runs.append(run)
+    measure("current_max", max(current(run).max() for run in runs), *runs)
+
+
+@limit("psi_f", "mV·s", about="back-EMF over electrical speed")
+@limit("psi_f_deviation", "%", lo=-4, hi=4, about="of it from the drive's parameter psi_f_hat")
+@limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical turns by the encoder for one by the Hall sensors")
+@limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are no neighbours")
+@limit("u_dc", "V", lo=22.8, hi=25.2, about="mean voltage of the DC link")
+@limit("u_dc_ripple", "V", hi=0.5, about="peak to peak")
+@needs("encoder", "channel:e_alpha", "channel:e_beta", "channel:u_dc", "parameter:psi_f_hat")
+@energises(speed_rpm=1000, current=8)
+def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) -> None:
+    """The flux linkage from the back-EMF at 1000 r/min, light load; direction and pole pairs of the encoder."""
+    drive.start(PROPOSED)
+    drive.speed(1000 * RPM)
+    record.wait(0.6)
+    run = record(0.4)
+    omega = float(np.abs(run["omega_enc"]).mean())
+    psi_f = np.hypot(run["e_alpha"], run["e_beta"]).mean() / omega if omega else math.nan
+    measure("psi_f", 1e3 * psi_f, run)
+    measure("psi_f_deviation", 100.0 * (psi_f / drive.parameters["psi_f_hat"] - 1.0), run)
+    turns, dropped = _encoder_turns(run)
+    measure("encoder_turns", turns, run)
+    measure("edges_dropped", dropped, run)
+    measure("u_dc", run["u_dc"].mean(), run)
+    measure("u_dc_ripple", np.ptp(run["u_dc"]), run)
+
+
+@limit("i_q_light", "A", lo=0.05, hi=1, about="mean with light load: friction")
+@limit("i_q_step", "A", lo=3.6, hi=4.4, about="what the load torque of 4 A adds to it")
+@limit("torque_deviation", "%", lo=-10, hi=10, about="of i_q_step from torque / (1.5 n_p psi_f_hat)")
+@limit("current_sum", "A", hi=0.05, about="mean of i_a + i_b + i_c under load, its size")
+@needs("encoder", "load", "channel:i_b", "channel:i_c")
+@energises(speed_rpm=500, current=8)
+def test_torque_constant(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
+    """The q current that a known load torque takes at 500 r/min, above that of the friction."""
+    amperes = 4.0
+    drive.start(PROPOSED)
+    drive.speed(500 * RPM)
+    record.wait(0.4)
+    light = whole_turns(record(0.25))
+    load.torque(amperes * drive.torque_constant)
+    settle(record, 500, within=0.005)
+    loaded = whole_turns(record(0.25))
+    step = loaded["i_q"].mean() - light["i_q"].mean()
+    measure("i_q_light", light["i_q"].mean(), light)
+    measure("i_q_step", step, light, loaded)
+    measure("torque_deviation", 100.0 * (step / amperes - 1.0), light, loaded)
+    measure("current_sum", abs((loaded["i_a"] + loaded["i_b"] + loaded["i_c"]).mean()), loaded)
+
+
+@limit("offset_a", "A", lo=-0.05, hi=0.05, about="mean of i_a, outputs off, shaft at rest")
+@limit("offset_b", "A", lo=-0.05, hi=0.05, about="the same of i_b")
+@limit("offset_c", "A", lo=-0.05, hi=0.05, about="the same of i_c")
+@limit("noise", "A", lo=0.001, hi=0.06, about="largest standard deviation of the three")
+@limit("sum_offset", "A", lo=-0.1, hi=0.1, about="mean of i_a + i_b + i_c")
+@limit("speed", "r/min", hi=1, about="largest by the drive's estimate: the shaft is at rest")
+@needs("channel:i_b", "channel:i_c")
+@energises(speed_rpm=100, current=8)
+def test_current_offsets(drive: Drive, record: Record, measure: Measure) -> None:
+    """What the current sensors say where there is no current, after the drive has run."""
+    drive.start(PROPOSED)
+    drive.speed(100 * RPM)
+    record.wait(0.2)
+    drive.stop()
+    record.until(lambda: record.latest("omega_vt") == 0.0, 5.0)
+    record.wait(0.2)
+    rest = record(0.2)
+    phases = [rest["i_a"], rest["i_b"], rest["i_c"]]
+    for phase, values in zip("abc", phases, strict=True):
+        measure(f"offset_{phase}", values.mean(), rest)
+    measure("noise", max(values.std() for values in phases), rest)
+    measure("sum_offset", np.sum(phases, axis=0).mean(), rest)
+    measure("speed", np.abs(rest["omega_vt"]).max() / (drive.n_p * RPM), rest)
+
+
+def _encoder_turns(run: Capture) -> tuple[float, int]:
+    """Electrical turns by the encoder for one by the Hall sensors, over whole turns; and edges that join no neighbours.
+
+    Positive where both turn the same way.
+    """
+    theta = run.theta_at_edges()
+    offsets = edge_offsets(theta, run.edges.hall_old, run.edges.hall_new)
+    turns = (len(theta) - 1) // 6
+    if turns < 1:
+        return math.nan, offsets.dropped
+    forwards = offsets.n[:, FORWARDS].sum() > len(theta) / 2
+    by_encoder = (theta[6 * turns] - theta[0]) / math.tau
+    return (by_encoder if forwards else -by_encoder) / turns, offsets.dropped

@@ -1,0 +1,364 @@
+"""The paper's steady-state experiments: Table I, Fig. 2, Fig. 6 and Fig. 8.
+
+Angles are electrical. Limits are for the paper's drive; another one states its own in bench.toml. The map of Fig. 13 is
+in `test_paper_map`, the transients are in `test_paper_transients`.
+
+Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.acceptance import RPM, Capture, Drive, DriveTripped, Limits, energises, limit, limits, needs
+from bench.acceptance.fixtures import Record
+from bench.acceptance.loads import Load, NodeLoad
+from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
+from bench.acceptance.plots.response import draw_bode
+from bench.acceptance.plots.steady import draw_steady
+from bench.acceptance.suite.common import AVERAGE, PROPOSED, WORDS, error_deg, or_nan, rpm, settle, whole_turns
+from bench.acceptance.suite.test_paper_map import thd_of_current
+from bench.acceptance.waveforms import BACKWARDS, FORWARDS, edge_offsets, sine_response
+from bench.acceptance.wiring import AS_SPECIFIED, diagnose
+from protocol.signals import Injection, Status
+
+F64 = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Measure = Callable[..., bool]
+Figure = Callable[..., None]
+
+
+# -- Table I --------------------------------------------------------------------------------------------------------
+
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, ideal - measured, of the edges that open the sectors I..VI
+TOLERANCE = 0.2  # deg
+HYSTERESIS = 0.5  # deg, of the simulated sensors; the paper gives none
+MET = {"forwards": (FORWARDS, -HYSTERESIS / 2), "backwards": (BACKWARDS, HYSTERESIS / 2)}
+
+
+def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
+    return Limits(name, "deg", round(value - tolerance, 2), round(value + tolerance, 2), about)
+
+
+@limits(
+    *(
+        _near(f"delta_{sector}", delta, TOLERANCE, f"edge that opens sector {sector}")
+        for sector, delta in zip(SECTORS, TABLE_I, strict=True)
+    ),
+    *(
+        _near(f"delta_{sector}_{way}", delta + shift, TOLERANCE, f"the same, {way}")
+        for way, (_, shift) in MET.items()
+        for sector, delta in zip(SECTORS, TABLE_I, strict=True)
+    ),
+)
+@limit("hysteresis", "deg", lo=0.3, hi=0.7, about="between an edge met backwards and forwards, mean of the six")
+@limit("edges_dropped", "", hi=0, about="edges between sectors that are no neighbours")
+@limit("wiring_as_specified", "", lo=1, about="1: Hall codes and encoder agree on the specified wiring")
+@needs("encoder")
+@energises(speed_rpm=300, current=4)
+def test_table1_hall_edges(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
+    """Table I: the angles of the six Hall edges by the encoder, met forwards and backwards.
+
+    The drive runs on its encoder, so that misplaced sensors do not disturb the speed. The paper's figure is taken as
+    the middle of both directions.
+    """
+    drive.start("encoder")
+    with drive.may_trip(), record.stretch() as started:  # a drive may well trip over wrong wiring: name that first
+        drive.speed(300 * RPM)
+        record.wait(0.8)
+    measure("wiring_as_specified", or_nan(lambda: _wiring_as_specified(started.capture, record)), started.capture)
+    if drive.faults:
+        raise DriveTripped(f"the drive tripped: {', '.join(drive.faults)}")
+    turning = []
+    for direction in (1, -1):
+        drive.speed(direction * 300 * RPM)
+        assert settle(record, direction * 300), "300 r/min were not reached"
+        turning.append(record(1.0))
+    edges = [capture.edges for capture in turning]
+    offsets = edge_offsets(
+        np.concatenate([capture.theta_at_edges() for capture in turning]),
+        np.concatenate([chunk.hall_old for chunk in edges]),
+        np.concatenate([chunk.hall_new for chunk in edges]),
+    )
+    delta = np.degrees(offsets.mean)
+    for s, sector in enumerate(SECTORS):
+        measure(f"delta_{sector}", delta[s].mean(), *turning)
+        for way, (column, _) in MET.items():
+            measure(f"delta_{sector}_{way}", delta[s, column], turning[column])
+    measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
+    measure("edges_dropped", offsets.dropped, *turning)
+    figure(
+        "table1",
+        "Hall edges by the encoder: on the circle, their offsets in both directions, and the paper's Table I",
+        lambda: draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(TOLERANCE)),
+    )
+
+
+def _wiring_as_specified(capture: Capture, record: Record) -> float:
+    found = diagnose(capture.theta, capture["hall"].astype(np.int64))
+    record.note(
+        f"Hall wiring: {found.best} (explains {found.share:.1%}), then {found.runner_up} ({found.runner_up_share:.1%})"
+    )
+    return float(found.best == AS_SPECIFIED)
+
+
+# -- Fig. 2 ---------------------------------------------------------------------------------------------------------
+
+PHI = {"a": -15.0, "b": 10.0, "c": 10.0}  # deg
+PLACED = tuple(PHI[sensor] for sensor in "cbacba")
+"""Offsets delta in deg of the edges that open the sectors I..VI: a sensor makes two edges, 180 deg apart, and phi moves
+both alike. The codes 1, 3, 2, 6, 4, 5 of the sectors tell whose they are: c has I and IV, b II and V, a III and VI."""
+
+
+class Expected(NamedTuple):
+    """Errors of (1)-(2), actual minus estimated, in deg, of the edges that open the sectors (6,), forwards."""
+
+    before: F64
+    after: F64
+    largest: float
+    """Anywhere."""
+
+
+def _expected(delta: F64) -> Expected:
+    """Errors with edges offset by `delta` (6,) deg, at a steady speed.
+
+    From edge to edge sector s is w_s = 60 + delta_s - delta_s+1 wide, which (1) takes for 60. So the estimate starts in
+    sector s at its ideal edge, runs at 60 / w_s-1 times the actual speed, and has come 60 w_s / w_s-1 far, but 60 at
+    most, when the edge comes that opens sector s+1. There it jumps to the ideal edge, by
+
+        60 max(0, 1 - w_s / w_s-1).
+
+    Just after an edge the error is -delta; just before, it is larger by the jump. In a sector that is wider than the
+    one before, the estimate waits at the ideal edge, from an error of w_s-1 - 60 - delta_s on.
+    """
+    width = 60.0 + delta - np.roll(delta, -1)
+    previous = np.roll(width, 1)
+    before = np.roll(60.0 * np.maximum(0.0, 1.0 - width / previous), 1) - delta
+    waits = (previous - 60.0 - delta)[width > previous]
+    return Expected(before, -delta, float(np.abs(np.concatenate([before, delta, waits])).max()))
+
+
+EXPECTED = _expected(np.array(PLACED))
+
+
+@limits(
+    *(
+        _near(f"jump_{sector}", jump, 0.8, f"of the estimate where sector {sector} opens")
+        for sector, jump in zip(SECTORS, EXPECTED.before - EXPECTED.after, strict=True)
+    ),
+    *(
+        _near(f"error_after_{sector}", error, 1.0, "error where the jump ends")
+        for sector, error in zip(SECTORS, EXPECTED.after, strict=True)
+    ),
+)
+@limit("error_max", "deg", lo=EXPECTED.largest - 1.5, hi=EXPECTED.largest + 1.5, about="average speed, anywhere")
+@needs("encoder", "hall-placement")
+@energises(speed_rpm=200, current=4)
+def test_fig02_misaligned_hall(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+    """Fig. 2: the average-speed estimate with Hall sensors misplaced by phi = -15, 10 and 10 deg.
+
+    The drive runs on its encoder. The jumps of the estimate are compared with those that (1)-(2) imply.
+    """
+    assert isinstance(load, NodeLoad)
+    for s, delta in enumerate(PLACED):
+        load.set(f"hall_delta_{s + 1}", math.radians(delta))
+    drive.start("encoder")
+    drive.speed(200 * RPM)
+    assert settle(record, 200), "200 r/min were not reached"
+    steady = record(0.6)
+    before, after = _errors_at_edges(steady)
+    for s, sector in enumerate(SECTORS):
+        measure(f"jump_{sector}", before[s] - after[s], steady)
+        measure(f"error_after_{sector}", after[s], steady)
+    measure("error_max", np.degrees(np.abs(steady.position_error("theta_avg")).max()), steady)
+    figure(
+        "fig02",
+        "Outputs of misplaced Hall sensors (phi = -15, 10, 10 deg), actual and average-speed position, and the error",
+        lambda: draw_misaligned_hall(steady),
+    )
+
+
+def _errors_at_edges(capture: Capture) -> tuple[F64, F64]:
+    """Mean errors (6,) of the average-speed estimate in deg, just before and after the edge that opens each sector.
+
+    Two samples on either side are drawn on in line to the edge. NaN for an edge that was not seen.
+    """
+    error = np.unwrap(capture.position_error("theta_avg"))
+    t, edges = capture.t, capture.edges.tick / capture.tick_hz
+    sector = np.round(capture.theta_at_edges() / (math.pi / 3)).astype(int) % 6
+    right = np.searchsorted(t, edges, "left")
+    inner = (right >= 2) & (right <= len(t) - 2)
+    right, edges, sector = right[inner], edges[inner], sector[inner]
+    sides = []
+    for first in (right - 2, right):
+        slope = (error[first + 1] - error[first]) / (t[first + 1] - t[first])
+        at_edge = np.degrees(error[first] + slope * (edges - t[first]))
+        sides.append(np.array([at_edge[sector == s].mean() if (sector == s).any() else math.nan for s in range(6)]))
+    return sides[0], sides[1]
+
+
+# -- Fig. 6 ---------------------------------------------------------------------------------------------------------
+
+FREQUENCIES = np.array([5.0, 9.0, 17.0, 31.0, 56.0, 130.0, 240.0, 360.0, 550.0, 960.0])  # Hz
+ANSWER = math.radians(2.0)  # amplitude of the answer that is aimed at
+LARGEST = 0.5  # rad, of the injected sine
+SETTLING = 0.2  # s, until the observer has forgotten a change
+HARMONICS = 12  # of the electrical frequency, fitted along: the Hall sensors disturb at each of them
+
+
+def _low_pass(f: F64, k_p: float, k_i: float) -> Complex:
+    """(11) from theta* to the estimate, at `f` (n,) Hz."""
+    s = 2j * math.pi * f
+    return np.asarray((k_p * s + k_i) / (s * s + k_p * s + k_i))
+
+
+def _high_pass(f: F64, k_p: float, k_i: float) -> Complex:
+    """(11) from theta_h to the estimate, at `f` (n,) Hz."""
+    return 1.0 - _low_pass(f, k_p, k_i)
+
+
+@limit("low_pass_gain_off", "dB", hi=0.8, about="from theta*: largest deviation from (11)")
+@limit("low_pass_phase_off", "deg", hi=4.0, about="from theta*: the same")
+@limit("high_pass_gain_off", "dB", hi=1.0, about="from theta_h: largest deviation from (11)")
+@limit("high_pass_phase_off", "deg", hi=5.0, about="from theta_h: the same")
+@limit("k_p", "1/s", lo=1230, hi=1400, about="of (9) by the responses; 4 % more than it is, as sampled at 16 kHz")
+@limit("k_i", "1/s²", lo=45000, hi=66000, about="of (9) by the responses")
+@needs("encoder", "rate:16000", "parameter:inject", "parameter:k_p_vt", "parameter:k_i_vt")
+@energises(speed_rpm=1000, current=4)
+def test_fig06_frequency_response(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
+    """Fig. 6: the observer answers a sine on theta* as a low-pass and one on theta_h as a high-pass, by (11).
+
+    The sine is injected inside the drive while it turns at 1000 r/min on its encoder, without load.
+    """
+    gains = drive.parameters["k_p_vt"], drive.parameters["k_i_vt"]
+    drive.start("encoder")
+    drive.speed(1000 * RPM)
+    assert settle(record, 1000), "1000 r/min were not reached"
+    measured, captures = {}, []
+    for name, where, law in (("low_pass", Injection.BACK_EMF, _low_pass), ("high_pass", Injection.HALL, _high_pass)):
+        expected = law(FREQUENCIES, *gains)
+        answers = []
+        for f, gain in zip(FREQUENCIES, expected, strict=True):
+            capture = _injected(drive, record, where, f, min(ANSWER / abs(gain), LARGEST))
+            answers.append(_answer(capture))
+            captures.append(capture)
+        measured[name] = np.array(answers)
+        off = measured[name] / expected
+        measure(f"{name}_gain_off", np.abs(20.0 * np.log10(np.abs(off))).max(), *captures[-len(FREQUENCIES) :])
+        measure(f"{name}_phase_off", np.degrees(np.abs(np.angle(off))).max(), *captures[-len(FREQUENCIES) :])
+    k_p, k_i = _fitted_gains(measured["low_pass"], measured["high_pass"], gains)
+    measure("k_p", k_p, *captures)
+    measure("k_i", k_i, *captures)
+    figure(
+        "fig06",
+        "Frequency response of the observer, (11) and measured: low-pass from θ*, high-pass from θ_h; "
+        f"k_p = {gains[0]:.0f} 1/s, k_i = {gains[1]:.0f} 1/s²",
+        lambda: draw_bode(
+            FREQUENCIES,
+            {"low-pass": measured["low_pass"], "high-pass": measured["high_pass"]},
+            {"low-pass": lambda f: _low_pass(f, *gains), "high-pass": lambda f: _high_pass(f, *gains)},
+        ),
+    )
+
+
+def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitude: float) -> Capture:
+    """From before the sine begins until at least five periods of it after the observer has settled."""
+    drive.set("inject_hz", f)
+    drive.set("inject_amplitude", amplitude)
+    with record.stretch() as stretch:
+        record.wait(0.05)
+        drive.set("inject", where)
+        record.wait(SETTLING + max(0.25, 5.0 / f))
+    drive.set("inject", Injection.OFF)
+    return stretch.capture
+
+
+def _answer(capture: Capture) -> complex:
+    """Gain from the injected sine to the estimate. NaN if there was none, or if it cannot be told."""
+    turns = capture.t[np.flatnonzero(capture["status"].astype(int) & Status.INJECTION_SYNC)]
+    if not len(turns):
+        return complex(math.nan, math.nan)
+    f = capture.parameters["inject_hz"]
+    first = turns - np.arange(len(turns)) / f  # phase 0, by each turn: up to a sample late
+    start = float(first.min())
+    steady = capture.between(start + SETTLING, capture.span[1])
+    t, answer = steady.t, np.unwrap(-steady.position_error("theta_vt"))
+    f_e = float(steady["omega_enc"].mean()) / math.tau
+    ripple = [k * f_e for k in range(1, HARMONICS + 1) if abs(k * f_e - f) * (t[-1] - t[0]) > 1.5]
+    try:
+        gain = sine_response(t, answer, f, math.tau * f * (t - start), also=ripple)
+    except ValueError:
+        return complex(math.nan, math.nan)
+    return gain / capture.parameters["inject_amplitude"]
+
+
+def _fitted_gains(low: Complex, high: Complex, guess: tuple[float, float]) -> tuple[float, float]:
+    """k_p and k_i with which (11) comes nearest to the measured responses (n,) at FREQUENCIES. NaN where one is NaN.
+
+    (11) is linear in them once multiplied by its denominator, whose effect on the weights is divided out again with the
+    last result, three times over (Sanathanan and Koerner 1963, DOI 10.1109/TAC.1963.1105517).
+    """
+    s = np.tile(2j * math.pi * FREQUENCIES, 2)
+    gain = np.concatenate([low, 1.0 - high])  # (11): the two add up to 1
+    if not np.isfinite(gain).all():
+        return math.nan, math.nan
+    k_p, k_i = guess
+    for _ in range(3):
+        weight = 1.0 / np.abs(s * s + k_p * s + k_i)
+        rows = np.stack([(1.0 - gain) * s * weight, (1.0 - gain) * weight], axis=1)
+        wanted = gain * s * s * weight
+        k_p, k_i = np.linalg.lstsq(
+            np.concatenate([rows.real, rows.imag]), np.concatenate([wanted.real, wanted.imag]), rcond=None
+        )[0]
+    return float(k_p), float(k_i)
+
+
+# -- Fig. 8 ---------------------------------------------------------------------------------------------------------
+
+
+@limit("error_std_average", "deg", lo=8.0, hi=12.0, about="with the average speed in the control loop")
+@limit("error_max_average", "deg", lo=20.0, hi=29.0, about="the same")
+@limit("error_std_proposed", "deg", lo=2.0, hi=4.2, about="with the proposed observer in the control loop")
+@limit("error_max_proposed", "deg", lo=5.0, hi=10.5, about="the same")
+@limit("error_ratio", "", hi=0.45, about="std with the proposed observer over std with the average speed")
+@limit("thd_average", "%", lo=13.5, hi=20.0, about="of i_a, (20)")
+@limit("thd_proposed", "%", lo=8.0, hi=13.0, about="the same")
+@limit("i_q_average", "A", lo=3.95, hi=4.3, about="mean q current of the control loop")
+@limit("i_q_proposed", "A", lo=3.95, hi=4.3, about="the same")
+@limit("speed_average", "r/min", lo=45.0, hi=52.0, about="mean of the speed")
+@limit("speed_proposed", "r/min", lo=49.0, hi=51.0, about="the same")
+@limit("ripple_average", "r/min", lo=11.0, hi=19.0, about="std of the speed")
+@limit("ripple_proposed", "r/min", lo=3.0, hi=6.0, about="the same")
+@needs("encoder", "load")
+@energises(speed_rpm=50, current=8)
+def test_fig08_steady_50_rpm(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+    """Fig. 8: steady state at 50 r/min and 4 A, with the average-speed approach and with the proposed one."""
+    drive.start(PROPOSED)
+    drive.speed(50 * RPM)
+    load.torque(drive.torque_constant * 4.0)
+    steady = {}
+    for observer in (PROPOSED, AVERAGE):
+        drive.observe(observer)
+        settle(record, 50, within=0.1)
+        steady[observer] = whole_turns(record(1.4))
+    std = {}
+    for observer, capture in steady.items():
+        error, words = error_deg(capture, observer), WORDS[observer]
+        std[observer] = error.std()
+        measure(f"error_std_{words}", error.std(), capture)
+        measure(f"error_max_{words}", np.abs(error).max(), capture)
+        measure(f"thd_{words}", thd_of_current(capture), capture)
+        measure(f"i_q_{words}", capture["i_q"].mean(), capture)
+        measure(f"speed_{words}", rpm(capture).mean(), capture)
+        measure(f"ripple_{words}", rpm(capture).std(), capture)
+    measure("error_ratio", std[PROPOSED] / std[AVERAGE], *steady.values())
+    figure(
+        "fig08",
+        "Phase current and rotor position in steady state at 50 r/min and 4 A: (a) average speed, (b) proposed",
+        lambda: draw_steady(steady[AVERAGE], steady[PROPOSED], 0.5),
+    )

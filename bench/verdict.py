@@ -1,0 +1,30 @@
+"""How a measurement, a test or a run ended.
+
+The verdicts are those of OpenHTF, which tell a bad motor from a broken bench, and INVALID: the data were not good
+enough to say either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """How a measurement, a test or a run ended."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"  # the drive is not as it should be
+    INVALID = "INVALID"  # the data cannot tell: samples were lost, the clock jumped, a sensor was saturated
+    ERROR = "ERROR"  # the bench is not as it should be
+    ABORTED = "ABORTED"  # somebody ended the run
+    SKIPPED = "SKIPPED"  # the rig has not what the test needs
+
+
+# The worst first; a failing drive stays a failing drive whatever else went wrong.
+_ORDER = (Verdict.ABORTED, Verdict.FAIL, Verdict.ERROR, Verdict.INVALID, Verdict.PASS, Verdict.SKIPPED)
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """The verdict over several; SKIPPED over none."""
+    return min(verdicts, key=_ORDER.index, default=Verdict.SKIPPED)

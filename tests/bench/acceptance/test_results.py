@@ -1,0 +1,181 @@
+"""Results survive the way to JSON and back, verdicts are weighed, limits mean what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.acceptance.results import (
+    Figure,
+    Limits,
+    Measurement,
+    ParameterValue,
+    Quality,
+    RunResult,
+    TestResult,
+    Verdict,
+    result_from_json,
+    run_from_json,
+    to_json,
+    worst,
+)
+
+texts = st.text(max_size=20)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+counts = st.integers(0, 2**40)
+verdicts = st.sampled_from(Verdict)
+
+
+@st.composite
+def limits(draw: st.DrawFn) -> Limits:
+    ends = draw(st.tuples(st.none() | finite, st.none() | finite))
+    lo, hi = sorted(ends) if None not in ends else ends
+    return Limits(draw(texts), draw(texts), lo, hi, draw(texts), draw(st.booleans()))
+
+
+measurements = st.builds(
+    Measurement,
+    name=texts,
+    limits=limits(),
+    verdict=verdicts,
+    value=st.none() | st.floats(),
+    why=texts,
+    span=st.none() | st.tuples(finite, finite),
+)
+qualities = st.builds(
+    Quality,
+    *[counts] * 7,
+    rate=finite,
+    seconds=finite,
+    remarks=st.lists(texts, max_size=3).map(tuple),
+)
+tests = st.builds(
+    TestResult,
+    name=texts,
+    title=texts,
+    about=texts,
+    node_id=texts,
+    verdict=verdicts,
+    why=texts,
+    measurements=st.lists(measurements, max_size=4).map(tuple),
+    figures=st.lists(st.builds(Figure, texts, texts), max_size=2).map(tuple),
+    recording=texts,
+    quality=qualities,
+    parameters=st.dictionaries(texts, finite, max_size=3),
+    wall_seconds=finite,
+    log=texts,
+)
+plain = st.none() | st.booleans() | st.integers() | finite | texts
+runs = st.builds(
+    RunResult,
+    started=texts,
+    target=texts,
+    verdict=verdicts,
+    tests=st.lists(tests, max_size=3).map(tuple),
+    identity=st.dictionaries(texts, plain | st.lists(plain, max_size=3), max_size=3),
+    parameters=st.lists(st.builds(ParameterValue, texts, finite, finite, texts, texts), max_size=2).map(tuple),
+    rig=st.dictionaries(texts, texts, max_size=2),
+    versions=st.dictionaries(texts, texts, max_size=2),
+    wall_seconds=finite,
+    error=texts,
+)
+
+
+def comparable(value: Any) -> Any:
+    """The same with a NaN that equals itself."""
+    if dataclasses.is_dataclass(value):
+        return [comparable(getattr(value, field.name)) for field in dataclasses.fields(value)]
+    if isinstance(value, tuple):
+        return tuple(map(comparable, value))
+    return "not a number" if isinstance(value, float) and math.isnan(value) else value
+
+
+@given(runs)
+def test_a_run_survives_json(run: RunResult) -> None:
+    written = json.dumps(to_json(run), allow_nan=False)
+    assert comparable(run_from_json(json.loads(written))) == comparable(run)
+
+
+@given(tests)
+def test_a_test_survives_json(test: TestResult) -> None:
+    written = json.dumps(to_json(test), allow_nan=False)
+    assert comparable(result_from_json(json.loads(written))) == comparable(test)
+
+
+def test_json_spells_out_margins_and_what_is_no_number() -> None:
+    found = [
+        Measurement("t.a", Limits("a", "A", 1.0, 4.0), Verdict.PASS, 1.5),
+        Measurement("t.b", Limits("b", "A", None, 4.0), Verdict.INVALID, math.nan),
+        Measurement("t.c", Limits("c", "A", None, 4.0), Verdict.FAIL, math.inf),
+        Measurement("t.d", Limits("d"), Verdict.PASS, 3.0),
+        Measurement("t.e", Limits("e", "A", 1.0), Verdict.ERROR),
+    ]
+    written = to_json(TestResult("t", "", "", "", Verdict.FAIL, measurements=tuple(found)))["measurements"]
+    assert [(m["value"], m["margin"]) for m in written] == [
+        (1.5, 0.5),
+        ("NaN", "NaN"),
+        ("inf", "-inf"),
+        (3.0, None),
+        (None, None),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "expected"),
+    [
+        ([], "SKIPPED"),
+        (["SKIPPED", "SKIPPED"], "SKIPPED"),
+        (["SKIPPED", "PASS"], "PASS"),
+        (["PASS", "INVALID"], "INVALID"),
+        (["INVALID", "ERROR"], "ERROR"),
+        (["ERROR", "FAIL", "PASS"], "FAIL"),
+        (["FAIL", "ABORTED"], "ABORTED"),
+    ],
+)
+def test_the_worst_verdict_counts(verdicts: list[str], expected: str) -> None:
+    assert worst(map(Verdict, verdicts)) == expected
+    assert worst(map(Verdict, reversed(verdicts))) == expected
+
+
+@pytest.mark.parametrize(
+    ("verdict", "code"),
+    [("PASS", 0), ("FAIL", 1), ("INVALID", 2), ("ERROR", 2), ("SKIPPED", 2), ("ABORTED", 130)],
+)
+def test_exit_codes(verdict: str, code: int) -> None:
+    assert RunResult("", "", Verdict(verdict), ()).exit_code == code
+
+
+@pytest.mark.parametrize(
+    ("lo", "hi", "value", "allowed", "margin", "share"),
+    [
+        (1.0, 5.0, 2.0, True, 1.0, 0.25),
+        (1.0, 5.0, 5.0, True, 0.0, 0.0),
+        (1.0, 5.0, 7.0, False, -2.0, -0.5),
+        (1.0, 5.0, 0.0, False, -1.0, -0.25),
+        (None, 4.0, 1.0, True, 3.0, 0.75),
+        (-4.0, None, -5.0, False, -1.0, -0.25),
+        (None, 0.0, 3.0, False, -3.0, None),
+        (None, None, 3.0, True, None, None),
+    ],
+)
+def test_limits_and_margins(
+    lo: float | None, hi: float | None, value: float, allowed: bool, margin: float | None, share: float | None
+) -> None:
+    limits = Limits("x", "A", lo, hi)
+    measurement = Measurement("t.x", limits, Verdict.PASS, value)
+    assert limits.allow(value) is allowed
+    assert measurement.margin == margin
+    assert measurement.share == share
+    assert not limits.allow(math.nan)
+
+
+@pytest.mark.parametrize(("lo", "hi"), [(2.0, 1.0), (math.nan, None), (None, math.inf), (True, None)])
+def test_limits_that_make_no_sense_are_refused(lo: float | None, hi: float | None) -> None:
+    with pytest.raises(ValueError, match=r"^x: "):
+        Limits("x", "A", lo, hi)
