@@ -57,7 +57,8 @@ def reader(run: RunResult) -> Callable[[str], str]:
         value = values[name]
         if value is None:
             raise SystemExit(f"{name} was not measured: see the run")
-        return f"{value:.{0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2}f}"
+        places = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2
+        return f"{round(value, places) + 0.0:.{places}f}"
 
     return number
 

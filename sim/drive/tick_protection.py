@@ -127,13 +127,14 @@ def _doubt(params: Params, doubt: float, hall: int, edges: int) -> float:
 @kernel
 def _opposed(params: Params, state: State, sensed: Sensed) -> float:
     """The angle against the Hall sensors after a sample with the outputs on."""
+    before = state.e_alpha * state.e_alpha + state.e_beta * state.e_beta
     square = sensed.e_alpha * sensed.e_alpha + sensed.e_beta * sensed.e_beta
     if square < params.e_min * params.e_min:
         return state.opposed
     with_hall = sensed.direction * (state.e_alpha * sensed.e_beta - state.e_beta * sensed.e_alpha)
     if with_hall >= 0.0 and state.opposed == 0.0:
         return 0.0
-    return max(state.opposed - with_hall / square, 0.0)  # a small angle is its sine
+    return max(state.opposed - with_hall / max(square, before), 0.0)  # a small angle is its sine
 
 
 @kernel

@@ -25,6 +25,7 @@ from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.transforms import wrap
 
 HALF_SECTOR = SECTOR_WIDTH / 2.0
+FASTEST = 1.5  # of the largest speed reference: no pair of edges makes more
 
 
 class Params(NamedTuple):
@@ -54,7 +55,8 @@ init = hall_speed.init
 
 def make_params(tick_hz: float, *, n_p: float, omega_m_max: float, hall_timeout: float) -> Params:
     """Constants from the drive's parameters of the same names (rad/s mechanical, s)."""
-    return Params(hall_speed.make_params(tick_hz, hall_timeout), float(n_p) * float(omega_m_max))
+    omega_max = float(n_p) * float(omega_m_max)
+    return Params(hall_speed.make_params(tick_hz, hall_timeout, FASTEST * omega_max), omega_max)
 
 
 @kernel

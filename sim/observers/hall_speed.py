@@ -10,6 +10,7 @@ What the paper leaves open, and how it is settled here:
   magnitude stays (as it does when a torque turns the rotor round); the time between the two is no sector's.
 - An edge taken back within 50 us was none: a sensor that chatters on its edge, or a glitch of one sensor
   inside a sector, which shows the code of a neighbour. All is as it was before it.
+- No two edges make a speed beyond the fastest that the drive can have: a glitch just after an edge would.
 - Codes 000 and 111 are ignored and counted. A jump over a sector re-synchronises: the rotor is somewhere in
   the new sector, the speed is held, and neither this edge nor the next gives a speed. A sampled code that
   contradicts the edges in two samples running (edges were lost) does the same.
@@ -44,6 +45,7 @@ class Params(NamedTuple):
     sector_rate: float  # rad/s times ticks: sector width by (1) for an interval of one tick
     timeout: float  # ticks without an edge after which the rotor counts as standing
     glitch: float  # ticks within which an edge taken back was none
+    omega_max: float  # rad/s, no sector is passed faster
 
 
 class Entry(NamedTuple):
@@ -89,10 +91,12 @@ class Estimates(NamedTuple):
     edge: NDArray[np.int64]
 
 
-def make_params(tick_hz: float, hall_timeout: float) -> Params:
-    """Constants for a counter of `tick_hz` Hz and a standstill time-out in s."""
+def make_params(tick_hz: float, hall_timeout: float, omega_max: float = math.inf) -> Params:
+    """Constants for a counter of `tick_hz` Hz, a standstill time-out in s and the largest speed, electrical rad/s."""
     tick_hz = float(tick_hz)
-    return Params(1.0 / tick_hz, SECTOR_WIDTH * tick_hz, float(hall_timeout) * tick_hz, GLITCH * tick_hz)
+    return Params(
+        1.0 / tick_hz, SECTOR_WIDTH * tick_hz, float(hall_timeout) * tick_hz, GLITCH * tick_hz, float(omega_max)
+    )
 
 
 @kernel
@@ -125,7 +129,7 @@ def _entered(params: Params, entry: Entry, tick: int, sector: int, direction: in
     """The rotor passes a boundary of its sector into the neighbour `sector`."""
     age = max(tick - entry.tick, 1)
     if direction == entry.direction and entry.anchored == 1:
-        omega = direction * (params.sector_rate / age)
+        omega = direction * min(params.sector_rate / age, params.omega_max)
     elif direction == -entry.direction:
         omega = -_bounded(params, entry.omega, age)
     else:

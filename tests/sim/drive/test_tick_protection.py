@@ -49,6 +49,12 @@ def test_implausible_edges_trip_by_their_number_and_are_forgotten():
     assert tripped(([QUIET._replace(edges=1)] + [QUIET] * 209) * 200) is None  # 76 a second
 
 
+def test_one_spike_of_the_back_emf_is_no_turn():
+    spike = QUIET._replace(e_alpha=-40.0, e_beta=40.0)
+    quiet = QUIET._replace(e_alpha=0.35, e_beta=0.35)
+    assert tripped([quiet, spike, quiet] * 3, on=True) is None
+
+
 def test_a_back_emf_against_the_hall_sensors_trips_after_its_turns():
     omega = 300.0
     turns = 6 * 2 * np.pi / omega * 16000

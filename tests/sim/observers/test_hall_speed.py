@@ -236,3 +236,14 @@ def test_codes_of_the_sectors():
     assert hall_speed.SECTOR_OF_CODE[0] == hall_speed.SECTOR_OF_CODE[7] == -1
     assert all(bin(CODES[s] ^ CODES[s - 1]).count("1") == 1 for s in range(6))
     assert IDEAL_EDGES[1] == 60.0
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_false_edge_just_after_a_true_one_makes_no_speed_beyond_the_fastest(way):
+    fastest = 2970.0
+    params = hall_speed.make_params(TICK_HZ, 0.2, fastest)
+    at = [0, 40_000, 80_000, 80_100]  # the last one 5 us after a true edge, and a sample follows inside the pulse
+    _, (_, out) = feed([(tick, CODES[way * k % 6]) for k, tick in enumerate(at)], 80_000 + TICKS, params)
+    assert out.omega[-1] == way * fastest
+    _, (_, slow) = feed([(tick, CODES[way * k % 6]) for k, tick in enumerate(at[:3])], 80_000, params)
+    assert slow.omega[-1] == pytest.approx(way * WIDTH * TICK_HZ / 40_000)

@@ -1,0 +1,152 @@
+"""`bench.acceptance.accept` in this process: tests given as text, a simulated drive whose link can be spoiled."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from unittest.mock import patch
+
+from virtual_run import RecordingScreen, WatchedLink, at_rest
+
+from bench.acceptance.accept import AcceptOptions, accept
+from bench.acceptance.results import Measurement, RunResult, TestResult
+from bench.node import DRIVE, SAMPLES
+from protocol.framing import Deframer, parse_frame
+from protocol.links import Link
+from protocol.messages import Command, DriveState, MessageType
+from sim.drive.device import SimulatedDevice
+
+HEAD = """
+import math
+import signal
+
+import numpy as np
+import pytest
+
+from bench.acceptance import RPM, energises, limit, limits, needs, Limits
+
+def turn(drive, record, rpm=300):
+    drive.start("vector-tracking")
+    drive.speed(rpm * RPM)
+    record.wait(0.1)
+
+def trip(record):
+    rig = record.rig
+    rig.client.feed(1, on=False)
+    rig.client.run_for(0.5)
+"""
+
+
+class Screen(RecordingScreen):
+    """Also what a person would have been left alone for."""
+
+    def pause(self) -> None:
+        self.notes.append("(pause)")
+
+    def resume(self) -> None:
+        self.notes.append("(resume)")
+
+
+class SpoiltLink(WatchedLink):
+    """A virtual link on which things go wrong when a test says so: `record.rig.client.link.lose = 1`.
+
+    It keeps how the bench and its parameters stood each time it was opened.
+    """
+
+    def __init__(self, device: SimulatedDevice, on_call: Callable[[int], None] = lambda number: None) -> None:
+        super().__init__(device, on_call)
+        self.lose = 0  # so many frames of samples
+        self.lost_at = 0.0  # s, virtual
+        self.deaf = False  # the drive does not hear STOP
+        self.opened: list[tuple[bool, dict[str, float]]] = []
+
+    def open(self, target: str = "") -> Link:
+        self.opened.append(self.left())
+        self.deaf = False
+        self.reopen()
+        return self
+
+    def left(self) -> tuple[bool, dict[str, float]]:
+        """Whether both machines are idle, and their parameters."""
+        return at_rest(self.device), {
+            f"{session.identity.node}.{parameter.name}": session.app.get_param(parameter.name)
+            for session in self.device.sessions
+            for parameter in session.app.parameters
+        }
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        frames = super().read(timeout, settle).split(b"\0")
+        for number in range(1, len(frames) - 1):  # whole ones
+            if self.lose and _is(frames[number], MessageType.DATA, SAMPLES):
+                self.lose -= 1
+                self.lost_at = self.clock()
+                frames[number] = b""
+        return b"\0".join(frames)
+
+    def write(self, data: bytes) -> None:
+        frames = data.split(b"\0")
+        if self.deaf:
+            frames = [raw for raw in frames if not _is(raw, MessageType.STATE_CMD, Command.STOP)]
+        super().write(b"\0".join(frames))
+
+
+def _is(raw: bytes, kind: MessageType, first: int) -> bool:
+    frames = [parse_frame(frame) for frame in Deframer().feed(b"\0" + raw + b"\0")]
+    return any(frame.node == DRIVE and frame.type == kind and frame.payload[0] == first for frame in frames)
+
+
+def never_armed(link: WatchedLink) -> bool:
+    return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of it."""
+
+    result: RunResult | None
+    code: int
+    screen: Screen
+
+    def __getitem__(self, name: str) -> TestResult:
+        assert self.result is not None
+        (found,) = (test for test in self.result.tests if test.name == name)
+        return found
+
+    @property
+    def tests(self) -> dict[str, str]:
+        assert self.result is not None
+        return {test.name: str(test.verdict) for test in self.result.tests}
+
+    @property
+    def measured(self) -> dict[str, Measurement]:
+        assert self.result is not None
+        return {measurement.name: measurement for measurement in self.result.measurements}
+
+
+@dataclass
+class Accepting:
+    """Writes test files to `directory` and runs them."""
+
+    directory: Path
+    screen: Screen = field(default_factory=Screen)
+    numbers: Iterator[int] = field(default_factory=itertools.count)
+
+    def write(self, text: str, name: str = "") -> Path:
+        """A file of tests; its name is not that of any other in this process."""
+        file = self.directory / f"own_{name or next(self.numbers)}_{self.directory.name}.py"
+        file.write_text(HEAD + text)
+        return file
+
+    def __call__(self, text: str | Path, link: SpoiltLink | None = None, **options: object) -> Run:
+        """Run tests; with `link` on a target that it stands for, else on `sim`."""
+        file = text if isinstance(text, Path) else self.write(text)
+        with ExitStack() as stack:
+            if link is not None:
+                options = {"target": f"serial:{self.directory}/tty"} | options
+                stack.enter_context(patch("bench.acceptance.targets.open_link", link.open))
+            given = AcceptOptions(**({"tests": (file,)} | options))  # type: ignore[arg-type]
+            run, code = accept(given, self.screen)
+        return Run(run, code, self.screen)

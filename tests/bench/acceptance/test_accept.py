@@ -1,0 +1,358 @@
+"""`bench accept` as a whole: files it writes, what it selects and lists, its processes, and pytest without it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from accepting import HEAD, Accepting, Run, SpoiltLink
+from processes import ENVIRONMENT, LIMIT, Program
+from test_prompt import PhysicalDrive
+from virtual_run import simulated
+
+from bench.acceptance.accept import closing_lines
+from bench.acceptance.results import run_from_json
+from bench.errors import BenchError
+from protocol.messages import DriveState
+
+TESTS = '''
+@limit("n_p", "", lo=6, hi=6, about="pole pairs")
+@limit("spread", "deg", hi=5)
+def test_good(drive, record, measure):
+    """It turns.
+
+    And more.
+    """
+    turn(drive, record)
+    some = record(0.1)
+    measure("n_p", drive.n_p)
+    measure("spread", np.degrees(some.position_error("theta_vt").std()), some)
+
+@limit("spread", "deg", hi=0.001)
+@limit("nan", "deg", hi=1)
+def test_bad(drive, record, measure):
+    turn(drive, record)
+    some = record(0.1)
+    measure("spread", np.degrees(some.position_error("theta_vt").std()), some)
+    measure("nan", math.nan)
+
+@limit("x", hi=1)
+@needs("parameter:no_such")
+def test_cannot(measure): pass
+'''
+
+
+def refusal(run: Callable[[], object]) -> str:
+    with pytest.raises(BenchError) as refused:
+        run()
+    assert refused.value.exit_code == 2
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+# -- what is written --------------------------------------------------------------------------------------------
+
+
+def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
+    run = accepting(TESTS, json=Path("a.json"), junit=Path("a.xml"), report=Path("out/report"))
+    assert run.tests == {"good": "PASS", "bad": "FAIL", "cannot": "SKIPPED"}
+    assert repr(run_from_json(json.loads(Path("a.json").read_text()))) == repr(run.result)  # NaN is not itself
+    assert Path("out/report/report.html").is_file()
+    assert sorted(path.name for path in Path("out/report/recordings").iterdir()) == ["bad.rrd", "good.rrd"]
+    assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.rrd", "")
+    assert (run["good"].title, run["good"].about) == ("It turns.", "And more.")
+    assert run.result is not None
+    assert run.result.identity["name"] == "simulated drive"
+    assert {p.name: p.value for p in run.result.parameters}["n_p"] == 6
+
+    suite = ET.parse("a.xml").getroot().find("testsuite")
+    assert suite is not None
+    assert {key: suite.get(key) for key in ("tests", "failures", "errors", "skipped")} == {
+        "tests": "3", "failures": "1", "errors": "0", "skipped": "1",
+    }  # fmt: skip
+    properties = {p.get("name"): p.get("value", "") for p in suite.iter("property")}
+    assert properties.keys() == run.measured.keys()
+    assert properties["good.n_p"] == "6 [6 … 6] PASS"
+    spread = run.measured["bad.spread"].value
+    assert properties["bad.spread"] == f"{spread:.4g} deg [≤ 0.001 deg] FAIL"
+    assert properties["bad.nan"] == "nan deg [≤ 1 deg] FAIL"
+    assert properties["cannot.x"] == "not measured [≤ 1] SKIPPED (needs the drive's parameter no_such)"
+    message = next(suite.iter("failure")).get("message", "")
+    assert message.startswith("2 of 2 measurements did not pass")
+    assert "bad.nan = nan deg" in message
+
+
+def test_the_closing_line_counts(accepting: Accepting) -> None:
+    run = accepting(TESTS)
+    assert run.result is not None
+    (line,) = closing_lines(run.result)
+    assert re.fullmatch(
+        r"FAIL: 1 FAIL, 1 PASS, 1 SKIPPED \(tests\); 2 FAIL, 2 PASS, 1 SKIPPED \(measurements\); \d+ s on sim", line
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "place", "why"),
+    [("report", "a_file/report", "cannot write the report to a_file/report: Not a directory"),
+     ("report", "a_file", "cannot write the report to a_file: File exists"),
+     ("json", "nowhere/a.json", "cannot write to nowhere: no directory")],
+)  # fmt: skip
+def test_a_place_that_cannot_be_written_is_told_before_anything_moves(
+    accepting: Accepting, option: str, place: str, why: str
+) -> None:
+    Path("a_file").touch()
+    link = SpoiltLink(simulated())
+    assert refusal(lambda: accepting(TESTS, link, **{option: Path(place)})) == why
+    assert link.opened == []
+
+
+def test_a_result_that_cannot_be_written_at_the_end_is_no_success(accepting: Accepting) -> None:
+    Path("a.json").mkdir()
+    run = accepting(TESTS, keyword="test_good", json=Path("a.json"))
+    assert run.tests == {"good": "PASS"}
+    assert run.code == 2
+
+
+# -- what is selected and listed --------------------------------------------------------------------------------
+
+
+def test_the_list_shows_names_and_limits_and_writes_and_opens_nothing(accepting: Accepting) -> None:
+    link = SpoiltLink(simulated())
+    run = accepting(TESTS, link, list_only=True, json=Path("a.json"), report=Path("report"))
+    assert (run.result, run.code) == (None, 0)
+    listed = ["good.spread: ≤ 5 deg", "good.n_p: 6 … 6", "bad.nan: ≤ 1 deg", "bad.spread: ≤ 0.001 deg", "cannot.x: ≤ 1"]
+    assert sorted(run.screen.notes) == sorted(listed)
+    assert link.opened == []
+    assert not Path("a.json").exists()
+    assert not Path("report").exists()
+
+
+def test_a_keyword_selects(accepting: Accepting) -> None:
+    assert list(accepting(TESTS, keyword="test_good or test_cannot").tests) == ["good", "cannot"]
+    listed = accepting(TESTS, keyword="test_cannot", list_only=True)
+    assert listed.screen.notes[-1] == "cannot.x: ≤ 1"
+
+
+@pytest.mark.parametrize("listing", [False, True])
+def test_nothing_to_run_is_said(accepting: Accepting, listing: bool) -> None:
+    assert refusal(lambda: accepting(TESTS, keyword="fig99", list_only=listing)) == (
+        "no test matches -k 'fig99'; bench accept --list shows all"
+    )
+    nothing = "def test_plain(): pass"
+    assert refusal(lambda: accepting(nothing, list_only=listing)) == (
+        "no test uses the bench's fixtures; bench accept --list shows all"
+    )
+    assert refusal(lambda: accepting(Path("nowhere.py"))) == "no tests at nowhere.py"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [("def (:\n", "SyntaxError: invalid syntax"),
+     ("import no_such_module\n", "ModuleNotFoundError: No module named 'no_such_module'"),
+     ('@limit("x", lo=2, hi=1)\ndef test_a(measure): pass\n',
+      "ValueError: x: the lower limit 2 is above the upper one, 1")],
+    ids=("syntax", "import", "limits"),
+)  # fmt: skip
+def test_a_broken_file_is_one_line(accepting: Accepting, text: str, why: str) -> None:
+    file = accepting.write(text)
+    assert refusal(lambda: accepting(file)) == f"{file.name}: {why}"
+
+
+def test_a_name_that_is_declared_twice_is_refused(accepting: Accepting) -> None:
+    text = '@limit("x", hi=1)\n@limit("x", hi=2)\ndef test_a(measure): pass\n'
+    assert re.fullmatch(r"own_\w+\.py::test_a declares 'x' twice", refusal(lambda: accepting(text)))
+
+
+def test_two_tests_of_one_name_are_refused(accepting: Accepting) -> None:
+    text = "class TestA:\n    def test_same(self, drive): pass\nclass TestB(TestA): pass\n"
+    name = f"own_0_{accepting.directory.name}.same"
+    assert refusal(lambda: accepting(text)) == (
+        f"2 tests are called '{name}', and limits go by name: rename all but one"
+    )
+
+
+def test_another_test_that_fails_beside_them_is_no_success(accepting: Accepting) -> None:
+    run = accepting(TESTS + "def test_plain(): assert False\n", keyword="test_good or test_plain")
+    assert run.tests == {"good": "PASS"}
+    assert run.code == 2
+    assert any("test_plain: not an acceptance test, but it failed" in note for note in run.screen.notes)
+
+
+def test_files_elsewhere_with_the_same_tests_are_told_apart(
+    accepting: Accepting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = '@limit("x", hi={})\ndef test_same(measure): measure("x", 1)\n'
+    files = tuple(accepting.write(text.format(most), name) for most, name in ((1, "one"), (0, "other")))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    run = accepting(text, tests=files)
+    assert run.tests == {f"{file.stem}.same": verdict for file, verdict in zip(files, ("PASS", "FAIL"), strict=True)}
+    assert run.result is not None
+    assert [test.node_id for test in run.result.tests] == [f"{file.name}::test_same" for file in files]
+
+
+# -- several processes ------------------------------------------------------------------------------------------
+
+
+def without_times(run: Run) -> str:
+    """Every value to its last bit."""
+    assert run.result is not None
+    return repr([(test.name, test.verdict, test.why, test.measurements, test.quality) for test in run.result.tests])
+
+
+def test_two_processes_measure_the_same_in_the_same_order(accepting: Accepting) -> None:
+    file = accepting.write(TESTS)
+    one, two = accepting(file), accepting(file, jobs=2, json=Path("a.json"))
+    assert without_times(two) == without_times(one)
+    assert two.code == one.code == 1
+    assert two.result is not None
+    assert one.result is not None
+    assert two.result.identity.keys() == one.result.identity.keys()
+    assert two.result.parameters == one.result.parameters
+    assert repr(run_from_json(json.loads(Path("a.json").read_text()))) == repr(two.result)
+    assert two.result.wall_seconds > max(test.wall_seconds for test in two.result.tests)
+
+
+def test_a_drive_is_not_shared_by_several_processes(accepting: Accepting) -> None:
+    link = SpoiltLink(simulated())
+    why = refusal(lambda: accepting(TESTS, link, jobs=2))
+    assert re.fullmatch(r"serial:\S+ cannot be tested by 2 processes at once: leave out --jobs", why)
+    assert link.opened == []
+
+
+def test_what_several_processes_need_is_said(accepting: Accepting, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.acceptance.accept.find_spec", lambda name: None)
+    assert refusal(lambda: accepting(TESTS, jobs=2)) == "--jobs needs pytest-xdist: pip install pytest-xdist"
+
+
+# -- the command ------------------------------------------------------------------------------------------------
+
+
+def test_errors_of_the_command_are_one_line(start: Callable[..., Program], tmp_path: Path) -> None:
+    file = tmp_path / "own_bad.py"
+    file.write_text("def (:\n")
+    run = start("accept", "--tests", str(file))
+    assert run.end() == 2
+    assert len(run.err) == 1
+    assert re.fullmatch(r"error: own_bad.py: SyntaxError: invalid syntax", run.err[0])
+    missing = start("accept", "--tests", str(file), "--json", "/nowhere/a.json")
+    assert missing.end() == 2
+    assert missing.err[-1].startswith("error: --json /nowhere/a.json: there is no directory /nowhere")
+
+
+@pytest.fixture
+def drive() -> Iterator[PhysicalDrive]:
+    drive = PhysicalDrive()
+    yield drive
+    drive.close()
+
+
+def on_terminal(drive: PhysicalDrive, file: Path, reply: bytes) -> tuple[int, str]:
+    """Run `bench accept` on a terminal and answer its question; returns its exit code and all that it wrote."""
+    controller, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bench", "accept", drive.port.target, "--tests", str(file)],
+        stdin=terminal, stdout=terminal, stderr=terminal, env=ENVIRONMENT | {"TERM": "xterm", "COLUMNS": "200"},
+        start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )  # fmt: skip
+    os.close(terminal)
+    text = b""
+    end, answers = time.monotonic() + LIMIT, 0
+    try:
+        while time.monotonic() < end:
+            # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
+            if b"[y/N]" in text and time.monotonic() > end - LIMIT + 10 * answers:
+                assert answers or drive.states <= {DriveState.BOOT, DriveState.IDLE}
+                answers += 1
+                os.write(controller, reply)
+            if not select.select([controller], [], [], 0.1)[0]:
+                continue
+            try:
+                text += os.read(controller, 4096)
+            except OSError:  # the other end has gone
+                break
+        return process.wait(LIMIT), text.decode()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(controller)
+
+
+TWO = """
+@energises(speed_rpm=300, current=2)
+def test_one(drive, record): turn(drive, record)
+
+@energises(speed_rpm=150, current=4)
+def test_two(drive, record): turn(drive, record, 150)
+"""
+
+
+@pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\x03", 130), (b"y\n", 0)], ids=("no", "Ctrl-C", "yes"))
+def test_the_question_is_asked_once_for_all_tests(
+    drive: PhysicalDrive, tmp_path: Path, reply: bytes, code: int
+) -> None:
+    file = tmp_path / "own_two.py"
+    file.write_text(HEAD + TWO)
+    ended, text = on_terminal(drive, file, reply)
+    assert ended == code, text
+    question = (
+        r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, phase current up to \d+ A\. "
+        r"Is the shaft clear\? \[y/N\]: "
+    )
+    assert len(re.findall(question, text)) == 1
+    answered = text[text.index("[y/N]: ") :].partition("\n")[0]
+    assert not re.search("connecting|of 2", answered), "the status line runs through the question"
+    assert "Traceback" not in text
+    assert (DriveState.RUNNING in drive.states) == (code == 0)
+    assert drive.device.drive.state == DriveState.IDLE
+
+
+# -- everybody else's pytest ------------------------------------------------------------------------------------
+
+PLAIN = """
+import sys
+
+def test_plain():
+    loaded = {name.partition(".")[0] for name in sys.modules}
+    assert "bench" in loaded  # the plug-in is there
+    heavy = {"numba", "numpy", "rerun", "matplotlib", "pyarrow", "click", "rich", "serial", "can", "sim", "protocol"}
+    assert not heavy & loaded
+"""
+
+
+def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "test_plain.py").write_text(PLAIN)
+    (tmp_path / "bench.toml").write_text("this is = of another tool")
+    options = ("-p", "no:cacheprovider", "--strict-markers", "-q")
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", *options], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "1 passed" in ended.stdout
+    assert ended.stderr == ""
+    assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"bench.toml", "test_plain.py"}
+
+
+def test_acceptance_tests_run_in_a_plain_pytest_too(accepting: Accepting) -> None:
+    file = accepting.write(TESTS)
+    options = ("-p", "no:cacheprovider", "-c", os.devnull, "--bench-json", "a.json")
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", file, *options], env=ENVIRONMENT, capture_output=True, text=True
+    )
+    assert ended.returncode == 1
+    assert "bad.nan = nan deg [≤ 1 deg] FAIL" in ended.stdout
+    run = run_from_json(json.loads(Path("a.json").read_text()))
+    assert [str(test.verdict) for test in run.tests] == ["PASS", "FAIL", "SKIPPED"]
+    assert repr(run.measurements) == repr(accepting(file).result.measurements)  # type: ignore[union-attr]

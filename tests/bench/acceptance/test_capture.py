@@ -1,0 +1,150 @@
+"""What makes a stretch of data unfit to measure from: real samples of a turning drive, tampered with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from accepting import SpoiltLink
+from numpy.typing import NDArray
+from virtual_run import simulated
+
+from bench.acceptance.capture import Capture
+from bench.acceptance.results import Limits, Verdict
+from bench.acceptance.rig import Plan, Rig
+from bench.acceptance.running import Running
+from bench.energise import RPM
+from bench.errors import BenchError
+from protocol.signals import Flag
+from sim.params import load_params
+
+RATE, TICK_HZ, PERIOD = 16_000, 20_000_000, 1250
+
+
+@pytest.fixture(scope="module")
+def clean() -> Capture:
+    """0.2 s at 500 r/min."""
+    link = SpoiltLink(simulated())
+    with Rig(Plan(link.open, "virtual")) as rig:  # type: ignore[arg-type]
+        rig.drive.start("vector-tracking")
+        rig.drive.speed(500 * RPM)
+        rig.wait(0.6)
+        return rig.record(0.2)
+
+
+def tampered(capture: Capture, channel: str, change: Callable[[NDArray[np.generic]], None]) -> Capture:
+    raw = capture.samples.raw.copy()
+    change(raw[channel])
+    return replace(capture, samples=replace(capture.samples, raw=raw))
+
+
+def judged(capture: Capture) -> tuple[Verdict, str]:
+    running = Running("t", [Limits("x", hi=1.0)])
+    running.measure("x", 0.5, capture)
+    (measurement,) = running.measurements
+    assert measurement.value == 0.5
+    return measurement.verdict, measurement.why
+
+
+def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> None:
+    assert len(clean) == pytest.approx(0.2 * RATE, abs=1)
+    assert (np.diff(clean.samples.tick) == PERIOD).all()
+    assert clean.rate == pytest.approx(RATE)
+    assert clean.span[1] - clean.span[0] == pytest.approx(0.2, abs=2 / RATE)
+    assert len(clean.edges) == pytest.approx(0.2 * 500 / 60 * 36, abs=2)  # six pole pairs
+    ticks = clean.edges.tick
+    assert ((ticks >= clean.samples.tick[0] - PERIOD) & (ticks <= clean.samples.tick[-1] + PERIOD)).all()
+    assert clean.flaws() == ()
+    assert judged(clean) == (Verdict.PASS, "")
+
+
+@pytest.mark.parametrize("value", [np.iinfo(np.int16).max, np.iinfo(np.int16).min])
+def test_a_raw_value_at_its_end_is_saturated(clean: Capture, value: int) -> None:
+    def saturate(raw: NDArray[np.generic]) -> None:
+        raw[100:103] = value
+
+    assert clean.samples.raw["i_b"].dtype == np.int16
+    bad = tampered(clean, "i_b", saturate)
+    why = f"i_b was at the end of its range in 3 samples, first at {clean.t[100]:.4f} s"
+    assert judged(bad) == (Verdict.INVALID, why)
+    assert judged(bad.between(bad.t[103], bad.t[-1])) == (Verdict.PASS, "")
+    assert judged(bad.between(bad.t[0], bad.t[99])) == (Verdict.PASS, "")
+
+
+def test_a_phase_current_at_the_end_of_its_sensor_is_saturated_and_other_channels_are_not(clean: Capture) -> None:
+    most = float(np.abs(clean["i_a"]).max())
+    within = replace(clean, parameters={"i_range": 2 * max(np.abs(clean[c]).max() for c in ("i_a", "i_b", "i_c"))})
+    assert within.flaws() == ()
+
+    def saturate(raw: NDArray[np.generic]) -> None:
+        raw[7] = -raw[int(np.argmax(np.abs(raw)))]
+
+    at_end = replace(tampered(clean, "i_a", saturate), parameters={"i_range": most})
+    (flaw, *others) = (f for f in at_end.flaws() if f.startswith("i_a"))
+    assert others == []
+    assert f"first at {clean.t[7]:.4f} s" in flaw
+    assert not any(f.startswith(("i_d", "i_q", "u_")) for f in at_end.flaws())
+
+
+def test_angles_that_wrap_and_codes_are_never_saturated(clean: Capture) -> None:
+    wrapping = [channel.name for channel in clean.samples.config.channels if channel.flags & Flag.WRAPS]
+    assert "theta_enc" in wrapping
+    for name in (*wrapping, "hall"):
+
+        def extreme(raw: NDArray[np.generic]) -> None:
+            raw[5] = np.iinfo(raw.dtype).max  # type: ignore[type-var]
+
+        assert tampered(clean, name, extreme).flaws() == (), name
+
+
+@pytest.mark.parametrize("jump_ms", [0.05, -0.04, 3600e3])
+def test_a_jump_of_the_device_clock_is_a_flaw_where_it_is(clean: Capture, jump_ms: float) -> None:
+    tick = clean.samples.tick.copy()
+    tick[500:] += round(jump_ms * 1e-3 * TICK_HZ)
+    bad = replace(clean, samples=replace(clean.samples, tick=tick))
+    why = f"the clock jumped by {jump_ms:+.3f} ms at {clean.t[499]:.4f} s"
+    assert judged(bad) == (Verdict.INVALID, why)
+    assert judged(bad.ticks(int(tick[0]), int(tick[499]))) == (Verdict.PASS, "")
+
+
+def test_samples_that_are_missing_are_no_jump_of_the_clock(clean: Capture) -> None:
+    keep = np.r_[0:500, 538 : len(clean)]
+    samples = clean.samples
+    cut = replace(samples, index=samples.index[keep], tick=samples.tick[keep], raw=samples.raw[keep])
+    assert replace(clean, samples=cut).flaws() == ()
+
+
+def test_every_flaw_is_told_once_and_from_all_captures(clean: Capture) -> None:
+    lost = (int(clean.samples.tick[10]), int(clean.samples.tick[20]), "9 samples were lost")
+
+    def saturate(raw: NDArray[np.generic]) -> None:
+        raw[0] = np.iinfo(np.int16).max
+
+    first = replace(clean, dropped=(lost,))
+    second = tampered(clean, "i_c", saturate)
+    running = Running("t", [Limits("x", hi=1.0)])
+    assert not running.measure("x", 0.5, first, second, first)
+    why = running.measurements[0].why
+    assert why == f"9 samples were lost; i_c was at the end of its range in 1 samples, first at {clean.t[0]:.4f} s"
+
+
+def test_what_is_not_there_is_named(clean: Capture) -> None:
+    assert "i_a" in clean
+    assert "i_z" not in clean
+    with pytest.raises(BenchError, match=r"channel 'i_z' is not in the stream; there are .*i_a"):
+        clean["i_z"]
+    with pytest.raises(BenchError, match=r"no sample between 0\.0000 s and 0\.1000 s"):
+        clean.between(0.0, 0.1)
+
+
+def test_the_angle_at_edges_is_that_of_the_encoder_latched_with_them(clean: Capture) -> None:
+    """Each edge carries the encoder's count of its own moment: an independent word on the angle."""
+    edges = clean.edges
+    inside = (edges.tick > clean.samples.tick[0]) & (edges.tick < clean.samples.tick[-1])
+    turn = 4 * load_params(None, {}).encoder.pulses_per_rev  # counts
+    counts = np.diff(edges.encoder[inside].astype(np.int64)) % turn
+    steps = np.diff(clean.theta_at_edges()[inside])
+    assert np.abs(steps - counts * math.tau * 6 / turn).max() < 2 * math.tau * 6 / turn

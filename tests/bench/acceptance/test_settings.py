@@ -1,0 +1,160 @@
+"""`bench.toml`: what is wrong in it is said in one line before anything moves; what is right takes effect."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from accepting import Accepting, SpoiltLink
+from virtual_run import simulated
+
+from bench.acceptance.settings import Settings, read_settings
+from bench.acceptance.targets import target_of
+from bench.errors import BenchError
+
+TESTS = """
+@limit("spread", "deg", lo=1, hi=2)
+@limit("other", "A", lo=0)
+def test_measures(measure):
+    measure("spread", 2.5)
+    measure("other", 0)
+"""
+SPREAD = "limits.'measures.spread' in bench.toml must"
+WRONG = {
+    "target = ": "cannot read bench.toml: Invalid value",
+    "target = 5": "target in bench.toml must be text, got 5",
+    "targte = 'sim'": r"unknown key targte in bench.toml: did you mean target\?",
+    "xyz = 1": "unknown key xyz in bench.toml: there are target, config, rig, limits",
+    "rig = 'node'": "rig in bench.toml must be a table, got 'node'",
+    "[rig]\nperson = 'yes'": "rig.person in bench.toml must be true or false, got 'yes'",
+    "[rig]\nlaod = 'node'": r"unknown key rig.laod in bench.toml: did you mean rig.load\?",
+    "[rig]\nload = 'nodee'": "rig.load in bench.toml must be node, none, person, FILE.py:Class or a target: "
+    "unknown target 'nodee'",
+    "[limits]\n'measures.spread' = 3": SPREAD + r" look like \{ lo = 0.0, hi = 1.0 \}, got 3",
+    "[limits]\n'measures.spread' = {}": SPREAD + " look like",
+    "[limits]\n'measures.spread' = { max = 3 }": SPREAD + " look like",
+    "[limits]\n'measures.spread' = { hi = '3' }": SPREAD + " be finite numbers, got '3'",
+    "[limits]\n'measures.spread' = { hi = nan }": SPREAD + " be finite numbers, got nan",
+    "[limits]\n'measures.spread' = { hi = true }": SPREAD + " be finite numbers, got True",
+    "[limits]\n'measures.spread' = { lo = 3 }": r"\[limits\] of bench.toml: spread: the lower limit 3 is above the "
+    "upper one, 2",
+    "[limits]\n'measures.spraed' = { hi = 3 }": r"\[limits\] of bench.toml names 'measures.spraed', which no test "
+    r"measures: did you mean measures.spread\?",
+    "[limits]\n'zzz' = { hi = 3 }": r"\[limits\] of bench.toml names 'zzz', which no test measures: bench accept",
+    "config = 'nowhere.toml'": "nowhere.toml",
+    "config = 'bench.toml'": "unknown key config",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_wrong_is_one_line_and_nothing_runs(
+    accepting: Accepting, capfd: pytest.CaptureFixture[str], text: str
+) -> None:
+    Path("bench.toml").write_text(text)
+    with pytest.raises(BenchError, match=WRONG[text]) as refused:
+        accepting(TESTS)
+    assert "\n" not in str(refused.value)
+    assert refused.value.exit_code == 2
+    assert not any("measures" in note for note in accepting.screen.notes)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_limit_that_no_test_has_is_told_whatever_is_selected_and_the_list_shows_what_there_is(
+    accepting: Accepting,
+) -> None:
+    Path("bench.toml").write_text("[limits]\n'measures.spraed' = { hi = 3 }")
+    text = TESTS + "def test_nothing(drive): pass\n"
+    with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
+        accepting(text, keyword="test_nothing")
+    assert "measures.spread: 1 … 2 deg" in accepting(text, list_only=True).screen.notes
+
+
+def test_the_list_refuses_limits_that_leave_no_room(accepting: Accepting) -> None:
+    Path("bench.toml").write_text("[limits]\n'measures.spread' = { lo = 3 }")
+    with pytest.raises(BenchError, match="the lower limit 3 is above the upper one, 2"):
+        accepting(TESTS, list_only=True)
+
+
+def test_a_file_that_is_asked_for_must_be_there(accepting: Accepting) -> None:
+    with pytest.raises(BenchError, match=r"^no file nowhere\.toml$"):
+        accepting(TESTS, bench_toml=Path("nowhere.toml"))
+
+
+def test_a_limit_replaces_the_bounds_that_it_names_and_is_marked(accepting: Accepting) -> None:
+    Path("bench.toml").write_text("[limits]\n'measures.spread' = { hi = 3 }")
+    run = accepting(TESTS)
+    assert run.code == 0
+    spread, other = run.measured["measures.spread"].limits, run.measured["measures.other"].limits
+    assert (spread.lo, spread.hi, spread.unit, spread.overridden) == (1, 3, "deg", True)
+    assert (other.lo, other.hi, other.overridden) == (0, None, False)
+    listed = accepting(TESTS, list_only=True)
+    assert "measures.spread: 1 … 3 deg" in listed.screen.notes
+
+
+def test_without_the_file_the_same_value_fails(accepting: Accepting) -> None:
+    assert accepting(TESTS).code == 1
+
+
+def test_a_name_does_not_depend_on_what_else_is_selected(accepting: Accepting) -> None:
+    """Two files with a test of the same name: each is called by its file too, also when it is alone."""
+    directory = accepting.directory
+    text = '@limit("x", hi=1)\ndef test_same(measure): measure("x", 2)\n'
+    first, second = accepting.write(text, "first"), accepting.write(text, "second")
+    Path("bench.toml").write_text(f"[limits]\n'own_first_{directory.name}.same.x' = {{ hi = 3 }}")
+    run = accepting(text, tests=(first, second))
+    assert list(run.tests.values()) == ["PASS", "FAIL"]
+    alone = accepting(text, tests=(first, second), keyword="own_first_")
+    assert alone.tests == {f"own_first_{directory.name}.same": "PASS"}
+
+
+def test_config_is_relative_to_the_file(accepting: Accepting) -> None:
+    bench = accepting.directory / "benches" / "left"
+    bench.mkdir(parents=True)
+    (bench / "motor.toml").write_text("[firmware]\ni_max = 3.5\n")
+    (bench / "left.toml").write_text('config = "motor.toml"\n')
+    text = '@limit("i_max", "A")\ndef test_tells(drive, measure): measure("i_max", drive.parameters["i_max"])\n'
+    assert accepting(text, bench_toml=bench / "left.toml").measured["tells.i_max"].value == pytest.approx(3.5)
+    Path("other.toml").write_text("[firmware]\ni_max = 2.5\n")
+    run = accepting(text, bench_toml=bench / "left.toml", config=Path("other.toml"))
+    assert run.measured["tells.i_max"].value == pytest.approx(2.5)
+
+
+def test_figures_of_the_simulated_drive_are_not_for_another(accepting: Accepting) -> None:
+    link = SpoiltLink(simulated())
+    Path("motor.toml").write_text("[firmware]\ni_max = 3.5\n")
+    with pytest.raises(BenchError, match=r"--config is for the simulated drive, not for serial:"):
+        accepting(TESTS, link, config=Path("motor.toml"))
+    Path("bench.toml").write_text('config = "motor.toml"\n')  # what the file says for `sim` does no harm
+    assert accepting(TESTS, link).code == 1
+    assert len(link.opened) == 2
+
+
+def test_the_target_is_that_of_the_option_the_environment_the_file_or_sim(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = Settings(target="tcp:file:1")
+    monkeypatch.setenv("BENCH_TARGET", "tcp:environment:1")
+    assert target_of("tcp:option:1", file) == "tcp:option:1"
+    assert target_of(None, file) == "tcp:environment:1"
+    monkeypatch.delenv("BENCH_TARGET")
+    assert target_of(None, file) == "tcp:file:1"
+    assert target_of(None, Settings()) == "sim"
+
+
+def test_every_key_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text(
+        'target = "tcp:a:1"\nconfig = "b.toml"\n[rig]\nload = "person"\nperson = true\n'
+        '[limits]\n"a.b" = { lo = 1, hi = 2 }'
+    )
+    assert read_settings(file) == Settings(
+        path=file, target="tcp:a:1", config=tmp_path / "b.toml", load="person", person=True,
+        limits={"a.b": {"lo": 1.0, "hi": 2.0}},
+    )  # fmt: skip
+    assert re.fullmatch(r"no file .*nowhere\.toml", _refused(tmp_path / "nowhere.toml"))
+    assert _refused(tmp_path).startswith(f"cannot read {tmp_path}: ")
+
+
+def _refused(path: Path) -> str:
+    with pytest.raises(BenchError) as refused:
+        read_settings(path)
+    return str(refused.value)
