@@ -56,7 +56,7 @@ class Limits:
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         if self.lo is not None and self.hi is not None:
-            return f"{self.lo:g} … {self.hi:g}{unit}"
+            return f"= {self.lo:g}{unit}" if self.lo == self.hi else f"{self.lo:g} … {self.hi:g}{unit}"
         if self.hi is not None:
             return f"≤ {self.hi:g}{unit}"
         return f"≥ {self.lo:g}{unit}" if self.lo is not None else "for information"

@@ -1,4 +1,4 @@
-"""`python -m tests.bench.acceptance.compare_real_time [-k EXPR]`: the suite in real time beside virtual time.
+"""`python -m tests.benchmarks.real_time [-k EXPR]`: the suite in real time beside virtual time.
 
 Runs `bench accept` on the simulated drive in virtual time and on `bench sim --pty`, and prints every measurement whose
 verdict differs, or whose values differ by more than `TOLERANCE` of the room that its limits leave. Exit code 1 if any.
@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from processes import Sim
+from tests.bench.processes import Sim
 
 TOLERANCE = 0.35
 """Of the width between the limits (of the limit, where there is one): noise of another seed, and when commands came."""
