@@ -16,20 +16,19 @@ from bench.acceptance.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, P
 MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
-def draw_thd_map(loads: Sequence[float], approaches: Mapping[str, tuple[F64, F64]]) -> Figure:
+def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Mapping[str, F64]) -> Figure:
     """One curve a load, the approaches side by side with the same axes.
 
-    `loads` (m,) in A; `approaches` by name: measured speeds in r/min and distortions in %, both (m, n).
+    `loads` (m,) in A; `speeds` (n,) in r/min; `approaches`: distortions in %, (m, n), by name.
     """
     figure, axes = new_figure(1, len(approaches), height=3.2)
-    for ax, (name, (speeds, thd)) in zip(axes, approaches.items(), strict=True):
-        for (hue, mark), amps, x, y in zip(MARKS, loads, speeds, thd, strict=False):
-            ax.plot(x, y, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=f"{amps:g} A")
+    for ax, (name, thd) in zip(axes, approaches.items(), strict=True):
+        for (hue, mark), amps, y in zip(MARKS, loads, thd, strict=False):
+            ax.plot(speeds, y, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=f"{amps:g} A")
         axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
-    top = 1.08 * max(float(np.nanmax(thd, initial=0.0)) for _, thd in approaches.values())
-    right = 1.04 * max(float(speeds.max()) for speeds, _ in approaches.values())
+    top = 1.08 * max(float(np.nanmax(thd, initial=0.0)) for thd in approaches.values())
     for ax in axes:
-        ax.set(xlim=(0, right), ylim=(0, top))
+        ax.set(xlim=(0, 1.04 * max(speeds)), ylim=(0, top))
     return figure

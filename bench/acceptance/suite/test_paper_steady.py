@@ -239,18 +239,22 @@ def test_fig06_frequency_response(drive: Drive, record: Record, measure: Measure
     drive.start("encoder")
     drive.speed(1000 * RPM)
     assert settle(record, 1000), "1000 r/min were not reached"
-    measured, captures = {}, []
-    for name, where, law in (("low_pass", Injection.BACK_EMF, _low_pass), ("high_pass", Injection.HALL, _high_pass)):
-        expected = law(FREQUENCIES, *gains)
-        answers = []
-        for f, gain in zip(FREQUENCIES, expected, strict=True):
-            capture = _injected(drive, record, where, f, min(ANSWER / abs(gain), LARGEST))
-            answers.append(_answer(capture))
-            captures.append(capture)
-        measured[name] = np.array(answers)
-        off = measured[name] / expected
-        measure(f"{name}_gain_off", np.abs(20.0 * np.log10(np.abs(off))).max(), *captures[-len(FREQUENCIES) :])
-        measure(f"{name}_phase_off", np.degrees(np.abs(np.angle(off))).max(), *captures[-len(FREQUENCIES) :])
+    answers = {"low_pass": (Injection.BACK_EMF, _low_pass), "high_pass": (Injection.HALL, _high_pass)}
+    expected = {name: law(FREQUENCIES, *gains) for name, (_, law) in answers.items()}
+    runs = {
+        name: [
+            _injected(drive, record, where, f, min(ANSWER / abs(gain), LARGEST))
+            for f, gain in zip(FREQUENCIES, expected[name], strict=True)
+        ]
+        for name, (where, _) in answers.items()
+    }
+    drive.stop()  # what follows takes longer than the watchdog
+    measured = {name: np.array([_answer(capture) for capture in captures]) for name, captures in runs.items()}
+    for name, captures in runs.items():
+        off = measured[name] / expected[name]
+        measure(f"{name}_gain_off", np.abs(20.0 * np.log10(np.abs(off))).max(), *captures)
+        measure(f"{name}_phase_off", np.degrees(np.abs(np.angle(off))).max(), *captures)
+    captures = [*runs["low_pass"], *runs["high_pass"]]
     k_p, k_i = _fitted_gains(measured["low_pass"], measured["high_pass"], gains)
     measure("k_p", k_p, *captures)
     measure("k_i", k_i, *captures)
