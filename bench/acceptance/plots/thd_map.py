@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from bench.acceptance.capture import F64
 from bench.acceptance.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
@@ -17,7 +18,7 @@ MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Mapping[str, F64]) -> Figure:
-    """One curve a load, the approaches side by side with the same axes.
+    """One curve a load, the approaches side by side with the same axes; distortions by their logarithm.
 
     `loads` (m,) in A; `speeds` (n,) in r/min; `approaches`: distortions in %, (m, n), by name.
     """
@@ -28,7 +29,13 @@ def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Ma
         axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
-    top = 1.08 * max(float(np.nanmax(thd, initial=0.0)) for thd in approaches.values())
+    values = np.concatenate([thd.ravel() for thd in approaches.values()])
+    values = values[np.isfinite(values) & (values > 0.0)]
     for ax in axes:
-        ax.set(xlim=(0, 1.04 * max(speeds)), ylim=(0, top))
+        ax.set(xlim=(0, 1.04 * max(speeds)), yscale="log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        if len(values):
+            ax.set_ylim(0.8 * values.min(), 1.25 * values.max())
     return figure
