@@ -6,7 +6,6 @@ What did not happen is NaN, which fails every limit. Nothing here knows a limit,
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +25,7 @@ def only(capture: Capture, *channels: str) -> Capture:
 
     Give it to `measure`: of its flaws those remain that are no other channel's.
     """
-    config = capture.samples.config
-    kept = replace(config, channels=tuple(channel for channel in config.channels if channel.name in channels))
-    return replace(capture, samples=replace(capture.samples, config=kept))
+    return capture.only(*(channel for channel in channels if channel in capture))
 
 
 def states(capture: Capture) -> NDArray[np.int64]:

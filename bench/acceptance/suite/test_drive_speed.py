@@ -27,7 +27,7 @@ Figure = Callable[..., None]
 
 @limit("zero_time", "ms", lo=31, hi=60, about="from the step of the reference to standstill; the ramp takes 31 ms")
 @limit("settling_time", "ms", lo=60, hi=400, about="from the step until the speed stays within 15 r/min")
-@limit("overshoot", "%", lo=0, hi=20, about="past -300 r/min, of the 600 r/min of the step")
+@limit("overshoot", "%", lo=0, hi=17, about="past -300 r/min, of the 600 r/min of the step")
 @limit("error_max", "deg", lo=5, hi=30, about="largest position error from the step on")
 @limit("error_std_after", "deg", lo=0.5, hi=3, about="position error once it has settled")
 @limit("current_max", "A", lo=2, hi=8.8, about="largest phase current")
@@ -66,12 +66,12 @@ def test_reversal_300_rpm(drive: Drive, record: Record, measure: Measure, figure
     )
 
 
-@limit("speed", "r/min", lo=16, hi=25, about="mean by the encoder")
+@limit("speed", "r/min", lo=18, hi=25, about="mean by the encoder")
 @limit("speed_min", "r/min", lo=-60, about="lowest: it must not run backwards for good")
 @limit("speed_ripple", "r/min", lo=0.5, hi=35, about="standard deviation by the encoder")
 @limit("error_std", "deg", lo=0.5, hi=32, about="below the speed at which the correction works: a Hall sector's width")
 @limit("error_max", "deg", lo=2, hi=100, about="largest position error")
-@limit("current_max", "A", hi=8.0, about="largest phase current")
+@limit("current_max", "A", hi=7.0, about="largest phase current")
 @needs("encoder", "load")
 @energises(speed_rpm=20, current=8)
 @pytest.mark.parametrize("amperes", [0, 2])
@@ -120,7 +120,7 @@ def test_full_speed_3000_rpm(drive: Drive, record: Record, measure: Measure) -> 
     measure("current_max", current(run).max(), run)
 
 
-@limit("error_mean", "deg", lo=-1.5, hi=1, about="mean position error")
+@limit("error_mean", "deg", lo=-0.8, hi=0.4, about="mean position error")
 @limit("error_std", "deg", lo=2, hi=5, about="position error")
 @limit("error_max", "deg", lo=4, hi=12, about="largest position error")
 @needs("encoder")
@@ -132,7 +132,7 @@ def test_full_speed_3000_rpm_error(drive: Drive, record: Record, measure: Measur
 
 @limit("speed", "r/min", lo=2487, hi=2513, about="mean by the encoder")
 @limit("i_q", "A", lo=6.2, hi=7.1, about="mean: 6 A of load and the friction")
-@limit("error_mean", "deg", lo=-1.5, hi=1, about="mean position error")
+@limit("error_mean", "deg", lo=-0.5, hi=0.3, about="mean position error")
 @limit("error_std", "deg", lo=2, hi=5.5, about="position error")
 @limit("error_max", "deg", lo=4, hi=14, about="largest position error")
 @limit("current_max", "A", lo=6.5, hi=9, about="largest phase current")
@@ -199,6 +199,7 @@ def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure
     )
 
 
+@limit("speed_before", "r/min", lo=497, hi=503, about="mean before STOP: there was something to switch off")
 @limit("command_time", "ms", lo=0, hi=100, about="from before the command was sent until the drive is not RUNNING")
 @limit("off_time", "ms", lo=-1, hi=5, about=f"from then until all currents are below {GONE} A for good")
 @limit("idle_share", "%", lo=100, hi=100, about="samples in IDLE of those after RUNNING")
@@ -209,12 +210,14 @@ def test_stop_500_rpm(drive: Drive, record: Record, measure: Measure) -> None:
     drive.start(PROPOSED)
     drive.speed(500 * RPM)
     record.wait(0.4)
+    before = record(0.1)
     with record.stretch() as stretch:
         drive.stop()
         record.wait(0.25)
     run = stretch.capture
     off = first(run, states(run) != DriveState.RUNNING)
     after = run.t >= off
+    measure("speed_before", speed(before).mean(), before)
     measure("command_time", 1e3 * (off - run.t[0]), run)
     measure("off_time", 1e3 * (currents_gone(run) - off), run)
     idle = states(run)[after] == DriveState.IDLE

@@ -1,0 +1,174 @@
+"""Sabotage proves the suite: a broken drive fails in exactly the measurements that should notice, by name.
+
+Each sabotage runs the whole shipped suite once, in virtual time. `sabotage.toml` names what must notice, and says why
+that and nothing else; whether currents stayed in bounds and the outputs went off is asked of the simulated drive.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from unittest.mock import patch
+from zlib import crc32
+
+import numpy as np
+import pytest
+from accepting import Run, Screen, SpoiltLink
+from virtual_run import at_rest
+
+from bench.acceptance.accept import AcceptOptions, accept
+from bench.acceptance.results import Verdict
+from protocol.device_state import StateMachine
+from protocol.signals import MILLI
+from sim.drive.device import SimulatedDevice
+from sim.drive.machine import Recorded, SimulatedBench
+from sim.params import load_params
+
+SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
+BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
+NO_ENCODER = """
+[encoder]
+present = 0
+"""
+
+
+class WatchedBench(SpoiltLink):
+    """A simulated bench that loses a frame of samples at `lose_at` s, and keeps how it stood when it was left."""
+
+    def __init__(self, device: SimulatedDevice, lose_at: float) -> None:
+        super().__init__(device)
+        self.lose_at = lose_at
+        self.left_at_rest = False
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if self.clock() >= self.lose_at:
+            self.lose_at, self.lose = math.inf, 1
+        return super().read(timeout, settle)
+
+    def close(self) -> None:
+        self.left_at_rest = at_rest(self.device)
+        super().close()
+
+
+@dataclass
+class Workshop:
+    """Runs the suite on a drive that is broken by `config`, or that loses a frame at a time, by test."""
+
+    directory: Path
+    opened: list[WatchedBench] = field(default_factory=list)
+    largest: float = 0.0
+    """Phase current in A, of all tests and control periods."""
+
+    def run(self, config: str = "", lose_at: Mapping[str, float] | None = None, keyword: str | None = None) -> Run:
+        file = self.directory / "sabotage.toml"
+        file.write_text(config)
+        by_seed = {crc32(test.encode()): at for test, at in (lose_at or {}).items()}
+
+        def open_virtual(config: Path, overrides: Mapping[str, float], seed: int) -> WatchedBench:
+            device = SimulatedDevice(load_params(config, overrides), seed)
+            self.opened.append(WatchedBench(device, by_seed.get(seed, math.inf)))
+            return self.opened[-1]
+
+        advance = SimulatedBench.advance
+
+        def watched(bench: SimulatedBench, n: int, log: bool = False) -> Recorded:
+            recorded = advance(bench, n, log)
+            currents = [np.abs(recorded.samples[phase].astype(int)).max() for phase in ("i_a", "i_b", "i_c")]
+            self.largest = max(self.largest, MILLI * float(max(currents)))
+            return recorded
+
+        screen = Screen()
+        with (
+            patch("sim.drive.virtual.open_virtual", open_virtual),
+            patch.object(SimulatedBench, "advance", watched),
+        ):
+            result, code = accept(AcceptOptions(config=file, keyword=keyword), screen)
+        return Run(result, code, screen)
+
+    def require_safe(self) -> None:
+        """Outputs were off at each test's end, and no current came to the one at which the drive trips."""
+        assert {bench.left_at_rest for bench in self.opened} == {True}
+        assert 0.0 < self.largest < load_params().firmware.protection.i_trip
+
+
+@pytest.fixture
+def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_TARGET", raising=False)
+    return Workshop(tmp_path)
+
+
+def named(patterns_by_test: Mapping[str, list[str]], run: Run) -> set[str]:
+    """Full names of the measurements that are meant."""
+    found: set[str] = set()
+    for test, patterns in patterns_by_test.items():
+        names = {measurement.limits.name for measurement in run[test].measurements}
+        meant: set[str] = set()
+        for pattern in patterns:
+            matched = {name for name in names if fnmatchcase(name, pattern.removeprefix("!"))}
+            assert matched, f"{test} measures nothing like '{pattern}'"
+            meant = meant - matched if pattern.startswith("!") else meant | matched
+        found |= {f"{test}.{name}" for name in meant}
+    return found
+
+
+def assert_noticed(sabotage: Mapping[str, Mapping[str, list[str]]], run: Run, verdict: Verdict) -> None:
+    """Exactly what should notice did, and said so by `verdict`."""
+    must, may = named(sabotage["must"], run), named(sabotage.get("may", {}), run)
+    noticed = {name: m.verdict for name, m in run.measured.items() if m.verdict is not Verdict.PASS}
+    assert must - noticed.keys() == set(), "should have noticed"
+    assert noticed.keys() - must - may == set(), "should not have noticed"
+    assert set(noticed.values()) == {verdict}
+
+
+@pytest.mark.parametrize("name", BROKEN_CONFIGS)
+def test_a_broken_drive_fails_where_it_should(name: str, workshop: Workshop) -> None:
+    run = workshop.run(SABOTAGES[name]["config"])
+    assert_noticed(SABOTAGES[name], run, Verdict.FAIL)
+    assert run.code == 1
+    workshop.require_safe()
+
+
+def test_a_watchdog_that_does_not_trip_fails_in_its_own_test_and_the_drive_ends_idle_all_the_same(
+    workshop: Workshop,
+) -> None:
+    sabotage = SABOTAGES["watchdog_does_not_trip"]
+    with patch.object(StateMachine, "_watchdog_ticks", lambda machine: 1 << 60):
+        run = workshop.run()
+    assert_noticed(sabotage, run, Verdict.FAIL)
+    assert run.code == 1
+    workshop.require_safe()
+
+
+def test_samples_that_are_lost_make_invalid_what_was_made_from_them(workshop: Workshop) -> None:
+    sabotage = SABOTAGES["dropped_samples"]
+    undisturbed = workshop.run(keyword=" or ".join(sabotage["at"]))
+    moments = {}
+    for test, name in sabotage["at"].items():
+        span = undisturbed.measured[f"{test}.{name}"].span
+        assert span is not None
+        moments[test] = sum(span) / 2.0
+    run = workshop.run(lose_at=moments)
+    assert_noticed(sabotage, run, Verdict.INVALID)
+    assert run.code == 2
+    assert {test for test in run.tests if run[test].quality.lost_samples} == moments.keys()
+    workshop.require_safe()
+
+
+def test_without_an_encoder_every_test_passes_or_says_that_it_needs_one(workshop: Workshop) -> None:
+    run = workshop.run(NO_ENCODER)
+    assert run.result is not None
+    skipped = {test.name for test in run.result.tests if test.verdict is Verdict.SKIPPED}
+    assert run.code == 0
+    assert all(run[name].why.startswith("needs an encoder") for name in skipped)
+    assert {test.name for test in run.result.tests if test.verdict is Verdict.PASS} == set(run.tests) - skipped
+    # those that no encoder is needed for, by what they do
+    assert set(run.tests) - skipped == {
+        "hall_wire_broken[a]", "hall_wire_broken[b]", "hall_wire_broken[c]", "hall_glitches", "watchdog",
+        "current_offsets", "full_speed_3000_rpm", "stall_and_restart", "stop_500_rpm",
+    }  # fmt: skip
+    workshop.require_safe()
