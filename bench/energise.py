@@ -18,10 +18,12 @@ RPM = math.tau / 60  # mechanical rad/s of one r/min
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is asked of the motor, at most: mechanical r/min and load current in A."""
+    """What is asked of the motor, at most: mechanical r/min, and A of load and of phase current (peak)."""
 
     speed_rpm: float
     load_a: float = 0.0
+    current_a: float = math.inf
+    """Whoever asks for less than the drive's `i_max` lowers that before the drive is energised."""
 
 
 def check_limits(drive: Node, plan: Plan) -> None:
@@ -48,7 +50,8 @@ def require_consent(drive: Node, target: str, plan: Plan, yes: bool, confirm: Ca
     """
     if drive.identity.features & Feature.SIMULATED or yes:
         return
-    current = f"{drive.parameter('i_max').value:g} A" if drive.has_parameter("i_max") else "its own limit"
+    most = min(drive.parameter("i_max").value, plan.current_a) if drive.has_parameter("i_max") else None
+    current = "its own limit" if most is None else f"{most:g} A"
     what = (
         f"{drive.identity.name} (boot {drive.identity.boot_id:08x}) on {target}: "
         f"up to {abs(plan.speed_rpm):g} r/min, phase current up to {current}"

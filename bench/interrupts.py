@@ -28,11 +28,21 @@ def signals_as_exceptions(kind: type[BaseException] = Interrupted) -> Iterator[N
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """No signal but SIGKILL is heard."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, *_ENDS)}
+def undisturbed() -> Iterator[list[int]]:
+    """No signal but SIGKILL takes effect inside; the first that came does on leaving. Gives those that have come.
+
+    An exception of the inside itself goes on instead: it ends what the signal would have ended.
+    """
+    came: list[int] = []
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+
+    before = {number: signal.signal(number, remember) for number in (signal.SIGINT, *_ENDS)}
     try:
-        yield
+        yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if came:
+        signal.raise_signal(came[0])

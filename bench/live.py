@@ -127,6 +127,7 @@ class LiveRun:
         self._rebooted: set[int] = set()
         self._pole_pairs = 1.0
         self._bus: dict[str, Any] | None = None
+        self._signal = 0  # the first that came
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
@@ -255,8 +256,8 @@ class LiveRun:
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result = result
             summary.live_view = outputs.viewed()
-            with undisturbed():
-                outputs.end_recording(as_markdown(summary))
+            if self._interrupted(lambda: outputs.end_recording(as_markdown(summary))):
+                exit_code = exit_code or 128 + self._signal
             summary.recording = outputs.recorded()
             report(summary)
             if hold and exit_code == 0 and outputs.view is not None:
@@ -281,24 +282,41 @@ class LiveRun:
                 end += act.seconds
                 self.perform(act, end, stats)
         except (KeyboardInterrupt, Interrupted) as interrupt:
-            signum = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
-            result = f"ended by {signal.Signals(signum).name}"
-            exit_code = 0 if signum == signal.SIGINT and options.duration is None and not options.show else 128 + signum
+            self._remember(interrupt)
         except LinkError as error:
             result, exit_code = f"link lost: {error}", 1
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
-            with undisturbed():
-                self.make_safe()
-        with undisturbed(), suppress(HbpError):
-            self.drive.next_heartbeat()  # the drive's own drop count, up to date
-            self.drive.stop_streams()
+            self._interrupted(self.make_safe)
+        self._interrupted(self._stop_streams)
+        if self._signal and exit_code == 0:
+            result = f"ended by {signal.Signals(self._signal).name}"
+            asked_for = self._signal == signal.SIGINT and options.duration is None and not options.show
+            exit_code = 0 if asked_for else 128 + self._signal
         if acts and stats.faults and not self.tripped:  # in the last moment
             self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}"
         if self.tripped and exit_code == 0:
             result, exit_code = self.tripped, 1
         return result, exit_code, duration, percent
+
+    def _stop_streams(self) -> None:
+        with suppress(HbpError):
+            self.drive.next_heartbeat()  # the drive's own drop count, up to date
+            self.drive.stop_streams()
+
+    def _interrupted(self, action: Callable[[], None]) -> bool:
+        """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""
+        try:
+            with undisturbed():
+                action()
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            self._remember(interrupt)
+            return True
+        return False
+
+    def _remember(self, interrupt: BaseException) -> None:
+        self._signal = self._signal or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
 
     def _hold(self, view: LiveView) -> None:
         self.screen.note(f"the dashboard stays at {view.url} until Ctrl-C")

@@ -18,12 +18,16 @@ import pytest
 from bench.acceptance import plugin
 from bench.acceptance.results import Measurement, RunResult, Verdict
 from bench.acceptance.running import value_text
-from bench.acceptance.session import carried_result
+from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
 from bench.acceptance.settings import read_settings
 from bench.acceptance.targets import SIM, target_of
 from bench.errors import BenchError
 
 SUITE = Path(__file__).with_name("suite")
+WORDS = {
+    Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",
+    Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
+}  # fmt: skip
 MOST_BAD = 8  # measurements of a test that are told one by one
 
 
@@ -192,20 +196,37 @@ def _arguments(options: AcceptOptions) -> list[str]:
 
 
 def _tightest(measurements: tuple[Measurement, ...]) -> str:
-    judged = [m for m in measurements if m.share is not None]
+    """Of those with room to their limits: a count or a yes that stands at its limit is as it should be."""
+    text = f"  {_several(len(measurements), 'measurement')}"
+    judged = [(m.share, m) for m in measurements if m.share]
     if not judged:
-        return f"  {len(measurements)} measurements"
-    closest = min(judged, key=lambda m: m.share if m.share is not None else 0.0)
-    name = closest.limits.name
-    return f"  {len(measurements)} measurements, tightest {name} = {closest.value:.4g} [{closest.limits}]"
+        return text
+    _, closest = min(judged, key=lambda pair: pair[0])
+    return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.limits}]"
 
 
 def closing_lines(run: RunResult) -> list[str]:
     """How the run ended, in a few lines."""
-    tests = Counter(test.verdict for test in run.tests)
-    measured = Counter(m.verdict for m in run.measurements)
-    return [
-        f"{run.verdict}: " + ", ".join(f"{n} {verdict}" for verdict, n in sorted(tests.items())) + " (tests); "
-        + ", ".join(f"{n} {verdict}" for verdict, n in sorted(measured.items())) + " (measurements); "
-        f"{run.wall_seconds:.0f} s on {run.target}"
-    ]  # fmt: skip
+    tests = _counted([test.verdict for test in run.tests], "test")
+    if all(test.verdict is Verdict.PASS for test in run.tests):
+        tests += " passed"
+    measured = _counted([m.verdict for m in run.measurements], "measurement")
+    lines = [f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}"]
+    if LIMITS_ELSEWHERE in run.rig:
+        lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
+    if run.error:
+        lines.append(f"error: {run.error}")
+    return lines
+
+
+def _counted(verdicts: list[Verdict], what: str) -> str:
+    """How many, and unless all passed how many of each verdict, the worst first."""
+    text = _several(len(verdicts), what)
+    if all(verdict is Verdict.PASS for verdict in verdicts):
+        return text
+    counts = Counter(verdicts)
+    return f"{text} ({', '.join(f'{counts[v]} {WORDS[v]}' for v in WORDS if v in counts)})"
+
+
+def _several(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"

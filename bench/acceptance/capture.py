@@ -6,7 +6,7 @@ A `Capture` is what measurements are made from. It knows no link and never waits
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,19 +35,24 @@ class Capture:
     tick_hz: int
     parameters: Mapping[str, float] = field(default_factory=dict)
     dropped: tuple[tuple[int, int, str], ...] = ()
+    looked_at: frozenset[str] | None = None
+    """Channels whose range matters; None is all of them."""
 
     def __len__(self) -> int:
         return len(self.samples)
 
     def __getitem__(self, channel: str) -> F64:
         """A channel in its unit, shape (n,). BenchError if it is not streamed."""
-        names = self.samples.raw.dtype.names or ()
-        if channel not in names:
-            raise BenchError(f"channel '{channel}' is not in the stream; there are {', '.join(names)}")
+        self._require(channel)
         return self.samples.physical(channel)
 
     def __contains__(self, channel: str) -> bool:
         return channel in (self.samples.raw.dtype.names or ())
+
+    def _require(self, channel: str) -> None:
+        if channel not in self:
+            names = ", ".join(self.samples.raw.dtype.names or ())
+            raise BenchError(f"channel '{channel}' is not in the stream; there are {names}")
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -75,12 +80,11 @@ class Capture:
         samples = part_of_samples(self.samples, first, last)
         if not len(samples):
             raise BenchError(f"no sample between {first / self.tick_hz:.4f} s and {last / self.tick_hz:.4f} s")
-        return Capture(
-            samples,
-            part_of_edges(self.edges, first, last),
-            self.tick_hz,
-            self.parameters,
-            tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
+        return replace(
+            self,
+            samples=samples,
+            edges=part_of_edges(self.edges, first, last),
+            dropped=tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
         )
 
     # -- angles -------------------------------------------------------------------------------------------------
@@ -109,6 +113,15 @@ class Capture:
 
     # -- quality ------------------------------------------------------------------------------------------------
 
+    def only(self, *channels: str) -> Capture:
+        """The same stretch, for a measurement that looks at these channels only: others may be at their range's end.
+
+        BenchError for a channel that is not streamed.
+        """
+        for channel in channels:
+            self._require(channel)
+        return replace(self, looked_at=frozenset(channels))
+
     def flaws(self) -> tuple[str, ...]:
         """What makes it unfit for measuring, in words; empty if nothing does."""
         return (*(words for _, _, words in self.dropped), *self._clock_jumps(), *self._saturation())
@@ -128,6 +141,8 @@ class Capture:
         flaws = []
         i_range = self.parameters.get("i_range", np.inf)
         for channel in self.samples.config.channels:
+            if self.looked_at is not None and channel.name not in self.looked_at:
+                continue
             raw = self.samples.raw[channel.name]
             full = np.zeros(len(raw), bool)
             if raw.dtype.kind in "iu" and raw.dtype.itemsize > 1 and not channel.flags & Flag.WRAPS:

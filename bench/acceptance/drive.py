@@ -1,6 +1,7 @@
 """The drive as an acceptance test sees it: start, set points, parameters that are put back.
 
-It keeps to what the test announced (its `Envelope`), because that is what a person agreed to.
+It keeps to what the test announced (its `Envelope`), because that is what a person agreed to: set points are checked
+here, and the drive's own `i_max` is lowered for the test, so that no speed controller goes beyond it.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class Drive:
         self.changed: dict[str, float] = {}
         """Those that the test has set, as it last set them."""
         self._before = dict(parameters)
+        self._touched: set[str] = set()
         self._recorder = recorder
         self._envelope = envelope
         self._may_trip = False
@@ -105,10 +107,11 @@ class Drive:
         """Set a parameter; the test's end puts back what it was."""
         if self.parameters.get(name) == value:
             return
+        if name == "i_max":
+            self._within(name, value, self._envelope.current, "A", "current")
         with self._trips_first():
-            stored = self.node.set(name, value)
-        self.parameters[name] = stored
-        self.changed[name] = stored
+            self._set(name, value)
+        self.changed[name] = self.parameters[name]
 
     @contextmanager
     def may_trip(self) -> Iterator[None]:
@@ -130,19 +133,28 @@ class Drive:
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
+    def limit_current(self) -> None:
+        """Of an idle drive: lower its `i_max`, if it has one, to the announced current; `restore` puts it back."""
+        if self._envelope.current < self.parameters.get("i_max", -math.inf):
+            self._set("i_max", self._envelope.current)
+
     def look(self) -> None:
         """Raise DriveTripped if the drive has tripped against expectation."""
         if self._recorder.faults & ~self._expected and not self._may_trip:
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}")
 
-    def restore(self) -> None:
+    def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before."""
         try:
-            if self._recorder.faults:
+            if clear_faults and self._recorder.faults:
                 self.node.clear_faults()
         finally:
-            for name in self.changed:
+            for name in self._touched:
                 self.node.set(name, self._before[name])
+
+    def _set(self, name: str, value: float) -> None:
+        self._touched |= {name} & self._before.keys()  # before it is: whatever happens, restore() puts it back
+        self.parameters[name] = self.node.set(name, value)
 
     @contextmanager
     def _trips_first(self) -> Iterator[None]:

@@ -3,7 +3,8 @@
 A load says what it can do in `abilities`: "torque" (N·m against the drive's positive direction) and "speed" (forced,
 mechanical rad/s). Nothing here decides when it acts; `off` always works and is always called at a test's end.
 
-A class of one's own needs no base class:
+A class of one's own needs no base class. One object is made of it at first use and kept for all tests; its `close`,
+if it has one, is called after the last:
 
     class Brake:
         abilities = {"torque"}
@@ -17,7 +18,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Callable, Collection
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -28,8 +29,6 @@ from protocol.errors import HbpError
 from protocol.messages import DriveState
 
 TORQUE, SPEED = "torque", "speed"
-Ask = Callable[[str], None]
-"""Shows a person what to do and returns when it is done."""
 
 
 class Load(Protocol):
@@ -99,11 +98,11 @@ class NodeLoad:
 
 
 class PersonLoad:
-    """Somebody with a brake and a knob."""
+    """Somebody with a brake and a knob. `ask` tells them what to do and returns when it is done."""
 
     abilities = frozenset((TORQUE,))
 
-    def __init__(self, ask: Ask) -> None:
+    def __init__(self, ask: Callable[[str], None]) -> None:
         self._ask = ask
         self._set = 0.0
 
@@ -116,7 +115,7 @@ class PersonLoad:
     def off(self) -> None:
         """Ask to release the brake, if it was set."""
         if self._set:
-            with suppress(BenchError, KeyboardInterrupt):  # the drive is off, and nobody may be there any more
+            with suppress(BenchError):  # the drive is off, and nobody may be there any more
                 self.torque(0.0)
 
 
@@ -148,6 +147,11 @@ class OwnLoad:
         """See `Load`."""
         self._call("off")
 
+    def close(self) -> None:
+        """It is used no more."""
+        if callable(getattr(self._own, "close", None)):
+            self._call("close")
+
     def _call(self, method: str, *arguments: float) -> None:
         try:
             getattr(self._own, method)(*arguments)
@@ -155,6 +159,26 @@ class OwnLoad:
             raise
         except Exception as error:
             raise BenchError(f"load {self._name}: {method}() raised {type(error).__name__}: {error}") from error
+
+
+class OwnLoads:
+    """The objects of the user's classes that a session has made: one of each."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[str, Path], OwnLoad] = {}
+
+    def get(self, text: str, directory: Path) -> OwnLoad:
+        """See `own_load`; made at first use."""
+        key = (text, directory.absolute())
+        if key not in self._made:
+            self._made[key] = own_load(text, directory)
+        return self._made[key]
+
+    def close(self) -> None:
+        """Close all of them, whatever one of them raises; that is a BenchError."""
+        with ExitStack() as stack:
+            while self._made:
+                stack.callback(self._made.popitem()[1].close)
 
 
 def own_load(text: str, directory: Path) -> OwnLoad:

@@ -7,7 +7,7 @@ test asks for one of its fixtures, and changes nothing for tests that ask for no
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,18 +60,35 @@ class _Collector:
         self._config = config
         self._began = datetime.now().astimezone()
         self._order: list[str] = []
+        self._others: set[str] = set()  # tests that are none of ours
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
         """Keep the order of the tests, in which the results will not come."""
         self._order = ids
+        if SCREEN in self._config.stash:  # `bench accept`: these are the tests
+            self._session()
 
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_handlecrashitem(self, report: pytest.TestReport) -> None:
+        """A process has crashed: no other than this one can tell how its test ended."""
+        if SESSION in self._config.stash:
+            self._session().crashed(report)
+
+    @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Hand on the result of an acceptance test."""
         if hasattr(report, RESULT):
-            session = session_of(self._config)
-            session.collect(report)
-            session.began, session.order = self._began, self._order
+            self._session().collect(report)
+        elif report.when == "teardown":
+            self._others.add(report.nodeid)
+
+    def _session(self) -> BenchSession:
+        session = session_of(self._config)
+        session.began = self._began
+        if self._order:
+            session.expect(self._order, self._others)
+        return session
 
 
 def session_of(config: pytest.Config) -> BenchSession:
@@ -212,13 +229,21 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
             session.config.stash[SESSION].finish()
 
 
-def names_of(items: list[pytest.Item]) -> dict[str, str]:
+def names_of(node_ids: Iterable[str]) -> dict[str, str]:
     """Name of each test by node id: without `test_`, and with its file where two have the same."""
-    short = {item.nodeid: item.name.removeprefix("test_") for item in items}
+    short = {node_id: _function(node_id).removeprefix("test_") for node_id in node_ids}
     often = Counter(short.values())
     return {
-        item.nodeid: name
-        if often[name := short[item.nodeid]] == 1
-        else f"{Path(item.path).stem.removeprefix('test_')}.{name}"
-        for item in items
+        node_id: name if often[name] == 1 else f"{_file(node_id).removeprefix('test_')}.{name}"
+        for node_id, name in short.items()
     }
+
+
+def _function(node_id: str) -> str:
+    """With what is in brackets."""
+    path, bracket, parameters = node_id.partition("[")
+    return path.rpartition("::")[2] + bracket + parameters
+
+
+def _file(node_id: str) -> str:
+    return Path(node_id.partition("::")[0]).stem

@@ -2,7 +2,7 @@
 
 A `Rig` is opened for a test and closed after it, on a simulated drive in virtual time as on hardware. `close` stops
 what may turn, puts parameters back and finishes the recording, whatever happened before; it raises what went wrong
-only when all of that has been tried.
+only when all of that has been tried. It never waits without polling: what turns is watched, and its watchdog fed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from typing import TYPE_CHECKING
 from bench import __version__
 from bench.acceptance.capture import Capture
 from bench.acceptance.drive import Drive, DriveTripped
-from bench.acceptance.loads import Ask, Load, NodeLoad, PersonLoad, own_load
+from bench.acceptance.ending import ENERGISED, watch_it_stop
+from bench.acceptance.loads import Load, NodeLoad, OwnLoads, PersonLoad
 from bench.acceptance.marks import Envelope
+from bench.acceptance.person import Ask
 from bench.acceptance.recorder import Recorder
 from bench.acceptance.results import Measurement, ParameterValue, Quality, Verdict
 from bench.acceptance.settings import Settings
 from bench.client import POLL, Client, Sink
-from bench.errors import BenchError, DoesNotFit
+from bench.errors import BenchError, DoesNotFit, Interrupted
 from bench.interrupts import undisturbed
 from bench.node import LOAD, Node
 from bench.rerunio.schema import RunInfo
@@ -59,6 +61,8 @@ class Plan:
     virtual: bool = False
     """Time passes as fast as it can be computed."""
     title: str = ""
+    own_loads: OwnLoads = field(default_factory=OwnLoads)
+    """What outlives the rig: objects of the user's load classes."""
 
 
 class Rig:
@@ -66,7 +70,10 @@ class Rig:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
+        self.at_end: list[Callable[[], None]] = []
+        """What is done when the drive has been stopped."""
         self._file: FileSink | None = None
+        self._signals: list[int] | None = None  # that came while it is closed; None before that
         with ExitStack() as stack:
             link = plan.link()
             stack.callback(link.close)
@@ -83,12 +90,19 @@ class Rig:
             self.recorder = Recorder(hello.node, hello.tick_hz)
             self.drive = Drive(node, self.recorder, plan.envelope, parameters)
             self.load = self._find_load(stack)
+            if self.load is not None:
+                self.at_end.append(self.load.off)
             self.channels, self.rate = self._stream(node)
             self.client.sinks = [self.recorder, *self._open_recording(parameters)]
             stack.callback(self._close_recording)
             node.start_streams()
             self.wait(2 * POLL)
             self._stack = stack.pop_all()
+        try:
+            self.drive.limit_current()
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Rig:
         return self
@@ -97,21 +111,44 @@ class Rig:
         self.close()
 
     def close(self) -> None:
-        """Everything off and put back. Raises the first thing that could not be done, when all was tried."""
-        failures = []
-        loads = [self.load.off] if self.load is not None else []
-        with undisturbed():
-            for step in (
-                self.drive.stop, *loads, self.drive.restore, self.drive.node.stop_streams, self._stack.close,
-            ):  # fmt: skip
-                try:
-                    step()
-                except Exception as error:
-                    failures.append((step, error))
-        if failures:
-            step, first = failures[0]
-            dark = "; the drive's watchdog switches its outputs off" if step == self.drive.stop else ""
-            raise BenchError(f"the bench could not be left as it was: {first}{dark}") from first
+        """Everything off and put back. Raises the first thing that could not be done, when all was tried.
+
+        A signal that came meanwhile takes effect afterwards; that first thing is then its cause.
+        """
+        failure: BenchError | None = None
+        try:
+            with undisturbed() as self._signals:
+                failure = self._put_back()
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            raise interrupt from failure
+        if failure is not None:
+            raise failure
+
+    def _put_back(self) -> BenchError | None:
+        """Try all of it; returns the first thing that could not be done."""
+        failures: list[Exception] = []
+
+        def attempt(step: Callable[[], object]) -> bool:
+            try:
+                step()
+            except Exception as error:
+                failures.append(error)
+                return False
+            return True
+
+        stopped = attempt(self.drive.stop)
+        last = self.client.heartbeats.get(self.drive.node.number)
+        for step in self.at_end:
+            attempt(step)
+        seen = "" if stopped else f"; {watch_it_stop(self.drive.node, last)}"
+        attempt(lambda: self.drive.restore(clear_faults=stopped))
+        attempt(self.drive.node.stop_streams)
+        attempt(self._stack.close)
+        if not failures:
+            return None
+        failure = BenchError(f"the bench could not be left as it was: {failures[0]}{seen}")
+        failure.__cause__ = failures[0]
+        return failure
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -157,15 +194,36 @@ class Rig:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
         return self.recorder.capture(first, last, self.drive.parameters)
 
+    def ask(self, words: str) -> None:
+        """Ask a person to do something, and go on until it is done; virtual time stands still meanwhile.
+
+        Raises DriveTripped; BenchError where nobody can be asked, or when a signal comes while the rig is closed.
+        """
+        if self.plan.ask is None:
+            raise BenchError(f"nobody can be asked: {words}")
+        with self.plan.ask(words) as answered:
+            while not answered(POLL if self.plan.virtual else 0.0):
+                if self._signals:
+                    raise BenchError(f"not waited for: {words}")
+                if self.plan.virtual:
+                    continue
+                if self._signals is None:
+                    self._poll(POLL)
+                else:
+                    self._turn(POLL)  # whatever the drive has, it is off
+
     def _silent(self, first: int) -> bool:
         newest = max(self.recorder.newest, first)
         fit = self.client.heartbeats.get(self.drive.node.number)
         return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
 
-    def _poll(self, timeout: float) -> None:
+    def _turn(self, timeout: float) -> None:
         self._clients[0].poll(timeout)
         for other in self._clients[1:]:
             other.poll(0.0)
+
+    def _poll(self, timeout: float) -> None:
+        self._turn(timeout)
         if self.client.health.reboots:
             raise DriveTripped("the drive has rebooted")
         self.drive.look()
@@ -258,21 +316,21 @@ class Rig:
                 f"{self.plan.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
                 "(bench live --clear-faults)"
             )
-        if heartbeat is not None and heartbeat.state in (DriveState.ARMED, DriveState.RUNNING):
+        if heartbeat is not None and heartbeat.state in ENERGISED:
             raise BenchError(f"{self.plan.target} is {heartbeat.state.name}: another host is using it")
         node.stop_streams()
 
     def _find_load(self, stack: ExitStack) -> Load | None:
-        kind, settings, ask = self.plan.settings.load, self.plan.settings, self.plan.ask
+        kind, settings = self.plan.settings.load, self.plan.settings
         if kind == "none":
             return None
         if kind == "node":
             node = Node(self.client, LOAD)
             return NodeLoad(node) if self._answers(node) else None
         if kind == "person":
-            return PersonLoad(ask) if ask is not None else None
+            return PersonLoad(self.ask) if self.plan.ask is not None else None
         if ".py:" in kind:
-            return own_load(kind, settings.path.parent if settings.path else Path())
+            return self.plan.own_loads.get(kind, settings.path.parent if settings.path else Path())
         link = open_link(kind)
         stack.callback(link.close)
         client = Client(link)

@@ -10,11 +10,10 @@ import json
 import os
 import platform
 import re
-import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -23,10 +22,11 @@ from typing import Any
 import click
 import pytest
 
-from bench.acceptance import faults, plugin
-from bench.acceptance.drive import DriveTripped
-from bench.acceptance.loads import SPEED
+from bench.acceptance import person, plugin
+from bench.acceptance.judging import NOT_BEGUN, Phase, judge
+from bench.acceptance.loads import OwnLoads
 from bench.acceptance.marks import announced, declared_limits, needed
+from bench.acceptance.needed import missing
 from bench.acceptance.results import (
     Limits,
     ParameterValue,
@@ -39,12 +39,15 @@ from bench.acceptance.results import (
     worst,
 )
 from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.running import NotPassed, Running, value_text
+from bench.acceptance.running import Running, value_text
 from bench.acceptance.settings import Settings, read_settings
 from bench.acceptance.targets import SIM, alone_on, open_target, require_agreement, target_of
 from bench.errors import BenchError
 from bench.interrupts import signals_as_exceptions
 from protocol.errors import HbpError
+
+LIMITS_ELSEWHERE = "limits of other tests"
+"""In the description of the rig: what bench.toml says of tests that are not in this run."""
 
 
 class BenchSession:
@@ -63,15 +66,18 @@ class BenchSession:
         """Identity, parameters and rig, as plain data, from the first test that reached the drive."""
         self.began = datetime.now().astimezone()
         self.order: list[str] = []
-        """Node ids of the tests, where results come from other processes."""
+        """Node ids of the tests, where they run in other processes."""
         self.error = ""
         self.run: RunResult | None = None
         self._interrupted = False
         self._known: list[pytest.Item] = []
         self._items: list[pytest.Item] = []
         self._names: dict[str, str] = {}
-        self._phases: dict[str, _Phase] = {}
+        self._elsewhere: list[str] = []
+        self._phases: dict[str, Phase] = {}
+        self._own_loads = OwnLoads()
         self._held = ExitStack()
+        self._held.callback(self._own_loads.close)
         config.pluginmanager.register(self, "hallbench-session")
 
     def _settings(self) -> Settings:
@@ -95,7 +101,14 @@ class BenchSession:
     def know(self, items: list[pytest.Item]) -> None:
         """All tests that were found, before any is deselected."""
         self._known = items
-        self._names = plugin.names_of(items)
+        self._names = plugin.names_of(item.nodeid for item in items)
+
+    def expect(self, node_ids: list[str], others: Collection[str]) -> None:
+        """These tests run in other processes; `others` have turned out to be no acceptance tests."""
+        if not self.order:
+            self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
+        self.order = [node_id for node_id in node_ids if node_id not in others]
+        self._names = plugin.names_of(node_ids)
 
     def prepare(self, items: list[pytest.Item]) -> None:
         """Names, limits, figures, places, lock and consent; ends the session with one line if anything is amiss."""
@@ -104,7 +117,9 @@ class BenchSession:
             for name, often in Counter(self._names.values()).items():
                 if often > 1:
                     raise BenchError(f"{often} tests are called '{name}', and limits go by name: rename all but one")
-            self.settings.check_names(name for name, _ in self.declared(self._known))
+            list(self.declared(self._known))  # limits that leave no room
+            measured = {self._names[item.nodeid]: [d.name for d in declared_limits(item)] for item in self._known}
+            self._elsewhere = self.settings.check_names(measured)
             self._require_places()
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
             if self.target == SIM:
@@ -137,22 +152,26 @@ class BenchSession:
                 raise BenchError(f"cannot write to {place}: {'no permission' if place.is_dir() else 'no directory'}")
 
     def _confirm(self) -> Any:
-        if not sys.__stdin__ or not sys.__stdin__.isatty():
+        if not person.at_terminal():
             return None
 
         def confirm(question: str) -> bool:
             with self._uncaptured():
-                return click.confirm(question, err=True)
+                try:
+                    return click.confirm(question, err=True)
+                except click.Abort:
+                    raise KeyboardInterrupt from None
 
         return confirm
 
-    def _ask(self) -> Any:
-        if not self.settings.person or not sys.__stdin__ or not sys.__stdin__.isatty():
+    def _ask(self) -> person.Ask | None:
+        if not self.settings.person or not person.at_terminal():
             return None
 
-        def ask(words: str) -> None:
-            with self._uncaptured():
-                click.prompt(f"{words}, then press Enter", default="", show_default=False, err=True)
+        @contextmanager
+        def ask(words: str) -> Iterator[person.Answered]:
+            with self._uncaptured(), person.asked(words) as answered:
+                yield answered
 
         return ask
 
@@ -165,10 +184,12 @@ class BenchSession:
                 screen.pause()
             try:
                 yield
-            except click.Abort:
-                raise KeyboardInterrupt from None
-            if screen is not None:
-                screen.resume()
+            except KeyboardInterrupt:
+                screen = None  # nothing goes on
+                raise
+            finally:
+                if screen is not None:
+                    screen.resume()
 
     def declared(self, items: list[pytest.Item]) -> Iterator[tuple[str, Limits]]:
         """Full name and limits, as they hold on this bench, of all that these tests measure."""
@@ -200,6 +221,7 @@ class BenchSession:
             recording=self._recording(name),
             virtual=self.target == SIM,
             title=name,
+            own_loads=self._own_loads,
         )
         if plan.recording is not None:
             plan.recording.parent.mkdir(parents=True, exist_ok=True)
@@ -208,10 +230,14 @@ class BenchSession:
                 self.about = {
                     "identity": rig.identity(),
                     "parameters": [[p.name, p.value, p.default, p.unit] for p in rig.before],
-                    "rig": rig.describe(),
+                    "rig": rig.describe() | self._limits_elsewhere(),
                 }
             yield rig
             rig.summary(_words(item.stash[plugin.RUNNING], rig.drive.changed))
+
+    def _limits_elsewhere(self) -> dict[str, str]:
+        names = self._elsewhere
+        return {LIMITS_ELSEWHERE: f"{len(names)}: {', '.join(names)}"} if names else {}
 
     def _recording(self, name: str) -> Path | None:
         return self.directory / "recordings" / f"{_file_name(name)}.rrd" if self.directory else None
@@ -219,25 +245,25 @@ class BenchSession:
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""
         for what in needed(item):
-            if (why := _missing(what, rig)) is not None:
+            if (why := missing(what, rig)) is not None:
                 pytest.skip(why)
 
     def note_phase(self, item: pytest.Item, call: pytest.CallInfo[None], report: Any) -> None:
         """After setup, call and teardown: the worst of them is the test's verdict, made at the last."""
-        phase = _judge(call, report)
+        phase = judge(call, report)
         if phase.expected:  # its words say it all, a traceback would bury them
             report.longrepr = phase.why
-        phase = self._phases.pop(item.nodeid, _Phase(Verdict.SKIPPED)).then(phase, call.duration)
+        phase = self._phases.pop(item.nodeid, NOT_BEGUN).then(phase, call.duration)
         if call.when != "teardown":
             self._phases[item.nodeid] = phase
             return
         result = self._result(item, phase)
-        setattr(report, plugin.RESULT, {"result": to_json(result), "about": self.about})
+        _attach(report, result, self.about)
         report.user_properties.extend((m.name, value_text(m)) for m in result.measurements)
         if plugin.RIG in item.stash:  # it holds every sample of the test
             del item.stash[plugin.RIG], item.stash[plugin.RUNNING]
 
-    def _result(self, item: pytest.Item, phase: _Phase) -> TestResult:
+    def _result(self, item: pytest.Item, phase: Phase) -> TestResult:
         running = item.stash.get(plugin.RUNNING, None) or self.running(item)
         rig = item.stash.get(plugin.RIG, None)
         if phase.verdict is not Verdict.PASS:
@@ -273,13 +299,27 @@ class BenchSession:
             self.results[report.nodeid] = result
             self.about = self.about or getattr(report, plugin.RESULT)["about"]
 
-    def pytest_keyboard_interrupt(self) -> None:
-        """Remember that somebody ended it, unless it was this session."""
+    def crashed(self, report: pytest.TestReport) -> None:
+        """Give a report a result, of a test whose process has gone."""
+        result = self._unknown(report.nodeid, Phase(Verdict.ERROR, str(report.longrepr)))
+        _attach(report, result, {})
+
+    def _unknown(self, node_id: str, phase: Phase) -> TestResult:
+        """The result of a test that another process knows."""
+        return TestResult(self._names[node_id], "", "", node_id, phase.verdict, phase.why)
+
+    def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
+        """Remember that somebody ended it, unless it was this session, and what could not be put back meanwhile."""
         self._interrupted = not self.error
+        if isinstance(excinfo.value.__cause__, BenchError):
+            self.error = str(excinfo.value.__cause__)
 
     def finish(self) -> None:
         """Let go of the target; where results come together, put them together and write what was asked for."""
-        self._held.close()
+        try:
+            self._held.close()
+        except BenchError as error:
+            self.error = self.error or str(error)
         if not self._collects:
             return
         self.run = self._run()
@@ -292,10 +332,14 @@ class BenchSession:
             write_report(self.run, self.directory)
 
     def _run(self) -> RunResult:
-        for item in self._items if self._interrupted else ():
-            if item.nodeid not in self.results:
-                self.results[item.nodeid] = self._result(item, _Phase(Verdict.ABORTED, "the run was ended"))
-        order = self.order or [item.nodeid for item in self._items]
+        ended = Phase(Verdict.ABORTED, "the run was ended")
+        items = {item.nodeid: item for item in self._items}
+        order = self.order or list(items)
+        for node_id in order if self._interrupted else ():
+            if node_id not in self.results:
+                phase = self._phases.get(node_id, NOT_BEGUN).then(ended, 0.0)
+                item = items.get(node_id)
+                self.results[node_id] = self._result(item, phase) if item else self._unknown(node_id, phase)
         tests = [self.results[node_id] for node_id in order if node_id in self.results]
         verdict = worst(test.verdict for test in tests)
         if self.error or not tests:
@@ -325,74 +369,12 @@ class BenchSession:
 def carried_result(report: pytest.TestReport) -> TestResult | None:
     """The result that a report of a test's last phase carries."""
     carried = getattr(report, plugin.RESULT, None)
-    return None if carried is None else result_from_json(carried["result"])
+    return None if carried is None else result_from_json(json.loads(carried["result"]))
 
 
-@dataclass(frozen=True, slots=True)
-class _Phase:
-    """How a test stands after a phase."""
-
-    verdict: Verdict
-    why: str = ""
-    log: str = ""
-    seconds: float = 0.0
-    expected: bool = False
-    """A foreseen ending, whose words are for people."""
-
-    def then(self, later: _Phase, seconds: float) -> _Phase:
-        """How it stands after a later phase, which took `seconds`: the worse of both, with the reasons of both."""
-        verdict = worst((self.verdict, later.verdict))
-        why = "; then ".join(phase.why.partition("\n")[0] for phase in (self, later) if phase.why)
-        log = "\n\n".join(phase.log for phase in (self, later) if phase.log)
-        return _Phase(verdict, why, log, self.seconds + seconds)
-
-
-def _judge(call: pytest.CallInfo[None], report: Any) -> _Phase:
-    if report.skipped:
-        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
-        return _Phase(Verdict.SKIPPED, str(reason).removeprefix("Skipped: "))
-    if call.excinfo is None:
-        return _Phase(Verdict.PASS if call.when == "call" else Verdict.SKIPPED)
-    error = call.excinfo.value
-    words = str(error).strip() or type(error).__name__
-    match error:
-        case NotPassed():
-            return _Phase(error.verdict, words, expected=True)
-        case DriveTripped():
-            return _Phase(Verdict.FAIL, words, expected=True)
-        case BenchError() | HbpError():
-            return _Phase(Verdict.ERROR, words, expected=True)
-        case AssertionError() | pytest.fail.Exception():
-            return _Phase(Verdict.FAIL, words, report.longreprtext)
-    return _Phase(Verdict.ERROR, f"{type(error).__name__}: {words}", report.longreprtext)
-
-
-def _missing(what: str, rig: Rig) -> str | None:
-    """Why the rig has not `what`; None if it has."""
-    kind, _, value = what.partition(":")
-    node = rig.drive.node
-    match kind:
-        case "encoder":
-            return None if rig.has_encoder else "needs an encoder: the drive streams no reference position"
-        case "load":
-            return None if rig.load is not None else "needs a load"
-        case "load.speed":
-            able = rig.load is not None and SPEED in rig.load.abilities
-            return None if able else "needs a load that forces a speed"
-        case "hall-faults":
-            able = faults.can_insert(rig) or rig.plan.ask is not None
-            return None if able else "needs a rig that inserts faults of the Hall wiring, or a person who does"
-        case "hall-placement":
-            return None if faults.can_place(rig) else "needs a rig that moves the Hall sensors"
-        case "rate":
-            enough = rig.rate >= float(value)
-            return None if enough else f"needs {value} samples a second; the link carries {rig.rate:g}"
-        case "channel":
-            return None if value in {c.name for c in rig.channels} else f"needs the channel {value}"
-        case "parameter":
-            return None if node.has_parameter(value) else f"needs the drive's parameter {value}"
-    known = "encoder, load, load.speed, hall-faults, hall-placement, rate:HZ, channel:NAME, parameter:NAME"
-    raise BenchError(f"@needs('{what}'): there are {known}")
+def _attach(report: Any, result: TestResult, about: dict[str, Any]) -> None:
+    """Text, because a worker's channel carries no subclass of float, such as a limit that numpy computed."""
+    setattr(report, plugin.RESULT, {"result": json.dumps(to_json(result)), "about": about})
 
 
 def _words(running: Running, changed: dict[str, float]) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -54,14 +54,20 @@ class Settings:
         except ValueError as error:
             raise BenchError(f"[limits] of {self.path}: {error}") from None
 
-    def check_names(self, known: Iterable[str]) -> None:
-        """BenchError if a limit is for a measurement that no test has."""
-        names = list(known)
-        for name in self.limits:
-            if name not in names:
-                near = difflib.get_close_matches(name, names, 1)
+    def check_names(self, tests: Mapping[str, Collection[str]]) -> list[str]:
+        """Names of limits for other tests than these, which map to what they measure: `bench.toml` serves several runs.
+
+        BenchError for a limit that one of these tests does not measure, and for what is no TEST.MEASUREMENT.
+        """
+        known = [f"{test}.{measured}" for test, all_measured in tests.items() for measured in all_measured]
+        elsewhere = []
+        for name in sorted(self.limits.keys() - known):
+            if "." not in name or any(name.startswith(f"{test}.") for test in tests):
+                near = difflib.get_close_matches(name, known, 1)
                 hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all"
                 raise BenchError(f"[limits] of {self.path} names '{name}', which no test measures: {hint}")
+            elsewhere.append(name)
+        return elsewhere
 
 
 def read_settings(path: Path | None) -> Settings:

@@ -61,10 +61,9 @@ def require_agreement(
     try:
         client = Client(link)
         drive = Node(client, client.connect().node)
-        most = drive.parameters()
-        speed_rpm = min(envelope.speed_rpm, most.get("omega_m_max", math.inf) / RPM)
-        current = min(envelope.current, most.get("i_max", math.inf))
-        require_consent(drive, target, Plan(speed_rpm, current), yes, confirm)
+        fastest = drive.parameter("omega_m_max").value if drive.has_parameter("omega_m_max") else math.inf
+        plan = Plan(min(envelope.speed_rpm, fastest / RPM), current_a=envelope.current)
+        require_consent(drive, target, plan, yes, confirm)
     finally:
         link.close()
 

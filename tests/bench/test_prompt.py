@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import pty
 import re
@@ -56,36 +57,47 @@ def drive() -> Iterator[PhysicalDrive]:
     drive.close()
 
 
-def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
-    """Run `bench live` on a terminal, answer its question; returns its exit code and all that it wrote."""
+def on_terminal(
+    arguments: list[str], prompt: bytes, reply: bytes, after: float = 0.0, again: float = LIMIT
+) -> tuple[int, str]:
+    """Run `bench ARGUMENTS…` on a terminal; `reply` is typed `after` s from each time that it shows `prompt`.
+
+    Where nothing comes of that within `again` s, it is typed again. Returns its exit code and all that it wrote.
+    """
     controller, terminal = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "bench", "live", drive.port.target, "--speed", "300", "--duration", "0.5",
-         "--viewer", "none"],
+        [sys.executable, "-m", "bench", *arguments],
         stdin=terminal, stdout=terminal, stderr=terminal, env=ENVIRONMENT | {"TERM": "xterm", "COLUMNS": "200"},
         start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
     )  # fmt: skip
     os.close(terminal)
-    text, asked = b"", False
+    text, seen, due = b"", 0, math.inf
     end = time.monotonic() + LIMIT
     try:
         while time.monotonic() < end:
-            if not select.select([controller], [], [], 0.1)[0]:
+            if text.count(prompt) > seen:
+                seen, due = text.count(prompt), time.monotonic() + after
+            if time.monotonic() >= due:
+                due = time.monotonic() + again
+                os.write(controller, reply)
+            if not select.select([controller], [], [], 0.05)[0]:
                 continue
             try:
                 data = os.read(controller, 4096)
             except OSError:  # the other end has gone
                 break
             text += data
-            if not asked and b"[y/N]" in text:
-                asked = True
-                assert drive.states <= {DriveState.BOOT, DriveState.IDLE}
-                os.write(controller, reply)
         return process.wait(LIMIT), text.decode()
     finally:
         process.kill()
         process.wait()
         os.close(controller)
+
+
+def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
+    """Run `bench live` on a terminal and answer its question."""
+    options = ["--speed", "300", "--duration", "0.5", "--viewer", "none"]
+    return on_terminal(["live", drive.port.target, *options], b"[y/N]", reply)
 
 
 @pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\n", 2), (b"\x03", 130)])

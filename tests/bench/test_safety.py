@@ -9,6 +9,7 @@ import pytest
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
 
 from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.interrupts import signals_as_exceptions, undisturbed
 from bench.node import Node
 from bench.statistics import position_errors
 from protocol.errors import LinkClosed
@@ -52,8 +53,7 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
         except (KeyboardInterrupt, Interrupted):
             assert DriveState.ARMED not in link.states, point  # before the run, which would have summed up
         else:
-            assert ended.exit_code in (0, 128 + kind), point
-            assert point >= off or ended.exit_code == 128 + kind, point
+            assert ended.exit_code == 128 + kind, point
         assert at_rest(link.device), (point, link.states[-1])
         assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
     assert [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
@@ -73,6 +73,62 @@ def test_signals_in_a_burst_end_with_the_outputs_off() -> None:
             run(link, load_a=1.0, duration=0.1)
         assert at_rest(link.device), point
         assert link.device.drive.machine.faults == Fault(0), point
+
+
+def test_a_signal_that_came_while_it_was_not_to_disturb_takes_effect_afterwards() -> None:
+    done: list[str] = []
+
+    def put_back() -> None:
+        with undisturbed() as came:
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+            done.append("STOP")
+            assert came == [signal.SIGTERM, signal.SIGINT]
+        done.append("never")
+
+    with signals_as_exceptions(), pytest.raises(Interrupted) as interrupt:
+        put_back()
+    assert interrupt.value.signum == signal.SIGTERM  # the first
+    assert done == ["STOP"]
+
+
+def test_one_undisturbed_inside_another_hands_its_signal_on() -> None:
+    done: list[str] = []
+
+    def put_back() -> None:
+        with undisturbed():
+            with undisturbed():
+                signal.raise_signal(signal.SIGINT)
+            done.append("the rest")
+
+    with pytest.raises(KeyboardInterrupt):
+        put_back()
+    assert done == ["the rest"]
+
+
+def test_an_exception_that_is_under_way_is_not_replaced_by_a_signal() -> None:
+    def put_back() -> None:
+        with undisturbed():
+            signal.raise_signal(signal.SIGINT)
+            raise BenchError("the disk is full")
+
+    with pytest.raises(BenchError, match="the disk is full"):
+        put_back()
+
+
+def test_a_signal_while_the_motor_is_switched_off_ends_a_run_that_was_at_its_end() -> None:
+    states = calls_of_a_run()
+    off = len(states) - states[::-1].index(DriveState.RUNNING)
+    for point in range(off - 1, len(states)):
+
+        def at_point(call: int, point: int = point) -> None:
+            if call == point:
+                signal.raise_signal(signal.SIGTERM)
+
+        link = WatchedLink(simulated(), at_point)
+        ended = run(link, load_a=1.0, duration=0.1)
+        assert (ended.exit_code, ended.summary.result) == (128 + signal.SIGTERM, "ended by SIGTERM"), point
+        assert at_rest(link.device)
 
 
 # -- exceptions -------------------------------------------------------------------------------------------------

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import pty
 import re
-import select
+import signal
 import subprocess
 import sys
-import termios
-import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from accepting import HEAD, Accepting, Run, SpoiltLink
-from processes import ENVIRONMENT, LIMIT, Program
-from test_prompt import PhysicalDrive
+from processes import ENVIRONMENT, Program
+from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
 
 from bench.acceptance.accept import closing_lines
@@ -29,7 +25,7 @@ from protocol.messages import DriveState
 
 TESTS = '''
 @limit("n_p", "", lo=6, hi=6, about="pole pairs")
-@limit("spread", "deg", hi=5)
+@limit("spread", "deg", hi=np.float64(5))
 def test_good(drive, record, measure):
     """It turns.
 
@@ -84,7 +80,7 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     }  # fmt: skip
     properties = {p.get("name"): p.get("value", "") for p in suite.iter("property")}
     assert properties.keys() == run.measured.keys()
-    assert properties["good.n_p"] == "6 [6 … 6] PASS"
+    assert properties["good.n_p"] == "6 [= 6] PASS"
     spread = run.measured["bad.spread"].value
     assert properties["bad.spread"] == f"{spread:.4g} deg [≤ 0.001 deg] FAIL"
     assert properties["bad.nan"] == "nan deg [≤ 1 deg] FAIL"
@@ -99,8 +95,34 @@ def test_the_closing_line_counts(accepting: Accepting) -> None:
     assert run.result is not None
     (line,) = closing_lines(run.result)
     assert re.fullmatch(
-        r"FAIL: 1 FAIL, 1 PASS, 1 SKIPPED \(tests\); 2 FAIL, 2 PASS, 1 SKIPPED \(measurements\); \d+ s on sim", line
+        r"FAIL: 3 tests \(1 failed, 1 passed, 1 skipped\), "
+        r"5 measurements \(2 failed, 2 passed, 1 skipped\), \d+ s on sim",
+        line,
     )
+    good = accepting(TESTS, keyword="test_good")
+    assert good.result is not None
+    (line,) = closing_lines(good.result)
+    assert re.fullmatch(r"PASS: 1 test passed, 2 measurements, \d+ s on sim", line)
+
+
+def test_the_tightest_is_one_that_has_room(accepting: Accepting) -> None:
+    text = """
+@limit("yes", lo=1, hi=1)
+@limit("none_lost", hi=0)
+@limit("counted", "edges", lo=6)
+@limit("wide", "A", lo=0, hi=10)
+@limit("narrow", "A", lo=0, hi=10)
+def test_many(measure):
+    for name, value in {"yes": 1, "none_lost": 0, "counted": 6, "wide": 5, "narrow": 9}.items():
+        measure(name, value)
+
+@limit("yes", lo=1)
+def test_one(measure):
+    measure("yes", 1)
+"""
+    notes = accepting(text).screen.notes
+    assert "PASS    many  5 measurements, tightest narrow = 9 [0 … 10 A]" in notes
+    assert "PASS    one  1 measurement" in notes
 
 
 @pytest.mark.parametrize(
@@ -132,7 +154,7 @@ def test_the_list_shows_names_and_limits_and_writes_and_opens_nothing(accepting:
     link = SpoiltLink(simulated())
     run = accepting(TESTS, link, list_only=True, json=Path("a.json"), report=Path("report"))
     assert (run.result, run.code) == (None, 0)
-    listed = ["good.spread: ≤ 5 deg", "good.n_p: 6 … 6", "bad.nan: ≤ 1 deg", "bad.spread: ≤ 0.001 deg", "cannot.x: ≤ 1"]
+    listed = ["good.spread: ≤ 5 deg", "good.n_p: = 6", "bad.nan: ≤ 1 deg", "bad.spread: ≤ 0.001 deg", "cannot.x: ≤ 1"]
     assert sorted(run.screen.notes) == sorted(listed)
     assert link.opened == []
     assert not Path("a.json").exists()
@@ -237,6 +259,62 @@ def test_what_several_processes_need_is_said(accepting: Accepting, monkeypatch: 
     assert refusal(lambda: accepting(TESTS, jobs=2)) == "--jobs needs pytest-xdist: pip install pytest-xdist"
 
 
+SLOW = """
+import os
+import sys
+import time
+
+@pytest.mark.parametrize("number", range(4))
+@limit("x", hi=1)
+def test_quick(measure, number): measure("x", 0)
+
+@limit("x", hi=1)
+def test_slow(measure):
+    print("slow", file=sys.__stderr__, flush=True)
+    time.sleep(60)
+
+def test_never(drive): time.sleep(60)
+
+def test_plain(): pass
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(
+    accepting: Accepting, start: Callable[..., Program], number: signal.Signals
+) -> None:
+    file = accepting.write(SLOW)
+    run = start("accept", "sim", "--tests", str(file), "--jobs", "2", "--json", "a.json")
+    for done in range(2):
+        run.line(f"PASS +quick.{done}.")
+    run.send(number)
+    assert run.end() == 130
+    written = run_from_json(json.loads(Path("a.json").read_text()))
+    verdicts = {test.name: str(test.verdict) for test in written.tests}
+    assert verdicts["slow"] == verdicts["never"] == "ABORTED"
+    assert {verdicts[f"quick[{number}]"] for number in range(2)} == {"PASS"}
+    assert str(written.verdict) == "ABORTED"
+    assert not any("Traceback" in line for line in run.err)
+
+
+def test_a_process_that_crashes_is_an_error_of_the_test_that_it_ran(accepting: Accepting) -> None:
+    text = """
+import os
+
+@limit("x", hi=1)
+def test_crashes(measure): os._exit(3)
+
+@limit("x", hi=1)
+def test_goes_on(measure): measure("x", 0)
+"""
+    run = accepting(text, jobs=2, json=Path("a.json"))
+    assert run.tests == {"crashes": "ERROR", "goes_on": "PASS"}
+    assert re.match(r"worker 'gw\d' crashed while running 'own_", run["crashes"].why)
+    assert run.code == 2
+    assert [test["verdict"] for test in json.loads(Path("a.json").read_text())["tests"]] == ["ERROR", "PASS"]
+    assert any(note.startswith("ERROR   crashes: worker") for note in run.screen.notes)
+
+
 # -- the command ------------------------------------------------------------------------------------------------
 
 
@@ -259,37 +337,6 @@ def drive() -> Iterator[PhysicalDrive]:
     drive.close()
 
 
-def on_terminal(drive: PhysicalDrive, file: Path, reply: bytes) -> tuple[int, str]:
-    """Run `bench accept` on a terminal and answer its question; returns its exit code and all that it wrote."""
-    controller, terminal = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", "accept", drive.port.target, "--tests", str(file)],
-        stdin=terminal, stdout=terminal, stderr=terminal, env=ENVIRONMENT | {"TERM": "xterm", "COLUMNS": "200"},
-        start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-    )  # fmt: skip
-    os.close(terminal)
-    text = b""
-    end, answers = time.monotonic() + LIMIT, 0
-    try:
-        while time.monotonic() < end:
-            # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
-            if b"[y/N]" in text and time.monotonic() > end - LIMIT + 10 * answers:
-                assert answers or drive.states <= {DriveState.BOOT, DriveState.IDLE}
-                answers += 1
-                os.write(controller, reply)
-            if not select.select([controller], [], [], 0.1)[0]:
-                continue
-            try:
-                text += os.read(controller, 4096)
-            except OSError:  # the other end has gone
-                break
-        return process.wait(LIMIT), text.decode()
-    finally:
-        process.kill()
-        process.wait()
-        os.close(controller)
-
-
 TWO = """
 @energises(speed_rpm=300, current=2)
 def test_one(drive, record): turn(drive, record)
@@ -305,10 +352,11 @@ def test_the_question_is_asked_once_for_all_tests(
 ) -> None:
     file = tmp_path / "own_two.py"
     file.write_text(HEAD + TWO)
-    ended, text = on_terminal(drive, file, reply)
+    # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
+    ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
     assert ended == code, text
     question = (
-        r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, phase current up to \d+ A\. "
+        r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, phase current up to 4 A\. "
         r"Is the shaft clear\? \[y/N\]: "
     )
     assert len(re.findall(question, text)) == 1

@@ -89,6 +89,23 @@ def test_a_phase_current_at_the_end_of_its_sensor_is_saturated_and_other_channel
     assert not any(f.startswith(("i_d", "i_q", "u_")) for f in at_end.flaws())
 
 
+def test_who_looks_at_some_channels_does_not_mind_the_others(clean: Capture) -> None:
+    def saturate(raw: NDArray[np.generic]) -> None:
+        raw[100] = np.iinfo(np.int16).max
+
+    bad = tampered(clean, "omega_avg", saturate)
+    assert judged(bad)[0] is Verdict.INVALID
+    assert judged(bad.only("i_a", "hall")) == (Verdict.PASS, "")
+    assert judged(bad.only("i_a", "omega_avg"))[0] is Verdict.INVALID
+    part = bad.only("i_a").between(bad.t[50], bad.t[150])
+    assert judged(part) == (Verdict.PASS, "")
+    assert (part["omega_avg"] == bad["omega_avg"][50:151]).all()  # it is there all the same
+    lost = (int(clean.samples.tick[10]), int(clean.samples.tick[20]), "9 samples were lost")
+    assert judged(replace(bad, dropped=(lost,)).only("i_a")) == (Verdict.INVALID, "9 samples were lost")
+    with pytest.raises(BenchError, match=r"channel 'i_aa' is not in the stream"):
+        clean.only("i_aa")
+
+
 def test_angles_that_wrap_and_codes_are_never_saturated(clean: Capture) -> None:
     wrapping = [channel.name for channel in clean.samples.config.channels if channel.flags & Flag.WRAPS]
     assert "theta_enc" in wrapping

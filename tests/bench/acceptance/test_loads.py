@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+import signal
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
 from accepting import Accepting, SpoiltLink
+from processes import Sim
+from test_prompt import on_terminal
 from virtual_run import at_rest, simulated
 
+from bench.acceptance.drive import DriveTripped
+from bench.acceptance.faults import HallFaults
 from bench.acceptance.loads import NodeLoad, OwnLoad, PersonLoad, own_load
+from bench.acceptance.needed import missing
+from bench.acceptance.person import Answered, Ask
 from bench.acceptance.rig import Plan, Rig
 from bench.acceptance.settings import Settings
 from bench.energise import RPM
 from bench.errors import BenchError
+from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.messages import DriveState, Fault
 from sim.params import load_params
 
@@ -28,6 +37,12 @@ from pathlib import Path
 class Brake:
     """Keeps what it was told, and a speed it cannot make."""
     told: list[str] = field(default_factory=list)
+
+    def __post_init__(self):
+        self._tell("made")
+
+    def close(self):
+        self._tell("close")
 
     def torque(self, tau):
         self._tell(f"torque {tau:g}")
@@ -50,6 +65,10 @@ class Burnt(Brake):
 class Stuck(Brake):
     def off(self):
         raise OSError("VI_ERROR_TMO")
+
+class Jammed(Brake):
+    def close(self):
+        raise OSError("VI_ERROR_CLOSING")
 
 class NoOff:
     def torque(self, tau): ...
@@ -161,9 +180,23 @@ def test_without_a_load_a_test_that_needs_one_is_skipped(accepting: Accepting, k
     assert run.code == 2
 
 
+def somebody(asked: list[str], answered: Callable[[str], bool] = lambda words: True) -> Ask:
+    """A person, who has done what the words say once `answered(words)`."""
+
+    @contextmanager
+    def ask(words: str) -> Iterator[Answered]:
+        asked.append(words)
+        yield lambda timeout: answered(words)
+
+    return ask
+
+
+RELEASE = "Set the brake to 0.000 N·m"
+
+
 def test_a_person_is_asked_for_each_new_torque_and_to_let_go() -> None:
     asked: list[str] = []
-    with rig_with("person", SpoiltLink(simulated()), ask=asked.append) as rig:
+    with rig_with("person", SpoiltLink(simulated()), ask=somebody(asked)) as rig:
         assert isinstance(rig.load, PersonLoad)
         assert set(rig.load.abilities) == {"torque"}
         for tau in (0.0, 0.2, 0.2, 0.1):
@@ -171,22 +204,151 @@ def test_a_person_is_asked_for_each_new_torque_and_to_let_go() -> None:
     assert asked == [f"Set the brake to {tau} N·m" for tau in ("0.200", "0.100", "0.000")]
 
 
-@pytest.mark.parametrize("error", [BenchError("gone"), KeyboardInterrupt()])
-def test_a_person_who_has_gone_keeps_nothing_on(error: BaseException) -> None:
+def test_the_bench_goes_on_while_a_person_is_asked() -> None:
+    """For 1 s, five times as long as the drive's watchdog lets it turn unfed."""
+    link = SpoiltLink(simulated())
+    begun: list[float] = []
+
+    def answered(words: str) -> bool:
+        begun.append(link.clock())
+        return words == RELEASE or link.clock() >= begun[0] + 1.0
+
+    with rig_with("person", link, ask=somebody([], answered)) as rig:
+        assert isinstance(rig.load, PersonLoad)
+        rig.drive.start("vector-tracking")
+        rig.drive.speed(300 * RPM)
+        rig.wait(0.5)
+        with rig.recording() as stretch:
+            rig.load.torque(0.1)
+        assert rig.drive.state == DriveState.RUNNING
+        assert link.device.bench.truth.omega_m == pytest.approx(300 * RPM, rel=0.05)
+        assert stretch.capture.flaws() == ()
+        assert len(stretch.capture) == pytest.approx(16000, rel=0.1)
+
+
+def test_a_trip_ends_the_question() -> None:
+    link = SpoiltLink(simulated())
+
+    def answered(words: str) -> bool:
+        link.device.drive.fault(Fault.OVERCURRENT)
+        return False
+
+    with rig_with("person", link, ask=somebody([], answered)) as rig:
+        rig.drive.start()
+        with pytest.raises(DriveTripped, match="OVERCURRENT"):
+            rig.ask("Wait for ever")
+
+
+@pytest.mark.parametrize("which", ["Set the brake to 0.200 N·m", RELEASE], ids=("while it turns", "at the end"))
+def test_a_signal_ends_the_question(which: str) -> None:
+    link = SpoiltLink(simulated())
+    _, before = link.left()
+    asked: list[str] = []
+
+    def answered(words: str) -> bool:
+        if words == which:
+            signal.raise_signal(signal.SIGINT)
+        return words != which
+
+    def brake() -> None:
+        with rig_with("person", link, ask=somebody(asked, answered)) as rig:
+            assert rig.load is not None
+            rig.drive.start()
+            rig.load.torque(0.2)
+
+    with pytest.raises(KeyboardInterrupt):
+        brake()
+    assert asked[-1] == which
+    assert link.left() == (True, before)
+    assert link.device.drive.machine.faults == Fault(0)
+
+
+def test_a_person_who_has_gone_keeps_nothing_on() -> None:
     link = SpoiltLink(simulated())
     asked: list[str] = []
 
-    def ask(words: str) -> None:
-        asked.append(words)
-        if "0.000" in words:
-            raise error
+    def answered(words: str) -> bool:
+        if words == RELEASE:
+            raise BenchError("the terminal has gone")
+        return True
 
-    with rig_with("person", link, ask=ask) as rig:
+    with rig_with("person", link, ask=somebody(asked, answered)) as rig:
         assert rig.load is not None
         rig.drive.start()
         rig.load.torque(0.2)
-    assert asked[-1] == "Set the brake to 0.000 N·m"
+    assert asked[-1] == RELEASE
     assert at_rest(link.device)
+
+
+def test_virtual_time_stands_still_while_a_person_is_asked() -> None:
+    link = SpoiltLink(simulated())
+    answers = iter([False, False, True])
+    with rig_with("none", link, ask=somebody([], lambda words: next(answers)), virtual=True) as rig:
+        before = link.clock()
+        rig.ask("Think")
+        assert link.clock() == before
+    assert list(answers) == []
+
+
+def test_somebody_breaks_a_hall_wire_while_the_motor_turns_and_puts_it_back_at_the_end() -> None:
+    link = SpoiltLink(simulated())
+    asked: list[str] = []
+    _, before = link.left()
+
+    def answered(words: str) -> bool:
+        """Pulls the wire at once, and presses Enter once the drive has seen it; puts it back when asked to."""
+        link.device.load.app.set_param("hall_open", float("Disconnect" in words))
+        return bool(rig.drive.faults)
+
+    with rig_with("none", link, ask=somebody(asked, answered)) as rig:
+        assert missing("hall-faults", rig) is None
+        hall_faults = HallFaults(rig)
+        rig.drive.start("vector-tracking")
+        rig.drive.speed(300 * RPM)
+        rig.wait(0.4)
+        with rig.drive.may_trip():
+            hall_faults.open("a")
+            assert rig.drive.faults == ("HALL",)
+        with pytest.raises(pytest.skip.Exception, match="false pulses"):
+            hall_faults.glitches(100)
+    assert asked == ["Disconnect the wire of Hall sensor a", "Put the Hall wires back as they belong"]
+    assert link.left()[1] == before
+
+
+def test_without_anybody_hall_faults_are_missing() -> None:
+    with rig_with("none", SpoiltLink(simulated())) as rig:
+        assert missing("hall-faults", rig) == (
+            "needs a rig that inserts faults of the Hall wiring, or a person who does"
+        )
+        with pytest.raises(BenchError, match=r"^nobody can be asked: Disconnect"):
+            HallFaults(rig).open("a")
+
+
+BRAKED = """
+def test_braked(drive, load, record):
+    turn(drive, record)
+    load.torque(0.01)
+    record.wait(0.3)
+    drive.stop()
+"""
+
+
+def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(
+    accepting: Accepting, start_sim: Callable[..., Sim]
+) -> None:
+    with_load("person")
+    with Path("bench.toml").open("a") as file:
+        file.write("person = true\n")
+    sim = start_sim("--pty", "--set", "firmware.watchdog=0.8")  # other programs may want the machine
+    tests = accepting.write(BRAKED)
+    code, text = on_terminal(
+        ["accept", sim.target, "--tests", str(tests), "--bench", str(Path("bench.toml").absolute())],
+        b"press Enter: ", b"\n", after=1.6,
+    )  # fmt: skip
+    assert code == 0, text
+    assert re.search("PASS +braked", text)
+    assert text.count("press Enter") == 2
+    assert "Traceback" not in text
 
 
 # -- a class of one's own ---------------------------------------------------------------------------------------
@@ -196,7 +358,8 @@ def test_a_class_of_ones_own_is_told_what_the_test_wants_and_off_at_its_end(brak
     with_load("brake.py:Brake")
     run = brake(BRAKES)
     assert run.tests == {"brakes": "PASS", "forces": "SKIPPED"}
-    assert Path("told.txt").read_text().split("\n") == ["torque 0.25", "off", "off", ""]
+    # one object, off at each test's end, closed at the last
+    assert Path("told.txt").read_text().split("\n") == ["made", "torque 0.25", "off", "off", "close", ""]
     assert run.result is not None
     assert run.result.rig["load"] == "OwnLoad: torque"
 
@@ -204,7 +367,8 @@ def test_a_class_of_ones_own_is_told_what_the_test_wants_and_off_at_its_end(brak
 def test_it_can_force_a_speed_if_it_has_the_method(brake: Accepting) -> None:
     with_load("brake.py:Both")
     assert brake(BRAKES).tests == {"brakes": "PASS", "forces": "PASS"}
-    assert Path("told.txt").read_text().split() == ["torque", "0.25", "off", "speed", "1", "off"]
+    told = Path("told.txt").read_text().splitlines()
+    assert told == ["made", "torque 0.25", "off", "speed 1", "off", "close"]
 
 
 def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting) -> None:
@@ -213,7 +377,7 @@ def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting) -
     run = brake(BRAKES, link)
     assert run["brakes"].why == "load brake.py:Burnt: torque() raised OSError: VI_ERROR_TMO"
     assert (run["brakes"].verdict, run.code) == ("ERROR", 2)
-    assert Path("told.txt").read_text().split() == ["off", "off"]
+    assert Path("told.txt").read_text().split() == ["made", "off", "off", "close"]
     assert at_rest(link.device)
 
 
@@ -228,6 +392,15 @@ def test_one_that_does_not_go_off_is_told_and_the_drive_is_stopped_all_the_same(
     assert run.measured["brakes.x"].verdict == "PASS"
     assert run["brakes"].verdict == "ERROR"
     assert link.left() == (True, before)
+
+
+def test_one_that_does_not_close_is_the_runs_error(brake: Accepting) -> None:
+    with_load("brake.py:Jammed")
+    run = brake(BRAKES, keyword="test_brakes")
+    assert run.tests == {"brakes": "PASS"}
+    assert run.result is not None
+    assert run.result.error == "load brake.py:Jammed: close() raised OSError: VI_ERROR_CLOSING"
+    assert run.code == 2
 
 
 @pytest.mark.parametrize(
@@ -285,3 +458,48 @@ def test_a_device_on_a_link_of_its_own_must_be_a_load_machine() -> None:
     for spoilt in (link, other):
         with pytest.raises(Exception, match="is closed"):
             spoilt.read(0.0)
+
+
+class OneNode:
+    """A link that reaches one node of a simulated bench; the links of a bench share its time."""
+
+    def __init__(self, link: SpoiltLink, node: int, frames: dict[int, bytes], deframer: Deframer) -> None:
+        self.name = f"node {node}"
+        self.clock, self.wire, self.reopen, self.close = link.clock, link.wire, link.reopen, lambda: None
+        self._link, self._node, self._frames, self._deframer = link, node, frames, deframer
+        self._outgoing = Deframer()
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if not self._frames[self._node]:
+            for raw in self._deframer.feed(self._link.read(timeout, settle)):
+                frame = parse_frame(raw)
+                self._frames[frame.node] += encode_frame(frame)
+        data, self._frames[self._node] = self._frames[self._node], b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        for raw in self._outgoing.feed(data):
+            self._link.write(encode_frame(parse_frame(raw)._replace(node=self._node)))
+
+
+def test_a_load_machine_on_a_link_of_its_own_brakes_the_drive() -> None:
+    link = SpoiltLink(simulated())
+    _, before = link.left()
+    frames, deframer = {1: b"", 2: b""}, Deframer()
+    drive, load = (OneNode(link, node, frames, deframer) for node in (1, 2))
+    link.reopen()
+    with (
+        patch("bench.acceptance.rig.open_link", lambda target: load),
+        Rig(Plan(lambda: drive, "virtual", Settings(load="tcp:brake:7000"))) as rig,
+    ):
+        assert isinstance(rig.load, NodeLoad)
+        rig.drive.start("vector-tracking")
+        rig.drive.speed(500 * RPM)
+        rig.wait(0.8)
+        rig.load.torque(0.1)
+        rig.wait(0.6)
+        assert rig.drive.state == DriveState.RUNNING
+        assert link.device.load.state == DriveState.RUNNING
+        motor = load_params(None, {}).motor
+        assert rig.record(0.3)["i_q"].mean() > 0.1 / (1.5 * motor.n_p * motor.psi_f)
+    assert link.left() == (True, before)

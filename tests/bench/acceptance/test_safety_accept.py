@@ -14,6 +14,7 @@ from accepting import HEAD, Accepting, SpoiltLink, never_armed
 from processes import Program, Sim
 from virtual_run import at_rest, physical, simulated
 
+from bench.acceptance.accept import closing_lines
 from bench.acceptance.targets import alone_on
 from bench.errors import BenchError
 from protocol.messages import DriveState, Fault
@@ -70,8 +71,8 @@ def test_fails_and_deaf(turning):
     assert False, "this first"
 """
 UNSTOPPED = (
-    "the bench could not be left as it was: node 1 on virtual: did not answer STATE_CMD in 3 tries; the drive's "
-    "watchdog switches its outputs off"
+    "the bench could not be left as it was: node 1 on virtual: did not answer STATE_CMD in 3 tries; the drive was then "
+    "seen to be FAULT (WATCHDOG)"
 )
 
 
@@ -98,20 +99,32 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
     [("test_deaf", "ERROR", UNSTOPPED), ("test_fails_and_deaf", "FAIL", f"this first; then {UNSTOPPED}")],
     ids=("else well", "failing"),
 )  # fmt: skip
-def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it(
+def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_is_seen_to_do_it(
     accepting: Accepting, which: str, verdict: str, why: str
 ) -> None:
     link = SpoiltLink(simulated())
-    _, before = link.left()
+    before = link.left()
     run = accepting(ENDINGS, link, keyword=which)
     (test,) = run.result.tests if run.result else ()
     assert (test.verdict, test.why) == (verdict, why)
     assert link.device.load.state == DriveState.IDLE
-    link.device.advance(round(0.25 * link.device.pwm_hz))  # no host feeds it any more
-    assert at_rest(link.device)
-    assert link.device.drive.machine.faults == Fault.WATCHDOG
-    at_rest_only = {"1.i_max"}  # a running drive did not take it back
-    assert {name for name, value in link.left()[1].items() if value != before[name]} <= at_rest_only
+    assert link.left() == before
+    assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
+
+
+def test_after_a_stop_that_was_not_answered_no_test_starts_before_somebody_has_looked(accepting: Accepting) -> None:
+    link = SpoiltLink(simulated())
+    run = accepting(ENDINGS + "def test_after_deaf(turning): pass\n", link, keyword="deaf and not fails")
+    assert run.tests == {"deaf": "ERROR", "after_deaf": "ERROR"}
+    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
+
+
+def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting) -> None:
+    link = SpoiltLink(simulated())
+    link.device.drive.app.set_param("watchdog", 10.0)  # far longer than the bench waits
+    run = accepting(ENDINGS, link, keyword="test_deaf")
+    assert run["deaf"].why.startswith(UNSTOPPED.partition("the drive was")[0])
+    assert run["deaf"].why.endswith("; 1.5 s later the drive is still RUNNING: switch its supply off")
 
 
 def test_a_signal_at_any_point_ends_with_everything_at_rest(accepting: Accepting) -> None:
@@ -151,8 +164,24 @@ def test_a_signal_while_all_is_put_back_does_not_keep_it_from_being_put_back(acc
 
         link = SpoiltLink(simulated(), at_point)
         before = link.left()
-        accepting(file, link, keyword="test_returns")
+        run = accepting(file, link, keyword="test_returns")
         assert link.left() == before, point
+        assert (run.tests, run.code) == ({"returns": "ABORTED"}, 130), point
+
+
+def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(accepting: Accepting) -> None:
+    file = accepting.write(ENDINGS)
+
+    def while_deaf(call: int) -> None:
+        if link.deaf:
+            signal.raise_signal(signal.SIGTERM)
+
+    link = SpoiltLink(simulated(), while_deaf)
+    run = accepting(file, link, keyword="test_deaf")
+    assert (run.tests, run.code) == ({"deaf": "ABORTED"}, 130)
+    assert run.result is not None
+    assert run.result.error == UNSTOPPED
+    assert closing_lines(run.result)[-1] == f"error: {UNSTOPPED}"
 
 
 def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting) -> None:
@@ -182,28 +211,86 @@ def test_says_nothing(drive, record): turn(drive, record)
 
 
 @pytest.mark.parametrize(
-    ("which", "speed"),
-    [("test_slow", "200"), ("test_slow or test_strong", "200"), ("test_strong", "150"),
-     ("test_beyond_all", "2300"), ("test_slow or test_says_nothing", "2300")],
+    ("which", "speed", "current"),
+    [("test_slow", "200", "3"), ("test_slow or test_strong", "200", "4"), ("test_strong", "150", "4"),
+     ("test_beyond_all", "2300", "8"), ("test_slow or test_says_nothing", "2300", "8")],
     ids=("one", "two", "the other", "more than the drive lets", "one that does not say"),
 )  # fmt: skip
 def test_a_physical_drive_is_not_energised_where_nobody_can_be_asked(
-    accepting: Accepting, which: str, speed: str
+    accepting: Accepting, which: str, speed: str, current: str
 ) -> None:
     link = SpoiltLink(physical())
     app = link.device.drive.app
     app.set_param("omega_m_max", 2300 * 3.14159265 / 30)
     with pytest.raises(BenchError) as refused:
         accepting(ANNOUNCED, link, keyword=which, json=Path("a.json"))
-    boot, i_max = link.device.drive.identity.boot_id, app.get_param("i_max")
+    boot = link.device.drive.identity.boot_id
+    assert app.get_param("i_max") == 8
     assert re.fullmatch(
         rf"will not spin simulated drive \(boot {boot:08x}\) on serial:\S+: up to {speed}(\.\d+)? r/min, phase current "
-        rf"up to {i_max:g} A: nobody to ask, give --yes if the shaft is clear",
+        rf"up to {current} A: nobody to ask, give --yes if the shaft is clear",
         str(refused.value),
     )
     assert never_armed(link)
     written = json.loads(Path("a.json").read_text())
     assert (written["verdict"], written["error"], written["tests"]) == ("ERROR", str(refused.value), [])
+
+
+WITHIN = """
+@energises(speed_rpm=500, current=2)
+def test_blocked(drive, load, record):
+    load.torque(0.9)  # more than the announced current can hold
+    drive.start("encoder")
+    drive.speed(400 * RPM)
+    record.wait(0.5)
+
+@energises(speed_rpm=500, current=2)
+def test_raises_it(drive):
+    drive.set("i_max", 2.5)
+
+@energises(speed_rpm=500, current=2)
+def test_lowers_it(drive):
+    drive.set("i_max", 1.5)
+
+@energises(speed_rpm=500, current=9)
+def test_more(drive):
+    assert drive.parameters["i_max"] == 8
+"""
+
+
+def test_the_drive_itself_keeps_to_the_announced_current(accepting: Accepting) -> None:
+    """In the plant: the current that flows, whatever the speed controller would like."""
+    flowed: list[float] = []
+
+    def look(call: int) -> None:
+        if link.device.drive.state == DriveState.RUNNING:
+            flowed.append(abs(link.device.bench.truth.i_q))
+
+    link = SpoiltLink(simulated(), look)
+    before = link.left()
+    run = accepting(WITHIN, link)
+    assert run.tests == {"blocked": "PASS", "raises_it": "ERROR", "lowers_it": "PASS", "more": "PASS"}
+    assert 1.8 < max(flowed) < 2.3
+    assert run["raises_it"].why.startswith("i_max 2.5 A is beyond the 2 A that the test announced")
+    assert [state for state in (*link.opened, link.left()) if state != before] == []
+    assert run["blocked"].parameters == {"observer": 0.0}  # what the test has set, and not the bench
+    assert run["lowers_it"].parameters == {"i_max": 1.5}
+
+
+def test_a_signal_while_the_limit_is_lowered_leaves_it_as_it_was(accepting: Accepting) -> None:
+    lowered: list[int] = []
+
+    def look(call: int) -> None:
+        if link.device.drive.app.get_param("i_max") == 3 and not lowered:
+            lowered.append(call)
+            signal.raise_signal(signal.SIGINT)
+
+    link = SpoiltLink(physical(), look)
+    before = link.left()
+    run = accepting(ANNOUNCED, link, keyword="test_slow", yes=True)
+    assert lowered
+    assert (run.tests, run.code) == ({"slow": "ABORTED"}, 130)
+    assert link.left() == before
 
 
 def test_with_yes_it_turns(accepting: Accepting) -> None:

@@ -9,6 +9,7 @@ import pytest
 from accepting import Accepting, SpoiltLink
 from virtual_run import simulated
 
+from bench.acceptance.accept import closing_lines
 from bench.acceptance.settings import Settings, read_settings
 from bench.acceptance.targets import target_of
 from bench.errors import BenchError
@@ -68,6 +69,31 @@ def test_a_limit_that_no_test_has_is_told_whatever_is_selected_and_the_list_show
     with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
         accepting(text, keyword="test_nothing")
     assert "measures.spread: 1 … 2 deg" in accepting(text, list_only=True).screen.notes
+
+
+def test_a_limit_for_a_test_of_another_run_is_told_and_no_error(accepting: Accepting) -> None:
+    """One `bench.toml` for the shipped tests and for those of one's own."""
+    Path("bench.toml").write_text("[limits]\n'fig08_steady.error_max' = { hi = 3 }\n'measures.spread' = { hi = 3 }")
+    run = accepting(TESTS)
+    assert run.measured["measures.spread"].limits.hi == 3
+    assert run.result is not None
+    told = "bench.toml has limits for tests that are not in this run, 1: fig08_steady.error_max"
+    assert closing_lines(run.result)[1:] == [told]
+    Path("bench.toml").write_text("[limits]\n'measures.spread' = { hi = 3 }")
+    run = accepting(TESTS)
+    assert run.result is not None
+    assert closing_lines(run.result)[1:] == []
+
+
+def test_a_limit_is_refused_only_if_no_test_of_the_run_can_be_meant() -> None:
+    tests = {"fig08": ["a.b"], "fig08.a": ["c"]}
+    for name, elsewhere in {"fig08.a.b": [], "fig08.a.c": [], "fig08.d": None, "fig09.a.c": ["fig09.a.c"]}.items():
+        settings = Settings(limits={name: {"hi": 1.0}})
+        if elsewhere is None:
+            with pytest.raises(BenchError, match="which no test measures"):
+                settings.check_names(tests)
+        else:
+            assert settings.check_names(tests) == elsewhere
 
 
 def test_the_list_refuses_limits_that_leave_no_room(accepting: Accepting) -> None:

@@ -373,8 +373,8 @@ def test_next(measure): measure("x", 1)
     run = accepting(text, link)
     assert run["cut"].verdict is Verdict.ERROR
     assert run["cut"].why == (
-        "virtual: is closed; then the bench could not be left as it was: virtual: is closed; the drive's watchdog "
-        "switches its outputs off"
+        "virtual: is closed; then the bench could not be left as it was: virtual: is closed; nothing was "
+        "heard of the drive since, whose watchdog should have switched its outputs off"
     )
     # time stood still on the closed link: the next test finds the drive as it was left, and refuses to take it over
     assert re.search("is RUNNING: another host is using it", run["next"].why)

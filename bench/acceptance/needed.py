@@ -1,0 +1,35 @@
+"""Whether a rig has what a test says that it needs. Nothing here changes the rig, or asks the drive anything new."""
+
+from __future__ import annotations
+
+from bench.acceptance import faults
+from bench.acceptance.loads import SPEED
+from bench.acceptance.rig import Rig
+from bench.errors import BenchError
+
+
+def missing(what: str, rig: Rig) -> str | None:
+    """Why the rig has not `what`; None if it has. BenchError for what is nothing that a rig can have."""
+    kind, _, value = what.partition(":")
+    match kind:
+        case "encoder":
+            return None if rig.has_encoder else "needs an encoder: the drive streams no reference position"
+        case "load":
+            return None if rig.load is not None else "needs a load"
+        case "load.speed":
+            able = rig.load is not None and SPEED in rig.load.abilities
+            return None if able else "needs a load that forces a speed"
+        case "hall-faults":
+            able = faults.can_insert(rig) or rig.plan.ask is not None
+            return None if able else "needs a rig that inserts faults of the Hall wiring, or a person who does"
+        case "hall-placement":
+            return None if faults.can_place(rig) else "needs a rig that moves the Hall sensors"
+        case "rate":
+            enough = rig.rate >= float(value)
+            return None if enough else f"needs {value} samples a second; the link carries {rig.rate:g}"
+        case "channel":
+            return None if value in {c.name for c in rig.channels} else f"needs the channel {value}"
+        case "parameter":
+            return None if rig.drive.node.has_parameter(value) else f"needs the drive's parameter {value}"
+    known = "encoder, load, load.speed, hall-faults, hall-placement, rate:HZ, channel:NAME, parameter:NAME"
+    raise BenchError(f"@needs('{what}'): there are {known}")
