@@ -109,6 +109,7 @@ class _Watch:
     last_alive: float = -1e9
     counter: int = 0
     feed: bool = False
+    longest: float = 0.0  # s between two ALIVEs since feeding began
 
 
 @dataclass(slots=True)
@@ -338,11 +339,18 @@ class Client:
         watch = self._watches.setdefault(node, _Watch())
         watch.feed = on
         if on:
+            watch.last_alive, watch.longest = -1e9, 0.0
             watch.last_seen = max(watch.last_seen, self.now())
+
+    def longest_unfed(self, node: int) -> float:
+        """The longest time in s between two ALIVEs to `node` since they began: nobody polled, or it was not heard."""
+        return self._watches[node].longest if node in self._watches else 0.0
 
     def _feed_watchdogs(self, now: float) -> None:
         for node, watch in self._watches.items():
             if watch.feed and now - watch.last_alive >= ALIVE_PERIOD and now - watch.last_seen <= FRESH:
+                if watch.last_alive > -1e8:
+                    watch.longest = max(watch.longest, now - watch.last_alive)
                 watch.last_alive = now
                 watch.counter += 1
                 self.session.send(Alive(counter=watch.counter & 0xFFFFFFFF), node)

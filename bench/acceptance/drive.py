@@ -141,7 +141,14 @@ class Drive:
     def look(self) -> None:
         """Raise DriveTripped if the drive has tripped against expectation."""
         if self._recorder.faults & ~self._expected and not self._may_trip:
-            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}")
+            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
+
+    def _starved(self) -> str:
+        """Why the watchdog may have run out, if it was starved from here."""
+        longest = self.node.client.longest_unfed(self.node.number)
+        if not self._recorder.faults & Fault.WATCHDOG or longest < self.parameters.get("watchdog", math.inf):
+            return ""
+        return f" (no ALIVE for {longest:.2f} s: let a test compute after drive.stop(), not while the drive runs)"
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before."""

@@ -248,7 +248,8 @@ class Rig:
 
     def identity(self) -> dict[str, str]:
         """The drive for the report."""
-        return {key: str(value) for key, value in describe(self.drive.node.identity).items()}
+        about = describe(self.drive.node.identity)
+        return {key: ", ".join(value) if isinstance(value, list) else str(value) for key, value in about.items()}
 
     def quality(self) -> Quality:
         """What the data of the whole test are worth."""

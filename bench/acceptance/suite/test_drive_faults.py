@@ -176,7 +176,7 @@ class Burst(NamedTuple):
 
 
 @limit("implausible_edges", "", lo=4, hi=200, about="edges that skip a sector or lead to 000 or 111: the burst came")
-@limit("current_max", "A", lo=0.2, hi=13, about="largest phase current from the burst on")
+@limit("current_max", "A", lo=0.2, hi=6, about="largest phase current from the burst on")
 @limit("speed_after", "r/min", lo=497, hi=503, about="mean 0.2 s later")
 @needs("hall-faults")
 @energises(speed_rpm=500, current=8)
@@ -194,8 +194,8 @@ def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, me
     measure("speed_after", speed(burst.after).mean(), burst.after)
 
 
-@limit("error_max", "deg", lo=4, hi=160, about="largest position error during the burst and 0.1 s after it")
-@limit("speed_deviation", "r/min", lo=0.5, hi=250, about="largest from 500 r/min, in the same time")
+@limit("error_max", "deg", lo=4, hi=85, about="largest position error during the burst and 0.1 s after it")
+@limit("speed_deviation", "r/min", lo=0.5, hi=110, about="largest from 500 r/min, in the same time")
 @limit("error_std_after", "deg", lo=1, hi=4, about="position error 0.2 s later")
 @limit("error_max_after", "deg", lo=2, hi=8, about="largest position error 0.2 s later")
 @needs("encoder", "hall-faults")

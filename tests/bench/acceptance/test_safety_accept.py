@@ -360,3 +360,20 @@ def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees
     run.end()
     with alone_on(sim.target):
         pass
+
+
+STARVES = """
+def test_starves(drive, record):
+    turn(drive, record)
+    record.rig.client.link.device.advance(8000)  # half a second goes by while the test does something else
+    record.wait(0.1)
+"""
+
+
+def test_a_test_that_starves_the_watchdog_is_told_so(accepting: Accepting) -> None:
+    run = accepting(STARVES, SpoiltLink(simulated()))
+    assert run.tests == {"starves": "FAIL"}
+    assert re.fullmatch(
+        r"the drive tripped: WATCHDOG \(no ALIVE for 0\.5\d s: let a test compute after drive\.stop\(\), .*\)",
+        run["starves"].why,
+    )
