@@ -23,12 +23,13 @@ from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
 from sim.numba_cache import settled
-from sim.observers import bank
+from sim.observers import average_speed, bank
 from sim.params import BenchParams
 from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]
 
+SHOWN = 0.98  # of the largest speed that the Hall sensors show
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
 
@@ -249,7 +250,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
             dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),
             shaft_encoder,
-            protection.make_params(p.clock.pwm_hz, drive["n_p"], has_encoder, **asdict(p.firmware.protection)),
+            protection.make_params(p.clock.pwm_hz, drive["n_p"], has_encoder, **_protection(p, drive)),
             period,
             drive["n_p"],
             int(drive["observer"]),
@@ -259,6 +260,14 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         p.clock.substeps,
         period / p.clock.substeps,
     )
+
+
+def _protection(p: BenchParams, drive: Mapping[str, float]) -> dict[str, float]:
+    """The figures of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
+    figures: dict[str, float] = asdict(p.firmware.protection)
+    if not p.encoder.present:
+        figures["omega_m_trip"] = min(figures["omega_m_trip"], SHOWN * average_speed.FASTEST * drive["omega_m_max"])
+    return figures
 
 
 def _delta_deg(own: Sequence[float], load: Mapping[str, float]) -> tuple[float, ...]:

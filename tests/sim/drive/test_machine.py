@@ -192,6 +192,17 @@ def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
     assert bench.faults == Fault.OVERSPEED
 
 
+def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
+    bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.omega_m_max": 150.0})
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.SPEED, 200.0)
+    bench.advance(4000)
+    assert bench.faults == 0
+    bench.load_setpoint(SetpointMode.SPEED, 340.0)  # below omega_m_trip, but the Hall sensors show 225 rad/s at most
+    bench.advance(4000)
+    assert bench.faults == Fault.OVERSPEED
+
+
 def test_every_edge_of_the_fastest_shaft_finds_room():
     bench = bench_of(
         **{"motor.n_p": 64, "load.omega_m_max": 600.0, "load.alpha_m_max": 0.0, "clock.pwm_hz": 1000,
