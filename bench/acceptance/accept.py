@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,6 +30,7 @@ WORDS = {
     Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",
     Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
 }  # fmt: skip
+FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
 MOST_BAD = 8  # measurements of a test that are told one by one
 
 
@@ -94,10 +97,14 @@ class _Teller:
         """Show what there is, where only that was asked for."""
         items = [item for item in session.items if plugin.is_acceptance_test(item)]
         self._total = len(items)
-        if self._list_only:
-            for name, limits in plugin.session_of(session.config).declared(items):
-                self.screen.note(f"{name}: {limits}")
-                self.listed += 1
+        if self._list_only and items:
+            try:
+                for name, limits in plugin.session_of(session.config).declared(items):
+                    self.screen.note(f"{name}: {limits}")
+                    self.listed += 1
+                plugin.session_of(session.config).check_names()
+            except BenchError as error:
+                self.problems.append(str(error))
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Say which test runs."""
@@ -107,7 +114,7 @@ class _Teller:
         """Say how it ended."""
         result = carried_result(report)
         if result is None:
-            if report.failed:
+            if report.failed and not hasattr(report, plugin.RESULT):
                 self.screen.note(f"ERROR   {report.nodeid}: not an acceptance test, but it failed")
             return
         self._done += 1
@@ -150,7 +157,8 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     if options.jobs > 1 and find_spec("xdist") is None:
         raise BenchError("--jobs needs pytest-xdist: pip install pytest-xdist")
     teller = _Teller(screen, options.list_only)
-    code = pytest.main(_arguments(options), plugins=[teller])
+    with _no_foreign_settings():
+        code = pytest.main(_arguments(options), plugins=[teller])
     if teller.problems:
         raise BenchError("; ".join(teller.problems))
     if options.list_only and teller.listed:
@@ -168,6 +176,16 @@ def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, in
     return teller.run, teller.run.exit_code or (0 if code == pytest.ExitCode.OK else 2)
 
 
+@contextmanager
+def _no_foreign_settings() -> Iterator[None]:
+    """Without what the environment asks of the user's own pytest: some of it stops this one."""
+    taken = {name: os.environ.pop(name) for name in FOREIGN if name in os.environ}
+    try:
+        yield
+    finally:
+        os.environ.update(taken)
+
+
 def _arguments(options: AcceptOptions) -> list[str]:
     paths = [path.absolute() for path in options.tests or (SUITE,)]
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
@@ -176,7 +194,7 @@ def _arguments(options: AcceptOptions) -> list[str]:
     arguments = ["-p", "no:terminal", "-p", "no:cacheprovider", "-s", "-c", os.devnull, "--rootdir", root]
     arguments += map(str, paths)
     given: tuple[tuple[str, object], ...] = (
-        ("--target", options.target),
+        ("--bench-target", options.target),
         ("-k", options.keyword),
         ("--bench-report", options.report),
         ("--junitxml", options.junit),

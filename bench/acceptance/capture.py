@@ -124,7 +124,22 @@ class Capture:
 
     def flaws(self) -> tuple[str, ...]:
         """What makes it unfit for measuring, in words; empty if nothing does."""
-        return (*(words for _, _, words in self.dropped), *self._clock_jumps(), *self._saturation())
+        lost = [words for _, _, words in self.dropped]
+        return (*lost, *(self._clock_jumps() or self._edges_missing_at_the_end()), *self._saturation())
+
+    def _edges_missing_at_the_end(self) -> list[str]:
+        """Codes that changed after the last edge: no later edge had come to tell of a gap when it was captured.
+
+        A change may show one sample after its edge, which may lie just before the capture.
+        """
+        if "hall" not in self or len(self) < 2:
+            return []
+        tick = self.samples.tick
+        last = int(self.edges.tick[-1]) if len(self.edges) else int(tick[0])
+        changed = np.diff(self.samples.raw["hall"].astype(np.int64)) != 0
+        count = int(np.count_nonzero(changed & (2 * tick[:-1] - tick[1:] >= last)))
+        where = f"after {last / self.tick_hz:.4f} s"
+        return [f"Hall edges were lost: the code changed {count} times {where} without one"] if count else []
 
     def _clock_jumps(self) -> list[str]:
         index, tick = np.diff(self.samples.index), np.diff(self.samples.tick)

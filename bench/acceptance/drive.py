@@ -1,7 +1,8 @@
 """The drive as an acceptance test sees it: start, set points, parameters that are put back.
 
 It keeps to what the test announced (its `Envelope`), because that is what a person agreed to: set points are checked
-here, and the drive's own `i_max` is lowered for the test, so that no speed controller goes beyond it.
+here, and the drive's own `i_max` is lowered for the test, so that no speed controller goes beyond it. Nothing here
+looks at samples.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from bench.acceptance.ending import put_back, try_all
 from bench.acceptance.marks import Envelope
 from bench.acceptance.recorder import Recorder
 from bench.energise import RPM
@@ -43,11 +45,12 @@ class Drive:
         self.changed: dict[str, float] = {}
         """Those that the test has set, as it last set them."""
         self._before = dict(parameters)
-        self._touched: set[str] = set()
+        self._touched: dict[str, float] = {}  # in the order in which they were set, as they were before
         self._recorder = recorder
         self._envelope = envelope
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
+        self._told = Fault(0)  # faults that a DriveTripped was raised for
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
@@ -89,13 +92,13 @@ class Drive:
 
     def speed(self, omega_m: float) -> None:
         """Set the speed reference, mechanical rad/s (RPM times r/min)."""
-        self._within("speed", abs(omega_m) / RPM, self._envelope.speed_rpm, "r/min", "speed_rpm")
+        require_announced_speed("speed", omega_m, self._envelope)
         with self._trips_first():
             self.node.speed(omega_m)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Set current references, A, peak-valued."""
-        self._within("current", math.hypot(i_q, i_d), self._envelope.current, "A", "current")
+        _within("current", math.hypot(i_q, i_d), self._envelope.current, "A", "current")
         with self._trips_first():
             self.node.current(i_q, i_d)
 
@@ -108,7 +111,7 @@ class Drive:
         if self.parameters.get(name) == value:
             return
         if name == "i_max":
-            self._within(name, value, self._envelope.current, "A", "current")
+            _within(name, value, self._envelope.current, "A", "current")
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]
@@ -129,7 +132,7 @@ class Drive:
         if self._recorder.faults:
             self.node.clear_faults()
             self.node.next_heartbeat()
-            self._recorder.faults = self._expected = Fault(0)
+            self._recorder.faults = self._expected = self._told = Fault(0)
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
@@ -141,7 +144,13 @@ class Drive:
     def look(self) -> None:
         """Raise DriveTripped if the drive has tripped against expectation."""
         if self._recorder.faults & ~self._expected and not self._may_trip:
+            self._told |= self._recorder.faults
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
+
+    def look_at_the_end(self) -> None:
+        """Raise DriveTripped for a trip against expectation that none was raised for yet."""
+        if self._recorder.faults & ~self._told:
+            self.look()
 
     def _starved(self) -> str:
         """Why the watchdog may have run out, if it was starved from here."""
@@ -151,16 +160,16 @@ class Drive:
         return f" (no ALIVE for {longest:.2f} s: let a test compute after drive.stop(), not while the drive runs)"
 
     def restore(self, clear_faults: bool = True) -> None:
-        """Of a stopped drive: faults of this test cleared, every parameter as it was before."""
-        try:
-            if clear_faults and self._recorder.faults:
-                self.node.clear_faults()
-        finally:
-            for name in self._touched:
-                self.node.set(name, self._before[name])
+        """Of a stopped drive: faults of this test cleared, every parameter as it was before.
+
+        All of it is tried; the first error is raised at the end.
+        """
+        clear = [self.node.clear_faults] if clear_faults and self._recorder.faults else []
+        try_all([*clear, lambda: put_back(self.node, self._touched)])
 
     def _set(self, name: str, value: float) -> None:
-        self._touched |= {name} & self._before.keys()  # before it is: whatever happens, restore() puts it back
+        if name in self._before:
+            self._touched.setdefault(name, self._before[name])  # before it is: whatever happens, it is put back
         self.parameters[name] = self.node.set(name, value)
 
     @contextmanager
@@ -172,9 +181,15 @@ class Drive:
             self.look()
             raise
 
-    def _within(self, what: str, value: float, limit: float, unit: str, argument: str) -> None:
-        if not value <= limit * (1 + 1e-9):
-            raise BenchError(
-                f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
-                f"@energises({argument}=…)"
-            )
+
+def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:
+    """Raise BenchError if `omega_m`, mechanical rad/s, is beyond the speed that the test announced."""
+    _within(what, abs(omega_m) / RPM, envelope.speed_rpm, "r/min", "speed_rpm")
+
+
+def _within(what: str, value: float, limit: float, unit: str, argument: str) -> None:
+    if not value <= limit * (1 + 1e-9):
+        raise BenchError(
+            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
+            f"@energises({argument}=…)"
+        )

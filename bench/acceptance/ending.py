@@ -1,11 +1,13 @@
-"""What becomes of a drive that has not answered STOP: its own watchdog is what is left.
+"""How a test ends: every step is tried whatever another raises, parameters go back, a drive that is deaf is watched.
 
-Nothing here feeds the watchdog, or sends anything.
+A drive that has not answered STOP has its own watchdog left. Nothing here feeds a watchdog, or energises anything.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import partial
 
 from bench.node import Node
 from protocol.codes import fault_names
@@ -14,6 +16,31 @@ from protocol.messages import DriveState, Heartbeat
 
 WATCHDOG = 1.5  # s in which a drive that is no longer fed should have switched itself off
 ENERGISED = (DriveState.ARMED, DriveState.RUNNING)
+
+
+def try_all(steps: Iterable[Callable[[], object]]) -> None:
+    """Take every step, whatever one of them raises; raise the first of that at the end."""
+    first: Exception | None = None
+    for step in steps:
+        try:
+            step()
+        except Exception as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def put_back(node: Node, before: dict[str, float]) -> None:
+    """Set the parameters of `node` to the values `before`, in that order, and take out of it what was set.
+
+    One that is refused stays there and keeps no other from being set; the first error is raised at the end.
+    """
+
+    def set_one(name: str) -> None:
+        node.set(name, before[name])
+        del before[name]
+
+    try_all([partial(set_one, name) for name in before])
 
 
 def watch_it_stop(drive: Node, last: Heartbeat | None) -> str:

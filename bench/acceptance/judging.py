@@ -5,7 +5,7 @@ Tells a bad drive from a broken bench by what was raised. Nothing here keeps res
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -40,13 +40,27 @@ NOT_BEGUN = Phase(Verdict.SKIPPED)
 
 
 def judge(call: pytest.CallInfo[None], report: Any) -> Phase:
-    """The phase that has just ended with `call`, of which pytest made `report`."""
-    if report.skipped:
+    """The phase that has just ended with `call`, of which pytest made `report`.
+
+    A test that is marked as one that fails (xfail) is judged like any other: a drive is no better for the mark. If it
+    passes against a strict mark, that is an ERROR of the test.
+    """
+    error = None if call.excinfo is None else call.excinfo.value
+    marked = getattr(report, "wasxfail", None)
+    if marked is not None and call.when == "setup" and isinstance(error, pytest.xfail.Exception):
+        return Phase(Verdict.SKIPPED, f"expected to fail: {marked}")
+    if report.skipped and marked is None:
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
         return Phase(Verdict.SKIPPED, str(reason).removeprefix("Skipped: "))
-    if call.excinfo is None:
+    if error is None:
+        if report.failed:
+            return Phase(Verdict.ERROR, str(report.longrepr))
         return Phase(Verdict.PASS if call.when == "call" else Verdict.SKIPPED)
-    error = call.excinfo.value
+    phase = _raised(error, report.longreprtext)
+    return phase if marked is None else replace(phase, why=f"expected to fail ({marked}), and did: {phase.why}")
+
+
+def _raised(error: BaseException, traceback: str) -> Phase:
     words = str(error).strip() or type(error).__name__
     match error:
         case NotPassed():
@@ -56,5 +70,5 @@ def judge(call: pytest.CallInfo[None], report: Any) -> Phase:
         case BenchError() | HbpError():
             return Phase(Verdict.ERROR, words, expected=True)
         case AssertionError() | pytest.fail.Exception():
-            return Phase(Verdict.FAIL, words, report.longreprtext)
-    return Phase(Verdict.ERROR, f"{type(error).__name__}: {words}", report.longreprtext)
+            return Phase(Verdict.FAIL, words, traceback)
+    return Phase(Verdict.ERROR, f"{type(error).__name__}: {words}", traceback)

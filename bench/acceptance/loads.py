@@ -1,7 +1,8 @@
 """What turns or brakes the shaft: a second node, a class of the user's own, or a person who is asked.
 
 A load says what it can do in `abilities`: "torque" (N·m against the drive's positive direction) and "speed" (forced,
-mechanical rad/s). Nothing here decides when it acts; `off` always works and is always called at a test's end.
+mechanical rad/s, and no faster than the test announced). Nothing here decides when it acts; `off` always works and is
+always called at a test's end.
 
 A class of one's own needs no base class. One object is made of it at first use and kept for all tests; its `close`,
 if it has one, is called after the last:
@@ -22,13 +23,18 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
+from bench.acceptance.drive import require_announced_speed
+from bench.acceptance.ending import put_back, try_all
+from bench.acceptance.marks import Envelope
 from bench.client import Client
-from bench.errors import BenchError
+from bench.errors import BenchError, NodeError
 from bench.node import Node
 from protocol.errors import HbpError
-from protocol.messages import DriveState
+from protocol.links import open_link
+from protocol.messages import DriveState, Role
 
 TORQUE, SPEED = "torque", "speed"
+LOAD_SPEED = "load.speed"
 
 
 class Load(Protocol):
@@ -50,10 +56,12 @@ class NodeLoad:
 
     abilities = frozenset((TORQUE, SPEED))
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, envelope: Envelope) -> None:
         self.node = node
+        self._envelope = envelope
         self._on = False
-        self._changed: dict[str, float] = {}
+        self._told = False  # that it has tripped since it is on
+        self._changed: dict[str, float] = {}  # in the order in which they were set, as they were before
 
     @property
     def client(self) -> Client:
@@ -66,7 +74,8 @@ class NodeLoad:
         self.node.torque(tau)
 
     def speed(self, omega_m: float) -> None:
-        """Force the shaft to `omega_m`, mechanical rad/s."""
+        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what the test announced."""
+        require_announced_speed(LOAD_SPEED, omega_m, self._envelope)
         self._energise()
         self.node.speed(omega_m)
 
@@ -76,25 +85,53 @@ class NodeLoad:
         self.node.set(name, value)
 
     def off(self) -> None:
-        """STOP, and every parameter as it was before."""
-        try:
-            if self._on:
-                self.node.stop()
-                self._on = False
-        finally:
-            while self._changed:
-                name, value = self._changed.popitem()
-                self.node.set(name, value)
+        """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
+        try_all([self._stop, lambda: put_back(self.node, self._changed)])
+
+    def look(self) -> None:
+        """Raise BenchError if it has tripped while it was on."""
+        if self._on and self.node.state == DriveState.FAULT:
+            self._told = True
+            raise self._tripped()
+
+    def _stop(self) -> None:
+        if not self._on:
+            return
+        state = self.node.stop()
+        told, self._on, self._told = self._told, False, False
+        if state == DriveState.FAULT:
+            self.node.next_heartbeat()  # it names the fault
+            tripped = self._tripped()
+            self.node.clear_faults()
+            if not told:
+                raise tripped
+
+    def _tripped(self) -> BenchError:
+        where = f"node {self.node.number} on {self.client.link.name}"
+        return BenchError(f"the load machine, {where}, tripped: {self.node.fault_text()}")
 
     def _energise(self) -> None:
-        if self._on and self.node.state != DriveState.FAULT:
+        if self._on:
+            self.look()
             return
         self._on = True  # before it is: whatever happens, off() sends STOP
-        if self.node.state == DriveState.FAULT:
-            self.node.stop()
-            self.node.clear_faults()
-        self.node.arm()
+        try:
+            self.node.arm()
+        except NodeError:  # refused: a fault that was there before is not this test's to clear
+            self._on = False
+            raise
         self.node.start()
+
+
+def open_load_machine(target: str, stack: ExitStack) -> Node:
+    """The load machine on a link of its own, which `stack` closes. BenchError for what is none, HbpError if silent."""
+    link = open_link(target)
+    stack.callback(link.close)
+    client = Client(link)
+    hello = client.connect()
+    if hello.role != Role.LOAD:
+        raise BenchError(f"{target} answers as {hello.role.name}, not as a load machine")
+    return Node(client, hello.node)
 
 
 class PersonLoad:
@@ -122,6 +159,9 @@ class PersonLoad:
 class OwnLoad:
     """An object of the user's class, whose errors become one line."""
 
+    envelope = Envelope()
+    """What the present test announced."""
+
     def __init__(self, name: str, own: object) -> None:
         self._name = name
         self._own = own
@@ -140,7 +180,8 @@ class OwnLoad:
         self._call("torque", tau)
 
     def speed(self, omega_m: float) -> None:
-        """Force a speed, mechanical rad/s."""
+        """Force a speed, mechanical rad/s. BenchError beyond what the test announced."""
+        require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self._call("speed", omega_m)
 
     def off(self) -> None:
@@ -167,11 +208,12 @@ class OwnLoads:
     def __init__(self) -> None:
         self._made: dict[tuple[str, Path], OwnLoad] = {}
 
-    def get(self, text: str, directory: Path) -> OwnLoad:
-        """See `own_load`; made at first use."""
+    def get(self, text: str, directory: Path, envelope: Envelope) -> OwnLoad:
+        """See `own_load`; made at first use, and from now on for a test that announced `envelope`."""
         key = (text, directory.absolute())
         if key not in self._made:
             self._made[key] = own_load(text, directory)
+        self._made[key].envelope = envelope
         return self._made[key]
 
     def close(self) -> None:

@@ -30,19 +30,40 @@ SESSION: pytest.StashKey[BenchSession] = pytest.StashKey()
 RUNNING: pytest.StashKey[Running] = pytest.StashKey()
 RIG: pytest.StashKey[Rig] = pytest.StashKey()
 SCREEN: pytest.StashKey[Screen] = pytest.StashKey()  # of `bench accept`
-RESULT = "hallbench"  # attribute of a report that carries a test's result
-FIXTURE = "_rig"  # whoever asks for it, directly or not, is an acceptance test
+RESULT = "hallbench"  # attribute of an acceptance test's reports; the last one's carries its result
+SHORT = "--target"
+FIXTURE = "_hallbench_rig"  # whoever asks for it, directly or not, is an acceptance test
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The options of an acceptance run."""
     group = parser.getgroup("hallbench", "acceptance tests of a drive")
-    group.addoption("--target", metavar="TARGET", help="drive: serial:…, tcp:…, can:…, or sim (default)")
+    group.addoption(
+        "--bench-target",
+        metavar="TARGET",
+        help="drive: serial:…, tcp:…, can:…, or sim (default); --target for short, if nothing else has that option",
+    )
     group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
     group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
     group.addoption("--bench-yes", action="store_true", help="the shaft is clear: energise a physical drive")
     group.addoption("--bench-report", metavar="DIR", help="write report.html, figures and recordings there")
     group.addoption("--bench-json", metavar="FILE", help="write every result as JSON")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_load_initial_conftests(parser: pytest.Parser, args: list[str]) -> Generator[None]:
+    """Take `--target` too, if it is given and neither a plug-in nor a conftest has such an option."""
+    yield
+    if any(arg.partition("=")[0] == SHORT for arg in args) and _unknown(parser, SHORT):
+        group = parser.getgroup("hallbench")
+        group.addoption(SHORT, dest="bench_target", metavar="TARGET", help="short for --bench-target")
+
+
+def _unknown(parser: pytest.Parser, option: str) -> bool:
+    try:
+        return option in parser.parse_known_and_unknown_args([option])[1]
+    except pytest.UsageError:  # it wants a value: somebody's
+        return False
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -134,9 +155,15 @@ def bench_target(pytestconfig: pytest.Config) -> str:
 
 
 @pytest.fixture
-def _rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    session = session_of(request.config)
+def _hallbench_rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     item = request.node
+    if RUNNING not in item.stash:
+        pytest.fail(
+            f"{item.nodeid} gets a fixture of the bench by getfixturevalue: ask for it by argument, so that it is "
+            "known beforehand what will turn",
+            pytrace=False,
+        )
+    session = session_of(request.config)
     running = item.stash[RUNNING]
     with session.rig_for(item) as rig:
         item.stash[RIG] = rig
@@ -146,45 +173,45 @@ def _rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 
 @pytest.fixture
-def drive(_rig: Rig) -> Drive:
+def drive(_hallbench_rig: Rig) -> Drive:
     """The drive, idle; it is idle again after the test, with the parameters that it had before."""
-    return _rig.drive
+    return _hallbench_rig.drive
 
 
 @pytest.fixture
-def load(_rig: Rig) -> Load:
+def load(_hallbench_rig: Rig) -> Load:
     """What brakes or turns the shaft; the test is skipped where there is nothing."""
-    if _rig.load is None:
+    if _hallbench_rig.load is None:
         pytest.skip("needs a load")
-    return _rig.load
+    return _hallbench_rig.load
 
 
 @pytest.fixture
-def record(_rig: Rig) -> Record:
+def record(_hallbench_rig: Rig) -> Record:
     """`record(seconds)` gives the next stretch of samples as a `Capture`."""
     from bench.acceptance.fixtures import Record
 
-    return Record(_rig)
+    return Record(_hallbench_rig)
 
 
 @pytest.fixture
-def measure(_rig: Rig, request: pytest.FixtureRequest) -> Any:
+def measure(_hallbench_rig: Rig, request: pytest.FixtureRequest) -> Any:
     """`measure(name, value, capture…)` compares a value with the limit that the test declared."""
     return request.node.stash[RUNNING].measure
 
 
 @pytest.fixture
-def figure(_rig: Rig, request: pytest.FixtureRequest) -> Any:
+def figure(_hallbench_rig: Rig, request: pytest.FixtureRequest) -> Any:
     """`figure(name, caption, draw)` puts the picture that `draw()` makes into the report."""
     return request.node.stash[RUNNING].figure
 
 
 @pytest.fixture
-def hall_faults(_rig: Rig) -> HallFaults:
+def hall_faults(_hallbench_rig: Rig) -> HallFaults:
     """Breaks, exchanges and disturbs the Hall wires, where the rig or a person can."""
     from bench.acceptance.faults import HallFaults
 
-    return HallFaults(_rig)
+    return HallFaults(_hallbench_rig)
 
 
 # -- one test -------------------------------------------------------------------------------------------------------
@@ -233,10 +260,12 @@ def names_of(node_ids: Iterable[str]) -> dict[str, str]:
     """Name of each test by node id: without `test_`, and with its file where two have the same."""
     short = {node_id: _function(node_id).removeprefix("test_") for node_id in node_ids}
     often = Counter(short.values())
-    return {
-        node_id: name if often[name] == 1 else f"{_file(node_id).removeprefix('test_')}.{name}"
-        for node_id, name in short.items()
-    }
+    return {node_id: name if often[name] == 1 else long_name(node_id) for node_id, name in short.items()}
+
+
+def long_name(node_id: str) -> str:
+    """With its file, whatever else is run."""
+    return f"{_file(node_id).removeprefix('test_')}.{_function(node_id).removeprefix('test_')}"
 
 
 def _function(node_id: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from numbers import Real
 from typing import Any
 
 from bench.verdict import Verdict, worst
@@ -34,9 +35,13 @@ class Limits:
     """The limits come from bench.toml, not from the test."""
 
     def __post_init__(self) -> None:
-        for limit in (self.lo, self.hi):
-            if limit is not None and (isinstance(limit, bool) or not math.isfinite(limit)):
+        for side in ("lo", "hi"):
+            limit: object = getattr(self, side)
+            if limit is None:
+                continue
+            if isinstance(limit, bool) or not isinstance(limit, Real) or not math.isfinite(limit):
                 raise ValueError(f"{self.name}: a limit must be a finite number, got {limit!r}")
+            object.__setattr__(self, side, float(limit))  # JSON takes no number of numpy's
         if self.lo is not None and self.hi is not None and self.lo > self.hi:
             raise ValueError(f"{self.name}: the lower limit {self.lo:g} is above the upper one, {self.hi:g}")
 

@@ -17,7 +17,7 @@ from bench import __version__
 from bench.acceptance.capture import Capture
 from bench.acceptance.drive import Drive, DriveTripped
 from bench.acceptance.ending import ENERGISED, watch_it_stop
-from bench.acceptance.loads import Load, NodeLoad, OwnLoads, PersonLoad
+from bench.acceptance.loads import Load, NodeLoad, OwnLoads, PersonLoad, open_load_machine
 from bench.acceptance.marks import Envelope
 from bench.acceptance.person import Ask
 from bench.acceptance.recorder import Recorder
@@ -32,7 +32,7 @@ from bench.summary import describe
 from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
 from protocol.errors import NoReply
-from protocol.links import Link, open_link
+from protocol.links import Link
 from protocol.messages import DriveState, Role
 from protocol.signals import Flag, Unit
 
@@ -113,7 +113,8 @@ class Rig:
     def close(self) -> None:
         """Everything off and put back. Raises the first thing that could not be done, when all was tried.
 
-        A signal that came meanwhile takes effect afterwards; that first thing is then its cause.
+        It is DriveTripped, which tells both, where the drive had tripped and nothing had said so yet. A signal that
+        came meanwhile takes effect afterwards; that first thing is then its cause.
         """
         failure: BenchError | None = None
         try:
@@ -137,6 +138,7 @@ class Rig:
             return True
 
         stopped = attempt(self.drive.stop)
+        trip = self._late_trip() if stopped else None
         last = self.client.heartbeats.get(self.drive.node.number)
         for step in self.at_end:
             attempt(step)
@@ -145,10 +147,19 @@ class Rig:
         attempt(self.drive.node.stop_streams)
         attempt(self._stack.close)
         if not failures:
-            return None
-        failure = BenchError(f"the bench could not be left as it was: {failures[0]}{seen}")
+            return trip
+        words = f"the bench could not be left as it was: {failures[0]}{seen}"
+        failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure
+
+    def _late_trip(self) -> DriveTripped | None:
+        """A trip that was seen only when STOP was answered."""
+        try:
+            self.drive.look_at_the_end()
+        except DriveTripped as trip:
+            return trip
+        return None
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -227,6 +238,8 @@ class Rig:
         if self.client.health.reboots:
             raise DriveTripped("the drive has rebooted")
         self.drive.look()
+        if isinstance(self.load, NodeLoad):
+            self.load.look()
 
     # -- what it has --------------------------------------------------------------------------------------------
 
@@ -327,19 +340,15 @@ class Rig:
             return None
         if kind == "node":
             node = Node(self.client, LOAD)
-            return NodeLoad(node) if self._answers(node) else None
+            return NodeLoad(node, self.plan.envelope) if self._answers(node) else None
         if kind == "person":
             return PersonLoad(self.ask) if self.plan.ask is not None else None
         if ".py:" in kind:
-            return self.plan.own_loads.get(kind, settings.path.parent if settings.path else Path())
-        link = open_link(kind)
-        stack.callback(link.close)
-        client = Client(link)
-        hello = client.connect()
-        if hello.role != Role.LOAD:
-            raise BenchError(f"{kind} answers as {hello.role.name}, not as a load machine")
-        self._clients.append(client)
-        return NodeLoad(Node(client, hello.node))
+            directory = settings.path.parent if settings.path else Path()
+            return self.plan.own_loads.get(kind, directory, self.plan.envelope)
+        node = open_load_machine(kind, stack)
+        self._clients.append(node.client)
+        return NodeLoad(node, self.plan.envelope)
 
     def _answers(self, node: Node) -> bool:
         hello = self.client.hello

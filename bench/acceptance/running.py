@@ -5,7 +5,9 @@ Nothing here knows pytest or a link.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,8 +37,11 @@ class Running:
     figures: Path | None = None
     measurements: list[Measurement] = field(default_factory=list)
     pictures: list[Figure] = field(default_factory=list)
+    recording: Path | None = None
+    """The .rrd of this run, once the test has come to the rig; None before that and when no report is wanted."""
     mark: Callable[[Measurement], None] = lambda measurement: None
     """Called with each measurement as it is made."""
+    _drawn: set[str] = field(default_factory=set)
 
     def measure(self, name: str, value: float, *captures: Capture) -> bool:
         """Compare `value`, in the unit of the declared limit `name`, with that limit; True if it is within.
@@ -68,15 +73,22 @@ class Running:
         return verdict is Verdict.PASS
 
     def figure(self, name: str, caption: str, draw: Callable[[], Picture]) -> None:
-        """Keep the picture that `draw` makes; it is not called when no report is wanted."""
+        """Keep the picture that `draw` makes; it is not called when no report is wanted.
+
+        The test has a directory of its own for them. BenchError for a name that it has used before.
+        """
+        file = f"{file_name(name)}.png"
+        if file in self._drawn:
+            raise BenchError(f"{self.name} draws '{name}' twice: rename one of them")
+        self._drawn.add(file)
         if self.figures is None:
             return
         from bench.acceptance.style import save
 
-        path = self.figures / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(draw(), path)
-        self.pictures.append(Figure(f"{self.figures.name}/{path.name}", caption))
+        folder = self.figures / file_name(self.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        save(draw(), folder / file)
+        self.pictures.append(Figure(f"{self.figures.name}/{folder.name}/{file}", caption))
 
     def end(self) -> None:
         """Raise NotPassed, with a line for each thing, unless all that was declared was measured and passed."""
@@ -103,3 +115,19 @@ def value_text(measurement: Measurement) -> str:
     )
     why = f" ({measurement.why})" if measurement.why else ""
     return f"{value} [{measurement.limits}] {measurement.verdict}{why}"
+
+
+def file_name(name: str) -> str:
+    """`name` without what a file system or a shell could mistake."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name)
+
+
+def require_apart(names: Collection[str]) -> None:
+    """BenchError if two tests have the same name, or names that make the same file name."""
+    for name, often in Counter(names).items():
+        if often > 1:
+            raise BenchError(f"{often} tests are called '{name}', and limits go by name: rename all but one")
+    files: dict[str, str] = {}
+    for name in names:
+        if (other := files.setdefault(file_name(name), name)) != name:
+            raise BenchError(f"'{other}' and '{name}' would write to the same files: rename one of them")

@@ -9,8 +9,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import re
-from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
@@ -39,9 +37,9 @@ from bench.acceptance.results import (
     worst,
 )
 from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.running import Running, value_text
+from bench.acceptance.running import Running, file_name, require_apart, value_text
 from bench.acceptance.settings import Settings, read_settings
-from bench.acceptance.targets import SIM, alone_on, open_target, require_agreement, target_of
+from bench.acceptance.targets import SIM, alone_on, load_target, open_target, require_agreement, target_of
 from bench.errors import BenchError
 from bench.interrupts import signals_as_exceptions
 from protocol.errors import HbpError
@@ -59,7 +57,7 @@ class BenchSession:
             self.settings = self._settings()
         except BenchError as error:
             raise pytest.UsageError(str(error)) from None
-        self.target = target_of(config.option.target, self.settings)
+        self.target = target_of(config.option.bench_target, self.settings)
         self.results: dict[str, TestResult] = {}
         """By node id."""
         self.about: dict[str, Any] = {}
@@ -114,12 +112,7 @@ class BenchSession:
         """Names, limits, figures, places, lock and consent; ends the session with one line if anything is amiss."""
         self._items = items
         try:
-            for name, often in Counter(self._names.values()).items():
-                if often > 1:
-                    raise BenchError(f"{often} tests are called '{name}', and limits go by name: rename all but one")
-            list(self.declared(self._known))  # limits that leave no room
-            measured = {self._names[item.nodeid]: [d.name for d in declared_limits(item)] for item in self._known}
-            self._elsewhere = self.settings.check_names(measured)
+            self.check_names()
             self._require_places()
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
             if self.target == SIM:
@@ -129,7 +122,7 @@ class BenchSession:
                     raise BenchError(f"--config is for the simulated drive, not for {self.target}")
                 if not self._collects:
                     raise BenchError(f"{self.target} cannot be tested by several processes at once: leave out -n")
-                self._held.enter_context(alone_on(self.target))
+                self._held.enter_context(alone_on(self.target, load_target(self.settings)))
                 envelope = announced(items[0])
                 for item in items[1:]:
                     envelope = envelope.join(announced(item))
@@ -139,6 +132,17 @@ class BenchSession:
             self._held.close()
             if self._collects:
                 pytest.exit(self.error, returncode=2)  # a worker says it of each of its tests
+
+    def check_names(self) -> None:
+        """Names that tell tests apart, and limits in bench.toml that fit them. BenchError if anything is amiss."""
+        require_apart(self._names.values())
+        list(self.declared(self._known))  # limits that leave no room
+        measured = {
+            name: [declared.name for declared in declared_limits(item)]
+            for item in self._known
+            for name in (self._names[item.nodeid], plugin.long_name(item.nodeid))
+        }
+        self._elsewhere = self.settings.check_names(measured)
 
     def _require_places(self) -> None:
         file = self.config.option.bench_json
@@ -195,16 +199,15 @@ class BenchSession:
         """Full name and limits, as they hold on this bench, of all that these tests measure."""
         for item in items:
             for limits in declared_limits(item):
-                full = f"{self._names[item.nodeid]}.{limits.name}"
-                yield full, self.settings.apply(full, limits)
+                full, long = (f"{n}.{limits.name}" for n in (self._names[item.nodeid], plugin.long_name(item.nodeid)))
+                yield full, self.settings.apply({full, long}, limits)
 
     # -- one test -----------------------------------------------------------------------------------------------
 
     def running(self, item: pytest.Item) -> Running:
         """A test that is about to start. Its limits are the declared ones, or those of bench.toml."""
-        name = self._names[item.nodeid]
-        declared = [self.settings.apply(f"{name}.{d.name}", d) for d in declared_limits(item)]
-        return Running(name, declared, self.directory / "figures" if self.directory else None)
+        declared = [limits for _, limits in self.declared([item])]
+        return Running(self._names[item.nodeid], declared, self.directory / "figures" if self.directory else None)
 
     @contextmanager
     def rig_for(self, item: pytest.Item) -> Iterator[Rig]:
@@ -223,8 +226,11 @@ class BenchSession:
             title=name,
             own_loads=self._own_loads,
         )
+        running = item.stash[plugin.RUNNING]
         if plan.recording is not None:
+            running.recording = plan.recording
             plan.recording.parent.mkdir(parents=True, exist_ok=True)
+            plan.recording.unlink(missing_ok=True)  # an earlier run's
         with Rig(plan) as rig:
             if not self.about:
                 self.about = {
@@ -233,14 +239,14 @@ class BenchSession:
                     "rig": rig.describe() | self._limits_elsewhere(),
                 }
             yield rig
-            rig.summary(_words(item.stash[plugin.RUNNING], rig.drive.changed))
+            rig.summary(_words(running, rig.drive.changed))
 
     def _limits_elsewhere(self) -> dict[str, str]:
         names = self._elsewhere
         return {LIMITS_ELSEWHERE: f"{len(names)}: {', '.join(names)}"} if names else {}
 
     def _recording(self, name: str) -> Path | None:
-        return self.directory / "recordings" / f"{_file_name(name)}.rrd" if self.directory else None
+        return self.directory / "recordings" / f"{file_name(name)}.rrd" if self.directory else None
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""
@@ -256,6 +262,7 @@ class BenchSession:
         phase = self._phases.pop(item.nodeid, NOT_BEGUN).then(phase, call.duration)
         if call.when != "teardown":
             self._phases[item.nodeid] = phase
+            setattr(report, plugin.RESULT, None)  # it is one of ours, and its result comes later
             return
         result = self._result(item, phase)
         _attach(report, result, self.about)
@@ -270,21 +277,22 @@ class BenchSession:
             running.give_up(phase.verdict, phase.why)
         doc = (getattr(item, "obj", None).__doc__ or "").strip()
         title, _, about = doc.partition("\n")
-        recording = self._recording(running.name)
-        kept = recording is not None and recording.exists()
-        if recording is not None and kept and phase.verdict is Verdict.SKIPPED:
-            recording.unlink()
-            kept = False
+        verdict = worst((phase.verdict, *(m.verdict for m in running.measurements)))
+        if phase.verdict is Verdict.SKIPPED and verdict is Verdict.PASS:  # what it did not come to was not judged
+            verdict = Verdict.SKIPPED
+        recording = running.recording
+        if recording is not None and verdict is Verdict.SKIPPED:
+            recording.unlink(missing_ok=True)
         return TestResult(
             name=running.name,
             title=title.strip(),
             about="\n".join(line.strip() for line in about.strip().splitlines()),
             node_id=item.nodeid,
-            verdict=worst((phase.verdict, *(m.verdict for m in running.measurements))),
+            verdict=verdict,
             why=phase.why,
             measurements=tuple(running.measurements),
             figures=tuple(running.pictures),
-            recording=f"recordings/{recording.name}" if kept and recording is not None else "",
+            recording=f"recordings/{recording.name}" if recording is not None and recording.exists() else "",
             quality=rig.quality() if rig is not None else Quality(),
             parameters=dict(rig.drive.changed) if rig is not None else {},
             wall_seconds=phase.seconds,
@@ -382,10 +390,6 @@ def _words(running: Running, changed: dict[str, float]) -> str:
     lines += [f"- {m.name} = {value_text(m)}" for m in running.measurements if m.value is not None]
     lines += [f"- set {name} = {value:g}" for name, value in changed.items()]
     return "\n".join(lines)
-
-
-def _file_name(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name)
 
 
 def _write(path: Path, text: str) -> None:

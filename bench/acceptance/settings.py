@@ -4,11 +4,11 @@
     config = "my-motor.toml"           # figures of the simulated drive, where target is "sim"
 
     [rig]
-    load = "node"                      # "node" (number 2 on the link), "none", "person", a target, or "file:Class"
+    load = "node"                      # "node" (number 2 on the link), "none", "person", a target, "FILE.py:Class"
     person = true                      # somebody is there to turn knobs and pull wires when asked
 
     [limits]
-    "fig11_load_step.error_max" = { hi = 8.0 }
+    "fig08_steady_50_rpm.error_std_proposed" = { hi = 6.0 }     # as `bench accept --list` names it
 
 Reads and checks the file; it opens no link.
 """
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -32,6 +33,7 @@ FILE = "bench.toml"
 _TOP = {"target": str, "config": str, "rig": dict, "limits": dict}
 _RIG = {"load": str, "person": bool}
 LOADS = ("node", "none", "person")
+MUCH_ALIKE = 0.85  # from this ratio on (difflib) a name is taken for another that is misspelt
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,17 @@ class Settings:
     person: bool = False
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
-    def apply(self, name: str, limits: Limits) -> Limits:
-        """`limits` of the measurement `name`, with what the file says in their place."""
-        if not (own := self.limits.get(name)):
+    def apply(self, names: Collection[str], limits: Limits) -> Limits:
+        """`limits` of a measurement that goes by `names`, with what the file says in their place.
+
+        BenchError if the file names it twice, or leaves no room between the limits.
+        """
+        given = sorted(name for name in names if name in self.limits)
+        if len(given) > 1:
+            raise BenchError(f"[limits] of {self.path} names one measurement twice: {' and '.join(given)}")
+        if not given:
             return limits
+        own = self.limits[given[0]]
         try:
             return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), overridden=True)
         except ValueError as error:
@@ -57,13 +66,17 @@ class Settings:
     def check_names(self, tests: Mapping[str, Collection[str]]) -> list[str]:
         """Names of limits for other tests than these, which map to what they measure: `bench.toml` serves several runs.
 
-        BenchError for a limit that one of these tests does not measure, and for what is no TEST.MEASUREMENT.
+        BenchError for a limit that one of these tests does not measure, for what is no TEST.MEASUREMENT, and for a name
+        that is much like one of theirs. Names with other numbers in them are not alike: they are other working points.
         """
         known = [f"{test}.{measured}" for test, all_measured in tests.items() for measured in all_measured]
         elsewhere = []
         for name in sorted(self.limits.keys() - known):
-            if "." not in name or any(name.startswith(f"{test}.") for test in tests):
-                near = difflib.get_close_matches(name, known, 1)
+            ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
+            near = difflib.get_close_matches(name, known, 3, 0.6 if ours else MUCH_ALIKE)
+            if not ours:
+                near = [other for other in near if _numbers(other) == _numbers(name)]
+            if ours or near:
                 hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all"
                 raise BenchError(f"[limits] of {self.path} names '{name}', which no test measures: {hint}")
             elsewhere.append(name)
@@ -99,6 +112,10 @@ def read_settings(path: Path | None) -> Settings:
         person=rig.get("person", False),
         limits={name: _limits(name, value, file) for name, value in data.get("limits", {}).items()},
     )
+
+
+def _numbers(name: str) -> list[str]:
+    return re.findall(r"\d+", name)
 
 
 def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, file: Path) -> None:

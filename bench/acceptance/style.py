@@ -1,8 +1,9 @@
 """The look of figures, in one place: size, colours by quantity, axes of time and angle, shading, legend, file.
 
-Figures are as wide as a page of two columns (7.16 in), so they may be printed as they are. They have no titles: what
-they show stands in the caption, and the room above the axes is the legend's. Nothing here measures, keeps state or
-touches matplotlib's global settings; figures are made of the object API and drawn by Agg, from any thread.
+Figures are as wide as a page of two columns (7.16 in), so they may be printed as they are. They have no titles but
+those of columns: what they show stands in the caption, and the room above the axes is the legend's. Nothing here
+measures, keeps state or touches matplotlib's global settings; figures are made of the object API and drawn by Agg,
+from any thread.
 """
 
 from __future__ import annotations
@@ -27,11 +28,9 @@ WIDTH, ROW_HEIGHT = 7.16, 1.9  # in
 DPI = 200
 FONT_SIZE = 8.5  # pt
 LINE_WIDTH = 1.1  # pt
-LETTER, HANDLE, MARGIN = (
-    0.062,
-    0.55,
-    0.75,
-)  # in: a letter of a legend, what stands before its text, room for the ordinate
+# in: a letter of a legend, what stands before its text and after it, room for the ordinate
+LETTER, HANDLE, MARGIN = 0.062, 0.5, 0.75
+LEGEND_LINE = 20  # pt: height of a legend of one line, with the space above it
 CHUNK = 10_000  # points that Agg draws at a time; a noisy line of more can be too much for it
 
 BLACK, GREY, LIGHT = "#1a1a1a", "#7f7f7f", "#d9d9d9"
@@ -137,11 +136,12 @@ def shade(axes: Sequence[Axes], first: float, last: float, verdict: Verdict | No
         ax.axvspan(first, last, color=SHADES.get(verdict, GREY) if verdict else GREY, alpha=0.13, linewidth=0, zorder=0)
 
 
-def limit_lines(ax: Axes, lo: float | None, hi: float | None) -> None:
-    """Draw limits of the ordinate; None is no limit."""
+def limit_lines(ax: Axes, lo: float | None, hi: float | None, name: str = "") -> None:
+    """Draw limits of the ordinate, in grey; None is no limit. In the legend they are `name`, once."""
     for limit in (lo, hi):
         if limit is not None:
-            ax.axhline(limit, color=VERMILION, linewidth=0.9, linestyle=(0, (6, 3)))
+            ax.axhline(limit, color=GREY, linewidth=0.9, linestyle=(0, (6, 3)), label=name)
+            name = ""
 
 
 def legend_above(ax: Axes) -> None:
@@ -151,19 +151,30 @@ def legend_above(ax: Axes) -> None:
         return
     grid = ax.get_gridspec()
     room = WIDTH / (grid.ncols if grid is not None else 1) - MARGIN
-    beside = int(room / (LETTER * max(map(len, labels)) + HANDLE))
+    widths = [LETTER * len(text) + HANDLE for text in labels]
+    columns = next((n for n in range(len(labels), 1, -1) if _wide(widths, n) <= room), 1)
     ax.legend(
         handles,
         labels,
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.2,
-        ncols=max(1, min(len(labels), beside)),
+        ncols=columns,
         frameon=False,
         fontsize=FONT_SIZE,
         handlelength=1.8,
         columnspacing=1.4,
     )
+
+
+def _wide(widths: Sequence[float], columns: int) -> float:
+    """Width of a legend whose entries are filled into so many columns, one column after the other."""
+    return sum(float(column.max()) for column in np.array_split(np.asarray(widths), columns))
+
+
+def column_title(ax: Axes, words: str) -> None:
+    """Name the column whose uppermost axes these are, above their legend, which must be there already."""
+    ax.set_title(words, fontsize=FONT_SIZE, loc="left", pad=LEGEND_LINE if ax.get_legend() else None)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -1,7 +1,8 @@
 """Which drive the tests run against, who agrees to that, and nobody else meanwhile.
 
 `sim` is the simulated drive in virtual time, in this process but behind a link like every other; a new one for every
-test. Everything else is a target string of a link. Nothing here energises anything.
+test. Everything else is a target string of a link. A load machine on a link of its own is asked for and held like the
+drive. Nothing here energises anything.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from zlib import crc32
 
+from bench.acceptance.loads import open_load_machine
 from bench.acceptance.marks import Envelope
-from bench.acceptance.settings import Settings
+from bench.acceptance.settings import LOADS, Settings
 from bench.client import Client
 from bench.energise import RPM, Plan, require_consent
 from bench.errors import BenchError
@@ -35,10 +37,13 @@ def target_of(given: str | None, settings: Settings) -> str:
 def open_target(target: str, settings: Settings, test: str) -> Link:
     """A link to `target`; for `sim` to a drive whose noise is that of the test's name.
 
-    Raises LinkError, and BenchError for figures that the simulated drive cannot have.
+    Raises LinkError, and BenchError for figures that the simulated drive cannot have, or a load machine that is not on
+    its shaft.
     """
     if target != SIM:
         return open_link(target)
+    if machine := load_target(settings):
+        raise BenchError(f"load '{machine}' is not on the simulated drive's shaft: set load = \"node\", or a target")
     from sim.drive.virtual import open_virtual
     from sim.ranges import ConfigError
 
@@ -48,32 +53,54 @@ def open_target(target: str, settings: Settings, test: str) -> Link:
         raise BenchError(str(error)) from None
 
 
+def load_target(settings: Settings) -> str:
+    """Target of a load machine on a link of its own; empty where the load is another one."""
+    return "" if settings.load in LOADS or ".py:" in settings.load else settings.load
+
+
 def require_agreement(
     target: str, settings: Settings, envelope: Envelope, yes: bool, confirm: Callable[[str], bool] | None
 ) -> None:
-    """Raise UnsafeError unless the drive is simulated or somebody agrees to the most that the tests ask of it.
+    """Raise UnsafeError unless what turns is simulated or somebody agrees to the most that the tests ask of it.
 
-    `confirm` asks a person, None where there is nobody. BenchError and HbpError where no drive answers.
+    A load machine on a link of its own is a question of its own. `confirm` asks a person, None where there is nobody.
+    BenchError and HbpError where no such machine answers.
     """
     if target == SIM:
         return
-    link = open_target(target, settings, "")
-    try:
+    with ExitStack() as stack:
+        link = open_target(target, settings, "")
+        stack.callback(link.close)
         client = Client(link)
         drive = Node(client, client.connect().node)
-        fastest = drive.parameter("omega_m_max").value if drive.has_parameter("omega_m_max") else math.inf
-        plan = Plan(min(envelope.speed_rpm, fastest / RPM), current_a=envelope.current)
+        plan = Plan(_fastest(drive, envelope), current_a=envelope.current)
         require_consent(drive, target, plan, yes, confirm)
-    finally:
-        link.close()
+        if machine := load_target(settings):
+            load = open_load_machine(machine, stack)
+            require_consent(load, f"{machine}, the load machine", Plan(_fastest(load, envelope)), yes, confirm)
+
+
+def _fastest(node: Node, envelope: Envelope) -> float:
+    """Mechanical r/min that the tests announce, or what the machine lets them if that is less."""
+    most = node.parameter("omega_m_max").value if node.has_parameter("omega_m_max") else math.inf
+    return min(envelope.speed_rpm, most / RPM)
 
 
 @contextmanager
-def alone_on(target: str) -> Iterator[None]:
-    """Hold the lock on a target, at most as long as this process lives. BenchError if another process holds it."""
-    if target == SIM:
+def alone_on(*targets: str) -> Iterator[None]:
+    """Hold the locks on targets, at most as long as this process lives; `sim` and none need none.
+
+    BenchError if another process holds one.
+    """
+    with ExitStack() as stack:
+        for target in targets:
+            if target not in (SIM, ""):
+                stack.enter_context(_held(target))
         yield
-        return
+
+
+@contextmanager
+def _held(target: str) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"

@@ -62,14 +62,18 @@ def _speed(ax: Axes, t: F64, capture: Capture) -> None:
 
 def _error(ax: Axes, t: F64, capture: Capture) -> None:
     error = np.degrees(capture.position_error("theta_vt"))
-    line(ax, t, error, "theta_vt", linewidth=0.7)
-    degrees_axis(ax, "error", max(10.0, 1.1 * float(np.abs(error).max())))
+    line(ax, t, error, "theta_vt", label="", linewidth=0.7)
+    degrees_axis(ax, "position error", max(10.0, 1.1 * float(np.abs(error).max())))
 
 
 def _dq(ax: Axes, t: F64, capture: Capture) -> None:
-    for name, words in (("i_q_ref", "i_q reference"), ("i_d", "i_d"), ("i_q", "i_q")):
+    for name, words, look in (
+        ("i_d", "i_d", {"linewidth": 0.7}),
+        ("i_q", "i_q", {"linewidth": 1.6}),
+        ("i_q_ref", "i_q reference", {"linewidth": 0.5, "linestyle": "-", "color": BLACK}),
+    ):
         if name in capture:
-            line(ax, t, capture[name], name, label=words, linewidth=0.7)
+            line(ax, t, capture[name], name, label=words, **look)
     axis_labels(ax, "", "current", unit_y="A")
 
 
@@ -78,7 +82,7 @@ def _phases(ax: Axes, t: F64, capture: Capture) -> None:
         if name in capture:
             line(ax, t, capture[name], name, linewidth=0.7)
     if "i_max" in capture.parameters:
-        limit_lines(ax, -capture.parameters["i_max"], capture.parameters["i_max"])
+        limit_lines(ax, -capture.parameters["i_max"], capture.parameters["i_max"], "i_max")
     axis_labels(ax, "", "current", unit_y="A")
 
 

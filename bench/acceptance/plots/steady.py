@@ -9,7 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bench.acceptance.capture import Capture
-from bench.acceptance.style import FONT_SIZE, axis_labels, degrees_axis, legend_above, line, new_figure, wrapped_degrees
+from bench.acceptance.style import (
+    axis_labels,
+    column_title,
+    degrees_axis,
+    legend_above,
+    line,
+    new_figure,
+    wrapped_degrees,
+)
 
 
 def draw_steady(average: Capture, proposed: Capture, seconds: float) -> Figure:
@@ -27,7 +35,7 @@ def draw_steady(average: Capture, proposed: Capture, seconds: float) -> Figure:
         part = capture.between(start, start + seconds)
         t = part.t - start
         current, position, error = (row[column] for row in rows)
-        current.set_title(words, fontsize=FONT_SIZE, loc="left")
+        column_title(current, words)
         line(current, t, part["i_a"], "i_a")
         line(position, t, wrapped_degrees(part[part.reference]), part.reference, label="actual")
         line(position, t, wrapped_degrees(part[estimate]), estimate, label="estimated")

@@ -59,7 +59,7 @@ def draw_transient(average: Transient, proposed: Transient, first: float, last: 
     `first`, `last`: what is shown, in s from the start. `degrees`: range of the position error, plus and minus.
     """
     figure, axes = style.new_figure(3, 2, height=5.2)
-    for column, transient in enumerate((average, proposed)):
+    for column, (transient, words) in enumerate(((average, "(a) average speed"), (proposed, "(b) proposed"))):
         part = transient.between(first, last)
         t = part.t()
         speed, error, current = axes[column::2]
@@ -69,12 +69,12 @@ def draw_transient(average: Transient, proposed: Transient, first: float, last: 
         for channel in ("i_q", "i_d"):
             style.line(current, t, part.capture[channel], channel)
         style.legend_above(speed)
+        style.column_title(speed, words)
         style.legend_above(current)
         style.time_axes((speed, error, current), first, last)
         style.degrees_axis(error, "position error", degrees)
         speed.set_ylabel("speed [r/min]", fontsize=style.FONT_SIZE)
         current.set_ylabel("current [A]", fontsize=style.FONT_SIZE)
-        _letter(current, column)
     for row in range(3):
         _same_range(axes[2 * row : 2 * row + 2])
     return figure
@@ -84,7 +84,7 @@ def draw_load_angle(cases: Sequence[LoadAngle], first: float = -0.1, last: float
     """Position error of each case, and currents, (a) without and (b) with compensation, as in Fig. 12."""
     rows = len(cases) + 1
     figure, axes = style.new_figure(rows, 2, height=5.2)
-    for column in range(2):
+    for column, words in enumerate(("(a) without compensation", "(b) with compensation")):
         stack = axes[column::2]
         for case, ax in zip(cases, stack, strict=False):
             whole = case.compensated if column else case.without
@@ -93,6 +93,7 @@ def draw_load_angle(cases: Sequence[LoadAngle], first: float = -0.1, last: float
             style.line(ax, whole.t(), _mean(whole), part.theta, color=style.BLACK, linewidth=1.6, label="its mean")
             style.degrees_axis(ax, "position error", 6.5)
             style.legend_above(ax)
+        style.column_title(stack[0], words)
         current = stack[-1]
         for channel in ("i_q", "i_d"):
             style.line(current, part.t(), part.capture[channel], channel)
@@ -100,7 +101,6 @@ def draw_load_angle(cases: Sequence[LoadAngle], first: float = -0.1, last: float
         style.legend_above(current)
         style.time_axes(stack, first, last)
         current.xaxis.set_major_locator(MultipleLocator(0.1))
-        _letter(current, column)
     for row in range(rows):
         _same_range(axes[2 * row : 2 * row + 2])
     return figure
@@ -122,8 +122,3 @@ def _same_range(axes: Sequence[Axes]) -> None:
     ranges = [ax.get_ylim() for ax in axes]
     for ax in axes:
         ax.set_ylim(min(low for low, _ in ranges), max(high for _, high in ranges))
-
-
-def _letter(lowest: Axes, column: int) -> None:
-    """(a) or (b) below a column."""
-    lowest.set_xlabel(f"t [s]\n({'ab'[column]})", fontsize=style.FONT_SIZE)

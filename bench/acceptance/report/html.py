@@ -38,6 +38,16 @@ class _Test:
     figures: tuple[tuple[str, str], ...]  # data URI, caption
     shown: tuple[Measurement, ...]
     folded: tuple[Measurement, ...]
+    unmade: bool  # it had measurements to make and made none
+
+    @property
+    def folding(self) -> str:
+        """What the rows that are folded are."""
+        if self.unmade:
+            return f"{words.counted(len(self.folded), 'measurement')}, none made"
+        if self.shown:
+            return f"{len(self.folded)} more that passed"
+        return f"{words.counted(len(self.folded), 'measurement')}, all of which passed"
 
     @property
     def recording(self) -> str:
@@ -89,13 +99,15 @@ def write_report(run: RunResult, directory: Path) -> Path:
 
 def _test(number: int, result: TestResult, directory: Path) -> _Test:
     many = len(result.measurements) > MOST_ROWS
-    folded = tuple(m for m in result.measurements if many and m.verdict is Verdict.PASS)
+    unmade = all(m.value is None for m in result.measurements)
+    fold = [unmade or (many and m.verdict is Verdict.PASS) for m in result.measurements]
     return _Test(
         anchor=f"test-{number}",
         result=result,
         figures=tuple((_embedded(figure, result, directory), figure.caption) for figure in result.figures),
-        shown=tuple(m for m in result.measurements if not (many and m.verdict is Verdict.PASS)),
-        folded=folded,
+        shown=tuple(m for m, folded in zip(result.measurements, fold, strict=True) if not folded),
+        folded=tuple(m for m, folded in zip(result.measurements, fold, strict=True) if folded),
+        unmade=unmade and bool(fold),
     )
 
 
@@ -109,14 +121,18 @@ def _embedded(figure: Figure, test: TestResult, directory: Path) -> str:
 
 
 def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Finding]:
-    """What ended with one of `verdicts`, in their order: measurements, and tests that none of theirs speaks for."""
+    """What ended with one of `verdicts`, in their order: measurements, and tests that none of theirs speaks for.
+
+    A test that made none of its measurements is one of the latter, whatever became of them.
+    """
     for verdict in verdicts:
         for test in tests:
-            found = [m for m in test.result.measurements if m.verdict is verdict]
+            found = [m for m in test.result.measurements if m.verdict is verdict and not test.unmade]
             for measurement in found:
                 yield _Finding(test, measurement.name, verdict, measurement.why, measurement)
             if test.result.verdict is verdict and not found:
-                yield _Finding(test, test.result.name, verdict, test.result.why)
+                why = f"{test.folding}: {test.result.why}" if test.unmade else test.result.why
+                yield _Finding(test, test.result.name, verdict, why)
 
 
 def _breakable(name: str) -> Markup:
@@ -140,6 +156,8 @@ def _environment() -> Environment:
         "breakable": _breakable,
         "counted": words.counted,
         "duration": words.duration,
+        "labelled": words.labelled,
+        "made": words.made,
         "margin": words.margin_text,
         "number": words.number,
         "paragraphs": words.paragraphs,
@@ -147,7 +165,7 @@ def _environment() -> Environment:
         "plain": words.plain,
         "span": words.span_text,
         "tally": words.tally,
-        "title_of": words.title,
+        "tightest": words.tightest,
         "value": words.value_text,
         "zone": words.zone,
     }

@@ -9,13 +9,14 @@ import inspect
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from bench.acceptance.results import Limits, Measurement, Verdict
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
 MOST_DECIMALS = 9
 NOTHING = "–"
+ACRONYMS = {"crc": "CRC", "id": "ID", "pwm": "PWM"}
 ZONE = (20.0, 80.0)  # % of a bar's length that the permitted values take up, where they have both ends
 
 
@@ -42,6 +43,21 @@ def margin_text(measurement: Measurement) -> str:
     sign = "+" if margin > 0 else ""
     percent = "" if share is None or abs(share) > 99 else f" ({_minus(f'{100 * share:.0f}')} %)"
     return f"{sign}{number(margin, digits(value, measurement.limits))}{percent}"
+
+
+def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
+    """Of those that were judged, the one with the least share of its room left, or the furthest outside; NaN is that.
+
+    A count or a yes that stands at its limit is as it should be and has no room to speak of; None where all are such.
+    """
+    judged = []
+    for measurement in measurements:
+        margin, share = measurement.margin, measurement.share
+        if margin and measurement.verdict in (Verdict.PASS, Verdict.FAIL):
+            if share is None:  # a limit of 0, or two that are one
+                share = math.copysign(math.inf, margin)
+            judged.append((-math.inf if math.isnan(margin) else share, measurement))
+    return min(judged, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
 def digits(value: float, limits: Limits) -> int:
@@ -98,6 +114,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def made(measurements: Sequence[Measurement]) -> str:
+    """How many there are and, where some were not made, of how many."""
+    number = sum(measurement.value is not None for measurement in measurements)
+    return str(number) if number == len(measurements) else f"{number} of {len(measurements)}"
+
+
 def span_text(span: tuple[float, float]) -> str:
     """A stretch of a recording."""
     return f"{span[0]:.3f} … {span[1]:.3f} s"
@@ -118,9 +140,13 @@ def paragraphs(text: str) -> list[str]:
     return [re.sub(r"\n(?![ \t]|[-*] )", " ", block) for block in blocks if block.strip()]
 
 
-def title(key: str) -> str:
-    """A key of plain data, as words."""
-    return key.replace("_", " ")
+def labelled(key: str, value: object) -> tuple[str, str]:
+    """A key of plain data and its value, as words: `pwm_hz` and 16000 are PWM and 16000 Hz."""
+    text = plain(value)
+    if key.endswith("_hz") and text.isdecimal():
+        key = key.removesuffix("_hz")
+        text = f"{text} Hz" if int(text) < 1e6 else f"{int(text) / 1e6:.9g} MHz"
+    return " ".join(ACRONYMS.get(word, word) for word in key.split("_")), text
 
 
 def plain(value: object) -> str:

@@ -94,7 +94,7 @@ def test_hall_wire_broken(
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
 @needs("encoder", "load.speed", "hall-faults")
-@energises(speed_rpm=0, current=0)
+@energises(speed_rpm=60, current=0)
 def test_hall_wiring_is_named(
     drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
 ) -> None:

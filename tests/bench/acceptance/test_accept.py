@@ -20,6 +20,7 @@ from virtual_run import simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.acceptance.results import run_from_json
+from bench.acceptance.targets import alone_on
 from bench.errors import BenchError
 from protocol.messages import DriveState
 
@@ -140,6 +141,15 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_moves(
     assert link.opened == []
 
 
+def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Accepting) -> None:
+    machine = f"serial:{accepting.directory}/brake"
+    Path("bench.toml").write_text(f"[rig]\nload = '{machine}'\n")
+    link = SpoiltLink(simulated())
+    with alone_on(machine):
+        assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another acceptance run")
+    assert link.opened == []
+
+
 def test_a_result_that_cannot_be_written_at_the_end_is_no_success(accepting: Accepting) -> None:
     Path("a.json").mkdir()
     run = accepting(TESTS, keyword="test_good", json=Path("a.json"))
@@ -223,6 +233,147 @@ def test_files_elsewhere_with_the_same_tests_are_told_apart(
     assert run.tests == {f"{file.stem}.same": verdict for file, verdict in zip(files, ("PASS", "FAIL"), strict=True)}
     assert run.result is not None
     assert [test.node_id for test in run.result.tests] == [f"{file.name}::test_same" for file in files]
+
+
+def test_a_failure_of_an_acceptance_test_is_told_once_and_as_one(accepting: Accepting) -> None:
+    text = """
+@limit("x", hi=1)
+def test_bad(measure): measure("x", 2)
+
+@pytest.fixture
+def broken(): raise RuntimeError("broken")
+
+def test_error(drive, broken): pass
+"""
+    for jobs in (1, 2):
+        accepting.screen.notes.clear()
+        notes = accepting(text, jobs=jobs).screen.notes
+        assert sorted(notes) == [
+            "        bad.x = 2 [≤ 1] FAIL",
+            "ERROR   error: RuntimeError: broken",
+            "FAIL    bad: 1 of 1 measurements did not pass",
+        ]
+
+
+def test_a_test_that_skips_half_way_has_not_passed(accepting: Accepting) -> None:
+    text = """
+@limit("y", hi=1)
+@limit("x", hi=1)
+def test_half(measure):
+    measure("x", {})
+    pytest.skip("no more")
+"""
+    run = accepting(text.format(0))
+    assert run.tests == {"half": "SKIPPED"}
+    assert {name: str(m.verdict) for name, m in run.measured.items()} == {"half.x": "PASS", "half.y": "SKIPPED"}
+    assert run.code == 2
+    assert accepting(text.format(2)).tests == {"half": "FAIL"}
+
+
+def test_a_mark_for_failure_does_not_better_a_drive(accepting: Accepting) -> None:
+    text = """
+@pytest.mark.xfail(reason="weak magnets")
+@limit("x", hi=1)
+def test_out(measure): measure("x", 2)
+
+@pytest.mark.xfail(run=False, reason="it hangs")
+@limit("x", hi=1)
+def test_not_run(measure): measure("x", 2)
+
+@pytest.mark.xfail(strict=True, reason="weak magnets")
+@limit("x", hi=1)
+def test_strict(measure): measure("x", 0)
+
+@pytest.mark.xfail(strict=False, reason="weak magnets")
+@limit("x", hi=1)
+def test_passes(measure): measure("x", 0)
+"""
+    run = accepting(text)
+    assert run.tests == {"out": "FAIL", "not_run": "SKIPPED", "strict": "ERROR", "passes": "PASS"}
+    assert run["out"].why == "expected to fail (weak magnets), and did: 1 of 1 measurements did not pass"
+    assert run["not_run"].why == "expected to fail: [NOTRUN] it hangs"
+    assert run["strict"].why == "[XPASS(strict)] weak magnets"
+    assert run.code == 1
+
+
+def test_a_limit_that_numpy_computed_in_single_precision_is_written(accepting: Accepting) -> None:
+    text = '@limit("x", hi=np.float32(0.5))\ndef test_a(measure): measure("x", np.float32(0.25))\n'
+    run = accepting(text, json=Path("a.json"))
+    assert run.tests == {"a": "PASS"}
+    assert json.loads(Path("a.json").read_text())["tests"][0]["measurements"][0]["limits"]["hi"] == 0.5
+
+
+# -- figures and recordings -------------------------------------------------------------------------------------
+
+DRAWS = """
+def picture(title):
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(1, 1))
+    drawn.text(0, 0, title)
+    return drawn
+"""
+
+
+def test_figures_of_one_name_in_two_tests_are_two(accepting: Accepting) -> None:
+    text = (
+        DRAWS
+        + """
+@pytest.mark.parametrize("number", [1, 2])
+def test_fig(figure, number): figure("pic", f"number {number}", lambda: picture(str(number)))
+"""
+    )
+    run = accepting(text, report=Path("report"))
+    files = [Path("report") / figure.path for test in run.result.tests for figure in test.figures]  # type: ignore[union-attr]
+    assert len(files) == 2
+    one, two = (file.read_bytes() for file in files)
+    assert one != two
+
+
+@pytest.mark.parametrize("report", [None, Path("report")])
+def test_two_figures_of_one_name_in_a_test_are_refused(accepting: Accepting, report: Path | None) -> None:
+    text = (
+        DRAWS
+        + """
+def test_fig(figure):
+    figure("pic", "one", lambda: picture("1"))
+    figure("pic", "two", lambda: picture("2"))
+"""
+    )
+    run = accepting(text, report=report)
+    assert (run["fig"].verdict, run["fig"].why) == ("ERROR", "fig draws 'pic' twice: rename one of them")
+
+
+def test_names_that_make_one_file_name_are_refused(accepting: Accepting) -> None:
+    text = '@pytest.mark.parametrize("x", ["a b", "a/b"])\ndef test_p(measure, x): pass\n'
+    assert refusal(lambda: accepting(text)) == (
+        "'p[a b]' and 'p[a/b]' would write to the same files: rename one of them"
+    )
+
+
+def test_a_recording_of_an_earlier_run_is_not_taken_for_one_of_this(accepting: Accepting) -> None:
+    text = """
+import os
+
+def test_first(drive):
+    if os.path.exists("again"):
+        raise KeyboardInterrupt
+
+def test_second(drive): pass
+
+@pytest.mark.skipif("os.path.exists('again')", reason="later")
+def test_third(drive): pass
+"""
+    file = accepting.write(text)
+    before = accepting(file, report=Path("report"))
+    assert [before[name].recording for name in ("second", "third")] == ["recordings/second.rrd", "recordings/third.rrd"]
+    Path("again").touch()
+    run = accepting(file, report=Path("report"))
+    assert run.tests["second"] == "ABORTED"
+    assert [run[name].recording for name in ("second", "third")] == ["", ""]
+    Path("report/recordings/third.rrd").write_bytes(b"of an earlier run")
+    assert accepting(file, report=Path("report"), keyword="test_third").tests == {"third": "SKIPPED"}
+    assert Path("report/recordings/third.rrd").read_bytes() == b"of an earlier run"
 
 
 # -- several processes ------------------------------------------------------------------------------------------
@@ -391,6 +542,62 @@ def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Pa
     assert "1 passed" in ended.stdout
     assert ended.stderr == ""
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"bench.toml", "test_plain.py"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("PYTEST_ADDOPTS", "--color=yes"), ("PYTEST_ADDOPTS", "-v"), ("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")],
+)
+def test_what_the_environment_asks_of_another_pytest_does_not_matter(
+    start: Callable[..., Program], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    file = tmp_path / "own_quick.py"
+    file.write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
+    monkeypatch.setitem(ENVIRONMENT, name, value)
+    run = start("accept", "sim", "--tests", str(file))
+    assert run.end() == 0, run.err
+
+
+CONFTEST = """
+import pytest
+
+def pytest_addoption(parser): parser.addoption("--target", choices=["staging", "production"])
+
+@pytest.fixture
+def _rig(): return "of ours"
+"""
+OURS = 'def test_of_ours(pytestconfig, _rig): assert (pytestconfig.option.target, _rig) == ({!r}, "of ours")\n'
+BENCH = 'def test_of_the_bench(drive, bench_target): assert bench_target == "sim"\n'
+
+
+@pytest.mark.parametrize(
+    ("conftest", "test", "arguments"),
+    [(CONFTEST, OURS.format("staging"), ["--target", "staging"]),
+     (CONFTEST, OURS.format(None), []),
+     (CONFTEST, OURS.format("staging") + BENCH, ["--target", "staging", "--bench-target", "sim"]),
+     ("", BENCH, ["--target=sim"]),
+     ("", BENCH, ["--target", "sim", "-n", "1"])],
+)  # fmt: skip
+def test_options_and_fixtures_of_others_stay_theirs(
+    tmp_path: Path, conftest: str, test: str, arguments: list[str]
+) -> None:
+    (tmp_path / "conftest.py").write_text(conftest)
+    (tmp_path / "test_own.py").write_text(test)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "test_own.py"]
+    environment = ENVIRONMENT | {"BENCH_TARGET": "tcp:nowhere:1"}  # an option that is not seen would be told
+    ended = subprocess.run(
+        [*command, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def test_a_fixture_that_is_not_asked_for_by_argument_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text("def test_a(request): request.getfixturevalue('drive')\n")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "test_own.py"]
+    ended = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert "test_a gets a fixture of the bench by getfixturevalue: ask for it by argument" in ended.stdout
+    assert "KeyError" not in ended.stdout
 
 
 def test_acceptance_tests_run_in_a_plain_pytest_too(accepting: Accepting) -> None:

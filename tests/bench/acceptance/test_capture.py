@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from accepting import SpoiltLink
 from numpy.typing import NDArray
 from virtual_run import simulated
 
-from bench.acceptance.capture import Capture
+from bench.acceptance.capture import Capture, part_of_edges
 from bench.acceptance.results import Limits, Verdict
 from bench.acceptance.rig import Plan, Rig
 from bench.acceptance.running import Running
@@ -59,6 +60,35 @@ def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> N
     assert ((ticks >= clean.samples.tick[0] - PERIOD) & (ticks <= clean.samples.tick[-1] + PERIOD)).all()
     assert clean.flaws() == ()
     assert judged(clean) == (Verdict.PASS, "")
+
+
+def without_edges(capture: Capture, after: int) -> Capture:
+    """The edges after a tick are lost, and no later one has told of a gap."""
+    return replace(capture, edges=part_of_edges(capture.edges, 0, after))
+
+
+@pytest.mark.parametrize("lost", [1, 2, 30])
+def test_edges_that_are_lost_at_the_end_are_a_flaw_of_what_contains_the_end(clean: Capture, lost: int) -> None:
+    last = int(clean.edges.tick[-lost - 1])
+    bad = without_edges(clean, last)
+    why = f"Hall edges were lost: the code changed {lost} times after {last / TICK_HZ:.4f} s without one"
+    assert judged(bad) == (Verdict.INVALID, why)
+    assert judged(bad.only("i_a"))[0] is Verdict.INVALID
+    assert judged(bad.ticks(int(bad.samples.tick[0]), last)) == (Verdict.PASS, "")
+    assert judged(bad.ticks(last + PERIOD, int(bad.samples.tick[-1])))[0] is Verdict.INVALID
+
+
+def test_if_all_edges_are_lost_the_codes_tell(clean: Capture) -> None:
+    bad = without_edges(clean, 0)
+    assert re.match(r"Hall edges were lost: the code changed (59|60|61) times after", judged(bad)[1])
+
+
+def test_wherever_a_capture_begins_and_ends_its_edges_are_whole(clean: Capture) -> None:
+    """Cut before, in and after the sample in which an edge shows."""
+    for edge in clean.edges.tick[2:-2:7]:
+        for first in range(int(edge) - 3 * PERIOD, int(edge) + 4 * PERIOD, PERIOD // 2):
+            assert clean.ticks(first, first + 20 * PERIOD).flaws() == ()
+            assert clean.ticks(first - 20 * PERIOD, first).flaws() == ()
 
 
 @pytest.mark.parametrize("value", [np.iinfo(np.int16).max, np.iinfo(np.int16).min])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
@@ -13,17 +13,20 @@ import pytest
 from accepting import Accepting, SpoiltLink
 from processes import Sim
 from test_prompt import on_terminal
-from virtual_run import at_rest, simulated
+from virtual_run import at_rest, physical, simulated
 
 from bench.acceptance.drive import DriveTripped
 from bench.acceptance.faults import HallFaults
 from bench.acceptance.loads import NodeLoad, OwnLoad, PersonLoad, own_load
+from bench.acceptance.marks import Envelope
 from bench.acceptance.needed import missing
 from bench.acceptance.person import Answered, Ask
 from bench.acceptance.rig import Plan, Rig
 from bench.acceptance.settings import Settings
+from bench.acceptance.targets import alone_on, require_agreement
 from bench.energise import RPM
-from bench.errors import BenchError
+from bench.errors import BenchError, UnsafeError
+from bench.node import Node
 from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.messages import DriveState, Fault
 from sim.params import load_params
@@ -143,17 +146,112 @@ def test_a_node_forces_a_speed() -> None:
     assert at_rest(link.device)
 
 
-def test_a_node_that_has_tripped_is_used_again() -> None:
+TRIPPED = r"^the load machine, node 2 on \S+, tripped: OVERCURRENT$"
+
+
+def test_a_node_that_trips_ends_the_test_and_the_next_can_use_it() -> None:
     link = SpoiltLink(simulated())
     with rig_with("node", link) as rig:
         assert isinstance(rig.load, NodeLoad)
         rig.load.torque(0.05)
         link.device.load.fault(Fault.OVERCURRENT)
-        rig.wait(0.3)
-        assert rig.load.node.state == DriveState.FAULT
+        with pytest.raises(BenchError, match=TRIPPED):
+            rig.record(0.3)
+        with pytest.raises(BenchError, match=TRIPPED):
+            rig.load.torque(0.05)
+        assert link.device.load.state == DriveState.FAULT
+    assert at_rest(link.device)
+    with rig_with("node", link) as rig:
+        assert rig.load is not None
         rig.load.torque(0.05)
         assert link.device.load.state == DriveState.RUNNING
+
+
+def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop() -> None:
+    link = SpoiltLink(simulated())
+
+    def trip_last() -> None:
+        with rig_with("node", link) as rig:
+            assert rig.load is not None
+            rig.load.torque(0.05)
+            link.device.load.fault(Fault.OVERCURRENT)
+
+    with pytest.raises(BenchError, match=r"could not be left as it was: the load machine, .* tripped: OVERCURRENT$"):
+        trip_last()
+    assert link.device.load.state == DriveState.IDLE
+
+
+def test_a_fault_that_a_node_had_before_is_named_and_stays() -> None:
+    link = SpoiltLink(simulated())
+    link.device.load.fault(Fault.OVERCURRENT)
+    with rig_with("node", link) as rig:
+        assert rig.load is not None
+        with pytest.raises(BenchError, match=r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"):
+            rig.load.torque(0.05)
+    assert link.device.load.state == DriveState.FAULT
+
+
+@pytest.mark.parametrize("kind", ["node", "brake.py:Both"])
+def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: str) -> None:
+    with_load(kind)
+    link = SpoiltLink(simulated())
+    run = brake(FASTER, link)
+    assert run.tests == {"faster": "ERROR", "as_fast": "PASS"}
+    assert run["faster"].why == (
+        "load.speed 101 r/min is beyond the 100 r/min that the test announced: @energises(speed_rpm=…)"
+    )
     assert at_rest(link.device)
+
+
+FASTER = """
+@energises(speed_rpm=100, current=1)
+def test_faster(load):
+    load.speed(-101 * RPM)
+
+@energises(speed_rpm=101, current=1)
+def test_as_fast(load):
+    load.speed(-101 * RPM)
+"""
+
+
+def test_a_parameter_that_is_refused_keeps_no_other_from_being_put_back() -> None:
+    """Three of each machine, of which the second is refused at the end: they are set in the order of the test."""
+    link = SpoiltLink(simulated())
+    _, before = link.left()
+    names = {1: ("k_p_vt", "i_max", "k_ic"), 2: ("tau_max", "hall_glitch", "hall_open")}
+    values = {"k_p_vt": 123.0, "i_max": 5.0, "k_ic": 0.5, "tau_max": 0.5, "hall_glitch": 10.0, "hall_open": 1.0}
+    order: list[str] = []
+
+    def change() -> None:
+        with rig_with("node", link) as rig:
+            assert isinstance(rig.load, NodeLoad)
+            for name in names[1]:
+                rig.drive.set(name, values[name])
+            for name in names[2]:
+                rig.load.set(name, values[name])
+            stack.enter_context(refusing(rig.drive.node, "i_max", order))
+            stack.enter_context(refusing(rig.load.node, "hall_glitch", order))
+
+    with ExitStack() as stack, pytest.raises(BenchError, match=r"could not be left as it was: hall_glitch: not now$"):
+        change()
+    assert order == [*names[2], *names[1]]
+    changed = {name for name, value in link.left()[1].items() if value != before[name]}
+    assert changed == {"1.i_max", "2.hall_glitch"}
+
+
+@contextmanager
+def refusing(node: Node, refused: str, order: list[str]) -> Iterator[None]:
+    """The machine refuses one parameter; `order` is what it was asked for."""
+    real = node.set
+
+    def set_one(name: str, value: float) -> float:
+        order.append(name)
+        if name == refused:
+            raise BenchError(f"{name}: not now")
+        return real(name, value)
+
+    with patch.object(node, "set", set_one):
+        yield
 
 
 def test_its_parameters_are_as_before_once_it_is_off() -> None:
@@ -449,7 +547,7 @@ def test_a_file_with_an_error_in_it_is_one_line(tmp_path: Path) -> None:
 def test_a_device_on_a_link_of_its_own_must_be_a_load_machine() -> None:
     link, other = SpoiltLink(simulated()), SpoiltLink(simulated(seed=2))
     with (
-        patch("bench.acceptance.rig.open_link", other.open),
+        patch("bench.acceptance.loads.open_link", other.open),
         pytest.raises(BenchError, match=r"^tcp:brake:7000 answers as DRIVE, not as a load machine$"),
         rig_with("tcp:brake:7000", link),
     ):
@@ -489,7 +587,7 @@ def test_a_load_machine_on_a_link_of_its_own_brakes_the_drive() -> None:
     drive, load = (OneNode(link, node, frames, deframer) for node in (1, 2))
     link.reopen()
     with (
-        patch("bench.acceptance.rig.open_link", lambda target: load),
+        patch("bench.acceptance.loads.open_link", lambda target: load),
         Rig(Plan(lambda: drive, "virtual", Settings(load="tcp:brake:7000"))) as rig,
     ):
         assert isinstance(rig.load, NodeLoad)
@@ -503,3 +601,44 @@ def test_a_load_machine_on_a_link_of_its_own_brakes_the_drive() -> None:
         motor = load_params(None, {}).motor
         assert rig.record(0.3)["i_q"].mean() > 0.1 / (1.5 * motor.n_p * motor.psi_f)
     assert link.left() == (True, before)
+
+
+@pytest.mark.parametrize("drive_is_real", [True, False])
+def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -> None:
+    link = SpoiltLink(physical() if drive_is_real else simulated())
+    other = SpoiltLink(physical(seed=2))
+    frames, deframer = {1: b"", 2: b""}, Deframer()
+    other.reopen()
+    questions: list[str] = []
+
+    def confirm(question: str) -> bool:
+        questions.append(question)
+        return "load machine" not in question
+
+    with (
+        patch("bench.acceptance.targets.open_link", link.open),
+        patch("bench.acceptance.loads.open_link", lambda target: OneNode(other, 2, frames, deframer)),
+        pytest.raises(UnsafeError, match="not confirmed"),
+    ):
+        require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)
+    assert len(questions) == 1 + drive_is_real
+    assert re.fullmatch(
+        r"Spin .* on tcp:brake:7000, the load machine: up to 60 r/min, phase current up to .*\. Is the shaft clear\?",
+        questions[-1],
+    )
+    assert not {DriveState.ARMED, DriveState.RUNNING} & {*link.states, *other.states}
+
+
+def test_a_load_machine_on_a_link_of_its_own_is_refused_with_the_simulated_drive(accepting: Accepting) -> None:
+    with_load("tcp:brake:7000")
+    with pytest.raises(BenchError, match=r"^load 'tcp:brake:7000' is not on the simulated drive's shaft"):
+        accepting(BRAKES)
+
+
+def test_a_run_holds_the_load_machine_too() -> None:
+    with alone_on("tcp:drive:7000", "tcp:brake:7000"):
+        for target in ("tcp:drive:7000", "tcp:brake:7000"):
+            with pytest.raises(BenchError, match=f"^{target} is in use"), alone_on("tcp:another:7000", target):
+                pass
+    with alone_on("tcp:brake:7000"):
+        pass

@@ -134,7 +134,8 @@ def test_what_failed_comes_first_and_leads_to_the_test_and_its_recording(tmp_pat
         error="the link was lost",
     )
     page = written(run, tmp_path)
-    assert [heading.strip() for heading in page.headings[:3]] == [
+    assert [heading.strip() for heading in page.headings[:4]] == [
+        "Overview",
         "What failed",
         "What could not be judged",
         "Measurements",
@@ -142,7 +143,7 @@ def test_what_failed_comes_first_and_leads_to_the_test_and_its_recording(tmp_pat
     first = page.row("at the step", "1.250 … 1.500 s")
     assert first.startswith("test_b.peak at the step ≤ 8 A 9.00 A −1.00 (−12 %)")
     assert page.row("no heartbeat for 1 s").endswith("ERROR")
-    assert page.links.index("#test-2") < page.links.index("#test-1")
+    assert page.links[:5] == ["#test-1", "#test-2", "#test-3", "#test-4", "#test-2"]  # the overview's, the failure's
     assert "recordings/test%20b.rrd" in page.links
     assert {link[1:] for link in page.links if link.startswith("#")} <= page.ids
     assert "the link was lost" in page.text
@@ -151,9 +152,59 @@ def test_what_failed_comes_first_and_leads_to_the_test_and_its_recording(tmp_pat
 
 def test_a_run_in_which_all_passed_says_nothing_of_failures(tmp_path: Path) -> None:
     page = written(a_run(a_test("test_a", Verdict.PASS, measurement("test_a.x", 1.0, Verdict.PASS, 0, 2))), tmp_path)
-    assert page.headings[0].strip() == "Measurements"
+    assert [heading.strip() for heading in page.headings[:2]] == ["Overview", "Measurements"]
     assert "FAIL" not in page.text
     assert "1 test: 1 PASS 1 measurement: 1 PASS" in page.text
+
+
+def test_the_overview_has_a_row_for_each_test_with_its_tightest_margin(tmp_path: Path) -> None:
+    wide, tight = (
+        measurement("test_a.wide", 1.0, Verdict.PASS, 0, 2),
+        measurement("test_a.tight", 1.9, Verdict.PASS, 0, 2),
+    )
+    none = measurement("test_b.none", None, Verdict.ERROR, 0, 2)
+    page = written(a_run(a_test("test_a", Verdict.PASS, wide, tight), a_test("test_b", Verdict.ERROR, none)), tmp_path)
+    assert page.rows[1:3] == [
+        "PASS test_a title of test_a 2 +0.100 (5 %) tight",
+        "ERROR test_b title of test_b 0 of 1",
+    ]
+
+
+PASSED, FAILED = Verdict.PASS, Verdict.FAIL
+
+
+@pytest.mark.parametrize(
+    ("tightest", "others"),
+    [
+        (measurement("t.x", 9.0, PASSED, 0, 10), [measurement("t.y", 1.5, PASSED, 0, 2)]),  # 10 % against 25 %
+        (measurement("t.x", 0.5, PASSED, hi=1), [measurement("t.y", 1.0, PASSED, 1, 1)]),  # a yes
+        (measurement("t.x", 0.0, FAILED, 1, 1), [measurement("t.y", 2.5, FAILED, 0, 2)]),  # not a yes
+        (measurement("t.x", math.nan, FAILED, 0, 2), [measurement("t.y", 1.0, PASSED, 0, 2)]),
+        (measurement("t.x", 1.0, PASSED, 0, 2), [measurement("t.y", 9.0, Verdict.INVALID, 0, 2)]),
+        (None, [measurement("t.y", 0.0, PASSED, hi=0), measurement("t.z", None, Verdict.ERROR, 0, 2)]),
+        (None, [measurement("t.y", 3.0, PASSED)]),
+    ],
+)
+def test_the_tightest_margin(tightest: Measurement | None, others: list[Measurement]) -> None:
+    for found in ([tightest, *others], [*others, tightest]):
+        assert words.tightest(m for m in found if m) is tightest
+
+
+def test_a_test_that_made_no_measurement_is_one_row(tmp_path: Path) -> None:
+    unmade = [measurement(f"test_a.m{k}", None, Verdict.ABORTED, hi=1.0, why="the run was ended") for k in range(28)]
+    some = [
+        measurement("test_b.made", 0.5, Verdict.PASS, hi=1.0),
+        measurement("test_b.not", None, Verdict.ERROR, hi=1.0),
+    ]
+    tests = a_test("test_a", Verdict.ABORTED, *unmade, why="the run was ended"), a_test("test_b", Verdict.ERROR, *some)
+    page = written(a_run(*tests, verdict=Verdict.ERROR), tmp_path)
+    assert page.rows[page.rows.index("What and why Limits Value Margin Where to look Verdict") + 1 :][:2] == [
+        "test_a 28 measurements, none made: the run was ended ABORTED",
+        "test_b.not ≤ 1 A – – ERROR",
+    ]
+    assert page.text.count("28 measurements, none made") == 2  # and above the folded rows
+    assert [sum(f"test_a.m{k} " in row for row in page.rows) for k in range(28)] == [1] * 28
+    assert page.tags.count("details") == 1
 
 
 def test_a_run_that_never_began_has_a_report(tmp_path: Path) -> None:
@@ -224,6 +275,24 @@ def test_parameters_that_differ_from_their_defaults_come_first(tmp_path: Path) -
     assert page.row("R_s") == "R_s 0.158 ohm 0.158 ohm"
     assert page.text.index("1268") < page.text.index("0.158")
     assert "k_p = 500 rad/s" in page.text
+    assert "What it is" in page.text
+    assert "What it is" not in written(a_run(parameters=parameters[:1]), tmp_path).text
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("pwm_hz", "16000", "PWM 16000 Hz"),
+        ("tick_hz", 20_000_000, "tick 20 MHz"),
+        ("tick_hz", "84000001", "tick 84.000001 MHz"),
+        ("boot_id", "0000ffe5", "boot ID 0000ffe5"),
+        ("schema_crc", "4d977534", "schema CRC 4d977534"),
+        ("tick_hz", "unknown", "tick hz unknown"),
+        ("features", ["edges", "simulated"], "features edges, simulated"),
+    ],
+)
+def test_labels_of_plain_data(tmp_path: Path, key: str, value: object, text: str) -> None:
+    assert text in written(a_run(identity={key: value}), tmp_path).text
 
 
 def test_quality_of_the_data_is_shown_and_remarked_on(tmp_path: Path) -> None:
@@ -328,6 +397,39 @@ def test_a_long_legend_stays_within_the_axes() -> None:
     legend, axes = ax.get_legend().get_window_extent(), ax.get_window_extent()
     assert legend.x1 <= axes.x1
     assert legend.y0 >= axes.y1 - 1
+
+
+def test_five_entries_of_unequal_length_stand_on_one_line() -> None:
+    figure, (ax,) = style.new_figure()
+    for k, text in enumerate(("vector tracking", "encoder", "reference", "last set point", "FAULT")):
+        style.line(ax, np.arange(2.0), np.arange(2.0) + k, text, label=text)
+    style.legend_above(ax)
+    figure.draw_without_rendering()
+    texts = ax.get_legend().get_texts()
+    assert len({round(text.get_window_extent().y0) for text in texts}) == 1
+    assert ax.get_legend().get_window_extent().x1 <= ax.get_window_extent().x1
+
+
+def test_limits_of_the_ordinate_are_named_once() -> None:
+    _, (ax,) = style.new_figure()
+    style.limit_lines(ax, -8.0, 8.0, "i_max")
+    assert [line.get_ydata()[0] for line in ax.get_lines()] == [-8.0, 8.0]
+    assert ax.get_legend_handles_labels()[1] == ["i_max"]
+
+
+def test_the_title_of_a_column_stands_above_the_legend() -> None:
+    figure, axes = style.new_figure(1, 2)
+    for ax in axes:
+        style.line(ax, np.arange(2.0), np.arange(2.0), "i_q")
+    style.legend_above(axes[0])
+    for ax, words_above in zip(axes, ("(a) average speed", "(b) proposed"), strict=True):
+        style.column_title(ax, words_above)
+    figure.draw_without_rendering()
+    titles = [text for ax in axes for text in ax.get_children() if getattr(text, "get_text", str)()[:1] == "("]
+    assert [title.get_text() for title in titles] == ["(a) average speed", "(b) proposed"]
+    assert titles[0].get_window_extent().y0 >= axes[0].get_legend().get_window_extent().y1 - 4  # px: its empty border
+    assert titles[1].get_window_extent().y0 >= axes[1].get_window_extent().y1
+    assert titles[0].get_window_extent().y1 <= figure.bbox.y1
 
 
 def test_lines_do_not_cross_the_plot_where_an_angle_wraps() -> None:

@@ -7,6 +7,7 @@ import json
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -175,7 +176,15 @@ def test_limits_and_margins(
     assert not limits.allow(math.nan)
 
 
-@pytest.mark.parametrize(("lo", "hi"), [(2.0, 1.0), (math.nan, None), (None, math.inf), (True, None)])
-def test_limits_that_make_no_sense_are_refused(lo: float | None, hi: float | None) -> None:
+@pytest.mark.parametrize(
+    ("lo", "hi"), [(2.0, 1.0), (math.nan, None), (None, math.inf), (True, None), (None, "1"), (np.bool_(True), None)]
+)
+def test_limits_that_make_no_sense_are_refused(lo: Any, hi: Any) -> None:
     with pytest.raises(ValueError, match=r"^x: "):
         Limits("x", "A", lo, hi)
+
+
+def test_limits_of_numpy_become_plain_numbers() -> None:
+    limits = Limits("x", "A", np.int64(-2), np.float32(0.5))
+    assert (limits.lo, limits.hi) == (-2.0, 0.5)
+    assert {type(limits.lo), type(limits.hi)} == {float}

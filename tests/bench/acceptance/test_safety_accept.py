@@ -81,7 +81,7 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
     run = accepting(ENDINGS, link, keyword="not deaf")
     assert run.tests == {
         "returns": "PASS", "assertion": "FAIL", "exception": "ERROR", "skips": "SKIPPED", "stopped_already": "PASS",
-        "trips": "FAIL", "may_trip": "PASS", "load_trips": "PASS", "overspeed": "PASS", "behind_our_back": "PASS",
+        "trips": "FAIL", "may_trip": "PASS", "load_trips": "ERROR", "overspeed": "PASS", "behind_our_back": "PASS",
         "fixture": "ERROR", "fixture_at_its_end": "ERROR", "bench_error": "ERROR", "last": "PASS",
     }  # fmt: skip
     # before the consent, before each test, and now
@@ -91,6 +91,7 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
         assert rest, name
         assert parameters == states[0][1], name
     assert run["fixture"].why == "RuntimeError: a user's fixture"
+    assert re.fullmatch(r"the load machine, node 2 on \S+, tripped: WATCHDOG", run["load_trips"].why)
     assert run["trips"].parameters == {"k_p_vt": 123.0, "i_max": 5.0}
 
 

@@ -68,7 +68,9 @@ def test_a_limit_that_no_test_has_is_told_whatever_is_selected_and_the_list_show
     text = TESTS + "def test_nothing(drive): pass\n"
     with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
         accepting(text, keyword="test_nothing")
-    assert "measures.spread: 1 … 2 deg" in accepting(text, list_only=True).screen.notes
+    with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
+        accepting(text, list_only=True)
+    assert "measures.spread: 1 … 2 deg" in accepting.screen.notes
 
 
 def test_a_limit_for_a_test_of_another_run_is_told_and_no_error(accepting: Accepting) -> None:
@@ -94,6 +96,37 @@ def test_a_limit_is_refused_only_if_no_test_of_the_run_can_be_meant() -> None:
                 settings.check_names(tests)
         else:
             assert settings.check_names(tests) == elsewhere
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("measrues.spread", "measures.spread"),
+     ("measures_other.spread", None),
+     ("steady_5.error_max", None),
+     ("staedy_50.error_max", "steady_50.error_max")],
+)  # fmt: skip
+def test_a_test_that_is_misspelt_is_told_and_another_working_point_is_none(name: str, meant: str | None) -> None:
+    settings = Settings(path=Path("bench.toml"), limits={name: {"hi": 1.0}})
+    tests = {"measures": ["spread"], "steady_50": ["error_max"]}
+    if meant is None:
+        assert settings.check_names(tests) == [name]
+    else:
+        with pytest.raises(BenchError, match=rf"names '{name}', which no test measures: did you mean {meant}\?$"):
+            settings.check_names(tests)
+
+
+def test_the_name_with_the_file_holds_whatever_else_is_run(accepting: Accepting) -> None:
+    text = '@limit("err", hi=5)\ndef test_same(measure): measure("err", 1)\n'
+    one, other = accepting.write(text, "one"), accepting.write(text, "other")
+    Path("bench.toml").write_text(f"[limits]\n'{one.stem}.same.err' = {{ hi = 0.1 }}")
+    both = accepting(text, tests=(one, other))
+    assert both.tests == {f"{one.stem}.same": "FAIL", f"{other.stem}.same": "PASS"}
+    alone = accepting(text, tests=(one,))
+    assert alone.tests == {"same": "FAIL"}
+    assert alone.measured["same.err"].limits.hi == 0.1
+    Path("bench.toml").write_text(f"[limits]\n'{one.stem}.same.err' = {{ hi = 2 }}\n'same.err' = {{ hi = 3 }}")
+    with pytest.raises(BenchError, match=rf"names one measurement twice: {one.stem}\.same\.err and same\.err"):
+        accepting(text, tests=(one,))
 
 
 def test_the_list_refuses_limits_that_leave_no_room(accepting: Accepting) -> None:

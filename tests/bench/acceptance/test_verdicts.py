@@ -65,6 +65,23 @@ def test_may_trip(drive, record):
     drive.forget_faults()
     turn(drive, record)
 
+@limit("x", hi=1)
+def test_trips_once_it_has_returned(drive, record, measure):
+    turn(drive, record)
+    measure("x", 0)
+    record.rig.client.link.device.advance(8000)  # half a second, in which nobody listens
+
+@pytest.fixture
+def trips_later(drive, record):
+    turn(drive, record)
+    yield
+    trip(record)
+
+def test_trips_in_a_fixture(trips_later): pass
+
+def test_asserts_then_trips(trips_later):
+    assert False, "this first"
+
 def test_trips_after_a_forgotten_one(drive, record):
     turn(drive, record)
     with drive.may_trip():
@@ -143,6 +160,9 @@ EXPECTED = {
     "trips_before_a_set_point": ("FAIL", "the drive tripped: WATCHDOG"),
     "trips_at_the_end": ("FAIL", "the drive tripped: WATCHDOG"),
     "may_trip": ("PASS", ""),
+    "trips_once_it_has_returned": ("FAIL", r"the drive tripped: WATCHDOG \(no ALIVE for 0\.\d\d s"),
+    "trips_in_a_fixture": ("FAIL", "the drive tripped: WATCHDOG"),
+    "asserts_then_trips": ("FAIL", "this first; then the drive tripped: WATCHDOG"),
     "trips_after_a_forgotten_one": ("FAIL", "the drive tripped: WATCHDOG"),
     "exception": ("ERROR", "KeyError: 'no such key'"),
     "exception_after_a_failure": ("FAIL", "KeyError: 'no such key'"),
@@ -191,7 +211,7 @@ def test_the_verdict_on_each_measurement(table: Run) -> None:
         "out_of_limits.low": ("FAIL", 0.9), "out_of_limits.high": ("FAIL", 1.1), "out_of_limits.after": ("PASS", 1.0),
         "assertion.x": ("FAIL", None), "pytest_fail.x": ("FAIL", None),
         "trips_while_waiting.x": ("FAIL", None), "trips_before_a_set_point.x": ("FAIL", None),
-        "trips_at_the_end.x": ("PASS", 0.0),
+        "trips_at_the_end.x": ("PASS", 0.0), "trips_once_it_has_returned.x": ("PASS", 0.0),
         "exception.x": ("PASS", 1.0), "exception.y": ("ERROR", None), "exception_after_a_failure.x": ("FAIL", 2.0),
         "never_measured.x": ("PASS", 1.0), "never_measured.y": ("ERROR", None),
         "undeclared.x": ("PASS", 1.0), "twice.x": ("PASS", 1.0),
@@ -208,7 +228,7 @@ def test_the_verdict_on_each_measurement(table: Run) -> None:
 def test_only_what_broke_unforeseen_has_a_traceback(table: Run) -> None:
     assert table.result is not None
     logged = {test.name for test in table.result.tests if test.log}
-    assert logged == {"assertion", "pytest_fail", "exception", "exception_after_a_failure"}
+    assert logged == {"assertion", "pytest_fail", "asserts_then_trips", "exception", "exception_after_a_failure"}
     assert "no such key" in table["exception"].log
 
 
