@@ -170,6 +170,7 @@ def _hallbench_rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
         running.mark = rig.mark
         session.require(item, rig)
         yield rig
+    running.draw()
 
 
 @pytest.fixture
@@ -228,7 +229,11 @@ def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
     """Fail a test at its end for a trip that it did not come to see, and for what it measured."""
-    yield
+    try:
+        yield
+    finally:
+        if is_acceptance_test(item):
+            item.stash[RIG].rest()  # a traceback takes longer to make than a watchdog waits
     if is_acceptance_test(item):
         item.stash[RIG].drive.look()
         item.stash[RUNNING].end()
@@ -251,6 +256,9 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
     """Write what was asked for, once every fixture is gone, also if one would not go."""
     try:
         yield
+    except KeyboardInterrupt as interrupt:  # one more, while what the first one ended was put back
+        if SESSION in session.config.stash:
+            session.config.stash[SESSION].interrupted(interrupt)
     finally:
         if SESSION in session.config.stash and not session.config.option.collectonly:
             session.config.stash[SESSION].finish()

@@ -8,7 +8,7 @@ only when all of that has been tried. It never waits without polling: what turns
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -109,6 +109,13 @@ class Rig:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    def rest(self) -> None:
+        """Off at once what has a watchdog. What cannot be done is told by `close`, which tries again."""
+        with undisturbed():
+            for off in (self.drive.stop, *([self.load.off] if isinstance(self.load, NodeLoad) else [])):
+                with suppress(Exception):
+                    off()
 
     def close(self) -> None:
         """Everything off and put back. Raises the first thing that could not be done, when all was tried.
@@ -257,6 +264,8 @@ class Rig:
             "load": "none" if load is None else f"{type(load).__name__}: {', '.join(sorted(load.abilities))}",
             "encoder": "yes" if self.has_encoder else "no",
             "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
+            "bench.toml": str(self.plan.settings.path or "none"),
+            "configuration": str(self.plan.settings.config or "default") if self.plan.virtual else "of the drive",
         }
 
     def identity(self) -> dict[str, str]:

@@ -5,6 +5,7 @@ Nothing here knows pytest or a link.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
@@ -41,7 +42,7 @@ class Running:
     """The .rrd of this run, once the test has come to the rig; None before that and when no report is wanted."""
     mark: Callable[[Measurement], None] = lambda measurement: None
     """Called with each measurement as it is made."""
-    _drawn: set[str] = field(default_factory=set)
+    _to_draw: dict[str, tuple[str, Callable[[], Picture]]] = field(default_factory=dict)
 
     def measure(self, name: str, value: float, *captures: Capture) -> bool:
         """Compare `value`, in the unit of the declared limit `name`, with that limit; True if it is within.
@@ -64,7 +65,7 @@ class Running:
         elif declared.allow(value):
             verdict, why = Verdict.PASS, ""
         else:
-            verdict, why = Verdict.FAIL, ""
+            verdict, why = Verdict.FAIL, "is not a number" if math.isnan(value) else ""
         spans = [capture.span for capture in captures]
         span = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
         measurement = Measurement(full, declared, verdict, value, why, span)
@@ -73,22 +74,27 @@ class Running:
         return verdict is Verdict.PASS
 
     def figure(self, name: str, caption: str, draw: Callable[[], Picture]) -> None:
-        """Keep the picture that `draw` makes; it is not called when no report is wanted.
+        """Have a picture drawn by `draw` once the bench is at rest; it is not called when no report is wanted.
 
         The test has a directory of its own for them. BenchError for a name that it has used before.
         """
         file = f"{file_name(name)}.png"
-        if file in self._drawn:
+        if file in self._to_draw:
             raise BenchError(f"{self.name} draws '{name}' twice: rename one of them")
-        self._drawn.add(file)
+        self._to_draw[file] = (caption, draw)
+
+    def draw(self) -> None:
+        """Draw what was asked for: it takes longer than a watchdog, so nothing may turn any more."""
+        to_draw, self._to_draw = self._to_draw, {}
         if self.figures is None:
             return
         from bench.acceptance.style import save
 
         folder = self.figures / file_name(self.name)
-        folder.mkdir(parents=True, exist_ok=True)
-        save(draw(), folder / file)
-        self.pictures.append(Figure(f"{self.figures.name}/{folder.name}/{file}", caption))
+        for file, (caption, draw) in to_draw.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            save(draw(), folder / file)
+            self.pictures.append(Figure(f"{self.figures.name}/{folder.name}/{file}", caption))
 
     def end(self) -> None:
         """Raise NotPassed, with a line for each thing, unless all that was declared was measured and passed."""

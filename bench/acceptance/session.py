@@ -114,6 +114,8 @@ class BenchSession:
         try:
             self.check_names()
             self._require_places()
+            if self.settings.load == "person" and self._ask() is None:
+                raise BenchError('load = "person", and nobody can be asked: it needs person = true and a terminal')
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
             if self.target == SIM:
                 open_target(self.target, self.settings, "").close()
@@ -317,10 +319,14 @@ class BenchSession:
         return TestResult(self._names[node_id], "", "", node_id, phase.verdict, phase.why)
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
-        """Remember that somebody ended it, unless it was this session, and what could not be put back meanwhile."""
-        self._interrupted = not self.error
-        if isinstance(excinfo.value.__cause__, BenchError):
-            self.error = str(excinfo.value.__cause__)
+        """Somebody has ended it, unless it was this session."""
+        self.interrupted(excinfo.value)
+
+    def interrupted(self, interrupt: BaseException) -> None:
+        """Remember that somebody ended it, and what could not be put back meanwhile."""
+        self._interrupted = self._interrupted or not self.error
+        if isinstance(interrupt.__cause__, BenchError):
+            self.error = str(interrupt.__cause__)
 
     def finish(self) -> None:
         """Let go of the target; where results come together, put them together and write what was asked for."""

@@ -268,9 +268,14 @@ def test_its_parameters_are_as_before_once_it_is_off() -> None:
 # -- none, or somebody ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["none", "person"])
-def test_without_a_load_a_test_that_needs_one_is_skipped(accepting: Accepting, kind: str) -> None:
-    with_load(kind)  # a person, but no terminal to ask on
+def test_a_person_who_cannot_be_asked_is_told_at_once(accepting: Accepting) -> None:
+    with_load("person")
+    with pytest.raises(BenchError, match=r'load = "person", and nobody can be asked'):
+        accepting(BRAKES)
+
+
+def test_without_a_load_a_test_that_needs_one_is_skipped(accepting: Accepting) -> None:
+    with_load("none")
     run = accepting(BRAKES)
     assert run.tests == {"brakes": "SKIPPED", "forces": "SKIPPED"}
     assert run["brakes"].why == "needs a load"

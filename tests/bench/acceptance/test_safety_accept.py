@@ -378,3 +378,22 @@ def test_a_test_that_starves_the_watchdog_is_told_so(accepting: Accepting) -> No
         r"the drive tripped: WATCHDOG \(no ALIVE for 0\.5\d s: let a test compute after drive\.stop\(\), .*\)",
         run["starves"].why,
     )
+
+
+DRAWS = """
+def test_draws(drive, record, figure):
+    turn(drive, record)
+    def draw():
+        from matplotlib.figure import Figure
+        states = [session.state.name for session in record.rig.client.link.device.sessions]
+        assert states == ["IDLE", "IDLE"], states
+        return Figure()
+    figure("picture", "drawn at rest", draw)
+"""
+
+
+def test_figures_are_drawn_when_nothing_turns_any_more(accepting: Accepting, tmp_path: Path) -> None:
+    run = accepting(DRAWS, SpoiltLink(simulated()), report=tmp_path / "report")
+    assert run.tests == {"draws": "PASS"}
+    (figure,) = run["draws"].figures
+    assert (tmp_path / "report" / figure.path).is_file()

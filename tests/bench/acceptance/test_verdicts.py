@@ -73,8 +73,8 @@ def test_trips_once_it_has_returned(drive, record, measure):
 
 @pytest.fixture
 def trips_later(drive, record):
-    turn(drive, record)
     yield
+    turn(drive, record)  # it was stopped when the test returned
     trip(record)
 
 def test_trips_in_a_fixture(trips_later): pass
