@@ -84,7 +84,7 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     assert properties["good.n_p"] == "6 [= 6] PASS"
     spread = run.measured["bad.spread"].value
     assert properties["bad.spread"] == f"{spread:.4g} deg [≤ 0.001 deg] FAIL"
-    assert properties["bad.nan"] == "nan deg [≤ 1 deg] FAIL"
+    assert properties["bad.nan"] == "nan deg [≤ 1 deg] FAIL (is not a number)"
     assert properties["cannot.x"] == "not measured [≤ 1] SKIPPED (needs the drive's parameter no_such)"
     message = next(suite.iter("failure")).get("message", "")
     assert message.startswith("2 of 2 measurements did not pass")
