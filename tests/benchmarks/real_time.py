@@ -1,7 +1,8 @@
 """`python -m tests.benchmarks.real_time [-k EXPR]`: the suite in real time beside virtual time.
 
 Runs `bench accept` on the simulated drive in virtual time and on `bench sim --pty`, and prints every measurement whose
-verdict differs, or whose values differ by more than `TOLERANCE` of the room that its limits leave. Exit code 1 if any.
+verdict differs, or whose values differ by more of the room that its limits leave than `TOLERANCES` allow. Exit code 1
+if any.
 """
 
 from __future__ import annotations
@@ -11,13 +12,25 @@ import json
 import subprocess
 import sys
 import tempfile
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from tests.bench.processes import Sim
 
-TOLERANCE = 0.35
-"""Of the width between the limits (of the limit, where there is one): noise of another seed, and when commands came."""
+TOLERANCES = {
+    "hall_wire*": 1.0,  # where the rotor was when a wire broke, or from where it started with two exchanged
+    "hall_glitches*": 1.0,  # where the false pulses fell
+    "low_speed*": 1.0,  # the shaft sticks and slips
+    "fig06_frequency_response.high_pass_*": 0.7,  # the largest of ten deviations that are mostly noise
+    "*": 0.35,  # noise of another seed, and when commands came
+}
+"""Of the width between the limits (of the limit, where there is one), by pattern of names: the first that fits."""
+
+
+def tolerance(name: str) -> float:
+    """What is allowed for a measurement."""
+    return next(share for pattern, share in TOLERANCES.items() if fnmatchcase(name, pattern))
 
 
 def measured(result: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -49,7 +62,7 @@ def differences(virtual: dict[str, Any], real: dict[str, Any]) -> list[str]:
     there = measured(real)
     for name, here in measured(virtual).items():
         other = there[name]
-        if here["verdict"] != other["verdict"] or apart(here, other) > TOLERANCE:
+        if here["verdict"] != other["verdict"] or apart(here, other) > tolerance(name):
             lines.append(
                 f"{name}: {here['value']} {here['verdict']}; {other['value']} {other['verdict']} {other['why']}"
             )

@@ -430,7 +430,7 @@ def test_plain(): pass
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM])
 def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(
     accepting: Accepting, start: Callable[..., Program], number: signal.Signals
 ) -> None:
