@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import pytest
 
 from bench.acceptance import plugin
-from bench.acceptance.results import Measurement, RunResult, Verdict
+from bench.acceptance.results import Measurement, RunResult, Verdict, tightest
 from bench.acceptance.running import value_text
 from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
 from bench.acceptance.settings import read_settings
@@ -214,12 +214,9 @@ def _arguments(options: AcceptOptions) -> list[str]:
 
 
 def _tightest(measurements: tuple[Measurement, ...]) -> str:
-    """Of those with room to their limits: a count or a yes that stands at its limit is as it should be."""
     text = f"  {_several(len(measurements), 'measurement')}"
-    judged = [(m.share, m) for m in measurements if m.share]
-    if not judged:
+    if (closest := tightest(measurements)) is None:
         return text
-    _, closest = min(judged, key=lambda pair: pair[0])
     return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.limits}]"
 
 

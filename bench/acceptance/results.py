@@ -6,7 +6,7 @@ Everything here goes to JSON and back (`to_json`, `from_json`). Nothing here mea
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
 from typing import Any
@@ -190,6 +190,21 @@ class RunResult:
         if self.verdict is Verdict.PASS:
             return 0
         return {Verdict.FAIL: 1, Verdict.ABORTED: 130}.get(self.verdict, 2)
+
+
+def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
+    """Of those that were judged, the one with the least share of its room left, or the furthest outside; NaN is that.
+
+    A count or a yes that stands at its limit is as it should be and has no room to speak of; None where all are such.
+    """
+    judged = []
+    for measurement in measurements:
+        margin, share = measurement.margin, measurement.share
+        if margin and measurement.verdict in (Verdict.PASS, Verdict.FAIL):
+            if share is None:  # a limit of 0, or two that are one
+                share = math.copysign(math.inf, margin)
+            judged.append((-math.inf if math.isnan(margin) else share, measurement))
+    return min(judged, key=lambda pair: pair[0], default=(0.0, None))[1]
 
 
 def to_json(result: TestResult | RunResult) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The look of figures, in one place: size, colours by quantity, axes of time and angle, shading, legend, file.
+"""The look of figures, in one place: size, colours by quantity, axes of time and angle, legend, file.
 
 Figures are as wide as a page of two columns (7.16 in), so they may be printed as they are. They have no titles but
 those of columns: what they show stands in the caption, and the room above the axes is the legend's. Nothing here
@@ -21,7 +21,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from bench.acceptance.results import Verdict
 from bench.rerunio.schema import label
 
 WIDTH, ROW_HEIGHT = 7.16, 1.9  # in
@@ -65,7 +64,6 @@ COLOURS: dict[str, str] = {
     "back_emf": GREEN,
 }
 SPARE_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, LILAC)
-SHADES = {Verdict.PASS: GREEN, Verdict.FAIL: VERMILION, Verdict.INVALID: ORANGE, Verdict.ERROR: PURPLE}
 
 
 def colour(name: str) -> str:
@@ -128,12 +126,6 @@ def wrapped_degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     degrees: NDArray[np.float64] = np.degrees(angle)
     degrees[1:][np.abs(np.diff(angle)) > math.pi] = np.nan
     return degrees
-
-
-def shade(axes: Sequence[Axes], first: float, last: float, verdict: Verdict | None = None) -> None:
-    """Shade the abscissa from `first` to `last`, behind the lines, in the colour of `verdict`; grey without one."""
-    for ax in axes:
-        ax.axvspan(first, last, color=SHADES.get(verdict, GREY) if verdict else GREY, alpha=0.13, linewidth=0, zorder=0)
 
 
 def limit_lines(ax: Axes, lo: float | None, hi: float | None, name: str = "") -> None:

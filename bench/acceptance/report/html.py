@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bench.acceptance.report import words
-from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict
+from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
 from bench.errors import BenchError
 
 NAME = "report.html"
@@ -165,7 +165,7 @@ def _environment() -> Environment:
         "plain": words.plain,
         "span": words.span_text,
         "tally": words.tally,
-        "tightest": words.tightest,
+        "tightest": tightest,
         "value": words.value_text,
         "zone": words.zone,
     }

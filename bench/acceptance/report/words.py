@@ -45,21 +45,6 @@ def margin_text(measurement: Measurement) -> str:
     return f"{sign}{number(margin, digits(value, measurement.limits))}{percent}"
 
 
-def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
-    """Of those that were judged, the one with the least share of its room left, or the furthest outside; NaN is that.
-
-    A count or a yes that stands at its limit is as it should be and has no room to speak of; None where all are such.
-    """
-    judged = []
-    for measurement in measurements:
-        margin, share = measurement.margin, measurement.share
-        if margin and measurement.verdict in (Verdict.PASS, Verdict.FAIL):
-            if share is None:  # a limit of 0, or two that are one
-                share = math.copysign(math.inf, margin)
-            judged.append((-math.inf if math.isnan(margin) else share, measurement))
-    return min(judged, key=lambda pair: pair[0], default=(0.0, None))[1]
-
-
 def digits(value: float, limits: Limits) -> int:
     """Decimals for a value between limits: fine enough for the room there, none for a count.
 

@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 import numpy as np
 
 from bench.acceptance.capture import F64, Capture
+from bench.acceptance.waveforms import thd_by_angle
 from bench.energise import RPM
 
 if TYPE_CHECKING:
     from bench.acceptance.fixtures import Record
+
+Measure = Callable[..., bool]
+Figure = Callable[..., None]
+"""What the fixtures `measure` and `figure` give."""
 
 AVERAGE, PROPOSED = "average-speed", "vector-tracking"
 """The paper's two approaches, as the drive calls them."""
@@ -109,3 +114,8 @@ def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: floa
         if good == 2:
             return True
     return False
+
+
+def thd_of_current(capture: Capture) -> float:
+    """THD (20) of i_a in %, by the electrical angle; NaN if there are no three periods of it."""
+    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"]).value)

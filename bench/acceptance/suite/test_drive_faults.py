@@ -6,7 +6,6 @@ Faults of the wiring are put in by the rig. The default limits are those of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
-from bench.acceptance.suite.common import PROPOSED, error_deg, rpm
+from bench.acceptance.suite.common import PROPOSED, Figure, Measure, error_deg, rpm
 from bench.acceptance.suite.events import (
     GONE,
     PHASES,
@@ -33,9 +32,6 @@ from bench.acceptance.suite.events import (
 )
 from bench.acceptance.wiring import AS_SPECIFIED, diagnose
 from protocol.codes import DriveState
-
-Measure = Callable[..., bool]
-Figure = Callable[..., None]
 
 OPEN = {f"open_{wire}": f"sensor {wire} open (always 1)" for wire in WIRES}
 EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pair in PAIRS}

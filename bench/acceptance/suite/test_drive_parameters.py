@@ -6,18 +6,15 @@ The default limits are those of the paper's drive.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load
-from bench.acceptance.suite.common import PROPOSED, error_deg, settle, whole_turns
+from bench.acceptance.suite.common import PROPOSED, Measure, error_deg, settle, whole_turns
 from bench.acceptance.suite.events import current
 from bench.acceptance.waveforms import FORWARDS, edge_offsets
-
-Measure = Callable[..., bool]
 
 # Angle by which wrong values turn the mean error, deg. An inductance that is dL too large adds w dL i to a back-EMF of
 # w psi_f at right angles: atan(dL i / psi_f), 1.29 deg for 20 % at 4.18 A. A resistance only changes its size.

@@ -7,7 +7,6 @@ limits are those of the paper's drive.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,13 +15,10 @@ from bench.acceptance import RPM, Capture, Drive, energises, limit, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
-from bench.acceptance.suite.common import PROPOSED, error_deg, or_nan, rpm, settle
+from bench.acceptance.suite.common import PROPOSED, Figure, Measure, error_deg, or_nan, rpm, settle
 from bench.acceptance.suite.events import GONE, current, currents_gone, first, largest, speed, states, stepped
 from bench.acceptance.waveforms import settled
 from protocol.codes import DriveState
-
-Measure = Callable[..., bool]
-Figure = Callable[..., None]
 
 
 @limit("zero_time", "ms", lo=31, hi=60, about="from the step of the reference to standstill; the ramp takes 31 ms")

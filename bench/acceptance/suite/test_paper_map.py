@@ -7,19 +7,13 @@ Source: (20) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
+from bench.acceptance import RPM, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import NodeLoad
 from bench.acceptance.plots.thd_map import draw_thd_map
-from bench.acceptance.suite.common import AVERAGE, PROPOSED, WORDS, or_nan, whole_turns
-from bench.acceptance.waveforms import thd_by_angle
-
-Measure = Callable[..., bool]
-Figure = Callable[..., None]
+from bench.acceptance.suite.common import AVERAGE, PROPOSED, WORDS, Figure, Measure, thd_of_current, whole_turns
 
 SPEEDS = tuple(range(250, 2501, 250))  # r/min
 TYPICAL = {
@@ -102,11 +96,6 @@ def test_fig13_thd_map(drive: Drive, load: NodeLoad, record: Record, measure: Me
         "THD (20) of the phase current over speed, by q current: (a) average speed, (b) proposed.",
         lambda: draw_thd_map(LOADS, SPEEDS, {"(a) average speed": average, "(b) proposed": proposed}),
     )
-
-
-def thd_of_current(capture: Capture) -> float:
-    """THD (20) of i_a in %, by the electrical angle; NaN if there are no three periods of it."""
-    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"]).value)
 
 
 def _turn(speed_rpm: float) -> float:

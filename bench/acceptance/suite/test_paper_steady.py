@@ -9,7 +9,6 @@ Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,16 +20,25 @@ from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
 from bench.acceptance.plots.response import draw_bode
 from bench.acceptance.plots.steady import draw_steady
-from bench.acceptance.suite.common import AVERAGE, PROPOSED, WORDS, error_deg, or_nan, rpm, settle, whole_turns
-from bench.acceptance.suite.test_paper_map import thd_of_current
+from bench.acceptance.suite.common import (
+    AVERAGE,
+    PROPOSED,
+    WORDS,
+    Figure,
+    Measure,
+    error_deg,
+    or_nan,
+    rpm,
+    settle,
+    thd_of_current,
+    whole_turns,
+)
 from bench.acceptance.waveforms import BACKWARDS, FORWARDS, edge_offsets, sine_response
 from bench.acceptance.wiring import AS_SPECIFIED, diagnose
 from protocol.signals import Injection, Status
 
 F64 = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Measure = Callable[..., bool]
-Figure = Callable[..., None]
 
 
 # -- Table I --------------------------------------------------------------------------------------------------------

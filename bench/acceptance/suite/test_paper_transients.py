@@ -6,8 +6,6 @@ The default limits are those of the paper's drive.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
@@ -21,6 +19,8 @@ from bench.acceptance.suite.common import (
     THETA,
     WORDS,
     After,
+    Figure,
+    Measure,
     error_deg,
     or_nan,
     ratio,
@@ -32,8 +32,6 @@ from bench.acceptance.suite.common import (
 )
 from bench.acceptance.waveforms import StepResponse, settled, step_response
 
-Measure = Callable[..., bool]
-Figure = Callable[..., None]
 Servo = NodeLoad | OwnLoad  # what may be able to force a speed
 
 LOW, HIGH = 500.0, 1000.0  # r/min
