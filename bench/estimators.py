@@ -17,10 +17,15 @@ from protocol.signals import Flag, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.observers import bank
 
-INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref")
+INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
 OPTIONAL = ("inject", "inject_amplitude", "inject_hz")
 """Parameters that a drive need not have: without them nothing is injected."""
-CHECKED = ("theta_avg", "omega_avg", "theta_vt", "omega_vt", "delta_hat", "e_alpha", "e_beta")
+CHECKED = (
+    *(f"{what}_{short}" for short in bank.SHORT for what in ("theta", "omega")),
+    "delta_hat",
+    "e_alpha",
+    "e_beta",
+)
 
 
 class HostObservers:
@@ -35,6 +40,7 @@ class HostObservers:
         self._params = bank.make_params(tick_hz, pwm_hz, exact_inverse=True, **needed)
         self._state = bank.init()
         self._synchronised = False
+        self._i_q = 0.0  # of the last sample, A
         self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
         self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
         self._compile()
@@ -66,7 +72,9 @@ class HostObservers:
         valid: NDArray[np.bool_] = last_reset >= last_gap
         self._synchronised = bool(valid[-1])
         used = int(np.searchsorted(self._edge_tick, chunk.tick[-1], side="right"))
-        u_alpha, u_beta, i_a, i_b, i_c, i_q_ref = (chunk.physical(name) for name in INPUTS[2:])
+        u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (chunk.physical(name) for name in INPUTS[2:])
+        i_q_err = i_q_ref - np.r_[self._i_q, i_q[:-1]]
+        self._i_q = float(i_q[-1])
         self._state, estimates = bank.run(
             self._params,
             self._state,
@@ -77,7 +85,7 @@ class HostObservers:
             i_a,
             i_b,
             i_c,
-            i_q_ref,
+            i_q_err,
             self._edge_tick[:used],
             self._edge_hall[:used],
             reset,
@@ -92,7 +100,7 @@ class HostObservers:
         for name in CHECKED:
             if name in (chunk.raw.dtype.names or ()):
                 channel = chunk.config.channel(name)
-                differ |= _raw(channel, getattr(estimates, name)) != chunk.raw[name]
+                differ |= _raw(channel, estimates.column(name)) != chunk.raw[name]
         return int(valid.sum()), int((differ & valid).sum())
 
 

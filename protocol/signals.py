@@ -137,7 +137,7 @@ class Parameter:
 
 
 class Status(IntFlag):
-    """Bits of the channel `status`; bits 0-2 hold the `DriveState`, bits 5-6 the `AngleSource`."""
+    """Bits of the channel `status`; bits 0-2 hold the `DriveState`, bits 5-6 the `AngleSource`, 3 for 3 and above."""
 
     OBSERVERS_RESET = 1 << 3  # the observers were initialised in this period
     CORRECTION_ON = 1 << 4  # the vector-tracking observer's back-EMF correction is at work
@@ -146,6 +146,8 @@ class Status(IntFlag):
 
 STATUS_STATE_MASK = 0x07
 STATUS_SOURCE_SHIFT = 5
+STATUS_SOURCE_MASK = 3 << STATUS_SOURCE_SHIFT
+OTHER_SOURCE = 3  # what the two bits say for every angle source that they cannot name
 
 
 class AngleSource(IntEnum):
@@ -154,6 +156,7 @@ class AngleSource(IntEnum):
     ENCODER = 0
     AVERAGE_SPEED = 1
     VECTOR_TRACKING = 2
+    LOAD_ANGLE = 3
 
 
 class Injection(IntEnum):
@@ -185,6 +188,14 @@ def _channel(
     return Signal(id, name, unit, raw, scale, Flag.CHANNEL | flags, about)
 
 
+def _estimate(id: int, short: str, about: str) -> tuple[Signal, Signal]:
+    """The angle (channel `id`) and the speed (`id` + 1) of an observer."""
+    return (
+        _channel(id, f"theta_{short}", Unit.RAD, ANGLE, f"{about}: estimate", Flag.ESTIMATE | Flag.WRAPS),
+        _channel(id + 1, f"omega_{short}", Unit.RAD_PER_S, SPEED, f"{about}: speed", Flag.ESTIMATE),
+    )
+
+
 DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(1, "hall", Unit.NONE, 1.0, "raw Hall code: bit 0 = sensor a, bit 1 = b, bit 2 = c", raw=RawType.U8),
     _channel(2, "status", Unit.NONE, 1.0, "drive state, angle source and observer events (see Status)", raw=RawType.U8),
@@ -212,6 +223,7 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(24, "omega_true", Unit.RAD_PER_S, SPEED, "the plant's electrical speed", Flag.TRUTH),
     _channel(25, "tau_e_true", Unit.NM, 1 / 16384, "the plant's electromagnetic torque", Flag.TRUTH),
     _channel(26, "tau_load_true", Unit.NM, 1 / 16384, "torque of the load machine on the shaft", Flag.TRUTH),
+    *_estimate(27, "la", "vector-tracking with load-angle compensation, (3)-(10), (18)-(19)"),
 )
 
 LOAD_CHANNELS: tuple[Signal, ...] = (
@@ -232,7 +244,7 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(105, "i_max", Unit.A, 0.0, 30.0, _PI, "largest current reference"),
     Parameter(106, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest mechanical speed reference"),
     Parameter(107, "alpha_m_max", Unit.RAD_PER_S2, 1.0, 1e5, _P, "largest slope of the mechanical speed reference"),
-    Parameter(108, "observer", Unit.NONE, 0, 2, _PW, "angle source: 0 encoder, 1 average speed, 2 vector tracking"),
+    Parameter(108, "observer", Unit.NONE, 0, max(AngleSource), _PW, "angle source of the control (see AngleSource)"),
     Parameter(109, "load_angle_comp", Unit.NONE, 0, 1, _PW, "load-angle compensation (18)-(19): 0 off, 1 on"),
     Parameter(110, "k_p_vt", Unit.PER_S, 0.0, 1e5, _P, "vector tracking: proportional gain k_p of (9)"),
     Parameter(111, "k_i_vt", Unit.NONE, 0.0, 1e9, _P, "vector tracking: integral gain k_i of (9), 1/s²"),

@@ -24,7 +24,7 @@ from bench.rerunio.plane import Plane
 from bench.rerunio.trend import Rows, TrendBinner
 from bench.statistics import DeviceCounters, wrap
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
-from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
+from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
@@ -290,7 +290,7 @@ class RunLog:
             self._lane(
                 at,
                 state=states.state_name(word & STATUS_STATE_MASK),
-                source=states.source_name(word >> STATUS_SOURCE_SHIFT & 3),
+                source=states.source_name((word & STATUS_SOURCE_MASK) >> STATUS_SOURCE_SHIFT),
                 correction=states.CORRECTION[bool(word & Status.CORRECTION_ON)],
             )
         self._status = int(words[-1])

@@ -12,7 +12,7 @@ from bench.rerunio import schema
 from bench.verdict import Verdict, worst
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault
-from protocol.signals import AngleSource
+from protocol.signals import OTHER_SOURCE, AngleSource
 
 SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)  # sector 0..5 by Hall code, SPEC.md's Hall bit order
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
@@ -35,11 +35,12 @@ LANES = ("state", "faults", "source", "correction", "telemetry")
 UNKNOWN = "unknown"
 NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
 CORRECTION = ("back-EMF correction off", "back-EMF correction on")
-_SOURCES = {
-    AngleSource.ENCODER: "angle: encoder",
-    AngleSource.AVERAGE_SPEED: "angle: average speed",
-    AngleSource.VECTOR_TRACKING: "angle: vector tracking",
-}
+_SOURCES = (  # by what `status` can tell
+    "angle: encoder",
+    "angle: average speed",
+    "angle: vector tracking",
+    "angle: another observer",
+)
 DRIVE_COLOURS: dict[str, Colour] = {
     UNKNOWN: _DARK,
     DriveState.BOOT.name: _DIM,
@@ -52,6 +53,7 @@ DRIVE_COLOURS: dict[str, Colour] = {
     _SOURCES[AngleSource.ENCODER]: _DIM,
     _SOURCES[AngleSource.AVERAGE_SPEED]: (176, 116, 10),
     _SOURCES[AngleSource.VECTOR_TRACKING]: (40, 120, 180),
+    _SOURCES[OTHER_SOURCE]: (120, 80, 180),
     CORRECTION[0]: _DARK,
     CORRECTION[1]: (60, 84, 140),
     COMPLETE: _DARK,
@@ -96,8 +98,8 @@ def state_name(value: int) -> str:
 
 
 def source_name(value: int) -> str:
-    """Words for an AngleSource; an unknown one keeps its number."""
-    return _SOURCES[AngleSource(value)] if value in AngleSource._value2member_map_ else f"angle: source {value}"
+    """Words for the two bits of `status` that name an AngleSource."""
+    return _SOURCES[value]
 
 
 def fault_text(faults: int) -> str:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.signals import STATUS_SOURCE_SHIFT, Status
+from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, Status
 from sim.drive import tick_firmware
 from sim.drive.tick_record import (
     PER_NM,
@@ -272,6 +272,7 @@ def _silenced(firmware: tick_firmware.State) -> tick_firmware.State:
         0,
         0.0,
         0.0,
+        0.0,
         off,
         off,
         firmware.protection,
@@ -291,6 +292,7 @@ def _with_bank(firmware: tick_firmware.State) -> tick_firmware.State:
         firmware.mode,
         firmware.i_d_ref,
         firmware.i_q_ref,
+        firmware.i_q,
         firmware.now,
         firmware.next,
         firmware.protection,
@@ -337,7 +339,7 @@ def advance(
 
         estimate = result.estimate
         drive_state = FAULT if firmware.faults != 0 else command.drive.state
-        status = drive_state | (firmware.source << STATUS_SOURCE_SHIFT)
+        status = drive_state | (min(firmware.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
         if reset:
             status |= RESET
         if estimate.correction_on == 1:
@@ -362,10 +364,12 @@ def advance(
         row["i_d_ref"] = clipped(before.i_d_ref * PER_UNIT)
         row["i_q_ref"] = clipped(before.i_q_ref * PER_UNIT)
         row["omega_ref"] = clipped(result.omega_ref * PER_RAD_PER_S)
-        row["theta_avg"] = angle(estimate.theta_avg)
-        row["omega_avg"] = clipped(estimate.omega_avg * PER_RAD_PER_S)
-        row["theta_vt"] = angle(estimate.theta_vt)
-        row["omega_vt"] = clipped(estimate.omega_vt * PER_RAD_PER_S)
+        row["theta_avg"] = angle(estimate.theta[0])
+        row["omega_avg"] = clipped(estimate.omega[0] * PER_RAD_PER_S)
+        row["theta_vt"] = angle(estimate.theta[1])
+        row["omega_vt"] = clipped(estimate.omega[1] * PER_RAD_PER_S)
+        row["theta_la"] = angle(estimate.theta[2])
+        row["omega_la"] = clipped(estimate.omega[2] * PER_RAD_PER_S)
         row["delta_hat"] = angle(estimate.delta_hat)
         row["e_alpha"] = clipped(estimate.e_alpha * PER_UNIT)
         row["e_beta"] = clipped(estimate.e_beta * PER_UNIT)
@@ -381,10 +385,10 @@ def advance(
 
         if j < arrays.log.shape[0]:
             log = arrays.log[j]
-            log[0] = estimate.theta_avg
-            log[1] = estimate.omega_avg
-            log[2] = estimate.theta_vt
-            log[3] = estimate.omega_vt
+            log[0] = estimate.theta[0]
+            log[1] = estimate.omega[0]
+            log[2] = estimate.theta[1]
+            log[3] = estimate.omega[1]
             log[4] = estimate.delta_hat
             log[5] = estimate.e_alpha
             log[6] = estimate.e_beta

@@ -91,6 +91,7 @@ class State(NamedTuple):
     mode: int  # SetpointMode at the last sample, 0: none
     i_d_ref: float  # in force since the last sample, A
     i_q_ref: float
+    i_q: float  # at the last sample, A, in the frame that the control uses, as telemetry carries it
     now: Output  # in force since the last sample
     next: Output  # in force from the coming sample on
     protection: protection.State
@@ -125,6 +126,7 @@ def init(counter: int) -> State:
         0,
         0.0,
         0.0,
+        0.0,
         output_off(),
         output_off(),
         protection.init(),
@@ -142,14 +144,14 @@ def _protect(
     estimate: bank.BankEstimate,
 ) -> protection.State:
     """The protection after a sample; `hall`: the Hall front end's state after it."""
-    before = state.bank.hall
+    before = state.bank.front.hall
     sampled = 1 if sensed.hall == 0 or sensed.hall == 7 else 0
     return protection.step(
         params.protection,
         state.protection,
         protection.Sensed(
             max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
-            omega_enc if params.has_encoder else estimate.omega_avg,
+            omega_enc if params.has_encoder else estimate.omega[AVERAGE_SPEED - 1],
             sensed.u_dc,
             sensed.hall,
             hall.illegal - before.illegal - sampled + hall.skipped - before.skipped,
@@ -168,9 +170,7 @@ def _angle(
     """Angle and speed (electrical rad, rad/s) by an angle source."""
     if source == ENCODER:
         return encoder.angle(params.encoder, sensed.counter), omega_enc
-    if source == AVERAGE_SPEED:
-        return estimate.theta_avg, estimate.omega_avg
-    return estimate.theta_vt, estimate.omega_vt
+    return estimate.theta[source - 1], estimate.omega[source - 1]
 
 
 @kernel
@@ -229,7 +229,7 @@ def step(
 
     On return `state.now` is what is in force until the next sample.
     """
-    estimator, estimate = bank.step_span(
+    estimator, estimate = bank.step(
         params.bank,
         state.bank,
         sensed.tick,
@@ -239,7 +239,7 @@ def step(
         sensed.i_a,
         sensed.i_b,
         sensed.i_c,
-        state.i_q_ref,
+        state.i_q_ref - state.i_q,
         edge_ticks,
         edge_halls,
         first,
@@ -248,7 +248,7 @@ def step(
     tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
     theta, omega = _angle(params, params.source, sensed, omega_enc, estimate)
 
-    protected = _protect(params, state, sensed, estimator.hall, omega_enc, estimate)
+    protected = _protect(params, state, sensed, estimator.front.hall, omega_enc, estimate)
     faults = state.faults
     if command.state == ARMED or command.state == RUNNING:
         faults |= protected.causes
@@ -300,6 +300,7 @@ def step(
         mode,
         i_d_ref,
         i_q_ref,
+        quantised(i_q),
         now,
         output,
         protected,

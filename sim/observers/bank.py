@@ -15,14 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.numba_cache import jit, kernel
-from sim.observers import average_speed, hall_speed, vector_tracking
-from sim.observers.transforms import clarke
+from sim.observers import load_angle, sample, vector_tracking
+
+OBSERVERS = ("average_speed", "vector_tracking", "load_angle")
+"""The observers of the bank, in the order of `protocol.signals.AngleSource`, which begins with the encoder."""
+SHORT = ("avg", "vt", "la")
+"""Their names in channels: `theta_avg`, `omega_avg` …"""
+COUNT = len(OBSERVERS)
 
 # The drive parameters that the estimates depend on, by their names.
+FRONT_PARAMETERS = ("n_p", "omega_m_max", "hall_timeout")
 PARAMETERS = (
-    "n_p",
-    "omega_m_max",
-    "hall_timeout",
+    *FRONT_PARAMETERS,
     "R_s_hat",
     "L_s_hat",
     "psi_f_hat",
@@ -45,45 +49,49 @@ PARAMETERS = (
 class Params(NamedTuple):
     """Constants of all observers."""
 
-    average: average_speed.Params
+    front: sample.Params
     vector: vector_tracking.Params
+    load_angle: load_angle.Params
 
 
 class State(NamedTuple):
     """What the observers remember."""
 
-    hall: hall_speed.State
+    front: sample.State
     vector: vector_tracking.State
+    load_angle: load_angle.State
 
 
 class BankEstimate(NamedTuple):
     """One period's results: electrical angles in [-pi, pi) and speeds, rad and rad/s, at the sample."""
 
-    theta_avg: float
-    omega_avg: float  # omega_h of (1), bounded while an edge is overdue
-    theta_vt: float
-    omega_vt: float  # low-pass filtered
-    delta_hat: float  # rad
+    theta: tuple[float, float, float]  # by observer, in the order of `OBSERVERS`
+    omega: tuple[float, float, float]
+    delta_hat: float  # rad, of the vector-tracking observer, as are the following
     e_alpha: float  # V
     e_beta: float
-    correction_on: int  # 1: the vector-tracking observer's correction is at work
+    correction_on: int  # 1: the correction is at work
     sector: int  # 0..5, -1: not known yet
     injection_sync: int  # 1: the test sine begins a turn at this sample
 
 
 class BankEstimates(NamedTuple):
-    """A run's results, one element a sample; fields as in `BankEstimate`."""
+    """A run's results; fields as in `BankEstimate`."""
 
-    theta_avg: NDArray[np.float64]
-    omega_avg: NDArray[np.float64]
-    theta_vt: NDArray[np.float64]
-    omega_vt: NDArray[np.float64]
-    delta_hat: NDArray[np.float64]
+    theta: NDArray[np.float64]  # shape (observers, n)
+    omega: NDArray[np.float64]
+    delta_hat: NDArray[np.float64]  # shape (n,), as are the following
     e_alpha: NDArray[np.float64]
     e_beta: NDArray[np.float64]
     correction_on: NDArray[np.int64]
     sector: NDArray[np.int64]
     injection_sync: NDArray[np.int64]
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """The column of a channel, shape (n,): such as "theta_vt", "omega_avg", "delta_hat"."""
+        what, _, short = name.partition("_")
+        found: NDArray[np.float64] = getattr(self, name if short not in SHORT else what)
+        return found if short not in SHORT else found[SHORT.index(short)]
 
 
 def make_params(tick_hz: float, pwm_hz: float, *, exact_inverse: bool = True, **drive: float) -> Params:
@@ -94,57 +102,18 @@ def make_params(tick_hz: float, pwm_hz: float, *, exact_inverse: bool = True, **
     `exact_inverse`: see `vector_tracking`.
     """
     value = {name: float(np.float32(drive[name])) for name in PARAMETERS}
-    average = {name: value.pop(name) for name in ("n_p", "omega_m_max", "hall_timeout")}
+    front = {name: value.pop(name) for name in FRONT_PARAMETERS}
     return Params(
-        average_speed.make_params(tick_hz, **average),
+        sample.make_params(tick_hz, **front),
         vector_tracking.make_params(pwm_hz, exact_inverse=exact_inverse, **value),
+        load_angle.make_params(pwm_hz, exact_inverse=exact_inverse, **value),
     )
 
 
 @kernel
 def init() -> State:
     """Nothing known yet: the first sample gives sector and currents."""
-    return State(hall_speed.init(), vector_tracking.init())
-
-
-@kernel
-def step_span(
-    params: Params,
-    state: State,
-    tick: int,
-    hall: int,
-    u_alpha: float,
-    u_beta: float,
-    i_a: float,
-    i_b: float,
-    i_c: float,
-    i_q_ref: float,
-    edge_ticks: NDArray[np.int64],
-    edge_halls: NDArray[np.uint8],
-    first: int,
-    last: int,
-) -> tuple[State, BankEstimate]:
-    """`step` with the period's edges at [first, last) of the arrays: without slicing, for tight loops."""
-    hall_state, front = hall_speed.step(
-        params.average.hall, state.hall, tick, hall, edge_ticks, edge_halls, first, last
-    )
-    theta_avg = average_speed.position(params.average, front)
-    i_alpha, i_beta = clarke(i_a, i_b, i_c)
-    vector_state, vector = vector_tracking.step(
-        params.vector, state.vector, front, theta_avg, u_alpha, u_beta, i_alpha, i_beta, i_q_ref
-    )
-    return State(hall_state, vector_state), BankEstimate(
-        theta_avg,
-        front.omega,
-        vector.theta,
-        vector.omega,
-        vector.delta_hat,
-        vector.e_alpha,
-        vector.e_beta,
-        vector.on,
-        front.sector,
-        vector.sync,
-    )
+    return State(sample.init(), vector_tracking.init(), load_angle.init())
 
 
 @kernel
@@ -158,19 +127,22 @@ def step(
     i_a: float,
     i_b: float,
     i_c: float,
-    i_q_ref: float,
+    i_q_err: float,
     edge_ticks: NDArray[np.int64],
     edge_halls: NDArray[np.uint8],
+    first: int,
+    last: int,
 ) -> tuple[State, BankEstimate]:
     """One control period.
 
-    `tick`, `hall`: time and code of the sample; `i_a`, `i_b`, `i_c`: its currents, A; `u_alpha`, `u_beta`
-    (V), `i_q_ref` (A): in force over the period that ends at it. `edge_ticks`, `edge_halls`: times and new
-    codes of the edges after the last sample and up to this one, shape (m,), rising.
+    `tick`, `hall`: time and code of the sample; `i_a`, `i_b`, `i_c`: its currents, A; `u_alpha`, `u_beta` (V): in force
+    over the period that ends at it; `i_q_err` (A): reference less q current in the drive's current loop one period ago.
+    `edge_ticks`, `edge_halls`: times and new codes of edges, rising; those in [first, last) came after the last sample
+    and up to this one.
     """
-    return step_span(
-        params,
-        state,
+    front, seen = sample.step(
+        params.front,
+        state.front,
         tick,
         hall,
         u_alpha,
@@ -178,11 +150,23 @@ def step(
         i_a,
         i_b,
         i_c,
-        i_q_ref,
+        i_q_err,
         edge_ticks,
         edge_halls,
-        0,
-        edge_ticks.shape[0],
+        first,
+        last,
+    )
+    vector_state, vector = vector_tracking.step(params.vector, state.vector, seen)
+    load_state, load = load_angle.step(params.load_angle, state.load_angle, seen)
+    return State(front, vector_state, load_state), BankEstimate(
+        (seen.theta_avg, vector.theta, load.theta),
+        (seen.hall.omega, vector.omega, load.omega),
+        vector.delta_hat,
+        vector.e_alpha,
+        vector.e_beta,
+        vector.on,
+        seen.hall.sector,
+        vector.sync,
     )
 
 
@@ -197,23 +181,21 @@ def run(
     i_a: NDArray[np.float64],
     i_b: NDArray[np.float64],
     i_c: NDArray[np.float64],
-    i_q_ref: NDArray[np.float64],
+    i_q_err: NDArray[np.float64],
     edge_tick: NDArray[np.int64],
     edge_hall: NDArray[np.uint8],
     reset: NDArray[np.bool_],
 ) -> tuple[State, BankEstimates]:
-    """`step` over n samples of one control period each, with `init` before each sample where `reset` is set.
+    """`step` over n samples, with `init` before each sample where `reset` is set.
 
-    Samples: shape (n,). Edges: shape (m,), rising ticks; an edge is taken in with the first sample at or
-    after it, and edges after the last sample are left alone (give them again with the next chunk).
+    Samples: shape (n,). Edges: shape (m,), rising ticks; an edge is taken in with the first sample at or after it, and
+    edges after the last sample are left alone (give them again with the next chunk).
     """
     n = tick.shape[0]
     m = edge_tick.shape[0]
     out = BankEstimates(
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
+        np.empty((COUNT, n), np.float64),
+        np.empty((COUNT, n), np.float64),
         np.empty(n, np.float64),
         np.empty(n, np.float64),
         np.empty(n, np.float64),
@@ -228,7 +210,7 @@ def run(
             last += 1
         if reset[k]:
             state = init()
-        state, estimate = step_span(
+        state, estimate = step(
             params,
             state,
             tick[k],
@@ -238,17 +220,16 @@ def run(
             i_a[k],
             i_b[k],
             i_c[k],
-            i_q_ref[k],
+            i_q_err[k],
             edge_tick,
             edge_hall,
             first,
             last,
         )
         first = last
-        out.theta_avg[k] = estimate.theta_avg
-        out.omega_avg[k] = estimate.omega_avg
-        out.theta_vt[k] = estimate.theta_vt
-        out.omega_vt[k] = estimate.omega_vt
+        for j in range(COUNT):
+            out.theta[j, k] = estimate.theta[j]
+            out.omega[j, k] = estimate.omega[j]
         out.delta_hat[k] = estimate.delta_hat
         out.e_alpha[k] = estimate.e_alpha
         out.e_beta[k] = estimate.e_beta

@@ -220,6 +220,43 @@ def step(
 
 
 @jit
+def empty(n: int) -> Estimates:
+    """Room for n estimates."""
+    return Estimates(
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n, np.float64),
+        np.empty(n, np.float64),
+        np.empty(n, np.int64),
+    )
+
+
+@kernel
+def put(out: Estimates, k: int, estimate: Estimate) -> None:
+    """Store the k-th estimate of a run."""
+    out.sector[k] = estimate.sector
+    out.direction[k] = estimate.direction
+    out.anchored[k] = estimate.anchored
+    out.omega[k] = estimate.omega
+    out.age[k] = estimate.age
+    out.edge[k] = estimate.edge
+
+
+@kernel
+def at(estimates: Estimates, k: int) -> Estimate:
+    """The k-th estimate of a run."""
+    return Estimate(
+        estimates.sector[k],
+        estimates.direction[k],
+        estimates.anchored[k],
+        estimates.omega[k],
+        estimates.age[k],
+        estimates.edge[k],
+    )
+
+
+@jit
 def run(
     params: Params,
     state: State,
@@ -237,14 +274,7 @@ def run(
     """
     n = tick.shape[0]
     m = edge_tick.shape[0]
-    out = Estimates(
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.int64),
-    )
+    out = empty(n)
     first = 0
     for k in range(n):
         last = first
@@ -254,10 +284,5 @@ def run(
             state = init()
         state, estimate = step(params, state, tick[k], hall[k], edge_tick, edge_hall, first, last)
         first = last
-        out.sector[k] = estimate.sector
-        out.direction[k] = estimate.direction
-        out.anchored[k] = estimate.anchored
-        out.omega[k] = estimate.omega
-        out.age[k] = estimate.age
-        out.edge[k] = estimate.edge
+        put(out, k, estimate)
     return state, out

@@ -22,9 +22,9 @@ What the paper leaves open, and how it is settled here:
 - An estimate more than 30 deg outside the Hall sector is not believed: the correction stops, and starts
   anew at the next edge. Not with `literal_sgn`, which is there to be seen failing.
 - (18) integrates only while compensation and correction are on, and stays within 30 deg. It takes the
-  current error exactly as a current loop on this observer's angle had it one period ago, so that its
-  integral is the change of that loop's integrator and does not drift; with another angle in the loop it has
-  no meaning. Size and sign of k_pc and k_ic are commissioned for a drive.
+  current error exactly as the drive's current loop had it one period ago, whatever angle that loop works
+  with, so that its integral is the change of the loop's integrator and does not drift. Size and sign of k_pc
+  and k_ic are commissioned for a drive.
 
 A test sine can be added at either input of the loop, to measure its frequency response (11): the response of the
 estimate at sample k, against sin(phase of k), is then the paper's low-pass or high-pass. `inject` = 1 turns theta* by
@@ -45,8 +45,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.numba_cache import jit, kernel
-from sim.observers import hall_speed
 from sim.observers.average_speed import HALF_SECTOR, centre
+from sim.observers.sample import Sample, Samples, at
 from sim.observers.transforms import TWO_PI, wrap
 
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre beyond which the estimate is not believed
@@ -219,20 +219,13 @@ def _injected(params: Params, turn: float) -> tuple[float, int, float, float]:
 def step(
     params: Params,
     state: State,
-    hall: hall_speed.Estimate,
-    theta_avg: float,
-    u_alpha: float,
-    u_beta: float,
-    i_alpha: float,
-    i_beta: float,
-    i_q_ref: float,
+    sample: Sample,
 ) -> tuple[State, Estimate]:
-    """One control period.
-
-    `hall`, `theta_avg`: the results of `hall_speed` and `average_speed` at this sample. `i_alpha`,
-    `i_beta`: its currents, A. `u_alpha`, `u_beta` (V), `i_q_ref` (A): references in force over the period
-    that ends at it.
-    """
+    """One control period."""
+    hall = sample.hall
+    theta_avg = sample.theta_avg
+    u_alpha, u_beta = sample.u_alpha, sample.u_beta
+    i_alpha, i_beta = sample.i_alpha, sample.i_beta
     omega_h = hall.omega
     if state.primed == 0:
         state = State(1, 0, 0, i_alpha, i_beta, 0.0, 0.0, theta_avg, omega_h, 0.0, 0.0, omega_h, 1.0)
@@ -280,10 +273,8 @@ def step(
         size = max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
         cross = (f_alpha * cos + f_beta * sin) / size
         if params.load_angle_comp != 0:  # (18)
-            i_q = state.i_beta * math.cos(theta) - state.i_alpha * math.sin(theta)
-            i_q_err = i_q_ref - i_q
-            delta_i = _clip(delta_i + params.k_ic_T * i_q_err, DELTA_MAX)
-            delta = _clip(params.k_pc * i_q_err + delta_i, DELTA_MAX)
+            delta_i = _clip(delta_i + params.k_ic_T * sample.i_q_err, DELTA_MAX)
+            delta = _clip(params.k_pc * sample.i_q_err + delta_i, DELTA_MAX)
         # (19), which is (9) with a load angle of zero; (4); (10)
         error = delta - cross * direction
         omega_corr_i = state.omega_corr_i + params.k_i_T * error
@@ -311,20 +302,9 @@ def step(
 
 
 @jit
-def run(
-    params: Params,
-    state: State,
-    hall: hall_speed.Estimates,
-    theta_avg: NDArray[np.float64],
-    u_alpha: NDArray[np.float64],
-    u_beta: NDArray[np.float64],
-    i_alpha: NDArray[np.float64],
-    i_beta: NDArray[np.float64],
-    i_q_ref: NDArray[np.float64],
-    reset: NDArray[np.bool_],
-) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset` is set; all arrays of shape (n,)."""
-    n = theta_avg.shape[0]
+def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
+    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
+    n = reset.shape[0]
     out = Estimates(
         np.empty(n, np.float64),
         np.empty(n, np.float64),
@@ -337,20 +317,7 @@ def run(
     for k in range(n):
         if reset[k]:
             state = init()
-        front = hall_speed.Estimate(
-            hall.sector[k], hall.direction[k], hall.anchored[k], hall.omega[k], hall.age[k], hall.edge[k]
-        )
-        state, estimate = step(
-            params,
-            state,
-            front,
-            theta_avg[k],
-            u_alpha[k],
-            u_beta[k],
-            i_alpha[k],
-            i_beta[k],
-            i_q_ref[k],
-        )
+        state, estimate = step(params, state, at(samples, k))
         out.theta[k] = estimate.theta
         out.omega[k] = estimate.omega
         out.delta_hat[k] = estimate.delta_hat

@@ -245,8 +245,9 @@ def test_a_host_repeats_the_drive_bit_for_bit_from_telemetry(comp):
     tick = parts[0].tick + np.arange(n, dtype=np.int64) * bench.params.clock.period_ticks
     physical = {
         name: samples[name].astype(np.float64) * SCALE[name]
-        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref")
+        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
     }
+    *physical, i_q_ref, i_q = physical.values()
     reset = (samples["status"] & Status.OBSERVERS_RESET) != 0
     assert reset.sum() == 3  # boot and two armings
     params = bank.make_params(bench.params.clock.tick_hz, PWM_HZ, **bench.parameters)
@@ -255,11 +256,12 @@ def test_a_host_repeats_the_drive_bit_for_bit_from_telemetry(comp):
         bank.init(),
         tick,
         samples["hall"].copy(),
-        *physical.values(),
+        *physical,
+        i_q_ref - np.r_[0.0, i_q[:-1]],
         edges["tick"].astype(np.int64),
         (edges["codes"] >> 3) & 7,
         reset,
     )
     for name in ("theta_avg", "omega_avg", "theta_vt", "omega_vt", "delta_hat", "e_alpha", "e_beta"):
-        np.testing.assert_array_equal(getattr(out, name), log[:, COLUMN[name]], err_msg=name)
+        np.testing.assert_array_equal(out.column(name), log[:, COLUMN[name]], err_msg=name)
     assert np.array_equal(out.correction_on == 1, (samples["status"] & Status.CORRECTION_ON) != 0)

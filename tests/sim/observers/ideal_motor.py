@@ -54,7 +54,7 @@ class Signals(NamedTuple):
     i_a: np.ndarray
     i_b: np.ndarray
     i_c: np.ndarray
-    i_q_ref: np.ndarray
+    i_q_err: np.ndarray  # A, of the current loop
     edge_tick: np.ndarray
     edge_hall: np.ndarray
     theta: np.ndarray  # truth, unwrapped
@@ -121,7 +121,7 @@ def signals(
         u.real.copy(),
         u.imag.copy(),
         *phase,
-        i_q.copy(),
+        np.zeros(n),
         edge_tick,
         edge_hall,
         theta,

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
 
-from sim.observers import average_speed, bank, hall_speed, vector_tracking
-from sim.observers.transforms import clarke
+from sim.observers import average_speed, bank, hall_speed, load_angle, sample, vector_tracking
 
 MILLI = 1 / 1024
 LOAD_ANGLE = {**DRIVE, "load_angle_comp": 1.0, "k_ic": 11.0}
@@ -34,7 +33,8 @@ def busy(seconds=0.6):
         return 0.4 + way
 
     s = signals(angle, seconds, i_q=5.0, edges_deg=PAPER_EDGES, fine=10, noise=0.02, seed=7)
-    rounded = [np.round(c / MILLI) * MILLI for c in s[2:8]]
+    rounded = [np.round(c / MILLI) * MILLI for c in s[2:7]]
+    rng = np.random.default_rng(3)
     keep = np.ones(s.edge_tick.size, bool)
     keep[20] = False
     tick = np.r_[s.edge_tick[keep], s.edge_tick[8] + 100, s.edge_tick[8] + 140]
@@ -49,7 +49,7 @@ def busy(seconds=0.6):
         i_a=rounded[2],
         i_b=rounded[3],
         i_c=rounded[4],
-        i_q_ref=rounded[5],
+        i_q_err=np.round(rng.standard_normal(s.tick.size) * 0.05 / MILLI) * MILLI,
         edge_tick=tick[order],
         edge_hall=code[order],
     )
@@ -90,7 +90,9 @@ def run_steps(drive=DRIVE):
     s = busy()
     params = bank.make_params(TICK_HZ, PWM_HZ, **drive)
     mask = resets(s.tick.size)
-    columns = [np.empty(s.tick.size) for _ in bank.BankEstimate._fields]
+    columns = [
+        np.empty((bank.COUNT, s.tick.size) if j < 2 else s.tick.size) for j in range(len(bank.BankEstimate._fields))
+    ]
     state = bank.init()
     bounds = np.searchsorted(s.edge_tick, s.tick, side="right")
     first = 0
@@ -98,11 +100,11 @@ def run_steps(drive=DRIVE):
         if mask[k]:
             state = bank.init()
         last = int(bounds[k])
-        sample = [int(s.tick[k]), int(s.hall[k]), *(float(c[k]) for c in s[2:8])]
-        state, estimate = bank.step(params, state, *sample, s.edge_tick[first:last], s.edge_hall[first:last])
+        seen = [int(s.tick[k]), int(s.hall[k]), *(float(c[k]) for c in s[2:8])]
+        state, estimate = bank.step(params, state, *seen, s.edge_tick, s.edge_hall, first, last)
         first = last
         for column, value in zip(columns, estimate, strict=True):
-            column[k] = value
+            column[..., k] = value
     return bits(columns, state)
 
 
@@ -121,7 +123,7 @@ def run_chunks(seed, drive=DRIVE):
         state, out = bank.run(params, state, *here[:8], edge_tick, edge_hall, here[8])
         used += int(np.searchsorted(edge_tick, here[0][-1], side="right"))
         parts.append(out)
-    return bits([np.concatenate(c) for c in zip(*parts, strict=True)], state)
+    return bits([np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)], state)
 
 
 @pytest.mark.parametrize(
@@ -148,34 +150,25 @@ def test_the_bank_is_its_observers_put_together():
     mask = resets(s.tick.size)
     params = bank.make_params(TICK_HZ, PWM_HZ, **DRIVE)
     _, out = bank.run(params, bank.init(), *s.arguments(mask))
+    _, seen = sample.run(params.front, sample.init(), *s.arguments(mask))
     edge_args = (s.tick, s.hall, s.edge_tick, s.edge_hall, mask)
-    _, hall = hall_speed.run(params.average.hall, hall_speed.init(), *edge_args)
-    _, average = average_speed.run(params.average, average_speed.init(), *edge_args)
-    i = np.array([clarke(*abc) for abc in zip(s.i_a, s.i_b, s.i_c, strict=True)])
-    _, vector = vector_tracking.run(
-        params.vector,
-        vector_tracking.init(),
-        hall,
-        average.theta,
-        s.u_alpha,
-        s.u_beta,
-        i[:, 0].copy(),
-        i[:, 1].copy(),
-        s.i_q_ref,
-        mask,
-    )
-    assert np.array_equal(out.theta_avg, average.theta)
-    assert np.array_equal(out.omega_avg, average.omega)
+    _, hall = hall_speed.run(params.front.hall, hall_speed.init(), *edge_args)
+    _, average = average_speed.run(params.front, average_speed.init(), *edge_args)
+    for mine, alone in zip(seen.hall, hall, strict=True):
+        assert np.array_equal(mine, alone)
     assert np.array_equal(out.sector, hall.sector)
-    for mine, name in (
-        ("theta_vt", "theta"),
-        ("omega_vt", "omega"),
-        ("delta_hat", "delta_hat"),
-        ("e_alpha", "e_alpha"),
-        ("e_beta", "e_beta"),
-        ("correction_on", "on"),
-    ):
-        assert np.array_equal(getattr(out, mine), getattr(vector, name)), mine
+    assert np.array_equal(out.column("theta_avg"), average.theta)
+    assert np.array_equal(out.column("omega_avg"), average.omega)
+    modules = (vector_tracking, load_angle)
+    for module, own, theta, omega in zip(modules, params[1:], out.theta[1:], out.omega[1:], strict=True):
+        _, alone = module.run(own, module.init(), seen, mask)
+        assert np.array_equal(theta, alone.theta), module.__name__
+        assert np.array_equal(omega, alone.omega), module.__name__
+        if module is vector_tracking:
+            for mine, name in (("correction_on", "on"), ("injection_sync", "sync")):
+                assert np.array_equal(getattr(out, mine), getattr(alone, name)), mine
+            for name in ("delta_hat", "e_alpha", "e_beta"):
+                assert np.array_equal(getattr(out, name), getattr(alone, name)), name
 
 
 def test_a_reset_forgets_everything():
@@ -191,18 +184,18 @@ def test_a_reset_forgets_everything():
         params, bank.init(), *rest, s.edge_tick[later], s.edge_hall[later], np.zeros(s.tick.size - at, bool)
     )
     for a, b in zip(out, fresh, strict=True):
-        assert np.array_equal(a[at:], b)
+        assert np.array_equal(a[..., at:], b)
 
 
 def test_angles_are_within_plus_minus_pi_and_the_estimates_useful():
     s = busy()
     params = bank.make_params(TICK_HZ, PWM_HZ, **DRIVE)
     _, out = bank.run(params, bank.init(), *s.arguments())
-    for column in (out.theta_avg, out.theta_vt):
+    for column in (out.column("theta_avg"), out.column("theta_vt")):
         assert column.min() >= -np.pi
         assert column.max() < np.pi
     steady = (s.tick > 0.11 * TICK_HZ) & (s.tick < 0.15 * TICK_HZ)
-    assert np.abs(error_deg(s.theta, out.theta_vt))[steady].std() < 3.5
+    assert np.abs(error_deg(s.theta, out.column("theta_vt")))[steady].std() < 3.5
 
 
 def test_one_compiled_version_serves_state_and_parameters_of_all_kinds():
@@ -239,5 +232,5 @@ def test_extreme_parameters_divide_by_nothing():
     _, out = bank.run(params, bank.init(), *still.arguments())
     moving = signals(lambda t: 0.2 + rpm(500) * t, 0.05)
     _, out = bank.run(params, bank.init(), *moving.arguments())
-    assert np.isfinite(out.theta_vt).all()
+    assert np.isfinite(out.column("theta_vt")).all()
     assert T_S * PWM_HZ == 1

@@ -37,8 +37,8 @@ def test_above_that_speed_the_printed_form_finds_back():
 def test_the_noise_of_the_currents_throws_the_printed_form_off_at_50_rpm(seed):
     """A smooth start to 50 r/min, then steady, 20 mA of noise: nothing but that."""
     s = signals(lambda t: 0.3 + rpm(50) * np.where(t < 0.2, t**2 / 0.4, t - 0.1), 2.0, noise=0.02, seed=seed, fine=4)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta_vt))
-    ours = np.abs(error_deg(s.theta, estimate(s).theta_vt))
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).column("theta_vt")))
+    ours = np.abs(error_deg(s.theta, estimate(s).column("theta_vt")))
     settled = s.tick > TICK_HZ
     assert literal[settled].mean() > 30
     assert ours[settled].max() < 2.5
@@ -54,7 +54,7 @@ def test_a_reversal_throws_the_printed_form_off():
         return omega * np.minimum(t, 0.1) + omega * turning - slope * turning**2 / 2 - omega * after
 
     s = signals(angle, 1.0, i_q=-3.0, fine=20, noise=0.02)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta_vt))
-    ours = np.abs(error_deg(s.theta, estimate(s).theta_vt))
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).column("theta_vt")))
+    ours = np.abs(error_deg(s.theta, estimate(s).column("theta_vt")))
     assert literal[-PWM_HZ // 2 :].mean() > 45
     assert ours[-PWM_HZ // 2 :].max() < 1.0

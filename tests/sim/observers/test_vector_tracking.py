@@ -18,6 +18,7 @@ from ideal_motor import (
 )
 
 from sim.observers import bank, hall_speed, vector_tracking
+from sim.observers.sample import Samples
 
 VECTOR = {k: v for k, v in DRIVE.items() if k not in ("n_p", "omega_m_max", "hall_timeout")}
 
@@ -56,9 +57,11 @@ def track(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_
         omega=float(omega_h[0]),
         omega_lpf=float(omega_h[0]),
     )
-    args = (front, theta, u.real, u.imag, i.real, i.imag, np.broadcast_to(np.asarray(i_q_ref, float), n))
-    args = [type(a)(*(c[1:] for c in a)) if isinstance(a, tuple) else a[1:].copy() for a in args]
-    return vector_tracking.run(params, first, *args, np.zeros(n - 1, np.bool_))[1]
+    i_q_err = np.broadcast_to(np.asarray(i_q_ref, float) - i_q, n)
+    none = np.zeros(n, np.int64)
+    seen = Samples(front, theta, none, none, none, none, 0.0 * theta, u.real, u.imag, i.real, i.imag, i_q_err)
+    seen = Samples(*(type(a)(*(c[1:] for c in a)) if isinstance(a, tuple) else a[1:].copy() for a in seen))
+    return vector_tracking.run(params, first, seen, np.zeros(n - 1, np.bool_))[1]
 
 
 @pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
@@ -68,8 +71,8 @@ def test_exact_on_ideal_signals(speed):
     out = estimate(s)
     assert out.correction_on[-1] == 1
     # what is left is the tick of the captured edges
-    assert np.abs(error_deg(s.theta, out.theta_vt))[-800:].max() < 0.02
-    assert out.omega_vt[-1] == pytest.approx(omega, rel=1e-3)
+    assert np.abs(error_deg(s.theta, out.column("theta_vt")))[-800:].max() < 0.02
+    assert out.column("omega_vt")[-1] == pytest.approx(omega, rel=1e-3)
     assert math.hypot(out.e_alpha[-1], out.e_beta[-1]) == pytest.approx(abs(omega) * PSI_F, rel=2e-3)
 
 
@@ -81,8 +84,8 @@ def test_the_plain_inverse_of_the_filter_leaves_a_bias_and_the_exact_one_none(sp
     a = T_S / (T_S + tau)
     sampled = a / (1 - (1 - a) * np.exp(-1j * omega * T_S))
     bias = np.degrees(np.angle(sampled * (1 + 1j * tau * omega)))  # of theta*, hence of the estimate
-    plain = error_deg(s.theta, estimate(s, exact_inverse=False, tau_max=1e-3).theta_vt)[-800:]
-    exact = error_deg(s.theta, estimate(s, exact_inverse=True, tau_max=1e-3).theta_vt)[-800:]
+    plain = error_deg(s.theta, estimate(s, exact_inverse=False, tau_max=1e-3).column("theta_vt"))[-800:]
+    exact = error_deg(s.theta, estimate(s, exact_inverse=True, tau_max=1e-3).column("theta_vt"))[-800:]
     assert abs(bias) > 0.05
     assert plain.mean() == pytest.approx(-bias, abs=0.01)
     assert abs(exact.mean()) < 0.002
@@ -142,9 +145,9 @@ def test_wrong_inductance_shifts_by_the_load_angle_and_wrong_resistance_does_not
         s = signals(constant(rpm(speed)), 0.4, i_q=8.0)
         for factor in (0.92, 1.08):
             expected = np.degrees(math.atan((factor - 1) * L_S * 8.0 / PSI_F))
-            error = error_deg(s.theta, estimate(s, L_s_hat=factor * L_S).theta_vt)[-800:].mean()
+            error = error_deg(s.theta, estimate(s, L_s_hat=factor * L_S).column("theta_vt"))[-800:].mean()
             assert error == pytest.approx(expected, abs=0.03)  # about +-1 deg, as the paper has it
-        error = error_deg(s.theta, estimate(s, R_s_hat=1.2 * R_S).theta_vt)[-800:].mean()
+        error = error_deg(s.theta, estimate(s, R_s_hat=1.2 * R_S).column("theta_vt"))[-800:].mean()
         assert abs(error) < 0.02
 
 
@@ -215,14 +218,14 @@ def test_correction_starts_and_stops_with_hysteresis_at_edges():
     changes = np.flatnonzero(np.diff(out.correction_on))
     assert changes.size == 2
     started, stopped = changes + 1
-    assert out.omega_avg[started] >= on
+    assert out.column("omega_avg")[started] >= on
     assert s.tick[started] - s.edge_tick[np.searchsorted(s.edge_tick, s.tick[started]) - 1] < 1250
-    assert out.omega_avg[stopped] < off <= out.omega_avg[stopped - 1]
+    assert out.column("omega_avg")[stopped] < off <= out.column("omega_avg")[stopped - 1]
     # once it runs the error is small; before, it stays inside the sector
-    assert np.abs(error_deg(s.theta, out.theta_vt))[started + 800 : stopped].max() < 3
+    assert np.abs(error_deg(s.theta, out.column("theta_vt")))[started + 800 : stopped].max() < 3
     sector_centre = np.radians(60 * out.sector + 30)
     idle = out.correction_on == 0
-    assert np.abs(error_deg(sector_centre, out.theta_vt))[idle].max() <= 30 + 1e-6
+    assert np.abs(error_deg(sector_centre, out.column("theta_vt")))[idle].max() <= 30 + 1e-6
 
 
 @pytest.mark.parametrize("sector", range(6))
@@ -231,7 +234,7 @@ def test_start_from_standstill_in_each_sector_both_ways(sector, sign):
     start = np.radians(60 * sector + (1 if sign > 0 else 59))
     s = signals(lambda t: start + sign * 0.5 * 7000 * np.maximum(t - 0.01, 0) ** 2, 0.08, i_q=sign * 6.0, fine=10)
     out = estimate(s)
-    error = np.abs(error_deg(s.theta, out.theta_vt))
+    error = np.abs(error_deg(s.theta, out.column("theta_vt")))
     assert error[0] == pytest.approx(29, abs=0.1)
     assert error.max() <= 30.1
     second = np.searchsorted(s.tick, s.edge_tick[1])
@@ -253,11 +256,11 @@ def test_a_rotor_that_turns_back_is_followed_through_zero(deceleration, theta_0)
 
     s = signals(angle, 0.2 + 2 * omega / deceleration, i_q=-3.0, fine=20, noise=0.02)
     out = estimate(s)
-    error = np.abs(error_deg(s.theta, out.theta_vt))
+    error = np.abs(error_deg(s.theta, out.column("theta_vt")))
     after = s.tick > 0.05 * TICK_HZ
     assert error[after].max() < 40
     assert error[-400:].max() < 1.5
-    assert out.omega_vt[-1] == pytest.approx(-omega, rel=0.02)
+    assert out.column("omega_vt")[-1] == pytest.approx(-omega, rel=0.02)
 
 
 def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
@@ -273,7 +276,7 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     )
     rest = [a[half:] if a.size == s.tick.size else a[s.edge_tick > s.tick[half - 1]] for a in args]
     _, out = bank.run(params, lost, *rest)
-    error = np.abs(error_deg(s.theta[half:], out.theta_vt))
+    error = np.abs(error_deg(s.theta[half:], out.column("theta_vt")))
     assert out.correction_on[0] == 0
     assert error[0] < 0.1
     assert error.max() < 1.0
@@ -288,15 +291,15 @@ def test_without_a_reference_voltage_it_follows_the_hall_sensors():
     assert set(out.correction_on[off]) == {0}
     assert set(out.correction_on[4000:][~off[4000:]]) == {1}
     later = s.tick > 0.35 * TICK_HZ
-    difference = error_deg(out.theta_avg, out.theta_vt)[later]
+    difference = error_deg(out.column("theta_avg"), out.column("theta_vt"))[later]
     assert np.abs(difference).max() < 1e-6
-    assert out.omega_vt[-1] == pytest.approx(rpm(500), rel=0.15)
+    assert out.column("omega_vt")[-1] == pytest.approx(rpm(500), rel=0.15)
 
 
 def test_paper_edges_on_ideal_signals_stay_within_the_accuracy_of_the_notes():
     for speed, limit in ((500.0, 3.3), (1000.0, 4.4)):
         s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
-        error = error_deg(s.theta, estimate(s).theta_vt)[4000:]
+        error = error_deg(s.theta, estimate(s).column("theta_vt"))[4000:]
         assert 1.5 < error.std() < limit  # below too: the ripple of (11) cannot vanish
         assert abs(error.mean()) < 0.3
 
@@ -305,4 +308,4 @@ def test_currents_only_matter_through_their_stator_vector():
     """A common part of the three currents (an offset of the sensors' supply) drops out."""
     s = signals(constant(rpm(500)), 0.1)
     shifted = s._replace(i_a=s.i_a + 0.25, i_b=s.i_b + 0.25, i_c=s.i_c + 0.25)
-    np.testing.assert_allclose(estimate(shifted).theta_vt, estimate(s).theta_vt, atol=1e-12)
+    np.testing.assert_allclose(estimate(shifted).column("theta_vt"), estimate(s).column("theta_vt"), atol=1e-12)

@@ -1,0 +1,21 @@
+"""The paper's vector-tracking observer with its load-angle compensation (18)-(19) always on.
+
+The kernels are those of `vector_tracking`, which describes them; only the parameters differ. It runs beside the
+uncompensated one, so that the two can be compared on the same signals. No test sine is ever added here.
+
+Source: (18)-(19) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
+
+from __future__ import annotations
+
+from sim.observers import vector_tracking
+from sim.observers.vector_tracking import Estimate, Estimates, Params, State, init, run, step
+
+__all__ = ["Estimate", "Estimates", "Params", "State", "init", "make_params", "run", "step"]
+
+
+def make_params(pwm_hz: float, *, exact_inverse: bool = True, **drive: float) -> Params:
+    """Constants from the drive's parameters, as `vector_tracking.make_params` takes them."""
+    return vector_tracking.make_params(
+        pwm_hz, exact_inverse=exact_inverse, **{**drive, "load_angle_comp": 1.0, "inject": 0.0}
+    )
