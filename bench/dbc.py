@@ -38,7 +38,7 @@ from protocol.errors import NoReply, Refused, TargetError
 from protocol.links import CanTarget, open_link, parse_target
 from protocol.links.target import DEFAULT_BITRATE, DEFAULT_DATA_BITRATE
 from protocol.messages import Role, StreamEvent, StreamSet
-from protocol.signals import DRIVE_CHANNELS
+from protocol.signals import DRIVE_CHANNELS, Flag
 from protocol.streams import StreamConfig
 
 ENCODING = "cp1252"
@@ -262,7 +262,7 @@ def simulated_dbc(names: Sequence[str] | None, rate_hz: float | None, fd: bool, 
     """Return the DBC of the simulated drive, booted with boot_id 0, on a bus with the usual bit rates.
 
     Args:
-        names: channels to stream; None: all.
+        names: channels to stream; None: all but those on request.
         rate_hz: samples/s; None: the most that the bus carries.
         fd: CAN FD.
         extended: 29-bit identifiers.
@@ -305,4 +305,6 @@ def _channel_ids(names: Sequence[str] | None) -> tuple[int, ...]:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(known)}"
             raise BenchError(f"the simulated drive has no channel '{name}': {hint}")
-    return tuple(channel.id for channel in DRIVE_CHANNELS if names is None or channel.name in names)
+    if names is None:
+        return tuple(channel.id for channel in DRIVE_CHANNELS if not channel.flags & Flag.ON_REQUEST)
+    return tuple(channel.id for channel in DRIVE_CHANNELS if channel.name in names)

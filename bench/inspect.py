@@ -49,7 +49,7 @@ def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
     meter = BusMeter(client)
     client.run_for(BUS_SECONDS)
     plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
-    widths = [np.dtype(channel.raw.dtype).itemsize for channel in drive.descriptor.channels]
+    widths = [np.dtype(channel.raw.dtype).itemsize for channel in drive.channels(None)]
     fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
     return (meter.report() or {}) | {"fits": fits, "fits_node": drive.number}
 

@@ -33,7 +33,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError, NoReply
 from protocol.links import Link, open_link
 from protocol.messages import DriveState, HelloReply, Role
-from protocol.signals import AngleSource
+from protocol.signals import SHORT, AngleSource
 
 if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
@@ -192,7 +192,7 @@ class LiveRun:
         """Configure samples and edges; returns the channels that will come."""
         options, identity = self.options, self.drive.identity
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
-        channels = self.drive.channels(options.channels)
+        channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
         if options.host_observers:
             from bench.estimators import INPUTS
@@ -216,6 +216,15 @@ class LiveRun:
             self.drive.set_samples(channels, error.decimation)
             self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
         return channels
+
+    def _channel_names(self) -> tuple[str, ...] | None:
+        """The channels that were asked for; without a list of its own a run also gets what its control works with."""
+        names = self.options.channels
+        if not self.options.observer or not all(name.startswith("+") for name in names or ()):
+            return names
+        short = SHORT[OBSERVERS[self.options.observer]]
+        offered = {channel.name for channel in self.drive.descriptor.channels}
+        return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
 
     def go(
         self, channels: tuple[Channel, ...], acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool

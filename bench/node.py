@@ -49,6 +49,7 @@ from protocol.messages import (
     TimeSync,
     TimeSyncReply,
 )
+from protocol.signals import Flag
 from protocol.streams import MAX_STREAMS, StreamConfig
 
 DRIVE, LOAD = 1, 2
@@ -146,11 +147,17 @@ class Node:
         return self._record(self.descriptor.parameters, name, "parameter").id
 
     def channels(self, names: Iterable[str] | None) -> tuple[Channel, ...]:
-        """The channels of these names in the device's order; all of them for None."""
-        if names is None:
-            return self.descriptor.channels
-        chosen = {self._record(self.descriptor.channels, name, "channel").id for name in names}
-        return tuple(channel for channel in self.descriptor.channels if channel.id in chosen)
+        """The channels of these names in the device's order; for None all but those that are streamed on request.
+
+        Where all names begin with a +, they come on top of these.
+        """
+        known = self.descriptor.channels
+        names = tuple(names or ())
+        chosen = set()
+        if all(name.startswith("+") for name in names):
+            chosen = {channel.id for channel in known if not channel.flags & Flag.ON_REQUEST}
+        chosen |= {self._record(known, name.removeprefix("+"), "channel").id for name in names}
+        return tuple(channel for channel in known if channel.id in chosen)
 
     def _record(self, records: tuple[Channel, ...], name: str, kind: str) -> Channel:
         for record in records:

@@ -107,6 +107,7 @@ class Flag(IntFlag):
     READ_ONLY = 64  # a parameter that cannot be set
     IDLE_ONLY = 128  # a parameter that can be set only while the outputs are off
     WHOLE = 256  # a parameter that takes whole numbers only
+    ON_REQUEST = 512  # a channel that is streamed only where it is asked for by name
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +160,15 @@ class AngleSource(IntEnum):
     LOAD_ANGLE = 3
 
 
+SHORT = {
+    AngleSource.ENCODER: "enc",
+    AngleSource.AVERAGE_SPEED: "avg",
+    AngleSource.VECTOR_TRACKING: "vt",
+    AngleSource.LOAD_ANGLE: "la",
+}
+"""What channels call an angle source: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
+
+
 class Injection(IntEnum):
     """Values of the parameter `inject`: where the vector-tracking observer adds a sine, to measure (11)."""
 
@@ -189,10 +199,11 @@ def _channel(
 
 
 def _estimate(id: int, short: str, about: str) -> tuple[Signal, Signal]:
-    """The angle (channel `id`) and the speed (`id` + 1) of an observer."""
+    """The angle (channel `id`) and the speed (`id` + 1) of an observer, for those who ask for them."""
+    flags = Flag.ESTIMATE | Flag.ON_REQUEST
     return (
-        _channel(id, f"theta_{short}", Unit.RAD, ANGLE, f"{about}: estimate", Flag.ESTIMATE | Flag.WRAPS),
-        _channel(id + 1, f"omega_{short}", Unit.RAD_PER_S, SPEED, f"{about}: speed", Flag.ESTIMATE),
+        _channel(id, f"theta_{short}", Unit.RAD, ANGLE, f"estimate: {about}", flags | Flag.WRAPS),
+        _channel(id + 1, f"omega_{short}", Unit.RAD_PER_S, SPEED, f"speed: {about}", flags),
     )
 
 

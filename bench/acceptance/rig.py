@@ -61,6 +61,8 @@ class Plan:
     virtual: bool = False
     """Time passes as fast as it can be computed."""
     title: str = ""
+    channels: frozenset[str] = frozenset()
+    """Channels that the test needs, also such as a drive streams on request only."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
 
@@ -372,8 +374,10 @@ class Rig:
     def _stream(self, node: Node) -> tuple[tuple[Channel, ...], float]:
         """Configure edges and the most channels that fit; returns them and their rate in Hz."""
         self.recorder.expect(node.set_edges())
-        channels = tuple(c for c in node.descriptor.channels if not c.flags & Flag.TRUTH)
-        core = tuple(c for c in channels if c.name in CORE)
+        needed = self.plan.channels
+        unasked = Flag.TRUTH | Flag.ON_REQUEST
+        channels = tuple(c for c in node.descriptor.channels if c.name in needed or not c.flags & unasked)
+        core = tuple(c for c in channels if c.name in needed or c.name in CORE)
         decimation = 1
         try:
             node.set_samples(channels, 1)

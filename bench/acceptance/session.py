@@ -226,6 +226,7 @@ class BenchSession:
             recording=self._recording(name),
             virtual=self.target == SIM,
             title=name,
+            channels=frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:")),
             own_loads=self._own_loads,
         )
         running = item.stash[plugin.RUNNING]

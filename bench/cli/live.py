@@ -41,7 +41,11 @@ OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
     type=click.IntRange(1, 65535),
     help="Port of the web viewer (default: the first free one from 9090).",
 )
-@click.option("--channels", metavar="A,B,…", help="Stream only these channels (default: all).")
+@click.option(
+    "--channels",
+    metavar="A,B,…",
+    help="Stream only these channels; +A,+B: these too (default: all but those on request).",
+)
 @click.option(
     "--rate",
     "rate_hz",

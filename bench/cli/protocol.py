@@ -33,7 +33,9 @@ def command() -> None:
     help="Write to this file; - is standard output (the default).",
 )
 @click.option("--overwrite", is_flag=True, help="Let -o replace a file that exists.")
-@click.option("--channels", metavar="A,B,…", help="Without TARGET: only these channels (default: all).")
+@click.option(
+    "--channels", metavar="A,B,…", help="Without TARGET: only these channels (default: all but those on request)."
+)
 @click.option(
     "--rate",
     "rate_hz",

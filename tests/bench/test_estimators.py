@@ -34,6 +34,10 @@ def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts:
     return compared, differ
 
 
+ALL = tuple(f"+{name}" for name in CHECKED)
+"""Also what is streamed on request only."""
+
+
 def host_observers(bench: Bench) -> HostObservers:
     return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz)
 
@@ -46,7 +50,7 @@ def test_host_and_drive_agree_bit_for_bit(source: AngleSource, compensation: int
     bench.drive.set("load_angle_comp", compensation)
     bench.drive.set("k_pc", 0.01 * compensation)
     observers = host_observers(bench)
-    bench.stream()
+    bench.stream(ALL)
     bench.load.arm()
     bench.load.start()
     bench.turn(50.0)  # start-up from an unknown angle
@@ -81,7 +85,7 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     for name, value in (("inject", where), ("inject_amplitude", 0.1), ("inject_hz", 123.4)):
         bench.drive.set(name, value)
     bench.load.set("hall_glitch", 50.0)
-    bench.stream()
+    bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.5)
     collected = bench.collector
@@ -97,7 +101,7 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
 def test_another_parameter_shows_as_a_difference() -> None:
     bench = Bench(WatchedLink(simulated()))
     parameters = bench.drive.parameters()
-    bench.stream()
+    bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.5)
     for name in ("k_p_vt", "k_i_vt", "L_s_hat", "bw_omega_lpf"):
@@ -110,7 +114,7 @@ def test_another_parameter_shows_as_a_difference() -> None:
 def test_each_checked_channel_is_checked() -> None:
     bench = Bench(WatchedLink(simulated()))
     observers = host_observers(bench)
-    bench.stream()
+    bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.4)
     samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
@@ -124,7 +128,7 @@ def test_each_checked_channel_is_checked() -> None:
 @pytest.mark.parametrize("kind", ["samples", "edges"])
 def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> None:
     bench = Bench(WatchedLink(simulated()))
-    bench.stream()
+    bench.stream(ALL)
     for _ in range(2):
         bench.turn(50.0)
         bench.client.run_for(0.4)
@@ -153,7 +157,7 @@ def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> No
 
 def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
     bench = Bench(WatchedLink(simulated()))
-    bench.stream()
+    bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.4)
     samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
@@ -183,7 +187,7 @@ def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
 
 def test_collected_chunks_bring_edges_before_the_samples_that_cover_them() -> None:
     bench = Bench(WatchedLink(simulated()))
-    bench.stream()
+    bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.5)
     collector: Collector = bench.collector

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS
+from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource
 from sim.params import BenchParams, ConfigError, load_params
 
 
@@ -62,8 +62,8 @@ def refusal(key: str, value: object) -> str:
         ("motor.R_s", "1", "R_s must be > 0 ohm, got '1' (motor.R_s in overrides)"),
         (
             "firmware.observer",
-            3,
-            "observer must be a whole number between 0 and 2, got 3 (firmware.observer in overrides)",
+            99,
+            f"observer must be a whole number between 0 and {max(AngleSource):d}, got 99 (firmware.observer in overrides)",
         ),
         (
             "firmware.vector_tracking.tau_max",

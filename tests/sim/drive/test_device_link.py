@@ -120,7 +120,7 @@ def test_a_drive_without_an_encoder_has_no_channels_nor_control_by_it(tmp_path: 
         host.set("observer", AngleSource.ENCODER)
     assert code(caught) == (ErrorCode.OUT_OF_RANGE, AngleSource.AVERAGE_SPEED)
     store.write_text('{"observer": 0}')
-    with pytest.raises(ConfigError, match="observer must be between 1 and 2, got 0"):
+    with pytest.raises(ConfigError, match=f"observer must be between 1 and {max(AngleSource):d}, got 0"):
         make(load_params(None, {"encoder.present": 0}), store=store)
 
 
