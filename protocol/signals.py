@@ -178,12 +178,14 @@ class Injection(IntEnum):
 
 
 class HallSwap(IntEnum):
-    """Values of the load machine's parameter `hall_swap`: which two wires of the drive's Hall sensors are exchanged."""
+    """Values of the load machine's parameter `hall_swap`: which wires of the drive's Hall sensors are exchanged."""
 
     NONE = 0
-    A_B = 1
-    B_C = 2
-    C_A = 3
+    A_B = 1  # a and b exchanged
+    B_C = 2  # b and c exchanged
+    C_A = 3  # c and a exchanged
+    A_ON_B = 4  # rotated: sensor a on input b, b on c, c on a
+    A_ON_C = 5  # rotated the other way: a on c, c on b, b on a
 
 
 # Scales are float32 on the wire: what both ends compute with is the float32 value.
@@ -247,6 +249,14 @@ _P = Flag.PARAMETER
 _PI = Flag.PARAMETER | Flag.IDLE_ONLY
 _PW = Flag.PARAMETER | Flag.WHOLE
 
+
+def _by_sector(id: int, short: str, about: str) -> tuple[Parameter, ...]:
+    """Angles of the six Hall edges, from parameter `id` on."""
+    return tuple(
+        Parameter(id + k, f"{short}_{k + 1}", Unit.RAD, -0.506, 0.506, _P, f"{about} {k + 1}") for k in range(6)
+    )
+
+
 DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(101, "n_p", Unit.NONE, 1, 64, _PI | Flag.WHOLE, "pole pairs"),
     Parameter(102, "R_s_hat", Unit.OHM, 1e-4, 1e2, _P, "stator resistance that the firmware assumes"),
@@ -277,19 +287,21 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(127, "inject_amplitude", Unit.RAD, 0.0, 0.5, _P, "amplitude of the test sine"),
     Parameter(128, "inject_hz", Unit.HZ, 0.0, 4e3, _P, "frequency of the test sine"),
     Parameter(129, "i_range", Unit.A, 0.0, 1e4, _P | Flag.READ_ONLY, "full scale of the current sensors, + and -"),
+    *_by_sector(130, "edge_up", "edge, passed upwards: ideal minus actual angle, opening sector"),
+    *_by_sector(136, "edge_down", "edge, passed downwards: ideal minus actual angle, opening sector"),
+    Parameter(142, "J_hat", Unit.KGM2, 1e-8, 10.0, _P, "inertia of the whole shaft that the firmware assumes"),
+    Parameter(143, "bw_hall_vector", Unit.HZ, 0.0, 1e3, _P, "bandwidth of the observers on the Hall vector"),
+    Parameter(144, "learn_edges", Unit.NONE, 0, 1, _PW, "learned-edge observer: 0 hold, 1 learn"),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(101, "tau_max", Unit.NM, 0.0, 100.0, _PI, "largest torque"),
     Parameter(102, "omega_m_max", Unit.RAD_PER_S, 0.0, 600.0, _PI, "largest forced speed"),
     Parameter(103, "watchdog", Unit.S, 0.05, 1.0, _PI, "time without ALIVE or SETPOINT until the torque goes off"),
-    Parameter(104, "hall_swap", Unit.NONE, 0, 3, _PW, "Hall wires exchanged: 0 none, 1 a and b, 2 b and c, 3 c and a"),
+    Parameter(104, "hall_swap", Unit.NONE, 0, max(HallSwap), _PW, "Hall wires exchanged or rotated (see HallSwap)"),
     Parameter(105, "hall_open", Unit.NONE, 0, 7, _PW, "Hall wires broken, one bit each: such an input reads 1"),
     Parameter(106, "hall_glitch", Unit.PER_S, 0.0, 1e5, _P, "false pulses of 2 to 5 us on the Hall wires, mean rate"),
-    *(
-        Parameter(
-            106 + s, f"hall_delta_{s}", Unit.RAD, -0.506, 0.506, _P, f"ideal minus actual angle, opening sector {s}"
-        )
-        for s in range(1, 7)
-    ),
+    *_by_sector(107, "hall_delta", "ideal minus actual angle, opening sector"),
+    Parameter(113, "hall_invert", Unit.NONE, 0, 7, _PW, "Hall inputs inverted, one bit each"),
+    Parameter(114, "hall_short", Unit.NONE, 0, 7, _PW, "Hall wires shorted, one bit each: such an input reads 0"),
 )

@@ -27,7 +27,9 @@ from sim.sections import (
     Encoder,
     Firmware,
     Hall,
+    HallEdges,
     HallSpeed,
+    HallVector,
     Injection,
     Inverter,
     Load,
@@ -96,7 +98,7 @@ _SECTIONS: dict[str, type[Section]] = {
     c.__name__: c
     for c in (
         Motor, Mechanics, Load, Hall, Wiring, Encoder, Inverter, CurrentSensor, Clock, Firmware,
-        HallSpeed, VectorTracking, Injection, CurrentLoop, SpeedLoop, DeadTime, Protection,
+        HallSpeed, HallEdges, HallVector, VectorTracking, Injection, CurrentLoop, SpeedLoop, DeadTime, Protection,
     )
 }  # fmt: skip
 

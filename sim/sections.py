@@ -7,7 +7,7 @@ no numba.
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, Flag, Parameter
@@ -45,6 +45,11 @@ _LOAD_RANGES = {p.name: _range_of(p) for p in LOAD_PARAMETERS}
 
 def _drive(name: str) -> Any:
     return field(metadata={"range": _DRIVE_RANGES[name], "parameter": True})
+
+
+def _drive_six(name: str) -> Any:
+    """Six parameters of one range, `name`_1 to `name`_6."""
+    return field(metadata={"range": replace(_DRIVE_RANGES[f"{name}_1"], length=6), "parameter": True})
 
 
 def _load(name: str) -> Any:
@@ -120,6 +125,8 @@ class Wiring(Section):
 
     hall_swap: int = _load("hall_swap")
     hall_open: int = _load("hall_open")
+    hall_invert: int = _load("hall_invert")
+    hall_short: int = _load("hall_short")
     hall_glitch: float = _load("hall_glitch")
 
 
@@ -180,6 +187,22 @@ class HallSpeed(Section):
     """Front end of the Hall sensors in the firmware."""
 
     hall_timeout: float = _drive("hall_timeout")
+
+
+@dataclass(frozen=True)
+class HallEdges(Section):
+    """Where the firmware takes the Hall edges to lie: ideal minus actual angle, sectors I..VI."""
+
+    edge_up: tuple[float, ...] = _drive_six("edge_up")
+    edge_down: tuple[float, ...] = _drive_six("edge_down")
+    learn_edges: int = _drive("learn_edges")
+
+
+@dataclass(frozen=True)
+class HallVector(Section):
+    """Observers on the Hall vector in the firmware."""
+
+    bw_hall_vector: float = _drive("bw_hall_vector")
 
 
 @dataclass(frozen=True)
@@ -264,12 +287,15 @@ class Firmware(Section):
     R_s_hat: float = _drive("R_s_hat")
     L_s_hat: float = _drive("L_s_hat")
     psi_f_hat: float = _drive("psi_f_hat")
+    J_hat: float = _drive("J_hat")
     i_max: float = _drive("i_max")
     omega_m_max: float = _drive("omega_m_max")
     alpha_m_max: float = _drive("alpha_m_max")
     observer: int = _drive("observer")
     watchdog: float = _drive("watchdog")
     hall_speed: HallSpeed
+    hall_edges: HallEdges
+    hall_vector: HallVector
     vector_tracking: VectorTracking
     injection: Injection
     current_loop: CurrentLoop
@@ -286,5 +312,8 @@ def parameters_of(section: Section) -> dict[str, float]:
         if isinstance(value, Section):
             values.update(parameters_of(value))
         elif f.metadata.get("parameter"):
-            values[f.name] = float(value)
+            if isinstance(value, tuple):
+                values.update({f"{f.name}_{k}": one for k, one in enumerate(value, 1)})
+            else:
+                values[f.name] = float(value)
     return values

@@ -236,7 +236,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
         ),
         hall_sensor.make_params(hall.delta_deg, hall.hysteresis_deg, hall.jitter_deg),
-        hall_wiring.make_params(p.clock.tick_hz, **_some(load, "hall_swap", "hall_open", "hall_glitch")),
+        hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
         current_sensor.make_params(
             p.current_sensor.noise_rms,
             p.current_sensor.offset,

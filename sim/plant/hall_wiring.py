@@ -1,7 +1,8 @@
-"""The wires between the Hall sensors and the firmware: exchanged, broken, or disturbed by false pulses.
+"""The wires between the Hall sensors and the firmware: exchanged, inverted, broken, shorted, disturbed by false pulses.
 
-In this order, as on a real harness: two wires may be exchanged; a broken one is pulled up at the input and reads 1;
-an EMI pulse inverts one input for 2 to 5 us, whatever is connected to it. Pulses come one at a time, at random times
+In this order, as on a real harness: wires may be exchanged, and what comes on one inverted; a broken wire is pulled up
+at the input, which reads 1, a shorted one reads 0; an EMI pulse inverts one input for 2 to 5 us, whatever is connected
+to it. Pulses come one at a time, at random times
 and on random inputs: the gaps between them are exponentially distributed, so that they are independent of everything
 else.
 
@@ -19,16 +20,20 @@ from protocol.signals import HallSwap
 from sim.numba_cache import kernel
 from sim.plant import noise
 
+PARAMETERS = ("hall_swap", "hall_invert", "hall_open", "hall_short", "hall_glitch")
 PULSE_MIN, PULSE_SPREAD = 2e-6, 3e-6  # s
 NEVER = 2**63 - 1
 A_B, B_C, C_A = int(HallSwap.A_B), int(HallSwap.B_C), int(HallSwap.C_A)
+A_ON_B, A_ON_C = int(HallSwap.A_ON_B), int(HallSwap.A_ON_C)
 
 
 class Params(NamedTuple):
     """What is wrong with the wires."""
 
     swap: int  # HallSwap
-    open: int  # one bit each
+    invert: int  # one bit each, by input
+    open: int
+    short: int
     gap: float  # ticks between the end of a pulse and the begin of the next, mean; 0: no pulses
     pulse_min: float  # ticks
     pulse_spread: float  # ticks
@@ -42,11 +47,14 @@ class State(NamedTuple):
     due: int  # tick at which a pulse begins or ends
 
 
-def make_params(tick_hz: float, *, hall_swap: float, hall_open: float, hall_glitch: float) -> Params:
+def make_params(
+    tick_hz: float, *, hall_swap: float, hall_invert: float, hall_open: float, hall_short: float, hall_glitch: float
+) -> Params:
     """Constants from the load machine's parameters of the same names."""
     width = PULSE_MIN + 0.5 * PULSE_SPREAD
     gap = max(1.0 / hall_glitch - width, 0.0) * tick_hz if hall_glitch > 0.0 else 0.0
-    return Params(int(hall_swap), int(hall_open), gap, PULSE_MIN * tick_hz, PULSE_SPREAD * tick_hz)
+    wires = int(hall_swap), int(hall_invert), int(hall_open), int(hall_short)
+    return Params(*wires, gap, PULSE_MIN * tick_hz, PULSE_SPREAD * tick_hz)
 
 
 @kernel
@@ -58,7 +66,11 @@ def pins(params: Params, code: int, pulse: int) -> int:
         code = (code & 2) << 1 | (code & 4) >> 1 | code & 1
     elif params.swap == C_A:
         code = (code & 1) << 2 | (code & 4) >> 2 | code & 2
-    return (code | params.open) ^ pulse
+    elif params.swap == A_ON_B:
+        code = (code & 3) << 1 | (code & 4) >> 2
+    elif params.swap == A_ON_C:
+        code = (code & 1) << 2 | (code & 6) >> 1
+    return ((code ^ params.invert | params.open) & ~params.short) ^ pulse
 
 
 @kernel

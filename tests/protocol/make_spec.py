@@ -93,7 +93,7 @@ TABLES = {
     "status bits": lambda: enum(Status, "meaning"),
     "angle sources": lambda: enum(AngleSource, None),
     "injections": lambda: enum(Injection, None),
-    "Hall wires exchanged": lambda: enum(HallSwap, None),
+    "Hall wires exchanged": lambda: enum(HallSwap, "meaning"),
     "states": lambda: enum(codes.DriveState, None),
     "faults": lambda: enum(codes.Fault, "meaning"),
     "commands": lambda: enum(codes.Command, None),

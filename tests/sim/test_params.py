@@ -22,6 +22,14 @@ def test_every_parameter_of_the_protocol_has_a_value() -> None:
     assert params.load_parameters().keys() == {p.name for p in LOAD_PARAMETERS}
 
 
+def test_a_list_is_one_parameter_for_each_sector() -> None:
+    key = "firmware.hall_edges.edge_down"
+    values = load_params(None, {key: [0.1, 0.2, 0.3, -0.1, -0.2, -0.3]}).drive_parameters()
+    assert [values[f"edge_down_{s}"] for s in range(1, 7)] == [0.1, 0.2, 0.3, -0.1, -0.2, -0.3]
+    with pytest.raises(ConfigError, match=r"edge_down\[2\] must be between -0.506 and 0.506 rad, got 0.6 "):
+        load_params(None, {key: [0, 0, 0.6, 0, 0, 0]})
+
+
 def test_control_by_an_encoder_needs_one() -> None:
     assert load_params(None, {"encoder.present": 0}).firmware.observer == 2
     with pytest.raises(ConfigError, match=r"^firmware.observer must be 1 or 2 where encoder.present = 0, got 0 "):
