@@ -220,7 +220,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, period
+        p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
     )
     return tick.Params(
         integrator.Params(

@@ -22,7 +22,7 @@ class Params(NamedTuple):
     counts: int  # a turn
     counts_per_rad: float  # counts an electrical radian
     offset: float  # electrical rad
-    rad_per_count: float  # electrical
+    rad_per_count: float  # electrical, as the firmware takes it
     a_position: float  # filter gains: share of the error, and
     a_speed: float  # counts/s a count of error
     T_s: float
@@ -35,8 +35,12 @@ class State(NamedTuple):
     speed: float  # counts/s
 
 
-def make_params(pulses_per_rev: int, offset_deg: float, bw_speed: float, n_p: int, T_s: float) -> Params:
+def make_params(
+    pulses_per_rev: int, offset_deg: float, bw_speed: float, n_p: float, n_p_hat: float, T_s: float
+) -> Params:
     """Constants from lines a turn, electrical degrees, the filter's natural frequency in Hz, pole pairs, s.
+
+    `n_p`: of the motor, by which `count` goes; `n_p_hat`: those by which the firmware makes angle and speed electrical.
 
     The filter is the critically damped alpha-beta filter: both poles at exp(-2 pi bw_speed T_s). It lags no
     constant speed, and an acceleration by 2 / (2 pi bw_speed) seconds.
@@ -47,7 +51,7 @@ def make_params(pulses_per_rev: int, offset_deg: float, bw_speed: float, n_p: in
         counts,
         counts / (TWO_PI * n_p),
         math.radians(offset_deg),
-        TWO_PI * n_p / counts,
+        TWO_PI * n_p_hat / counts,
         1.0 - pole * pole,
         (1.0 - pole) ** 2 / T_s,
         float(T_s),
