@@ -71,7 +71,8 @@ def refusal(key: str, value: object) -> str:
         (
             "firmware.observer",
             99,
-            f"observer must be a whole number between 0 and {max(AngleSource):d}, got 99 (firmware.observer in overrides)",
+            f"observer must be a whole number between 0 and {max(AngleSource):d}, "
+            "got 99 (firmware.observer in overrides)",
         ),
         (
             "firmware.vector_tracking.tau_max",
