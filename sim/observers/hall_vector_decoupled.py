@@ -1,0 +1,31 @@
+"""Vector-tracking observer on the Hall vector with the harmonics of its quantisation decoupled.
+
+The kernels are those of `hall_vector`, which describes them; only the parameter `decouple` differs. With ideal sensors
+the Hall vector's harmonics are known functions of the rotor's angle. Those of order -5, 7, -11 and 13, at the observer's
+own angle, are subtracted before the cross product:
+
+    pi/3 sin(theta_q - theta) - (1/5 + 1/7) sin 6 theta - (1/11 + 1/13) sin 12 theta
+
+What is left is a ripple at 18 times omega and above, a ninth of the other's: (1/17 + 1/19) / 18 to (1/5 + 1/7) / 6.
+Misplaced sensors do not switch where the series takes them to: their ripple, at omega and 2 omega, is not decoupled.
+
+Never measures a harmonic: the coefficients are those of ideal sensors.
+
+Source: M. C. Harke, G. De Donato, F. Giulii Capponi, T. R. A. Tesch, R. D. Lorenz, "Implementation issues and
+performance evaluation of sinusoidal, surface-mounted PM machine drives with Hall-effect position sensors and a
+vector-tracking observer", IEEE Trans. Ind. Appl., vol. 44, no. 1, pp. 161-173, 2008.
+"""
+
+from __future__ import annotations
+
+from sim.observers import hall_vector
+from sim.observers.hall_vector import Estimate, Estimates, Params, State, init, run, step
+
+__all__ = ["Estimate", "Estimates", "Params", "State", "init", "make_params", "run", "step"]
+
+
+def make_params(pwm_hz: float, *, n_p: float, psi_f_hat: float, J_hat: float, bw_hall_vector: float) -> Params:
+    """Constants from the drive's parameters, as `hall_vector.make_params` takes them."""
+    return hall_vector.make_params(
+        pwm_hz, n_p=n_p, psi_f_hat=psi_f_hat, J_hat=J_hat, bw_hall_vector=bw_hall_vector, decouple=True
+    )

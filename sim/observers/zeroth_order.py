@@ -1,0 +1,79 @@
+"""Position held at the centre of the Hall sector: what a six-step drive knows of its rotor.
+
+A polynomial of order zero in the angle, so at constant speed and with well-placed sensors the error is a sawtooth of
++-30 deg, 17.3 deg rms. The order counted here is that of the angle's polynomial, as it is where the paper calls (1)-(2)
+a first-order algorithm. The source counts the order of the speed instead: its zeroth-order algorithm, a speed held over
+a sector, is `average_speed` here.
+
+Never interpolates, and remembers nothing. The speed is omega_h of (1), which the front end makes from the edges.
+
+Source: S. Morimoto, M. Sanada, Y. Takeda, "High-performance current-sensorless drive for PMSM and SynRM with only
+low-resolution position sensor", IEEE Trans. Ind. Appl., vol. 39, no. 3, pp. 792-801, 2003.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.numba_cache import jit, kernel
+from sim.observers.average_speed import centre
+from sim.observers.sample import Sample, Samples, at
+from sim.observers.transforms import wrap
+
+
+class Params(NamedTuple):
+    """No constants."""
+
+
+class State(NamedTuple):
+    """Nothing is remembered."""
+
+
+class Estimate(NamedTuple):
+    """One period's result."""
+
+    theta: float  # electrical rad in [-pi, pi), at the sample; 0: no sector known yet
+    omega: float  # omega_h, electrical rad/s
+
+
+class Estimates(NamedTuple):
+    """A run's results, one element a sample."""
+
+    theta: NDArray[np.float64]
+    omega: NDArray[np.float64]
+
+
+def make_params(pwm_hz: float) -> Params:
+    """No constants; `pwm_hz` (Hz) is taken because every observer takes it."""
+    return Params()
+
+
+@kernel
+def init() -> State:
+    """Nothing to know."""
+    return State()
+
+
+@kernel
+def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]:
+    """One control period."""
+    hall = sample.hall
+    theta = 0.0 if hall.sector < 0 else wrap(centre(hall.sector))
+    return state, Estimate(theta, hall.omega)
+
+
+@jit
+def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
+    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
+    n = reset.shape[0]
+    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
+    for k in range(n):
+        if reset[k]:
+            state = init()
+        state, estimate = step(params, state, at(samples, k))
+        out.theta[k] = estimate.theta
+        out.omega[k] = estimate.omega
+    return state, out
