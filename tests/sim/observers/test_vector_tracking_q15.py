@@ -1,0 +1,419 @@
+"""The fixed-point observer: as good as the floating-point one, and integer for integer what its C file does."""
+
+import hashlib
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import q15_harness
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, TICK_HZ, constant, error_deg, rpm, signals
+from test_bank import busy, resets
+
+from sim.numba_cache import jit
+from sim.observers import sample, vector_tracking
+from sim.observers import vector_tracking_q15 as q15
+from sim.observers.bank import FRONT_PARAMETERS
+
+MILLI = 1 / 1024
+NAMES = ("R_s_hat", "L_s_hat", "psi_f_hat", "k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off", "bw_omega_lpf")
+OWN = {name: DRIVE[name] for name in NAMES}
+FRONT = sample.make_params(TICK_HZ, **{name: DRIVE[name] for name in FRONT_PARAMETERS})
+PARAMS = q15.make_params(PWM_HZ, **OWN)
+TURN = 1 << 32
+
+
+def quantised(s):
+    """As telemetry carries them: 1/1024 V and A a count."""
+    names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
+    return s._replace(**{name: np.round(getattr(s, name) / MILLI) * MILLI for name in names})
+
+
+def seen(s, reset=None):
+    """The samples that the front end makes of signals."""
+    return sample.run(FRONT, sample.init(), *s.arguments(reset))[1]
+
+
+def both(s, **drive):
+    """Estimates of the fixed-point and of the floating-point observer."""
+    samples, reset = seen(s), np.zeros(s.tick.size, np.bool_)
+    fixed = q15.make_params(PWM_HZ, **{**OWN, **drive})
+    floats = {name: value for name, value in {**DRIVE, **drive}.items() if name not in FRONT_PARAMETERS}
+    params = vector_tracking.make_params(PWM_HZ, **floats)
+    return (
+        q15.run(fixed, q15.init(), samples, reset)[1],
+        vector_tracking.run(params, vector_tracking.init(), samples, reset)[1],
+    )
+
+
+@jit
+def trace(constants, state, rows, out):
+    """The kernel's states after each row of integers: reset, and the fields of Counts."""
+    for k in range(rows.shape[0]):
+        if rows[k, 0] != 0:
+            state = q15.init()
+        x = q15.Counts(
+            rows[k, 1],
+            rows[k, 2],
+            rows[k, 3],
+            rows[k, 4],
+            rows[k, 5],
+            rows[k, 6],
+            rows[k, 7],
+            rows[k, 8],
+            rows[k, 9],
+        )
+        state = q15.advance(constants, state, x)
+        out[k, 0] = state.primed
+        out[k, 1] = state.on
+        out[k, 2] = state.direction
+        out[k, 3] = state.i_alpha
+        out[k, 4] = state.i_beta
+        out[k, 5] = state.e_alpha
+        out[k, 6] = state.e_beta
+        out[k, 7] = state.theta
+        out[k, 8] = state.corr_i
+        out[k, 9] = state.omega
+
+
+def traced(constants, state, rows):
+    out = np.empty((len(rows), len(q15.State._fields)), np.int64)
+    trace(constants, state, rows, out)
+    return out
+
+
+def rows_of(samples, reset, params=PARAMS):
+    """Rows of integers of a run, by the observer's own boundary."""
+    n = reset.size
+    every = [[int(reset[k]), *q15.counts(params, sample.at(samples, k))] for k in range(n)]
+    return np.array(every, np.int64)
+
+
+def recording(name):
+    """Rows of integers of a drive's typical hours."""
+    reset = None
+    if name == "busy":  # standstill, start, reversal, stop, glitches, lost edges, gaps
+        s = busy()
+        reset = resets(s.tick.size)
+    elif name == "start":
+        s = signals(lambda t: 0.2 + 3500 * np.maximum(t - 0.01, 0) ** 2, 0.1, i_q=6.0, fine=10, noise=0.02)
+    elif name == "outputs off":
+        s = signals(constant(rpm(500)), 0.2, i_q=0.0, edges_deg=PAPER_EDGES, noise=0.02)
+        off = (s.tick > 0.1 * TICK_HZ) & (s.tick < 0.15 * TICK_HZ)
+        s = s._replace(u_alpha=np.where(off, 0.0, s.u_alpha), u_beta=np.where(off, 0.0, s.u_beta))
+    else:
+        s = signals(constant(rpm(float(name))), 0.2, edges_deg=PAPER_EDGES, noise=0.02)
+    s = quantised(s)
+    return rows_of(seen(s, reset), np.zeros(s.tick.size, np.bool_) if reset is None else reset)
+
+
+RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
+
+
+def digest():
+    """Every integer of every recording's states."""
+    states = [traced(PARAMS.q, q15.init(), recording(name)) for name in RECORDINGS]
+    return hashlib.sha256(np.concatenate(states).tobytes()).hexdigest()
+
+
+# --- the C file ---
+
+needs_compiler = pytest.mark.skipif(q15_harness.COMPILER is None, reason="no gcc to compile the C file with")
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    """The C file with every undefined operation trapped."""
+    flags = (*q15_harness.CHECKED, "-Wconversion", "-Wsign-conversion")
+    return q15_harness.build(tmp_path_factory.mktemp("q15") / "harness", *flags)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_c_and_kernel_agree_in_every_integer(program, name):
+    rows = recording(name)
+    mine = traced(PARAMS.q, q15.init(), rows)
+    assert np.array_equal(mine, q15_harness.trace(program, PARAMS.q, q15.init(), rows))
+    assert mine[:, q15.State._fields.index("on")].any()
+
+
+INT16 = (1 << 15) - 1
+
+
+def extreme(count):
+    """0..count in size, its ends more often than all else."""
+    return st.one_of(st.sampled_from([-count, -1, 0, 1, count]), st.integers(-count, count))
+
+
+def limits(low, high):
+    return st.one_of(st.sampled_from([low, high]), st.integers(low, high))
+
+
+@st.composite
+def constants(draw):
+    z_now = draw(limits(0, INT16))
+    speed = limits(0, q15.TURN_MAX)
+    return q15.Constants(
+        z_now,
+        draw(limits(-z_now, z_now)),
+        draw(limits(0, 15)),
+        draw(limits(1, INT16)),
+        *(draw(speed) for _ in range(4)),
+        draw(limits(4, (1 << 30) - 1)),
+        draw(limits(0, (1 << 30) - 1)),
+        draw(limits(1, INT16)),
+    )
+
+
+states = st.builds(
+    q15.State,
+    st.integers(0, 1),
+    st.integers(0, 1),
+    st.sampled_from([-1, 1]),
+    extreme(INT16),
+    extreme(INT16),
+    extreme(INT16 << 15),
+    extreme(INT16 << 15),
+    limits(0, TURN - 1),
+    extreme(q15.TURN_MAX),
+    extreme(q15.OMEGA_MAX),
+)
+inputs = st.tuples(
+    st.sampled_from([0] * 20 + [1]),
+    *[extreme(INT16)] * 4,
+    st.one_of(extreme(1 << 20), extreme((1 << 31) - 1)),
+    limits(0, 65535),
+    st.integers(-1, 5),
+    st.integers(-1, 1),
+    st.integers(0, 1),
+)
+
+
+@needs_compiler
+@settings(max_examples=150, deadline=None)
+@given(constants(), states, st.lists(inputs, min_size=1, max_size=40), st.integers(0, 99))
+def test_c_and_kernel_agree_at_the_limits_of_every_type(program, constants, state, some, seed):
+    """Nothing overflows (the C file is trapped), and what is stored stays within what the header says."""
+    rng = np.random.default_rng(seed)
+    rows = np.array(some, np.int64)
+    rows = np.concatenate([rows, rows[rng.integers(0, len(rows), 200)]])  # on and on, in any order
+    mine = traced(constants, state, rows)
+    assert np.array_equal(mine, q15_harness.trace(program, constants, state, rows))
+    column = dict(zip(q15.State._fields, mine.T, strict=True))
+    assert np.abs(column["corr_i"]).max() <= q15.TURN_MAX
+    assert np.abs(column["omega"]).max() <= q15.OMEGA_MAX
+    assert max(np.abs(column["e_alpha"]).max(), np.abs(column["e_beta"]).max()) <= INT16 << 15
+    assert column["theta"].min() >= 0
+    assert column["theta"].max() < TURN
+
+
+@needs_compiler
+@pytest.mark.parametrize("scale", [20, 2000, INT16])
+def test_c_and_kernel_agree_on_noise_with_the_correction_held_on(program, scale):
+    """Every interval of the table of sines, both directions, any back-EMF; half a second each."""
+    rng = np.random.default_rng(scale)
+    n = 8000
+    omega = np.cumsum(rng.integers(-200_000, 200_001, n))
+    angle = np.cumsum(omega) & (TURN - 1)
+    columns = [
+        np.zeros(n),
+        *rng.integers(-scale, scale + 1, (4, n)),
+        omega,
+        angle >> 16,
+        angle * 6 >> 32,
+        np.where(omega < 0, -1, 1),
+        rng.integers(0, 50, n) == 0,
+    ]
+    rows = np.stack(columns, axis=-1).astype(np.int64)
+    free = PARAMS.q._replace(turn_on=0, turn_off=0)
+    mine = traced(free, q15.init(), rows)
+    assert np.array_equal(mine, q15_harness.trace(program, free, q15.init(), rows))
+    assert mine[:, 1].mean() > 0.2
+
+
+@needs_compiler
+def test_the_printed_constants_are_c(tmp_path):
+    """Compiled and printed again, they are the same numbers."""
+    names = q15.Constants._fields
+    prints = "".join(f'    printf("%ld\\n", (long)drive.{name});\n' for name in names)
+    source = tmp_path / "constants.c"
+    source.write_text(
+        '#include <stdio.h>\n#include "vector_tracking_q15.h"\n'
+        f"{q15.c_source(PARAMS, 'drive')}int main(void)\n{{\n{prints}    return 0;\n}}\n"
+    )
+    program = q15_harness.build(tmp_path / "constants", sources=(source,))
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert [int(line) for line in printed.split()] == list(PARAMS.q)
+
+
+@needs_compiler
+def test_the_c_file_needs_nothing_of_a_library(tmp_path):
+    """Neither a function nor a variable from outside, and none of its own that can change."""
+    compiled = tmp_path / "q15.o"
+    q15_harness.build(compiled, "-O2", "-ffreestanding", "-c", sources=(q15_harness.SOURCES[1],))
+    symbols = subprocess.run(["nm", compiled], capture_output=True, text=True, check=True).stdout
+    kinds = {line.split()[-1]: line.split()[-2] for line in symbols.splitlines()}
+    assert {name for name, kind in kinds.items() if kind == "T"} == {"hbq_init", "hbq_step"}
+    assert set(kinds.values()) <= set("Ttr")
+
+
+def test_the_uncompiled_kernels_agree_in_every_integer():
+    code = "import test_vector_tracking_q15 as t; print(t.digest())"
+    here = Path(__file__).parent
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join([str(here), *sys.path])}
+    plain = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert plain.stdout.strip() == digest()
+
+
+def test_step_and_run_agree():
+    s = quantised(busy())
+    reset = resets(s.tick.size)
+    samples = seen(s, reset)
+    last, out = q15.run(PARAMS, q15.init(), samples, reset)
+    state = q15.init()
+    for k in range(s.tick.size):
+        state, estimate = q15.step(PARAMS, q15.init() if reset[k] else state, sample.at(samples, k))
+        assert estimate == (out.theta[k], out.omega[k], out.on[k])
+    assert state == last
+    assert out.theta.min() >= -math.pi
+    assert out.theta.max() < math.pi
+
+
+# --- the constants ---
+
+
+def test_constants_of_table_ii_by_hand():
+    """L/T = 2.816 ohm, R/2 = 0.079 ohm; 2^32 / (2 pi 16000) = 42722.83 steps a rad/s; 2^30 / 32 = 33554432 a volt."""
+    q = PARAMS.q
+    assert (q.z_now, q.z_before, q.z_shift) == (round(2.895 * 8192), round(2.737 * 8192), 13)
+    assert q.a_min == round(32768 / (1 + 4e-4 * 16000))
+    assert q.k_p == pytest.approx(1268 * 42722.83, rel=1e-7)
+    assert q.k_i == pytest.approx(54289 * 42722.83 / 16000, abs=1)
+    assert q.turn_on == pytest.approx(20 * 42722.83, abs=1)
+    assert q.turn_off == pytest.approx(12 * 42722.83, abs=1)
+    assert q.e_min == pytest.approx(0.131 * 33554432, abs=1)
+    assert q.e_turn == pytest.approx(0.0393 * 33554432, abs=1)
+    assert q.a_omega == round(32768 * (1 - math.exp(-2 * math.pi * 50 / 16000)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("k_p_vt", 1e5, "k_p_vt must be between 0 and 1.257e\\+04 for the fixed point, got 1e\\+05"),
+        ("k_i_vt", 1e9, "k_i_vt must be"),
+        ("omega_on", 2e4, "omega_on must be"),
+        ("L_s_hat", 10.0, "L_s_hat / T_s \\+ R_s_hat / 2 must be"),
+        ("psi_f_hat", 2.0, "psi_f_hat omega_on must be between 0 and 32 for the fixed point, got 40"),
+    ],
+)
+def test_constants_that_do_not_fit_are_named(name, value, words):
+    with pytest.raises(ValueError, match=words):
+        q15.make_params(PWM_HZ, **{**OWN, name: value})
+
+
+def test_parameters_of_zero_divide_by_nothing():
+    zeros = dict.fromkeys(("k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off"), 0.0)
+    still = signals(lambda t: 0.2 + 0 * t, 0.05, i_q=0.0)
+    for s in (still, signals(constant(rpm(500)), 0.05)):
+        fixed, _ = both(s, **zeros)
+        assert np.isfinite(fixed.theta).all()
+    assert fixed.on.any()
+
+
+# --- how well it observes ---
+
+
+@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
+def test_exact_on_ideal_signals_but_for_the_counts(speed):
+    """The prescribed angle is the truth. A count is 1/1024 V: 0.3 degrees of the back-EMF at 50 r/min, before (6)."""
+    omega = rpm(speed)
+    s = quantised(signals(constant(omega), 0.2 + 3 * 2 * np.pi / abs(omega), i_q=4.0))
+    fixed, _ = both(s)
+    error = error_deg(s.theta, fixed.theta)[-800:]
+    assert fixed.on[-1] == 1
+    assert 0.0005 < np.abs(error).max() < 0.1
+    assert abs(error.mean()) < 0.03
+    assert fixed.omega[-800:].mean() == pytest.approx(omega, rel=3e-3)
+
+
+@pytest.mark.parametrize("speed", [50.0, 200.0, 1000.0, 3000.0, -1000.0])
+def test_it_follows_the_floating_point_observer(speed):
+    """Table I edges, 20 mA of noise: the same error but for hundredths of a degree, and not the same number."""
+    s = quantised(signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES, noise=0.02))
+    fixed, exact = both(s)
+    difference = error_deg(fixed.theta, exact.theta)
+    assert np.array_equal(fixed.on, exact.on)
+    assert 1e-4 < difference.std() < 0.03
+    assert abs(difference.mean()) < 0.03
+    assert np.abs(difference).max() < 0.15
+    assert np.abs(fixed.omega - exact.omega).max() < 0.5
+
+
+def test_it_starts_stops_reverses_and_doubts_as_the_floating_point_observer_does():
+    """The correction is on at the same samples, the estimates stay close, through starts, a reversal and lost edges."""
+    s = quantised(busy())
+    fixed, exact = both(s)
+    assert np.array_equal(fixed.on, exact.on)
+    assert 0.1 < fixed.on.mean() < 0.9
+    assert np.abs(error_deg(fixed.theta, exact.theta)).max() < 0.5
+    s = quantised(signals(constant(rpm(500)), 0.4, edges_deg=PAPER_EDGES, noise=0.02))
+    off = s.tick > 0.2 * TICK_HZ
+    fixed, exact = both(s._replace(u_alpha=np.where(off, 0.0, s.u_alpha), u_beta=np.where(off, 0.0, s.u_beta)))
+    assert fixed.on[~off][-1] == 1
+    assert not fixed.on[off].any()
+    assert np.abs(error_deg(fixed.theta, exact.theta)).max() < 0.1
+
+
+@pytest.mark.parametrize("theta_0", [0.1, 0.6])
+def test_a_rotor_that_turns_back_between_two_edges_is_followed(theta_0):
+    """The direction is the back-EMF's, not the Hall sensors'."""
+    omega, deceleration = rpm(200), 20_000.0
+    begin, end = 0.2, 0.2 + 2 * omega / deceleration
+
+    def angle(t):
+        braking = np.clip(t - begin, 0, end - begin)
+        back = np.maximum(t - end, 0)
+        return theta_0 + omega * np.minimum(t, begin) + (omega - deceleration * braking / 2) * braking - omega * back
+
+    s = quantised(signals(angle, 0.5, i_q=-3.0, fine=20, noise=0.02))
+    fixed, exact = both(s)
+    error = np.abs(error_deg(s.theta, fixed.theta))
+    assert error[s.tick > 0.1 * TICK_HZ].max() < 31
+    assert error[s.tick > 0.4 * TICK_HZ].max() < 1.0
+    assert fixed.omega[-1] == pytest.approx(-omega, rel=0.02)
+    assert np.abs(error_deg(fixed.theta, exact.theta)).max() < 1.0
+
+
+def test_an_estimate_far_from_its_sector_is_dropped():
+    rows = recording("-500")
+    states = traced(PARAMS.q, q15.init(), rows)
+    middle = len(rows) // 2
+    assert states[middle, 1] == 1
+    thrown = q15.State(*(int(value) for value in states[middle]))
+    thrown = thrown._replace(theta=(thrown.theta + TURN // 3) % TURN)  # 120 degrees
+    after = traced(PARAMS.q, thrown, rows[middle + 1 :])
+    assert after[0, 1] == 0
+    assert after[0, 7] == rows[middle + 1, 6] << 16  # theta_avg
+    assert after[-1, 1] == 1  # found again at an edge
+    assert abs(after[-1, 7] - states[-1, 7]) < TURN / 360
+
+
+def test_full_scale_saturates_and_a_larger_base_does_not():
+    """A motor at twenty times the voltage and current, bases with it, is the same motor: R and L stay."""
+    small = quantised(signals(constant(rpm(500)), 0.3, edges_deg=PAPER_EDGES))
+    large = small._replace(**{k: 20 * getattr(small, k) for k in ("u_alpha", "u_beta", "i_a", "i_b", "i_c")})
+    samples, reset = seen(large), np.zeros(small.tick.size, np.bool_)
+    more = {**OWN, "psi_f_hat": 20 * OWN["psi_f_hat"]}
+    wide = q15.make_params(PWM_HZ, **more, base_u=640.0, base_i=640.0)
+    assert wide.q == PARAMS.q
+    _, out = q15.run(wide, q15.init(), samples, reset)
+    _, same = q15.run(PARAMS, q15.init(), seen(small), reset)
+    assert np.array_equal(out.theta, same.theta)
+    narrow = q15.make_params(PWM_HZ, **more)
+    counts = np.array([q15.counts(narrow, sample.at(samples, k))[:4] for k in range(100)])
+    assert np.abs(counts).max() == INT16
