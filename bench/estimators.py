@@ -1,23 +1,30 @@
-"""The drive's observers, run again on the host from what the drive measured.
+"""Position observers run on the host, from what the drive measured: live on chunks, or over a whole recording.
 
-The kernels are those of the simulated drive, `sim.observers`. Fed with the raw values that telemetry carries they give
-the same estimates, bit for bit, so a difference means that the drive's firmware differs. This module never touches a
-link, and it never runs ahead of its input: an edge is used once a sample at or after it has arrived.
+The kernels are those of the simulated drive, `sim.observers`. `HostObservers` runs the drive's own bank; fed with the
+raw values that telemetry carries it gives the same estimates, bit for bit, so a difference means that the drive's
+firmware differs. `Estimators` runs any observers of the catalogue behind one front end. Neither ever touches a link,
+and neither runs ahead of its input: an edge is used once a sample at or after it has arrived.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
 from protocol.descriptor import Channel
-from protocol.signals import Flag, Signal, Status
-from protocol.streams import EdgeChunk, SampleChunk
-from sim.observers import bank
+from protocol.signals import Flag, RawType, Signal, Status
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from sim.observers import bank, sample
+from sim.observers.catalogue import CATALOGUE, Entry, chosen
 
 INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
+OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
+"""Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
 OPTIONAL = ("inject", "inject_amplitude", "inject_hz")
 """Parameters that a drive need not have: without them nothing is injected."""
 CHECKED = (
@@ -26,6 +33,54 @@ CHECKED = (
     "e_alpha",
     "e_beta",
 )
+F64 = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Arguments = tuple[Any, ...]  # arrays, one for each parameter of the kernels after params and state
+
+
+class _Inputs:
+    """Chunks in, arguments of the kernels out: edges wait here for the samples that cover them."""
+
+    def __init__(self) -> None:
+        self._i_q = 0.0  # of the last sample, A
+        self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
+        self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use."""
+        if len(chunk) and len(self._edge_tick) and chunk.tick[0] < self._edge_tick[-1]:
+            self._edge_tick, self._edge_hall = self._edge_tick[:0], self._edge_hall[:0]
+        self._edge_tick = np.concatenate([self._edge_tick, chunk.tick])
+        self._edge_hall = np.concatenate([self._edge_hall, chunk.hall_new])
+
+    def take(self, chunk: SampleChunk, reset: Flags) -> Arguments:
+        """What `bank.run` and `sample.run` take after params and state: samples, the edges up to them, resets."""
+        names = chunk.raw.dtype.names or ()
+        used = int(np.searchsorted(self._edge_tick, chunk.tick[-1], side="right"))
+        due = self._edge_tick[:used], self._edge_hall[:used]
+        self._edge_tick, self._edge_hall = self._edge_tick[used:], self._edge_hall[used:]
+        i_q_err = np.zeros(len(chunk))
+        if "i_q" in names and "i_q_ref" in names:
+            i_q = chunk.physical("i_q")
+            i_q_err = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
+            self._i_q = float(i_q[-1])
+        measured = (chunk.physical(name) for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"))
+        return (chunk.tick, np.ascontiguousarray(chunk.raw["hall"]), *measured, i_q_err, *due, reset)
+
+
+def _one_sample() -> Arguments:
+    """Arguments of one sample, for compiling, or loading what was compiled, before a motor turns."""
+    x = np.zeros(1)
+    measured = np.zeros(1, np.int64), np.ones(1, np.uint8), x, x, x, x, x, x
+    return *measured, np.empty(0, np.int64), np.empty(0, np.uint8), np.ones(1, bool)
+
+
+def _drive_resets(chunk: SampleChunk) -> Flags:
+    """Where the drive says that it initialised its observers, shape (n,)."""
+    if "status" not in (chunk.raw.dtype.names or ()):
+        return np.zeros(len(chunk), bool)
+    flags: Flags = (chunk.raw["status"] & Status.OBSERVERS_RESET) != 0
+    return flags
 
 
 class HostObservers:
@@ -40,57 +95,29 @@ class HostObservers:
         self._params = bank.make_params(tick_hz, pwm_hz, exact_inverse=True, **needed)
         self._state = bank.init()
         self._synchronised = False
-        self._i_q = 0.0  # of the last sample, A
-        self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
-        self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
-        self._compile()
-
-    def _compile(self) -> None:
-        """Compile, or load what was compiled, now: while a motor turns there is no time for it."""
-        x = np.zeros(1)
-        sample = np.zeros(1, np.int64), np.ones(1, np.uint8), x, x, x, x, x, x
-        bank.run(self._params, self._state, *sample, self._edge_tick, self._edge_hall, np.ones(1, bool))
+        self._inputs = _Inputs()
+        bank.run(self._params, self._state, *_one_sample())
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
         if chunk.gaps:
             self._synchronised = False
-        self._edge_tick = np.concatenate([self._edge_tick, chunk.tick])
-        self._edge_hall = np.concatenate([self._edge_hall, chunk.hall_new])
+        self._inputs.edges(chunk)
 
-    def samples(self, chunk: SampleChunk) -> tuple[bank.BankEstimates, NDArray[np.bool_]]:
+    def samples(self, chunk: SampleChunk) -> tuple[bank.BankEstimates, Flags]:
         """Estimates at the samples of `chunk`, and where they are valid; arrays of shape (n,).
 
         The chunk must have the channels `INPUTS` at full rate.
         """
-        reset = (chunk.raw["status"] & Status.OBSERVERS_RESET) != 0
+        reset = _drive_resets(chunk)
         before = -1 if self._synchronised else -3
         last_reset = np.maximum.accumulate(np.where(reset, np.arange(len(reset)), before))
         last_gap = np.full(len(reset), -2)
         for gap in chunk.gaps:
             last_gap[gap.position :] = gap.position
-        valid: NDArray[np.bool_] = last_reset >= last_gap
+        valid: Flags = last_reset >= last_gap
         self._synchronised = bool(valid[-1])
-        used = int(np.searchsorted(self._edge_tick, chunk.tick[-1], side="right"))
-        u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (chunk.physical(name) for name in INPUTS[2:])
-        i_q_err = i_q_ref - np.r_[self._i_q, i_q[:-1]]
-        self._i_q = float(i_q[-1])
-        self._state, estimates = bank.run(
-            self._params,
-            self._state,
-            chunk.tick,
-            np.ascontiguousarray(chunk.raw["hall"]),
-            u_alpha,
-            u_beta,
-            i_a,
-            i_b,
-            i_c,
-            i_q_err,
-            self._edge_tick[:used],
-            self._edge_hall[:used],
-            reset,
-        )
-        self._edge_tick, self._edge_hall = self._edge_tick[used:], self._edge_hall[used:]
+        self._state, estimates = bank.run(self._params, self._state, *self._inputs.take(chunk, reset))
         return estimates, valid
 
     def compare(self, chunk: SampleChunk) -> tuple[int, int]:
@@ -100,15 +127,128 @@ class HostObservers:
         for name in CHECKED:
             if name in (chunk.raw.dtype.names or ()):
                 channel = chunk.config.channel(name)
-                differ |= _raw(channel, estimates.column(name)) != chunk.raw[name]
+                differ |= raw_counts(channel, estimates.column(name)) != chunk.raw[name]
         return int(valid.sum()), int((differ & valid).sum())
 
 
-def _raw(channel: Channel | Signal, values: NDArray[np.float64]) -> NDArray[np.generic]:
-    """Raw counts of physical values, as the simulated drive rounds them: half to even; angles wrap, others saturate."""
-    counts = np.rint(values * (1.0 / channel.scale))
+class Estimate(NamedTuple):
+    """What an observer makes of n samples, (n,) each."""
+
+    theta: F64  # electrical rad in [-pi, pi)
+    omega: F64  # electrical rad/s
+
+
+class Estimators:
+    """Runs observers of the catalogue over a drive's chunks: edges first, then the samples that cover them.
+
+    All of them share one front end. They are initialised anew with the first sample, where the drive initialises its
+    own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
+    lost edges. `restarts` counts these. `seconds` is what each observer took for `steps` samples, `front_seconds` what
+    the front end took, which is all that the average-speed approach needs.
+
+    Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
+    without.
+    """
+
+    def __init__(self, names: Sequence[str], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
+        self.entries = tuple(entry_of(name) for name in names)
+        self._front = sample.make_params(tick_hz, **_constants(sample.make_params, "the Hall front end", parameters))
+        self._params = {}
+        for entry in self.entries:
+            _constants(entry.signature, entry.name, parameters)
+            self._params[entry.name] = entry.make_params(pwm_hz, parameters)
+        self._front_state = sample.init()
+        self._states = {entry.name: entry.init() for entry in self.entries}
+        self._inputs = _Inputs()
+        self._next_index: int | None = None
+        self._next_edge: int | None = None
+        self._edges_lost = np.empty(0, np.int64)  # ticks of the edges that follow a loss
+        self.restarts = {"start": 0, "drive": 0, "lost_samples": 0, "lost_edges": 0}
+        self._clear_times()
+        self._run(_one_sample())
+        self._clear_times()
+
+    def _clear_times(self) -> None:
+        self.seconds = {entry.name: 0.0 for entry in self.entries}
+        self.front_seconds = 0.0
+        self.steps = 0
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take edges; they wait for the samples that cover them."""
+        if len(chunk):
+            self._inputs.edges(chunk)
+            self._edges_lost = np.concatenate([self._edges_lost, chunk.tick[_breaks(chunk.index, self._next_edge)]])
+            self._next_edge = int(chunk.index[-1]) + 1
+
+    def samples(self, chunk: SampleChunk) -> dict[str, Estimate]:
+        """Estimates at the samples of `chunk`, one or more, by observer; what `unfit` says must not hold for it."""
+        reset = _drive_resets(chunk)
+        self.restarts["drive"] += int(reset.sum())
+        if self._next_index is None:
+            self.restarts["start"] += 1
+            reset[0] = True
+        lost = _breaks(chunk.index, self._next_index)
+        self._next_index = int(chunk.index[-1]) + 1
+        known = int(np.searchsorted(self._edges_lost, chunk.tick[-1], side="right"))
+        after = np.searchsorted(chunk.tick, self._edges_lost[:known])
+        self._edges_lost = self._edges_lost[known:]
+        self.restarts["lost_samples"] += len(lost)
+        self.restarts["lost_edges"] += len(after)
+        reset[lost] = reset[after] = True
+        return self._run(self._inputs.take(chunk, reset))
+
+    def _run(self, arguments: Arguments) -> dict[str, Estimate]:
+        reset = arguments[-1]
+        begun = time.perf_counter()
+        self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
+        self.front_seconds += time.perf_counter() - begun
+        found = {}
+        for entry in self.entries:
+            begun = time.perf_counter()
+            state, estimates = entry.run(self._params[entry.name], self._states[entry.name], samples, reset)
+            self.seconds[entry.name] += time.perf_counter() - begun
+            self._states[entry.name] = state
+            found[entry.name] = Estimate(estimates.theta, estimates.omega)
+        self.steps += len(reset)
+        return found
+
+
+def entry_of(name: str) -> Entry:
+    """The observer of that name, or of that short name. BenchError, naming what there is, if there is none."""
+    for entry in CATALOGUE.values():
+        if name in (entry.name, entry.short):
+            return entry
+    raise BenchError(f"no observer '{name}'; there are {', '.join(CATALOGUE)}")
+
+
+def unfit(config: StreamConfig) -> str:
+    """Why observers cannot run on a stream, in words; empty if they can."""
+    names = {channel.name for channel in config.channels}
+    if missing := [name for name in INPUTS if name not in names and name not in OPTIONAL_INPUTS]:
+        return f"it has no channel {', '.join(missing)}"
+    return "" if config.decimation == 1 else f"it has one sample in {config.decimation} PWM periods: all are needed"
+
+
+def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
+    """Raw values of physical ones, as the simulated drive rounds them: half to even; angles wrap, others saturate."""
     dtype = np.dtype(channel.raw.dtype)
+    if channel.raw == RawType.F32:
+        return ((values - channel.offset) / channel.scale).astype(dtype)
+    counts = np.rint((values - channel.offset) * (1.0 / channel.scale))
     if not channel.flags & Flag.WRAPS:
         info = np.iinfo(dtype)
         counts = np.clip(counts, info.min, info.max)
     return counts.astype(np.int64).astype(dtype)
+
+
+def _constants(signature: Callable[..., Any], what: str, parameters: Mapping[str, float]) -> dict[str, float]:
+    try:
+        return chosen(signature, parameters)
+    except KeyError as missing:
+        raise BenchError(f"{what} needs {missing.args[0]}, which the drive does not tell: --set it") from None
+
+
+def _breaks(index: NDArray[np.int64], expected: int | None) -> NDArray[np.int64]:
+    """Positions before which records are missing, of running numbers that should begin with `expected` (None: any)."""
+    first = [] if expected is None or index[0] == expected else [0]
+    return np.concatenate([np.array(first, np.int64), np.flatnonzero(np.diff(index) != 1) + 1])

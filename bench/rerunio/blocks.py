@@ -135,10 +135,10 @@ class BlockBuilder:
         self._seen(event.tick)
         self._block.events.append((node, event))
 
-    def note(self, text: str, level: str, now: float) -> None:
-        """Add a line of the host's, at the newest device time seen."""
+    def note(self, text: str, level: str, now: float, tick: int | None = None) -> None:
+        """Add a line of the host's, at the newest device time seen if no `tick` is given."""
         self._touch(now)
-        self._block.notes.append((self._newest, text, level))
+        self._block.notes.append((self._newest if tick is None else tick, text, level))
 
     def _seen(self, tick: int) -> None:
         if tick > self._newest or tick + self._tick_hz < self._newest:  # going back: the drive has rebooted

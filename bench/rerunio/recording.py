@@ -43,6 +43,9 @@ class Run:
     edge_streams: dict[str, EdgeChunk]
     events: tuple[DeviceEvent, ...]
     notes: tuple[tuple[int, str], ...]
+    """Device tick and text of the log's lines, those of `marks` among them."""
+    levels: tuple[str, ...]
+    """Of the notes: INFO, WARN, ERROR."""
     summary: str
     marks: tuple[schema.Mark, ...]
     """Stretches that an acceptance run marked, in the order in which it did."""
@@ -93,6 +96,7 @@ def read_run(path: str | Path) -> Run:
         edge_streams=edge_streams,
         events=_events(tables.get(f"/{schema.EVENTS}", [])),
         notes=_notes(tables.get(f"/{schema.NOTES}", []), info.tick_hz),
+        levels=_levels(tables.get(f"/{schema.NOTES}", [])),
         summary=_last_text(summaries, "TextDocument:text") if summaries else "",
         marks=_marks(tables.get(f"/{schema.ACCEPTANCE}", [])),
     )
@@ -195,6 +199,10 @@ def _events(parts: list[pa.RecordBatch]) -> tuple[DeviceEvent, ...]:
 def _notes(parts: list[pa.RecordBatch], tick_hz: int) -> tuple[tuple[int, str], ...]:
     texts = [str(text) for text in _column(parts, "TextLog:text", object)]
     return tuple(zip(_ticks(parts, tick_hz).tolist(), texts, strict=True))
+
+
+def _levels(parts: list[pa.RecordBatch]) -> tuple[str, ...]:
+    return tuple(str(level) for level in _column(parts, "TextLog:level", object))
 
 
 def _marks(parts: list[pa.RecordBatch]) -> tuple[schema.Mark, ...]:

@@ -98,9 +98,12 @@ class _BlockSink:
         """Take an event of the drive."""
         self._builder.event(node, event, self._now())
 
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR."""
-        self._builder.note(text, level, self._now())
+    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
+        """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR.
+
+        It stands at the newest device time seen, or at `tick`.
+        """
+        self._builder.note(text, level, self._now(), tick)
 
     def _start(self) -> None:
         """Start the thread; wait until it has imported and opened what it needs, because streaming data would not."""

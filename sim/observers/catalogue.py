@@ -1,0 +1,109 @@
+"""The observers by name, each with what it takes to run it on the front end's samples.
+
+Another observer is another line of `_ENTRIES`. Nothing here runs one, and no parameter is checked against a range.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.observers import average_speed, load_angle, vector_tracking
+from sim.observers.sample import Samples
+
+DEFAULTS: Mapping[str, float] = {
+    "hall_timeout": 0.2,  # s
+    "k_p_vt": 1268.0,  # 1/s, Fig. 6 of Kim et al. 2011
+    "k_i_vt": 54289.0,  # 1/s²
+    "tau_max": 0.5e-3,  # s
+    "omega_on": 20.0,  # electrical rad/s
+    "omega_off": 12.0,
+    "bw_omega_lpf": 50.0,  # Hz
+    "load_angle_comp": 0.0,
+    "k_pc": 0.0,  # rad/A
+    "k_ic": 11.0,  # rad/(A s)
+    "literal_sgn": 0.0,
+}
+"""What a parameter is where a drive has none of that name: the values of the simulated drive. Motor data have none."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One observer. `short`: its name in channels, as `theta_<short>`; `source`: where it comes from, in one line."""
+
+    name: str
+    short: str
+    source: str
+    init: Callable[[], Any]
+    run: Callable[..., tuple[Any, Any]]
+    """`run(params, state, samples, reset)`: the next state, and estimates with `theta` and `omega`, (n,) each."""
+    make: Callable[..., Any]
+    signature: Callable[..., Any]
+    """Whose keyword arguments are the drive parameters that `make` takes."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the drive parameters that it depends on."""
+        return tuple(keyword_parameters(self.signature))
+
+    def make_params(self, pwm_hz: float, drive: Mapping[str, float]) -> Any:
+        """Its constants from a drive's whole parameter table, rounded to float32 as a drive stores them.
+
+        What it does not need is ignored; what is missing comes from `DEFAULTS`. KeyError names what has no default.
+        """
+        return self.make(pwm_hz, **chosen(self.signature, drive))
+
+
+def keyword_parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """The numbers that a `make_params` takes by name."""
+    parameters = inspect.signature(function).parameters.values()
+    return {p.name: p for p in parameters if p.kind is p.KEYWORD_ONLY and not isinstance(p.default, bool)}
+
+
+def chosen(function: Callable[..., Any], drive: Mapping[str, float]) -> dict[str, float]:
+    """The keyword arguments of a `make_params` from a drive's table, float32; KeyError names those that are missing."""
+    found: dict[str, float] = {}
+    missing: list[str] = []
+    for name, parameter in keyword_parameters(function).items():
+        if name in drive:
+            found[name] = float(np.float32(drive[name]))
+        elif name in DEFAULTS:
+            found[name] = float(np.float32(DEFAULTS[name]))
+        elif parameter.default is parameter.empty:
+            missing.append(name)
+    if missing:
+        raise KeyError(", ".join(missing))
+    return found
+
+
+def _of(module: ModuleType, short: str, source: str, signature: Callable[..., Any] | None = None) -> Entry:
+    name = module.__name__.rpartition(".")[2]
+    make = module.make_params
+    return Entry(name, short, source, module.init, module.run, make, signature or make)
+
+
+def _nothing(*_: object) -> None:
+    """What the average-speed approach remembers and is told: the front end has done it all."""
+
+
+def _by_the_front_end(
+    params: None, state: None, samples: Samples, reset: NDArray[np.bool_]
+) -> tuple[None, average_speed.Estimates]:
+    return None, average_speed.Estimates(samples.theta_avg, samples.hall.omega)
+
+
+_KIM = "Kim et al. 2011, DOI 10.1109/TIE.2010.2098367"
+_ENTRIES = (
+    Entry("average_speed", "avg", f"(1)-(2) of {_KIM}; [13]", _nothing, _by_the_front_end, _nothing, _nothing),
+    _of(vector_tracking, "vt", f"(3)-(10) of {_KIM}"),
+    _of(load_angle, "la", f"(3)-(10) with (18)-(19) of {_KIM}", vector_tracking.make_params),
+)
+
+CATALOGUE: dict[str, Entry] = {entry.name: entry for entry in _ENTRIES}
+"""By name, in the order in which they are listed."""
