@@ -18,6 +18,8 @@ from bench.errors import BenchError, Interrupted
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
+    "replay": "Run observers again on a recording, beside the drive's own.",
+    "score": "Score position observers on recordings: errors, lag, cost, ranked.",
     "sim": "Run the simulated drive on its own, behind a pty, TCP or CAN.",
     "devices": "List the ports and buses that a drive may be on, or who is on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",

@@ -1,0 +1,66 @@
+"""`bench replay`: observers run again on a recording, beside the drive's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.cli.number import Number
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+class Setting(click.ParamType[tuple[str, float]]):
+    """NAME=VALUE with a finite number."""
+
+    name = "setting"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+        """Split it, or say why not."""
+        if isinstance(value, tuple):
+            return value
+        name, sign, number = str(value).partition("=")
+        if not sign or not name.strip():
+            self.fail(f"'{value}' is not NAME=VALUE", param, ctx)
+        return name.strip(), Number().convert(number.strip(), param, ctx)
+
+
+@click.command("replay")
+@click.argument("run", metavar="RUN.rrd", type=_FILE)
+@click.option("--observer", "observers", metavar="NAME", multiple=True,
+              help="An observer to run, by its name or short name; repeatable (default: all).")  # fmt: skip
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=Setting(),
+              help="A drive parameter for the observers, as k_p=900; repeatable.")  # fmt: skip
+@click.option("-o", "--out", metavar="FILE", type=_FILE, help="The new recording (default: RUN.replay.rrd).")
+@click.option("--overwrite", is_flag=True, help="Replace the new recording where it exists.")
+@click.option("--list", "list_only", is_flag=True, is_eager=True, expose_value=False,
+              callback=lambda ctx, param, value: _list(ctx) if value else None,
+              help="Show the observers and where they come from; replay nothing.")  # fmt: skip
+def command(
+    run: Path, observers: tuple[str, ...], settings: tuple[tuple[str, float], ...], out: Path | None, overwrite: bool
+) -> None:
+    """Run observers again on what a drive measured, and overlay them with its own estimates and the encoder.
+
+    RUN.rrd: a recording of `bench live --save`, at full rate. The new one holds all of it, and channels theta_…_host
+    and omega_…_host; it opens with the same dashboard.
+
+    \b
+    Examples:
+      bench replay a.rrd
+      bench replay a.rrd --observer vector_tracking --set k_p=900 -o slow.rrd
+    """
+    from bench.cli.output import pairs
+    from bench.replay import replay, rows
+
+    result = replay(run, observers, dict(settings), out, overwrite)
+    pairs(f"{run} replayed to {result.path}", rows(result))
+
+
+def _list(ctx: click.Context) -> None:
+    from bench.cli.output import table
+    from sim.observers.catalogue import CATALOGUE
+
+    table(["observer", "short", "source"], [[entry.name, entry.short, entry.source] for entry in CATALOGUE.values()])
+    ctx.exit()
