@@ -1,15 +1,15 @@
 """Position observers run on the host, from what the drive measured: live on chunks, or over a whole recording.
 
-The kernels are those of the simulated drive, `sim.observers`. `HostObservers` runs the drive's own bank; fed with the
-raw values that telemetry carries it gives the same estimates, bit for bit, so a difference means that the drive's
-firmware differs. `Estimators` runs any observers of the catalogue behind one front end. Neither ever touches a link,
-and neither runs ahead of its input: an edge is used once a sample at or after it has arrived.
+The kernels are those of the simulated drive, `sim.observers`. `HostObservers` runs those that the drive runs, too; fed
+with the raw values that telemetry carries they give the same estimates, bit for bit, so a difference means that the
+drive's firmware differs. `Estimators` runs any observers of the catalogue. Neither ever touches a link, and neither runs
+ahead of its input: an edge is used once a sample at or after it has arrived.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,20 +19,16 @@ from bench.errors import BenchError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
-from sim.observers import bank, sample
+from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, Entry, chosen
 
 INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
 OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
 """Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
-OPTIONAL = ("inject", "inject_amplitude", "inject_hz")
-"""Parameters that a drive need not have: without them nothing is injected."""
-CHECKED = (
-    *(f"{what}_{short}" for short in bank.SHORT for what in ("theta", "omega")),
-    "delta_hat",
-    "e_alpha",
-    "e_beta",
-)
+CHECKED = {
+    f"{what}_{entry.short}": (entry.name, what) for entry in CATALOGUE.values() for what in ("theta", "omega")
+} | {name: ("vector_tracking", name) for name in ("delta_hat", "e_alpha", "e_beta")}
+"""The channels that carry an observer's results: its name, and the field of its estimates."""
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Arguments = tuple[Any, ...]  # arrays, one for each parameter of the kernels after params and state
@@ -54,7 +50,7 @@ class _Inputs:
         self._edge_hall = np.concatenate([self._edge_hall, chunk.hall_new])
 
     def take(self, chunk: SampleChunk, reset: Flags) -> Arguments:
-        """What `bank.run` and `sample.run` take after params and state: samples, the edges up to them, resets."""
+        """What `sample.run` takes after params and state: samples, the edges up to them, resets."""
         names = chunk.raw.dtype.names or ()
         used = int(np.searchsorted(self._edge_tick, chunk.tick[-1], side="right"))
         due = self._edge_tick[:used], self._edge_hall[:used]
@@ -84,19 +80,19 @@ def _drive_resets(chunk: SampleChunk) -> Flags:
 
 
 class HostObservers:
-    """Runs the observer bank over a drive's chunks: edges first, then the samples that cover them.
+    """Runs the observers whose estimates a drive streams, over its chunks: edges first, then the samples they cover.
 
-    The bank starts when the drive initialises its own (the `status` bit OBSERVERS_RESET); after a gap it waits for the
-    next time, because what it would have remembered is lost.
+    `channels`: what is streamed; the estimates among them are compared. The observers start when the drive initialises
+    its own (the `status` bit OBSERVERS_RESET); after a gap they wait for the next time, because what they would have
+    remembered is lost. Raises BenchError for a parameter that one of them cannot do without.
     """
 
-    def __init__(self, parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
-        needed = {name: parameters.get(name, 0.0) if name in OPTIONAL else parameters[name] for name in bank.PARAMETERS}
-        self._params = bank.make_params(tick_hz, pwm_hz, exact_inverse=True, **needed)
-        self._state = bank.init()
+    def __init__(self, parameters: Mapping[str, float], tick_hz: float, pwm_hz: float, channels: Iterable[str]) -> None:
+        self.checked = {name: CHECKED[name] for name in channels if name in CHECKED}
+        names = dict.fromkeys(observer for observer, _ in self.checked.values())
+        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, tick_hz, pwm_hz)
         self._synchronised = False
         self._inputs = _Inputs()
-        bank.run(self._params, self._state, *_one_sample())
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
@@ -104,10 +100,10 @@ class HostObservers:
             self._synchronised = False
         self._inputs.edges(chunk)
 
-    def samples(self, chunk: SampleChunk) -> tuple[bank.BankEstimates, Flags]:
-        """Estimates at the samples of `chunk`, and where they are valid; arrays of shape (n,).
+    def samples(self, chunk: SampleChunk) -> tuple[dict[str, F64], Flags]:
+        """The estimates at the samples of `chunk` by channel, and where they are valid; arrays of shape (n,).
 
-        The chunk must have the channels `INPUTS` at full rate.
+        The chunk must have what `compared_inputs` names at full rate.
         """
         reset = _drive_resets(chunk)
         before = -1 if self._synchronised else -3
@@ -117,18 +113,57 @@ class HostObservers:
             last_gap[gap.position :] = gap.position
         valid: Flags = last_reset >= last_gap
         self._synchronised = bool(valid[-1])
-        self._state, estimates = bank.run(self._params, self._state, *self._inputs.take(chunk, reset))
-        return estimates, valid
+        found = self._kernels.run(self._inputs.take(chunk, reset))
+        return {name: getattr(found[observer], field) for name, (observer, field) in self.checked.items()}, valid
 
     def compare(self, chunk: SampleChunk) -> tuple[int, int]:
         """Number of samples compared with the drive's own estimates, and of those that differ in any raw bit."""
         estimates, valid = self.samples(chunk)
         differ = np.zeros(len(valid), dtype=bool)
-        for name in CHECKED:
-            if name in (chunk.raw.dtype.names or ()):
-                channel = chunk.config.channel(name)
-                differ |= raw_counts(channel, estimates.column(name)) != chunk.raw[name]
+        for name, values in estimates.items():
+            differ |= raw_counts(chunk.config.channel(name), values) != chunk.raw[name]
         return int(valid.sum()), int((differ & valid).sum())
+
+
+class _Kernels:
+    """Observers behind one front end: their constants, their states, and the time that each of them took.
+
+    `seconds` is what each observer took for `steps` samples, `front_seconds` what the front end took, which is all that
+    the average-speed approach needs.
+    """
+
+    def __init__(
+        self, entries: Sequence[Entry], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float
+    ) -> None:
+        self._front = sample.make_params(tick_hz, **_constants(sample.make_params, "the Hall front end", parameters))
+        self._front_state = sample.init()
+        self._observers = []
+        for entry in entries:
+            _constants(entry.signature, entry.name, parameters)
+            self._observers.append((entry, entry.make_params(pwm_hz, parameters)))
+        self._states = {entry.name: entry.init() for entry in entries}
+        self._clear_times()
+        self.run(_one_sample())
+        self._clear_times()
+
+    def _clear_times(self) -> None:
+        self.seconds = dict.fromkeys(self._states, 0.0)
+        self.front_seconds = 0.0
+        self.steps = 0
+
+    def run(self, arguments: Arguments) -> dict[str, Any]:
+        """The observers' estimates by name, from what `_Inputs.take` gives."""
+        reset = arguments[-1]
+        begun = time.perf_counter()
+        self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
+        self.front_seconds += time.perf_counter() - begun
+        found = {}
+        for entry, params in self._observers:
+            begun = time.perf_counter()
+            self._states[entry.name], found[entry.name] = entry.run(params, self._states[entry.name], samples, reset)
+            self.seconds[entry.name] += time.perf_counter() - begun
+        self.steps += len(reset)
+        return found
 
 
 class Estimate(NamedTuple):
@@ -143,8 +178,7 @@ class Estimators:
 
     All of them share one front end. They are initialised anew with the first sample, where the drive initialises its
     own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
-    lost edges. `restarts` counts these. `seconds` is what each observer took for `steps` samples, `front_seconds` what
-    the front end took, which is all that the average-speed approach needs.
+    lost edges. `restarts` counts these.
 
     Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
     without.
@@ -152,26 +186,27 @@ class Estimators:
 
     def __init__(self, names: Sequence[str], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
         self.entries = tuple(entry_of(name) for name in names)
-        self._front = sample.make_params(tick_hz, **_constants(sample.make_params, "the Hall front end", parameters))
-        self._params = {}
-        for entry in self.entries:
-            _constants(entry.signature, entry.name, parameters)
-            self._params[entry.name] = entry.make_params(pwm_hz, parameters)
-        self._front_state = sample.init()
-        self._states = {entry.name: entry.init() for entry in self.entries}
+        self._kernels = _Kernels(self.entries, parameters, tick_hz, pwm_hz)
         self._inputs = _Inputs()
         self._next_index: int | None = None
         self._next_edge: int | None = None
         self._edges_lost = np.empty(0, np.int64)  # ticks of the edges that follow a loss
         self.restarts = {"start": 0, "drive": 0, "lost_samples": 0, "lost_edges": 0}
-        self._clear_times()
-        self._run(_one_sample())
-        self._clear_times()
 
-    def _clear_times(self) -> None:
-        self.seconds = {entry.name: 0.0 for entry in self.entries}
-        self.front_seconds = 0.0
-        self.steps = 0
+    @property
+    def seconds(self) -> dict[str, float]:
+        """What each observer took, by name, for all `steps` together."""
+        return self._kernels.seconds
+
+    @property
+    def front_seconds(self) -> float:
+        """What the front end took: all that the average-speed approach needs."""
+        return self._kernels.front_seconds
+
+    @property
+    def steps(self) -> int:
+        """Samples so far."""
+        return self._kernels.steps
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
@@ -195,22 +230,17 @@ class Estimators:
         self.restarts["lost_samples"] += len(lost)
         self.restarts["lost_edges"] += len(after)
         reset[lost] = reset[after] = True
-        return self._run(self._inputs.take(chunk, reset))
+        found = self._kernels.run(self._inputs.take(chunk, reset))
+        return {name: Estimate(estimates.theta, estimates.omega) for name, estimates in found.items()}
 
-    def _run(self, arguments: Arguments) -> dict[str, Estimate]:
-        reset = arguments[-1]
-        begun = time.perf_counter()
-        self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
-        self.front_seconds += time.perf_counter() - begun
-        found = {}
-        for entry in self.entries:
-            begun = time.perf_counter()
-            state, estimates = entry.run(self._params[entry.name], self._states[entry.name], samples, reset)
-            self.seconds[entry.name] += time.perf_counter() - begun
-            self._states[entry.name] = state
-            found[entry.name] = Estimate(estimates.theta, estimates.omega)
-        self.steps += len(reset)
-        return found
+
+def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[str, ...]:
+    """What must be streamed, with these channels, that their estimates can be compared.
+
+    `load_angle_comp`: whether the drive compensates the load angle, with its own current error.
+    """
+    compensated = load_angle_comp or any(CHECKED.get(name, ("",))[0] == "load_angle" for name in channels)
+    return INPUTS if compensated else tuple(name for name in INPUTS if name not in ("i_q_ref", "i_q"))
 
 
 def entry_of(name: str) -> Entry:

@@ -195,9 +195,7 @@ class LiveRun:
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
         if options.host_observers:
-            from bench.estimators import INPUTS
-
-            needed = INPUTS
+            needed = self._compared_inputs(channels)
             missing = [name for name in needed if name not in {channel.name for channel in channels}]
             if missing or decimation != 1:
                 raise BenchError(
@@ -216,6 +214,13 @@ class LiveRun:
             self.drive.set_samples(channels, error.decimation)
             self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
         return channels
+
+    def _compared_inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
+        from bench.estimators import compared_inputs
+
+        switch = "load_angle_comp"
+        on = self.drive.has_parameter(switch) and self.drive.parameter(switch).value != 0.0
+        return compared_inputs([channel.name for channel in channels], on)
 
     def _channel_names(self) -> tuple[str, ...] | None:
         """The channels that were asked for; without a list of its own a run also gets what its control works with."""
@@ -237,7 +242,8 @@ class LiveRun:
         if options.host_observers:
             from bench.estimators import HostObservers
 
-            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz)
+            names = [channel.name for channel in channels]
+            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz, names)
         stats = RunStatistics(self.drive.number, observers)
         info = RunInfo(
             tick_hz=identity.tick_hz,

@@ -58,6 +58,11 @@ class StreamTable:
         """Numbers of the running streams."""
         return frozenset(number for number, stream in self._all.items() if stream.running)
 
+    @property
+    def channels(self) -> frozenset[int]:
+        """Ids of the channels that streams are configured with."""
+        return frozenset(number for request, _ in self._configured.values() for number in request.channels)
+
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
         self._check(request)

@@ -158,6 +158,12 @@ class AngleSource(IntEnum):
     AVERAGE_SPEED = 1
     VECTOR_TRACKING = 2
     LOAD_ANGLE = 3
+    ZEROTH_ORDER = 4
+    LOOKUP_TABLE = 5
+    HALL_VECTOR = 6
+    HALL_VECTOR_DECOUPLED = 7
+    PROGRAMMABLE_FILTER = 8
+    VECTOR_TRACKING_Q15 = 9
 
 
 SHORT = {
@@ -165,6 +171,12 @@ SHORT = {
     AngleSource.AVERAGE_SPEED: "avg",
     AngleSource.VECTOR_TRACKING: "vt",
     AngleSource.LOAD_ANGLE: "la",
+    AngleSource.ZEROTH_ORDER: "zero",
+    AngleSource.LOOKUP_TABLE: "lut",
+    AngleSource.HALL_VECTOR: "hv",
+    AngleSource.HALL_VECTOR_DECOUPLED: "hvd",
+    AngleSource.PROGRAMMABLE_FILTER: "plf",
+    AngleSource.VECTOR_TRACKING_Q15: "q15",
 }
 """What channels call an angle source: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
 
@@ -236,7 +248,13 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(24, "omega_true", Unit.RAD_PER_S, SPEED, "the plant's electrical speed", Flag.TRUTH),
     _channel(25, "tau_e_true", Unit.NM, 1 / 16384, "the plant's electromagnetic torque", Flag.TRUTH),
     _channel(26, "tau_load_true", Unit.NM, 1 / 16384, "torque of the load machine on the shaft", Flag.TRUTH),
-    *_estimate(27, "la", "vector-tracking with load-angle compensation, (3)-(10), (18)-(19)"),
+    *_estimate(27, "la", "vector tracking with load-angle compensation, (18)-(19)"),
+    *_estimate(29, "zero", "the centre of the Hall sector [14]"),
+    *_estimate(31, "lut", "average speed with the table of edges [15]"),
+    *_estimate(33, "hv", "vector tracking of the Hall vector [16]"),
+    *_estimate(35, "hvd", "the same, harmonics decoupled [17]"),
+    *_estimate(37, "plf", "rotor flux by the programmable filter [18]"),
+    *_estimate(39, "q15", "vector tracking in 16-bit integers"),
 )
 
 LOAD_CHANNELS: tuple[Signal, ...] = (

@@ -12,7 +12,10 @@ import click
 from bench.cli.number import Number
 from bench.cli.target import TARGET
 
-OBSERVERS = ["encoder", "average-speed", "vector-tracking"]
+OBSERVERS = [
+    "encoder", "average-speed", "vector-tracking", "load-angle", "zeroth-order", "lookup-table", "hall-vector",
+    "hall-vector-decoupled", "programmable-filter", "vector-tracking-q15",
+]  # fmt: skip
 
 
 @click.command("live")

@@ -92,7 +92,7 @@ def mean_component(component: str) -> str:
 
 # One colour a quantity, in every view (dark background; Okabe and Ito's palette, told apart by colour-blind eyes too).
 WHITE, GREY = (235, 235, 235), (130, 130, 130)
-ORANGE, SKY, GREEN, YELLOW, PURPLE, VERMILION, LILAC = (
+ORANGE, SKY, GREEN, YELLOW, PURPLE, VERMILION, LILAC, TEAL, BROWN, LIME = (
     (240, 165, 30),
     (80, 180, 250),
     (30, 190, 140),
@@ -100,6 +100,9 @@ ORANGE, SKY, GREEN, YELLOW, PURPLE, VERMILION, LILAC = (
     (225, 130, 185),
     (240, 100, 50),
     (160, 145, 250),
+    (60, 160, 165),
+    (176, 122, 84),
+    (170, 215, 60),
 )
 COLOURS: dict[str, tuple[int, int, int]] = {
     "theta_enc": WHITE,
@@ -112,6 +115,18 @@ COLOURS: dict[str, tuple[int, int, int]] = {
     "omega_vt": SKY,
     "theta_la": LILAC,
     "omega_la": LILAC,
+    "theta_zero": VERMILION,
+    "omega_zero": VERMILION,
+    "theta_lut": YELLOW,
+    "omega_lut": YELLOW,
+    "theta_hv": GREEN,
+    "omega_hv": GREEN,
+    "theta_hvd": PURPLE,
+    "omega_hvd": PURPLE,
+    "theta_plf": TEAL,
+    "omega_plf": TEAL,
+    "theta_q15": BROWN,
+    "omega_q15": BROWN,
     "omega_ref": YELLOW,
     "i_a": VERMILION,
     "i_b": GREEN,
@@ -136,6 +151,18 @@ LABELS = {
     "omega_vt": "vector tracking",
     "theta_la": "with load angle",
     "omega_la": "with load angle",
+    "theta_zero": "zeroth order",
+    "omega_zero": "zeroth order",
+    "theta_lut": "look-up table",
+    "omega_lut": "look-up table",
+    "theta_hv": "Hall vector",
+    "omega_hv": "Hall vector",
+    "theta_hvd": "Hall vector, decoupled",
+    "omega_hvd": "Hall vector, decoupled",
+    "theta_plf": "programmable filter",
+    "omega_plf": "programmable filter",
+    "theta_q15": "fixed point",
+    "omega_q15": "fixed point",
     "omega_ref": "reference",
     "i_d_ref": "i_d reference",
     "i_q_ref": "i_q reference",

@@ -110,6 +110,7 @@ class SimulatedDevice:
         while periods > 0:
             n = min(periods, self._portion, self._until_watchdog())
             unfed = [self._unfed(session) + n / self.pwm_hz for session in self._sessions] if self._notice else []
+            self.bench.watch(self.drive.streams.channels)
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n

@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
+from protocol.signals import DRIVE_CHANNELS, SHORT
 from protocol.streams import EDGE_RECORD
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
+from sim.drive.tick import Params as BenchConstants
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
 from sim.numba_cache import settled
 from sim.observers import average_speed, bank
@@ -29,6 +31,13 @@ from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integra
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]
 
+OBSERVED_BY = {
+    channel.id: 1 << source - 1
+    for source, short in SHORT.items()
+    for channel in DRIVE_CHANNELS
+    if source and channel.name in (f"theta_{short}", f"omega_{short}")
+}
+"""Bit of the observer, as `bank.Params.active` counts them, by the id of a channel that carries its estimate."""
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
@@ -70,7 +79,8 @@ class SimulatedBench:
         self.parameters = {name: _f32(value) for name, value in params.drive_parameters().items()}
         self.load_parameters = {name: _f32(value) for name, value in params.load_parameters().items()}
         self._quantiles = noise.table()
-        self._params = _make(self.params, self.parameters, self.load_parameters)
+        self._watched: frozenset[int] = frozenset()
+        self._params = self._made(self.load_parameters)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
@@ -120,6 +130,21 @@ class SimulatedBench:
             pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta),
         )
 
+    def watch(self, channels: frozenset[int]) -> None:
+        """From the next period on run the observers whose estimates are among these channels (ids), and no others.
+
+        The average-speed and the vector-tracking observer run always, and so does the one that the control uses.
+        """
+        if channels != self._watched:
+            self._watched = channels
+            self._params = self._made(self.load_parameters)
+
+    def _made(self, load_parameters: Mapping[str, float]) -> BenchConstants:
+        active = 1 << int(self.parameters["observer"]) >> 1
+        for channel in self._watched:
+            active |= OBSERVED_BY.get(channel, 0)
+        return _make(self.params, self.parameters, load_parameters, active)
+
     def enable(self, on: bool = True) -> None:
         """Go from IDLE through ARMED to RUNNING, or back to IDLE."""
         if on:
@@ -164,7 +189,7 @@ class SimulatedBench:
         if name not in self.parameters:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
         self.parameters[name] = _f32(value)
-        self._params = _make(self.params, self.parameters, self.load_parameters)
+        self._params = self._made(self.load_parameters)
 
     def set_load_param(self, name: str, value: float) -> None:
         """Set a parameter of the load machine, as a float32; a fault on the wires is there from the next period on.
@@ -175,7 +200,7 @@ class SimulatedBench:
         if name not in self.load_parameters:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.load_parameters)}")
         changed = self.load_parameters | {name: _f32(value)}
-        self._params = _make(self.params, self.parameters, changed)
+        self._params = self._made(changed)
         self.load_parameters = changed
 
     def get_param(self, name: str) -> float:
@@ -214,15 +239,18 @@ class SimulatedBench:
 _advance = settled(tick.advance)
 
 
-def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
-    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
+def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float], active: int) -> BenchConstants:
+    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`.
+
+    `active`: the observers that run (see `bank.Params`).
+    """
     has_encoder = bool(p.encoder.present)
     hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
     )
-    return tick.Params(
+    return BenchConstants(
         integrator.Params(
             pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p),
             inverter.make_params(
@@ -245,7 +273,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             p.current_sensor.bits,
         ),
         tick_firmware.Params(
-            bank.make_params(p.clock.tick_hz, p.clock.pwm_hz, exact_inverse=True, **_some(drive, *bank.PARAMETERS)),
+            bank.make_params(p.clock.tick_hz, p.clock.pwm_hz, active=active, **_some(drive, *bank.PARAMETERS)),
             current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
             dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),

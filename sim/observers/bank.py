@@ -1,72 +1,79 @@
-"""The observers fed from one stream of samples and edges, exactly as drive and host both run them.
+"""All observers fed from one stream of samples and edges, as the drive runs them.
 
-The drive steps the bank once a control period; a host runs it over chunks of telemetry. Given the same
-telemetered values (raw * scale in float64) and the same parameters (float32) the two agree bit for bit.
-A gap in the stream is an explicit `init`: `run` does it where `reset` is set.
+The drive steps the bank once a control period; of an observer that is not active nothing is remembered, and its
+estimate is zero. A host runs any of the same kernels over telemetry (`catalogue`); given
+the same telemetered values (raw * scale in float64) and the same parameters (float32) the two agree bit for bit. A gap
+in the stream is an explicit `init`: `run` does it where `reset` is set.
 
 Never touches raw counts, frames or files.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.numba_cache import jit, kernel
-from sim.observers import load_angle, sample, vector_tracking
-
-OBSERVERS = ("average_speed", "vector_tracking", "load_angle")
-"""The observers of the bank, in the order of `protocol.signals.AngleSource`, which begins with the encoder."""
-SHORT = ("avg", "vt", "la")
-"""Their names in channels: `theta_avg`, `omega_avg` …"""
-COUNT = len(OBSERVERS)
-
-# The drive parameters that the estimates depend on, by their names.
-FRONT_PARAMETERS = ("n_p", "omega_m_max", "hall_timeout")
-PARAMETERS = (
-    *FRONT_PARAMETERS,
-    "R_s_hat",
-    "L_s_hat",
-    "psi_f_hat",
-    "k_p_vt",
-    "k_i_vt",
-    "tau_max",
-    "omega_on",
-    "omega_off",
-    "k_pc",
-    "k_ic",
-    "load_angle_comp",
-    "literal_sgn",
-    "bw_omega_lpf",
-    "inject",
-    "inject_amplitude",
-    "inject_hz",
+from sim.observers import (
+    hall_vector,
+    hall_vector_decoupled,
+    load_angle,
+    lookup_table,
+    programmable_filter,
+    sample,
+    vector_tracking,
+    vector_tracking_q15,
+    zeroth_order,
 )
+from sim.observers.catalogue import CATALOGUE, keyword_parameters
+
+SHORT = tuple(entry.short for entry in CATALOGUE.values())
+"""The observers' names in channels, `theta_avg`, `omega_avg` …, in the order of the estimates."""
+COUNT = len(SHORT)
+ALL = (1 << COUNT) - 1
+FRONT_PARAMETERS = tuple(keyword_parameters(sample.make_params))
+PARAMETERS = tuple(
+    dict.fromkeys((*FRONT_PARAMETERS, *(name for entry in CATALOGUE.values() for name in entry.parameters)))
+)
+"""The drive parameters that the estimates depend on, by their names."""
 
 
 class Params(NamedTuple):
     """Constants of all observers."""
 
+    active: int  # which are run: bit j is the j-th of `CATALOGUE`; the first two always are
     front: sample.Params
-    vector: vector_tracking.Params
+    vector_tracking: vector_tracking.Params
     load_angle: load_angle.Params
+    zeroth_order: zeroth_order.Params
+    lookup_table: lookup_table.Params
+    hall_vector: hall_vector.Params
+    hall_vector_decoupled: hall_vector_decoupled.Params
+    programmable_filter: programmable_filter.Params
+    vector_tracking_q15: vector_tracking_q15.Params
 
 
 class State(NamedTuple):
     """What the observers remember."""
 
     front: sample.State
-    vector: vector_tracking.State
+    vector_tracking: vector_tracking.State
     load_angle: load_angle.State
+    zeroth_order: zeroth_order.State
+    lookup_table: lookup_table.State
+    hall_vector: hall_vector.State
+    hall_vector_decoupled: hall_vector_decoupled.State
+    programmable_filter: programmable_filter.State
+    vector_tracking_q15: vector_tracking_q15.State
 
 
 class BankEstimate(NamedTuple):
     """One period's results: electrical angles in [-pi, pi) and speeds, rad and rad/s, at the sample."""
 
-    theta: tuple[float, float, float]  # by observer, in the order of `OBSERVERS`
-    omega: tuple[float, float, float]
+    theta: tuple[float, ...]  # by observer, in the order of `CATALOGUE`
+    omega: tuple[float, ...]
     delta_hat: float  # rad, of the vector-tracking observer, as are the following
     e_alpha: float  # V
     e_beta: float
@@ -94,26 +101,46 @@ class BankEstimates(NamedTuple):
         return found if short not in SHORT else found[SHORT.index(short)]
 
 
-def make_params(tick_hz: float, pwm_hz: float, *, exact_inverse: bool = True, **drive: float) -> Params:
+def make_params(
+    tick_hz: float, pwm_hz: float, *, exact_inverse: float = True, active: float = ALL, **drive: float
+) -> Params:
     """Constants from the drive's parameters, by their names and in their units.
 
     `drive` must hold all of `PARAMETERS` (KeyError names the missing one); others are ignored, so that a
     drive's whole parameter table can be given. Values are rounded to float32, as a drive stores them.
-    `exact_inverse`: see `vector_tracking`.
+    `exact_inverse`: see `vector_tracking`; `active`: see `Params`.
     """
     value = {name: float(np.float32(drive[name])) for name in PARAMETERS}
-    front = {name: value.pop(name) for name in FRONT_PARAMETERS}
+    own: dict[str, Any] = {name: entry.make_params(pwm_hz, value) for name, entry in CATALOGUE.items()}
+    inverse = int(exact_inverse)
     return Params(
-        sample.make_params(tick_hz, **front),
-        vector_tracking.make_params(pwm_hz, exact_inverse=exact_inverse, **value),
-        load_angle.make_params(pwm_hz, exact_inverse=exact_inverse, **value),
+        int(active),
+        sample.make_params(tick_hz, **{name: value[name] for name in FRONT_PARAMETERS}),
+        own["vector_tracking"]._replace(exact_inverse=inverse),
+        own["load_angle"]._replace(exact_inverse=inverse),
+        own["zeroth_order"],
+        own["lookup_table"],
+        own["hall_vector"],
+        own["hall_vector_decoupled"],
+        own["programmable_filter"],
+        own["vector_tracking_q15"],
     )
 
 
 @kernel
 def init() -> State:
     """Nothing known yet: the first sample gives sector and currents."""
-    return State(sample.init(), vector_tracking.init(), load_angle.init())
+    return State(
+        sample.init(),
+        vector_tracking.init(),
+        load_angle.init(),
+        zeroth_order.init(),
+        lookup_table.init(),
+        hall_vector.init(),
+        hall_vector_decoupled.init(),
+        programmable_filter.init(),
+        vector_tracking_q15.init(),
+    )
 
 
 @kernel
@@ -156,17 +183,82 @@ def step(
         first,
         last,
     )
-    vector_state, vector = vector_tracking.step(params.vector, state.vector, seen)
-    load_state, load = load_angle.step(params.load_angle, state.load_angle, seen)
-    return State(front, vector_state, load_state), BankEstimate(
-        (seen.theta_avg, vector.theta, load.theta),
-        (seen.hall.omega, vector.omega, load.omega),
-        vector.delta_hat,
-        vector.e_alpha,
-        vector.e_beta,
-        vector.on,
+    vt_state, vt = vector_tracking.step(params.vector_tracking, state.vector_tracking, seen)
+    la_state = load_angle.init()
+    la_theta = la_omega = 0.0
+    if params.active & 4 != 0:
+        la_state, la = load_angle.step(params.load_angle, state.load_angle, seen)
+        la_theta, la_omega = la.theta, la.omega
+    zero_state = zeroth_order.init()
+    zero_theta = zero_omega = 0.0
+    if params.active & 8 != 0:
+        zero_state, zero = zeroth_order.step(params.zeroth_order, state.zeroth_order, seen)
+        zero_theta, zero_omega = zero.theta, zero.omega
+    lut_state = lookup_table.init()
+    lut_theta = lut_omega = 0.0
+    if params.active & 16 != 0:
+        lut_state, lut = lookup_table.step(params.lookup_table, state.lookup_table, seen)
+        lut_theta, lut_omega = lut.theta, lut.omega
+    hv_state = hall_vector.init()
+    hv_theta = hv_omega = 0.0
+    if params.active & 32 != 0:
+        hv_state, hv = hall_vector.step(params.hall_vector, state.hall_vector, seen)
+        hv_theta, hv_omega = hv.theta, hv.omega
+    hvd_state = hall_vector_decoupled.init()
+    hvd_theta = hvd_omega = 0.0
+    if params.active & 64 != 0:
+        hvd_state, hvd = hall_vector_decoupled.step(params.hall_vector_decoupled, state.hall_vector_decoupled, seen)
+        hvd_theta, hvd_omega = hvd.theta, hvd.omega
+    plf_state = programmable_filter.init()
+    plf_theta = plf_omega = 0.0
+    if params.active & 128 != 0:
+        plf_state, plf = programmable_filter.step(params.programmable_filter, state.programmable_filter, seen)
+        plf_theta, plf_omega = plf.theta, plf.omega
+    q15_state = vector_tracking_q15.init()
+    q15_theta = q15_omega = 0.0
+    if params.active & 256 != 0:
+        q15_state, q15 = vector_tracking_q15.step(params.vector_tracking_q15, state.vector_tracking_q15, seen)
+        q15_theta, q15_omega = q15.theta, q15.omega
+    state = State(
+        front,
+        vt_state,
+        la_state,
+        zero_state,
+        lut_state,
+        hv_state,
+        hvd_state,
+        plf_state,
+        q15_state,
+    )
+    return state, BankEstimate(
+        (
+            seen.theta_avg,
+            vt.theta,
+            la_theta,
+            zero_theta,
+            lut_theta,
+            hv_theta,
+            hvd_theta,
+            plf_theta,
+            q15_theta,
+        ),
+        (
+            seen.hall.omega,
+            vt.omega,
+            la_omega,
+            zero_omega,
+            lut_omega,
+            hv_omega,
+            hvd_omega,
+            plf_omega,
+            q15_omega,
+        ),
+        vt.delta_hat,
+        vt.e_alpha,
+        vt.e_beta,
+        vt.on,
         seen.hall.sector,
-        vector.sync,
+        vt.sync,
     )
 
 

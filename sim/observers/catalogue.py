@@ -14,7 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.observers import average_speed, load_angle, vector_tracking
+from sim.observers import (
+    average_speed,
+    hall_vector,
+    hall_vector_decoupled,
+    load_angle,
+    lookup_table,
+    programmable_filter,
+    vector_tracking,
+    vector_tracking_q15,
+    zeroth_order,
+)
 from sim.observers.sample import Samples
 
 DEFAULTS: Mapping[str, float] = {
@@ -103,7 +113,13 @@ _ENTRIES = (
     Entry("average_speed", "avg", f"(1)-(2) of {_KIM}; [13]", _nothing, _by_the_front_end, _nothing, _nothing),
     _of(vector_tracking, "vt", f"(3)-(10) of {_KIM}"),
     _of(load_angle, "la", f"(3)-(10) with (18)-(19) of {_KIM}", vector_tracking.make_params),
+    _of(zeroth_order, "zero", "[14]: Morimoto et al. 2003"),
+    _of(lookup_table, "lut", "[15]: Beccue et al. 2007"),
+    _of(hall_vector, "hv", "[16]: Giulii Capponi et al. 2006"),
+    _of(hall_vector_decoupled, "hvd", "[17]: Harke et al. 2008"),
+    _of(programmable_filter, "plf", "[18]: Karanayil et al. 2004"),
+    _of(vector_tracking_q15, "q15", f"(3)-(10) of {_KIM}, in 16-bit integers"),
 )
 
 CATALOGUE: dict[str, Entry] = {entry.name: entry for entry in _ENTRIES}
-"""By name, in the order in which they are listed."""
+"""By name, in the order of `protocol.signals.AngleSource`, which begins with the encoder."""

@@ -134,6 +134,8 @@ def _gain(value: float) -> int:
 
 def make_params(
     pwm_hz: float,
+    base_u: float = 32.0,
+    base_i: float = 32.0,
     *,
     R_s_hat: float,
     L_s_hat: float,
@@ -144,8 +146,6 @@ def make_params(
     omega_on: float,
     omega_off: float,
     bw_omega_lpf: float,
-    base_u: float = 32.0,
-    base_i: float = 32.0,
 ) -> Params:
     """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
 

@@ -14,7 +14,7 @@ from bench.estimators import CHECKED, HostObservers
 from bench.rerunio.recording import read_run
 from protocol.signals import AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
-from sim.observers import bank
+from sim.observers import vector_tracking
 
 
 def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
@@ -39,7 +39,7 @@ ALL = tuple(f"+{name}" for name in CHECKED)
 
 
 def host_observers(bench: Bench) -> HostObservers:
-    return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz)
+    return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
 
 
 @pytest.mark.parametrize("compensation", [0, 1])
@@ -76,7 +76,7 @@ def test_host_and_drive_agree_bit_for_bit(source: AngleSource, compensation: int
     cuts = np.sort(rng.choice(len(samples), 400, replace=False))
     assert feed(observers, samples, edges, cuts) == (len(samples) - reset[0], 0)
     assert feed(host_observers(bench), samples, edges, np.array([], int)) == (len(samples) - reset[0], 0)
-    assert len(bank.run.signatures) == 1  # compiled once, before the motor turned
+    assert len(vector_tracking.run.signatures) == 1  # compiled once, before the motor turned
 
 
 @pytest.mark.parametrize("where", [Injection.BACK_EMF, Injection.HALL])
@@ -94,7 +94,7 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     compared, differ = feed(host_observers(bench), samples, collected.all_edges(), np.array([], int))
     assert compared > 5000
     assert differ == 0
-    still = HostObservers(bench.drive.parameters() | {"inject": 0.0}, bench.hello.tick_hz, bench.hello.pwm_hz)
+    still = HostObservers(bench.drive.parameters() | {"inject": 0.0}, bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
     assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
 
 
@@ -105,7 +105,9 @@ def test_another_parameter_shows_as_a_difference() -> None:
     bench.turn(50.0)
     bench.client.run_for(0.5)
     for name in ("k_p_vt", "k_i_vt", "L_s_hat", "bw_omega_lpf"):
-        observers = HostObservers(parameters | {name: parameters[name] * 2}, bench.hello.tick_hz, bench.hello.pwm_hz)
+        observers = HostObservers(
+            parameters | {name: parameters[name] * 2}, bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED
+        )
         collected = bench.collector
         compared, differ = feed(observers, collected.all_samples(), collected.all_edges(), np.array([], int))
         assert compared > differ > 1000, name
@@ -180,7 +182,7 @@ def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
     assert seen is not None
     assert seen["different"] == 0
     recorded = read_run(tmp_path / "a.rrd")
-    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz)
+    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz, CHECKED)
     cuts = np.sort(np.random.default_rng(2).choice(len(recorded.samples), 50, replace=False))
     assert feed(observers, recorded.samples, recorded.edges, cuts) == (seen["compared"], 0)
 

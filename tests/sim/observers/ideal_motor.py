@@ -41,6 +41,9 @@ DRIVE = {
     "inject": 0.0,
     "inject_amplitude": 0.0,
     "inject_hz": 0.0,
+    "J_hat": 2.0e-4,
+    "bw_hall_vector": 8.0,
+    **{f"edge_{way}_{s}": 0.0 for way in ("up", "down") for s in range(1, 7)},
 }
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
 
-from sim.observers import average_speed, bank, hall_speed, load_angle, sample, vector_tracking
+from sim.observers import average_speed, bank, hall_speed, sample
+from sim.observers.catalogue import CATALOGUE
 
 MILLI = 1 / 1024
 LOAD_ANGLE = {**DRIVE, "load_angle_comp": 1.0, "k_ic": 11.0}
@@ -159,16 +160,15 @@ def test_the_bank_is_its_observers_put_together():
     assert np.array_equal(out.sector, hall.sector)
     assert np.array_equal(out.column("theta_avg"), average.theta)
     assert np.array_equal(out.column("omega_avg"), average.omega)
-    modules = (vector_tracking, load_angle)
-    for module, own, theta, omega in zip(modules, params[1:], out.theta[1:], out.omega[1:], strict=True):
-        _, alone = module.run(own, module.init(), seen, mask)
-        assert np.array_equal(theta, alone.theta), module.__name__
-        assert np.array_equal(omega, alone.omega), module.__name__
-        if module is vector_tracking:
-            for mine, name in (("correction_on", "on"), ("injection_sync", "sync")):
-                assert np.array_equal(getattr(out, mine), getattr(alone, name)), mine
-            for name in ("delta_hat", "e_alpha", "e_beta"):
-                assert np.array_equal(getattr(out, name), getattr(alone, name)), name
+    for j, (name, entry) in enumerate(CATALOGUE.items()):
+        _, alone = entry.run(entry.make_params(PWM_HZ, DRIVE), entry.init(), seen, mask)
+        assert np.array_equal(out.theta[j], alone.theta), name
+        assert np.array_equal(out.omega[j], alone.omega), name
+        if name == "vector_tracking":
+            for mine, its in (("correction_on", "on"), ("injection_sync", "sync")):
+                assert np.array_equal(getattr(out, mine), getattr(alone, its)), mine
+            for its in ("delta_hat", "e_alpha", "e_beta"):
+                assert np.array_equal(getattr(out, its), getattr(alone, its)), its
 
 
 def test_a_reset_forgets_everything():
