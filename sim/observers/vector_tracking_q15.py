@@ -282,7 +282,7 @@ def _undo_filter(a: int, turn_h: int, e_alpha: int, e_beta: int) -> tuple[int, i
     """
     h = abs(turn_h) >> 1
     sin = _sine(h)
-    t = min(((ONE - a) * sin) // a, HALF)  # Q14
+    t = min(_ratio((ONE - a) * sin, a), HALF)  # Q14
     re = HALF + _times(t, sin)
     im = _times(t, _cosine(h))
     if turn_h < 0:

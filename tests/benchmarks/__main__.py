@@ -11,6 +11,7 @@ from tests.benchmarks import (
     bench_accuracy,
     bench_can,
     bench_decode,
+    bench_fixed_point,
     bench_live,
     bench_sim,
     bench_slcan,
@@ -24,6 +25,10 @@ PARTS = {
         lambda seconds: bench_accuracy.rows(),
     ),
     "decode": ("Decode: bytes to numpy columns, CRC checked", lambda seconds: bench_decode.rows()),
+    "fixed_point": (
+        "Fixed point: 16 bits beside floating point, same telemetry",
+        lambda seconds: bench_fixed_point.rows(),
+    ),
     "sim": ("Simulated drive in virtual time", lambda seconds: bench_sim.rows()),
     "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),
     "can": ("CAN: stream frames to numpy columns, and a run over slcan, recorded", bench_can.rows),

@@ -141,7 +141,7 @@ static vector_t undo_filter(int16_t a, int32_t turn_h, int32_t e_alpha, int32_t 
 {
     const uint32_t h = (uint32_t)size_of(turn_h) >> 1;
     const int16_t sin_h = sine(h);
-    const int32_t t = clip(((ONE - a) * sin_h) / a, HALF); /* Q14 */
+    const int32_t t = clip(ratio((int32_t)(ONE - a) * sin_h, a), HALF); /* Q14 */
     const int32_t re = HALF + times(t, sin_h);
     const int32_t size = times(t, cosine(h));
     const int32_t im = (turn_h < 0) ? -size : size;

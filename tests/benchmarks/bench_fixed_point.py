@@ -1,0 +1,153 @@
+"""What the 16-bit fixed point costs the vector-tracking observer: angle, and time of a step.
+
+python -m tests.benchmarks fixed_point, or python -m tests.benchmarks.bench_fixed_point for the table of every run
+
+The simulated drive runs at a forced speed under the floating-point observer, with the misplaced sensors, dead time and
+noise of its default configuration; both observers then see the same telemetry.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import DRIVE_CHANNELS
+from sim.observers import sample, vector_tracking, vector_tracking_q15
+from sim.observers.bank import FRONT_PARAMETERS, PARAMETERS
+from tests.benchmarks.table import Row
+from tests.sim.observers import q15_harness
+from tests.sim.test_accuracy import PWM_HZ, VECTOR, column, forced, running
+
+SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
+LOADS = (1.0, 4.0, 8.0)  # A
+TICK_HZ = 20_000_000
+OWN = ("R_s_hat", "L_s_hat", "psi_f_hat", "k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off", "bw_omega_lpf")
+GOAL = 125.0  # ns a step
+SETTLE = 1.0  # s of a recording until both observers are settled
+MEASURED = 2.0
+
+
+class Run(NamedTuple):
+    """Angles in electrical degrees, after both have settled."""
+
+    rpm: int
+    i_q: float
+    difference: NDArray[np.float64]  # fixed less floating
+    floating: NDArray[np.float64]  # actual less estimated
+    fixed: NDArray[np.float64]
+
+
+def _degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return (np.degrees(angle) + 180) % 360 - 180
+
+
+@cache
+def _recorded(rpm: int, i_q: float) -> tuple[dict[str, float], sample.Samples, NDArray[np.float64]]:
+    """The drive's parameters, what its observers saw, and the plant's angle."""
+    bench = running(VECTOR)
+    got = forced(bench, rpm, i_q, 1.0, SETTLE + MEASURED)
+    scale = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+    names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
+    n = len(got.samples)
+    front = sample.make_params(TICK_HZ, **{name: bench.parameters[name] for name in FRONT_PARAMETERS})
+    tick = got.tick + np.arange(n, dtype=np.int64) * (TICK_HZ // PWM_HZ)
+    _, seen = sample.run(
+        front,
+        sample.init(),
+        tick,
+        np.ascontiguousarray(got.samples["hall"]),
+        *(got.samples[name] * scale[name] for name in names),
+        np.zeros(n),
+        got.edge_tick,
+        got.edges["codes"] >> 3 & 7,
+        np.zeros(n, np.bool_),
+    )
+    return bench.parameters, seen, column(got, "theta_e")
+
+
+def _params(drive: dict[str, float]) -> tuple[vector_tracking.Params, vector_tracking_q15.Params]:
+    every = {name: drive[name] for name in PARAMETERS if name not in FRONT_PARAMETERS}
+    own = {name: drive[name] for name in OWN}
+    return vector_tracking.make_params(PWM_HZ, **every), vector_tracking_q15.make_params(PWM_HZ, **own)
+
+
+def run(rpm: int, i_q: float) -> Run:
+    """Both observers on one recording."""
+    drive, seen, theta = _recorded(rpm, i_q)
+    floats, integers = _params(drive)
+    none = np.zeros(theta.size, np.bool_)
+    _, floating = vector_tracking.run(floats, vector_tracking.init(), seen, none)
+    _, fixed = vector_tracking_q15.run(integers, vector_tracking_q15.init(), seen, none)
+    settled = slice(round(SETTLE * PWM_HZ), None)
+    assert floating.on[settled].all()
+    assert fixed.on[settled].all()
+    return Run(
+        rpm,
+        i_q,
+        _degrees(fixed.theta - floating.theta)[settled],
+        _degrees(theta - floating.theta)[settled],
+        _degrees(theta - fixed.theta)[settled],
+    )
+
+
+def nanoseconds() -> tuple[float, float, float]:
+    """A step of the floating-point kernel, of the fixed-point one, and of the C file by gcc -O2; the best of many."""
+    drive, seen, theta = _recorded(1000, 4.0)
+    none = np.zeros(theta.size, np.bool_)
+    took = []
+    for module, params in zip((vector_tracking, vector_tracking_q15), _params(drive), strict=True):
+        best = float("inf")
+        for _ in range(30):
+            start = time.perf_counter()
+            module.run(params, module.init(), seen, none)
+            best = min(best, time.perf_counter() - start)
+        took.append(1e9 * best / theta.size)
+    params = _params(drive)[1]
+    rows = np.array([[0, *vector_tracking_q15.counts(params, sample.at(seen, k))] for k in range(theta.size)])
+    with tempfile.TemporaryDirectory() as folder:
+        program = q15_harness.build(Path(folder, "harness"), "-O2")
+        state = vector_tracking_q15.init()
+        c = min(q15_harness.nanoseconds(program, params.q, state, rows, 10) for _ in range(5))
+    return took[0], took[1], c
+
+
+def rows() -> Iterator[Row]:
+    """The worst of all runs, and the times."""
+    runs = [run(rpm, i_q) for rpm in SPEEDS for i_q in LOADS]
+    mean = max(abs(r.difference.mean()) for r in runs)
+    std = max(r.difference.std() for r in runs)
+    largest = max(np.abs(r.difference).max() for r in runs)
+    worse = max(r.fixed.std() - r.floating.std() for r in runs)
+    yield Row("fixed less floating, mean: largest", mean, "deg", 0.02, at_most=True)
+    yield Row("fixed less floating, std: largest", std, "deg", 0.03, at_most=True)
+    yield Row("fixed less floating: largest", largest, "deg", 0.1, at_most=True)
+    yield Row("fixed less floating, std of the error", worse, "deg", 0.005, at_most=True)
+    floating, fixed, c = nanoseconds()
+    yield Row("a step, floating point", floating, "ns")
+    yield Row("a step, fixed point", fixed, "ns", GOAL, at_most=True)
+    yield Row("a step, fixed point, C by gcc -O2", c, "ns", GOAL, at_most=True)
+
+
+def main() -> None:
+    """Print a row for every run, as docs/fixed-point.md has it."""
+    print("| r/min | A | fixed less floating: mean / std / max, deg | error, floating: mean / std / max | fixed |")
+    print("|---|---|---|---|---|")
+    for rpm in SPEEDS:
+        for i_q in LOADS:
+            r = run(rpm, i_q)
+            d, a, b = ((x.mean(), x.std(), np.abs(x).max()) for x in (r.difference, r.floating, r.fixed))
+            print(
+                f"| {rpm} | {i_q:g} | {d[0]:.4f} / {d[1]:.4f} / {d[2]:.3f} "
+                f"| {a[0]:.3f} / {a[1]:.3f} / {a[2]:.2f} | {b[0]:.3f} / {b[1]:.3f} / {b[2]:.2f} |"
+            )
+
+
+if __name__ == "__main__":
+    main()
