@@ -2,8 +2,8 @@
 
 The kernels are those of the simulated drive, `sim.observers`. `HostObservers` runs those that the drive runs, too; fed
 with the raw values that telemetry carries they give the same estimates, bit for bit, so a difference means that the
-drive's firmware differs. `Estimators` runs any observers of the catalogue. Neither ever touches a link, and neither runs
-ahead of its input: an edge is used once a sample at or after it has arrived.
+drive's firmware differs. `Estimators` runs any observers of the catalogue. Neither ever touches a link, and neither
+runs ahead of its input: an edge is used once a sample at or after it has arrived.
 """
 
 from __future__ import annotations

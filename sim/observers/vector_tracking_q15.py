@@ -119,12 +119,9 @@ class Estimates(NamedTuple):
     on: NDArray[np.int64]
 
 
-def _integer(name: str, value: float, unit: float, limit: int) -> int:
-    """`value` in steps of `unit`; ValueError where that is beyond `limit`."""
-    count = round(value / unit)
-    if not 0 <= count <= limit:
-        raise ValueError(f"{name} must be between 0 and {limit * unit:.4g} for the fixed point, got {value:.4g}")
-    return count
+def _integer(value: float, unit: float, limit: int) -> int:
+    """`value` in steps of `unit`, at most `limit`."""
+    return min(round(value / unit), limit)
 
 
 def _gain(value: float) -> int:
@@ -150,7 +147,7 @@ def make_params(
     """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
 
     `base_u` (V), `base_i` (A): full scale of the 16-bit voltages and currents, which saturate there.
-    ValueError where a constant does not fit into its integer.
+    A constant that does not fit into its integer is the largest that does.
     """
     T_s = 1.0 / float(pwm_hz)
     step = TWO_PI / (TURN * T_s)  # rad/s, of a turn of 2^-32 a period
@@ -164,16 +161,16 @@ def make_params(
     z_unit = ohm / (1 << z_shift)
     return Params(
         Constants(
-            z_now=_integer("L_s_hat / T_s + R_s_hat / 2", z_now, z_unit, INT16_MAX),
+            z_now=_integer(z_now, z_unit, INT16_MAX),
             z_before=round(z_before / z_unit),
             z_shift=z_shift,
             a_min=_gain(T_s / (T_s + float(tau_max))),
-            k_p=_integer("k_p_vt", float(k_p_vt), step, TURN_MAX),
-            k_i=_integer("k_i_vt", float(k_i_vt), step / T_s, TURN_MAX),
-            turn_on=_integer("omega_on", float(omega_on), step, TURN_MAX),
-            turn_off=_integer("omega_off", float(omega_off), step, TURN_MAX),
-            e_min=max(_integer("psi_f_hat omega_on", float(psi_f_hat) * float(omega_on), volt, (1 << 30) - 1), 4),
-            e_turn=_integer("psi_f_hat omega_off / 2", 0.5 * float(psi_f_hat) * float(omega_off), volt, (1 << 30) - 1),
+            k_p=_integer(float(k_p_vt), step, TURN_MAX),
+            k_i=_integer(float(k_i_vt), step / T_s, TURN_MAX),
+            turn_on=_integer(float(omega_on), step, TURN_MAX),
+            turn_off=_integer(float(omega_off), step, TURN_MAX),
+            e_min=max(_integer(float(psi_f_hat) * float(omega_on), volt, (1 << 30) - 1), 4),
+            e_turn=_integer(0.5 * float(psi_f_hat) * float(omega_off), volt, (1 << 30) - 1),
             a_omega=_gain(1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s)),
         ),
         u_scale=ONE / float(base_u),

@@ -182,7 +182,8 @@ def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
     assert seen is not None
     assert seen["different"] == 0
     recorded = read_run(tmp_path / "a.rrd")
-    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz, CHECKED)
+    channels = [channel.name for channel in recorded.info.channels]
+    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz, channels)
     cuts = np.sort(np.random.default_rng(2).choice(len(recorded.samples), 50, replace=False))
     assert feed(observers, recorded.samples, recorded.edges, cuts) == (seen["compared"], 0)
 

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.observers.catalogue import keyword_parameters
+
 TICK_HZ = 20_000_000
 PWM_HZ = 16_000
 TICKS = TICK_HZ // PWM_HZ
@@ -45,6 +47,11 @@ DRIVE = {
     "bw_hall_vector": 8.0,
     **{f"edge_{way}_{s}": 0.0 for way in ("up", "down") for s in range(1, 7)},
 }
+
+
+def own(make_params, **drive):
+    """The parameters that a `make_params` takes, from DRIVE with some changed."""
+    return {name: {**DRIVE, **drive}[name] for name in keyword_parameters(make_params)}
 
 
 class Signals(NamedTuple):

@@ -13,14 +13,13 @@ from ideal_motor import (
     TICK_HZ,
     constant,
     error_deg,
+    own,
     rpm,
     signals,
 )
 
 from sim.observers import bank, hall_speed, vector_tracking
 from sim.observers.sample import Samples
-
-VECTOR = {k: v for k, v in DRIVE.items() if k not in ("n_p", "omega_m_max", "hall_timeout")}
 
 
 def estimate(s, exact_inverse=True, **drive):
@@ -34,7 +33,7 @@ def track(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_
     `start`: initial estimate (default: the true angle). Returns the estimates at samples 1, 2, ...
     """
     n = theta.size
-    params = vector_tracking.make_params(PWM_HZ, **{**VECTOR, **drive})
+    params = vector_tracking.make_params(PWM_HZ, **own(vector_tracking.make_params, **drive))
     rotor = np.exp(1j * theta)
     i = 1j * np.broadcast_to(i_q, n) * rotor
     before = np.r_[0, np.arange(n - 1)]

@@ -12,18 +12,17 @@ import pytest
 import q15_harness
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, TICK_HZ, constant, error_deg, rpm, signals
+from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, TICK_HZ, constant, error_deg, own, rpm, signals
 from test_bank import busy, resets
 
 from sim.numba_cache import jit
 from sim.observers import sample, vector_tracking
 from sim.observers import vector_tracking_q15 as q15
-from sim.observers.bank import FRONT_PARAMETERS
 
 MILLI = 1 / 1024
 NAMES = ("R_s_hat", "L_s_hat", "psi_f_hat", "k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off", "bw_omega_lpf")
 OWN = {name: DRIVE[name] for name in NAMES}
-FRONT = sample.make_params(TICK_HZ, **{name: DRIVE[name] for name in FRONT_PARAMETERS})
+FRONT = sample.make_params(TICK_HZ, **own(sample.make_params))
 PARAMS = q15.make_params(PWM_HZ, **OWN)
 TURN = 1 << 32
 
@@ -44,8 +43,7 @@ def both(s, hall_factor=1.0, **drive):
     samples, reset = seen(s), np.zeros(s.tick.size, np.bool_)
     samples = samples._replace(hall=samples.hall._replace(omega=hall_factor * samples.hall.omega))
     fixed = q15.make_params(PWM_HZ, **{**OWN, **drive})
-    floats = {name: value for name, value in {**DRIVE, **drive}.items() if name not in FRONT_PARAMETERS}
-    params = vector_tracking.make_params(PWM_HZ, **floats)
+    params = vector_tracking.make_params(PWM_HZ, **own(vector_tracking.make_params, **drive))
     return (
         q15.run(fixed, q15.init(), samples, reset)[1],
         vector_tracking.run(params, vector_tracking.init(), samples, reset)[1],
@@ -303,18 +301,17 @@ def test_constants_of_table_ii_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("k_p_vt", 1e5, "k_p_vt must be between 0 and 1.257e\\+04 for the fixed point, got 1e\\+05"),
-        ("k_i_vt", 1e9, "k_i_vt must be"),
-        ("omega_on", 2e4, "omega_on must be"),
-        ("L_s_hat", 10.0, "L_s_hat / T_s \\+ R_s_hat / 2 must be"),
-        ("psi_f_hat", 2.0, "psi_f_hat omega_on must be between 0 and 32 for the fixed point, got 40"),
-    ],
+    ("name", "value", "largest"),
+    [("k_p_vt", 1e5, 12566.0), ("k_i_vt", 1e9, 2.0106e8), ("omega_on", 2e4, 12566.0), ("L_s_hat", 10.0, 2047.0)],
 )
-def test_constants_that_do_not_fit_are_named(name, value, words):
-    with pytest.raises(ValueError, match=words):
-        q15.make_params(PWM_HZ, **{**OWN, name: value})
+def test_constants_that_do_not_fit_are_the_largest_that_do(name, value, largest):
+    """The limits that docs/fixed-point.md names; L_s_hat's is that of the 16-bit impedance."""
+    at_limit = q15.make_params(PWM_HZ, **{**OWN, name: largest})
+    beyond = q15.make_params(PWM_HZ, **{**OWN, name: value})
+    if name == "L_s_hat":
+        assert beyond.q.z_now == 32767
+    for mine, its in zip(beyond.q, at_limit.q, strict=True):
+        assert name == "L_s_hat" or mine == pytest.approx(its, rel=1e-3)
 
 
 def test_parameters_of_zero_divide_by_nothing():
