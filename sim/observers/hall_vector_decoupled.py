@@ -1,13 +1,17 @@
 """Vector-tracking observer on the Hall vector with the harmonics of its quantisation decoupled.
 
-The kernels are those of `hall_vector`, which describes them; only the parameter `decouple` differs. With ideal sensors
-the Hall vector's harmonics are known functions of the rotor's angle. Those of order -5, 7, -11 and 13, at the observer's
-own angle, are subtracted before the cross product:
+The kernels are those of `hall_vector`, which describes them; only `omega_decouple` differs. With ideal sensors the Hall
+vector's harmonics are known functions of the rotor's angle. Those of order -5, 7, -11 and 13, at the observer's own
+angle, are subtracted, so that the cross product becomes
 
-    pi/3 sin(theta_q - theta) - (1/5 + 1/7) sin 6 theta - (1/11 + 1/13) sin 12 theta
+    (pi/3) sin(theta_q - theta) - (1/5 + 1/7) sin 6 theta - (1/11 + 1/13) sin 12 theta
 
-What is left is a ripple at 18 times omega and above, a ninth of the other's: (1/17 + 1/19) / 18 to (1/5 + 1/7) / 6.
-Misplaced sensors do not switch where the series takes them to: their ripple, at omega and 2 omega, is not decoupled.
+and what is left of the ripple begins at 18 times omega, a ninth of the other's: (1/17 + 1/19) / 18 to (1/5 + 1/7) / 6.
+Misplaced sensors do not switch where the series takes them to: their ripple, at omega and 2 omega, stays.
+
+What the source leaves open: the subtracted terms are a feedback too. They turn the loop's gain into one that swings
+between -1 and 5 within a sector, the mean being 1. That does no harm while the sectors pass faster than the loop
+moves; below |omega_h| = 2 pi bw misplaced sensors would throw it out of lock, so there nothing is subtracted.
 
 Never measures a harmonic: the coefficients are those of ideal sensors.
 

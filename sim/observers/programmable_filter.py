@@ -1,19 +1,22 @@
 """Position as the angle of the rotor flux, made from the back-EMF by a programmable cascaded low-pass filter.
 
 The rotor flux is the integral of the back-EMF. An integrator drifts with any offset; three equal low-pass stages, each
-tuned to lag a third of what an integrator lags at the present speed, do the same to the fundamental and forget the rest.
+tuned to lag by a third of what an integrator lags at the present speed, do the same to the fundamental and forget the
+rest.
 
 How it is done here, exactly for the sampled signals:
-- Over a period u - R i_mean - L (i(k) - i(k-1)) / T_s is the mean back-EMF psi (e^{j theta(k)} - e^{j theta(k-1)}) / T_s.
-  So, with x = |omega| T_s, what brings the flux at the sample lags by pi/2 - x/2 and has the gain T_s / (2 sin(x/2)).
+- u - R i_mean - L (i(k) - i(k-1)) / T_s is a period's mean back-EMF, psi (e^{j theta(k)} - e^{j theta(k-1)}) / T_s.
+  So, with x = |omega| T_s, what makes the flux at the sample of it lags by pi/2 - x/2 and has the gain
+  T_s / (2 sin(x/2)).
 - A stage y = b y + c e has unit gain and lags by phi at the speed omega with b = sin(phi) / sin(x + phi) and
   c = sin(x) / sin(x + phi); phi = (pi/2 - x/2) / 3.
 - The inductance's voltage is taken off before the filter, not the inductance's flux behind it: a step of the current
   then does not reach the angle.
 
-omega is omega_h through a low-pass filter. Its ripple (misplaced sensors make one of omega) tunes the stages to a wrong
-lag: 3 sin(2 phi) / 2, 1.3 rad for each unit of relative error, 0.74 deg for each per cent. That is why this observer errs
-where the back-EMF itself is exact.
+omega is omega_h through a low-pass filter. Its ripple, which misplaced sensors make at omega and 2 omega, tunes the
+stages to a wrong lag: by 3 sin(2 phi) / 2, or 0.74 deg for each per cent. That is why this observer errs where the
+back-EMF itself is exact. A lower `bw_omega_lpf` makes the ripple less and the lag of omega behind a changing speed,
+which tunes the stages just as wrong, more.
 
 Below `omega_on` / `omega_off`, at standstill and while the reference voltage is exactly zero (outputs off) the estimate
 is that of `average_speed`. The filter starts at an edge with |omega_h| >= omega_on, as it would have settled at that

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.observers.catalogue import keyword_parameters
+from sim.observers import sample
 
 TICK_HZ = 20_000_000
 PWM_HZ = 16_000
@@ -146,3 +147,42 @@ def constant(omega: float, theta_0: float = 0.3):
 def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """Actual less estimated angle (rad) in degrees within [-180, 180)."""
     return (np.degrees(actual - estimated) + 180) % 360 - 180
+
+
+def samples(s: Signals, reset=None) -> sample.Samples:
+    """What the front end makes of the signals for the observers."""
+    params = sample.make_params(TICK_HZ, **{name: DRIVE[name] for name in ("n_p", "omega_m_max", "hall_timeout")})
+    return sample.run(params, sample.init(), *s.arguments(reset))[1]
+
+
+def track(observer, params, s: Signals, reset=None):
+    """Estimates of an observer over the signals."""
+    reset = np.zeros(s.tick.size, np.bool_) if reset is None else reset
+    return observer.run(params, observer.init(), samples(s, reset), reset)[1]
+
+
+def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:
+    """Drive parameters edge_up_*, edge_down_* for these offsets (deg, sectors I..VI)."""
+    downwards_deg = offsets_deg if downwards_deg is None else downwards_deg
+    return {
+        f"edge_{way}_{s + 1}": float(np.radians(offsets[s]))
+        for way, offsets in (("up", offsets_deg), ("down", downwards_deg))
+        for s in range(6)
+    }
+
+
+def glitch(s: Signals, edge: int, delay: float) -> Signals:
+    """The signals with a false pulse of 40 us on one sensor, to the next sector's code, over a sample.
+
+    The sample is the first at least `delay` s after an edge; it lies in the middle of the pulse.
+    """
+    k = int(np.searchsorted(s.tick, s.edge_tick[edge] + delay * TICK_HZ))
+    half = TICK_HZ // 50_000
+    false = s.edge_hall[edge + 1]
+    hall = s.hall.copy()
+    hall[k] = false
+    return s._replace(
+        hall=hall,
+        edge_tick=np.insert(s.edge_tick, edge + 1, [s.tick[k] - half, s.tick[k] + half]),
+        edge_hall=np.insert(s.edge_hall, edge + 1, [false, s.edge_hall[edge]]),
+    )

@@ -1,0 +1,252 @@
+import math
+
+import numpy as np
+import pytest
+from ideal_motor import (
+    IDEAL_EDGES,
+    N_P,
+    PAPER_EDGES,
+    PSI_F,
+    PWM_HZ,
+    T_S,
+    TICK_HZ,
+    constant,
+    error_deg,
+    glitch,
+    rpm,
+    samples,
+    sectors,
+    signals,
+    track,
+)
+
+from sim.observers import hall_vector
+
+J = 2e-4
+BW = 10.0
+W = 2 * math.pi * BW
+MODEL = {"n_p": N_P, "psi_f_hat": PSI_F, "J_hat": J, "bw_hall_vector": BW}
+PER_AMPERE = 1.5 * N_P**2 * PSI_F / J  # rad/s2 of electrical acceleration
+SPEEDS = [500.0, 1000.0, 3000.0, -500.0, -3000.0]
+
+
+def estimate(s, reset=None, observer=hall_vector, **model):
+    return track(observer, observer.make_params(PWM_HZ, **{**MODEL, **model}), s, reset)
+
+
+def loop(omega):
+    """Angle of the estimate by angle of the Hall vector at the frequency `omega`: three poles at W."""
+    s = 1j * np.asarray(omega)
+    return (3 * W * s**2 + 3 * W**2 * s + W**3) / (s + W) ** 3
+
+
+def disturbance(edges_deg, harmonics):
+    """Fourier coefficients, by harmonic of the angle, of pi/3 sin(theta_q - theta): by integration over the sectors."""
+    found = []
+    for n in harmonics:
+        total = 0j
+        for s in range(6):
+            a, b = np.radians(edges_deg[s]), np.radians(edges_deg[s + 1] if s < 5 else 360 + edges_deg[0])
+            centre = np.radians(60 * s + 30)
+            x = np.linspace(a, b, 4001)
+            total += np.trapezoid(np.sin(centre - x) * np.exp(-1j * n * x), x)
+        found.append(math.pi / 3 * total / (2 * math.pi))
+    return np.array(found)
+
+
+def component(s, out, harmonic, seconds):
+    """Complex amplitude (deg) of a harmonic of the rotor's angle in the error, over the last whole turns."""
+    speed = (s.theta[-1] - s.theta[0]) / (s.tick.size - 1)
+    n = round(int(seconds * PWM_HZ * abs(speed) / (2 * np.pi)) * 2 * np.pi / abs(speed))
+    return 2 * np.mean(error_deg(out.theta, s.theta)[-n:] * np.exp(-1j * harmonic * s.theta[-n:]))
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_ripple_at_constant_speed(speed):
+    """With ideal sensors: no mean, and the sixth harmonic of the Hall vector through the loop."""
+    omega = rpm(speed)
+    s = signals(constant(omega), 1.0)
+    out = estimate(s)
+    error = error_deg(s.theta, out.theta)[PWM_HZ // 2 :]
+    a_period = np.degrees(abs(omega)) * T_S
+    assert abs(error.mean()) < 0.02 + 0.2 * a_period  # codes are sampled: the sectors' edges are that coarse
+    expected = np.degrees(12 / 35 * abs(loop(6 * omega)))
+    assert abs(component(s, out, 6, 0.5)) == pytest.approx(expected, rel=0.04)
+    assert out.omega[-PWM_HZ // 2 :].mean() == pytest.approx(omega, rel=1e-3)
+
+
+@pytest.mark.parametrize("speed", [500.0, 1000.0, -1000.0])
+def test_ripple_of_the_sensors_of_table_i(speed):
+    """Every harmonic of the misplaced sensors through the loop."""
+    omega = rpm(speed)
+    s = signals(constant(omega), 1.5, edges_deg=PAPER_EDGES)
+    out = estimate(s)
+    error = error_deg(out.theta, s.theta)[PWM_HZ // 2 :]
+    harmonics = np.arange(0, 61)
+    expected = np.degrees(disturbance(PAPER_EDGES, harmonics)) * loop(harmonics * abs(omega))
+    a_period = np.degrees(abs(omega)) * T_S
+    assert error.mean() == pytest.approx(expected[0].real, abs=0.05 + 0.1 * a_period)
+    assert error.std() == pytest.approx(np.sqrt(2 * np.sum(np.abs(expected[1:]) ** 2)), rel=0.04)
+
+
+def test_the_error_with_the_sensors_of_table_i_in_figures():
+    s = signals(constant(rpm(500)), 1.5, edges_deg=PAPER_EDGES)
+    error = error_deg(s.theta, estimate(s).theta)[PWM_HZ // 2 :]
+    assert error.std() == pytest.approx(1.9, abs=0.1)
+    assert np.abs(error - error.mean()).max() < 4.5
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_no_lag_while_the_current_accelerates_the_rotor(sign):
+    """8 A from 500 r/min on: what the model knows it follows, with half the inertia it lags as computed."""
+    a = sign * 8 * PER_AMPERE
+    omega = sign * rpm(500)
+    start = 0.5
+
+    def angle(t):
+        return 0.3 + omega * t + a / 2 * np.maximum(t - start, 0) ** 2
+
+    t = np.arange(round(0.6 * PWM_HZ)) * T_S
+    s = signals(angle, 0.6, i_q=np.where(t >= start, sign * 8.0, 0.0))
+    ramp = slice(round(start * PWM_HZ), None)
+    ripple = np.degrees(12 / 35 * abs(loop(6 * omega)))
+    out = estimate(s)
+    assert np.abs(error_deg(s.theta, out.theta))[ramp].max() < 1.5 * ripple
+    assert abs(out.tau_load[-1]) < 0.03
+    for wrong, share in ((2.0, 0.5), (0.8, -0.25)):
+        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[ramp]
+        peak = np.degrees(share * abs(a) * 2 * math.exp(-2) / W**2)
+        assert error[np.argmax(np.abs(error))] == pytest.approx(peak, abs=2.0 + 0.1 * abs(peak))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_step_of_the_load_is_found(sign):
+    """The rotor is accelerated by 0.05 N m and no current: the peak of the error, its end, the torque with its sign."""
+    a = sign * 0.05 * N_P / J
+    start = 0.5
+    s = signals(lambda t: 0.3 + rpm(1000) * t + a / 2 * np.maximum(t - start, 0) ** 2, 0.8, i_q=0.0)
+    out = estimate(s)
+    ramp = slice(round(start * PWM_HZ), None)
+    error = sign * error_deg(s.theta, out.theta)[ramp]
+    assert error.max() == pytest.approx(np.degrees(abs(a) * 2 * math.exp(-2) / W**2), rel=0.15)
+    assert np.argmax(error) == pytest.approx(2 / W * PWM_HZ, rel=0.2)
+    assert np.abs(error[-PWM_HZ // 20 :]).max() < 1.5
+    assert out.tau_load[-PWM_HZ // 20 :].mean() == pytest.approx(-sign * 0.05, rel=0.05)
+
+
+def test_a_wider_loop_follows_sooner_and_ripples_more():
+    omega = rpm(500)
+    s = signals(constant(omega), 1.0)
+    ripple = [abs(component(s, estimate(s, bw_hall_vector=bw), 6, 0.5)) for bw in (5.0, 10.0, 20.0)]
+    assert ripple[1] / ripple[0] == pytest.approx(2.0, rel=0.05)
+    assert ripple[2] / ripple[1] == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sector", range(6))
+def test_start_in_each_sector_both_ways(sector, sign):
+    """The centre, then the edges; from the second edge on within a sector, then locked."""
+    a = sign * 4 * PER_AMPERE
+    start = np.radians(60 * sector + 30 - 20 * sign)
+    up = rpm(500) / abs(a)
+
+    def angle(t):
+        return start + a * np.minimum(t, up) ** 2 / 2 + a * up * np.maximum(t - up, 0)
+
+    t = np.arange(round(0.5 * PWM_HZ)) * T_S
+    s = signals(angle, 0.5, i_q=np.where(t < up, sign * 4.0, 0.0), fine=10)
+    out = estimate(s)
+    error = error_deg(s.theta, out.theta)
+    first, second = (int(np.searchsorted(s.tick, s.edge_tick[k])) for k in (0, 1))
+    np.testing.assert_allclose(error_deg(np.radians(60 * sector + 30), out.theta[:first]), 0, atol=1e-9)
+    assert set(out.omega[:second]) == {0.0}
+    assert np.abs(error).max() < 35
+    assert np.abs(error[-1600:]).max() < 3.0
+    assert out.omega[-1600:].mean() == pytest.approx(sign * rpm(500), rel=0.01)
+
+
+def test_a_locked_rotor_does_not_let_the_estimate_drift():
+    """8 A push a rotor that does not turn."""
+    s = signals(lambda t: np.radians(10) + 0 * t, 1.0, i_q=8.0)
+    out = estimate(s)
+    np.testing.assert_allclose(out.theta, np.radians(30), rtol=1e-12)
+    assert set(out.omega) == {0.0}
+
+
+def test_a_rotor_that_stops_at_once():
+    """A blow of any size: the estimate stays within 30 deg of the sector, and is in its centre when the time is over."""
+    omega = rpm(300)
+    s = signals(lambda t: 0.3 + omega * np.minimum(t, 0.5), 1.0, i_q=0.0, fine=4)
+    out = estimate(s)
+    centre = np.radians(60 * sectors(s.theta) + 30)
+    away = np.abs(error_deg(centre, out.theta))
+    assert 40 < away.max() <= 60 + 1e-9
+    over = s.tick - s.edge_tick[-1] > 0.21 * TICK_HZ
+    assert over.sum() > 100
+    assert away[over].max() < 1e-9
+    assert set(out.omega[over]) == {0.0}
+
+
+def test_reversal_under_current():
+    """From 500 to -500 r/min with -4 A: known to the model, so no lag, though the edges' speed jumps."""
+    a = -4 * PER_AMPERE
+    omega = rpm(500)
+    turn = 2 * omega / -a
+
+    def angle(t):
+        turning = np.clip(t - 0.4, 0, turn)
+        return (
+            0.3
+            + omega * np.minimum(t, 0.4)
+            + omega * turning
+            + a * turning**2 / 2
+            - omega * np.maximum(t - 0.4 - turn, 0)
+        )
+
+    t = np.arange(round(0.9 * PWM_HZ)) * T_S
+    s = signals(angle, 0.9, i_q=np.where((t > 0.4) & (t < 0.4 + turn), -4.0, 0.0), fine=20)
+    out = estimate(s)
+    error = error_deg(s.theta, out.theta)
+    assert np.abs(error[PWM_HZ // 4 :]).max() < 30
+    assert np.abs(error[-1600:]).max() < 3.0
+    assert out.omega[-1600:].mean() == pytest.approx(-omega, rel=0.01)
+
+
+def test_a_load_too_big_for_the_loop_is_caught_up_with():
+    """0.5 N m at once throw the estimate to the clamp; it comes back by itself."""
+    a = 0.5 * N_P / J
+    s = signals(
+        lambda t: 0.3 + rpm(1000) * t - a / 2 * np.clip(t - 0.3, 0, 0.03) ** 2 - a * 0.03 * np.maximum(t - 0.33, 0),
+        1.3,
+        i_q=0.0,
+        fine=10,
+    )
+    assert s.theta[-1] - s.theta[-2] > rpm(200) * T_S
+    out = estimate(s)
+    centre = np.radians(60 * sectors(s.theta) + 30)
+    away = np.abs(error_deg(centre, out.theta))
+    assert away.max() == pytest.approx(60, abs=1e-6)
+    assert np.abs(error_deg(s.theta, out.theta))[-1600:].max() < 4.0
+
+
+@pytest.mark.parametrize("speed", [500.0, 3000.0, -3000.0])
+@pytest.mark.parametrize("edges_deg", [IDEAL_EDGES, PAPER_EDGES], ids=["ideal", "table I"])
+def test_after_a_gap_it_locks_again(edges_deg, speed):
+    """At 3000 r/min Table I makes a first speed that is 18 % wrong: five times the loop's bandwidth."""
+    s = signals(constant(rpm(speed)), 1.0, edges_deg=edges_deg)
+    reset = np.zeros(s.tick.size, bool)
+    reset[PWM_HZ // 2] = True
+    error = error_deg(s.theta, estimate(s, reset).theta)
+    assert np.abs(error[PWM_HZ // 2 :]).max() < 67.5
+    assert np.abs(error[-PWM_HZ // 4 :]).max() < 6.0
+
+
+def test_a_short_pulse_hardly_moves_it():
+    """One false sample is one period's correction: a kick of the angle by 3 W T_s pi/3, which dies away."""
+    s = signals(constant(rpm(300)), 0.8)
+    pulse = glitch(s, 60, 0.0015)
+    clean, hit = estimate(s), estimate(pulse)
+    moved = np.abs(error_deg(clean.theta, hit.theta))
+    assert 0.1 < moved.max() < np.degrees(3 * W * T_S * math.pi / 3)
+    assert moved[-1600:].max() < 0.05
+    assert np.array_equal(samples(s).hall.omega[-1:], samples(pulse).hall.omega[-1:])

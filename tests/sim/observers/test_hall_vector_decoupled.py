@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+from ideal_motor import IDEAL_EDGES, PAPER_EDGES, PWM_HZ, T_S, constant, error_deg, rpm, signals
+from test_hall_vector import W, component, estimate, loop
+
+from sim.observers import hall_vector_decoupled
+
+
+def decoupled(s, reset=None):
+    return estimate(s, reset, hall_vector_decoupled)
+
+
+def settled(s, out):
+    return error_deg(s.theta, out.theta)[s.tick.size // 2 :]
+
+
+@pytest.mark.parametrize("speed", [200.0, 500.0, 1000.0, -500.0])
+def test_the_ripple_of_ideal_sensors_is_gone(speed):
+    """The sixth and twelfth harmonics altogether; what is left begins with the eighteenth, as computed."""
+    s = signals(constant(rpm(speed)), 2.0)
+    plain, out = estimate(s), decoupled(s)
+    assert abs(component(s, out, 6, 1.0)) < 0.02 * abs(component(s, plain, 6, 1.0))
+    assert abs(component(s, out, 12, 1.0)) < 0.1 * abs(component(s, plain, 12, 1.0))
+    # of the ripple at 18 theta the loop makes this, and the swing of the decoupled loop's gain does not reach it
+    expected = np.degrees((1 / 17 + 1 / 19) * abs(loop(18 * rpm(speed))))
+    assert abs(component(s, out, 18, 1.0)) == pytest.approx(expected, rel=0.1)
+    a_period = np.degrees(abs(rpm(speed))) * T_S
+    assert abs(settled(s, out).mean()) < 0.02 + 0.2 * a_period
+    assert 5 < settled(s, plain).std() / settled(s, out).std() < 10
+
+
+@pytest.mark.parametrize("speed", [500.0, 1000.0])
+def test_the_ripple_of_misplaced_sensors_stays(speed):
+    s = signals(constant(rpm(speed)), 2.0, edges_deg=PAPER_EDGES)
+    plain, out = estimate(s), decoupled(s)
+    for harmonic in (1, 2):
+        mine, other = (abs(component(s, e, harmonic, 1.0)) for e in (out, plain))
+        assert 0.5 < mine / other < 1.2
+    assert 0.65 < settled(s, out).std() / settled(s, plain).std() < 0.8
+
+
+@pytest.mark.parametrize("edges_deg", [IDEAL_EDGES, PAPER_EDGES], ids=["ideal", "table I"])
+def test_nothing_is_subtracted_at_a_speed_within_the_bandwidth(edges_deg):
+    """There the subtraction would throw it out of lock; it is the plain observer, bit for bit."""
+    s = signals(constant(0.8 * W), 1.0, edges_deg=edges_deg)
+    plain, out = estimate(s), decoupled(s)
+    assert plain.omega.max() < W or edges_deg is PAPER_EDGES
+    if edges_deg is IDEAL_EDGES:
+        assert np.array_equal(plain.theta, out.theta)
+    centre = np.abs(error_deg(s.theta, out.theta))
+    assert centre.max() < 45
+
+
+@pytest.mark.parametrize("speed", [500.0, -3000.0])
+def test_after_a_gap_it_locks_again(speed):
+    s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
+    reset = np.zeros(s.tick.size, bool)
+    reset[PWM_HZ // 2] = True
+    error = error_deg(s.theta, decoupled(s, reset).theta)
+    assert np.abs(error[-PWM_HZ // 4 :]).max() < 4.5

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from ideal_motor import (
+    CODES,
+    PAPER_EDGES,
+    PWM_HZ,
+    TICK_HZ,
+    constant,
+    error_deg,
+    glitch,
+    rpm,
+    samples,
+    sectors,
+    signals,
+    track,
+)
+
+from sim.observers import zeroth_order
+
+PARAMS = zeroth_order.make_params(PWM_HZ)
+
+
+def expected_error(edges_deg):
+    """Mean, std and largest error over a turn at constant speed, of sectors held at 60 s + 30 deg: exact (deg)."""
+    begin = np.asarray(edges_deg) - (60.0 * np.arange(6) + 30.0)
+    end = np.r_[edges_deg[1:], 360.0 + edges_deg[0]] - (60.0 * np.arange(6) + 30.0)
+    mean = np.sum(end**2 - begin**2) / 2 / 360
+    square = np.sum(end**3 - begin**3) / 3 / 360
+    return mean, np.sqrt(square - mean**2), max(np.abs(begin).max(), np.abs(end).max())
+
+
+@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
+@pytest.mark.parametrize("edges_deg", [np.arange(6) * 60.0, PAPER_EDGES], ids=["ideal", "table I"])
+def test_a_sawtooth_over_each_sector(speed, edges_deg):
+    omega = rpm(speed)
+    turn = 2 * np.pi / abs(omega)
+    s = signals(constant(omega), 41.7 * turn, edges_deg=edges_deg)
+    out = track(zeroth_order, PARAMS, s)
+    whole = s.tick < 40 * turn * TICK_HZ
+    error = error_deg(s.theta, out.theta)[whole]
+    mean, std, largest = expected_error(edges_deg)
+    a_period = np.degrees(abs(omega)) / PWM_HZ
+    assert error.mean() == pytest.approx(mean, abs=0.02 + 0.2 * a_period)
+    assert error.std() == pytest.approx(std, abs=0.02 + 0.05 * a_period)
+    assert largest - 1.01 * a_period < np.abs(error).max() < largest + 1e-6
+    if edges_deg[1] == 60.0:
+        assert error.std() == pytest.approx(30 / np.sqrt(3), abs=0.02 + 0.05 * a_period)
+
+
+def test_the_speed_is_that_of_the_edges():
+    s = signals(constant(rpm(500)), 0.1, edges_deg=PAPER_EDGES)
+    out = track(zeroth_order, PARAMS, s)
+    assert np.array_equal(out.omega, samples(s).hall.omega)
+    assert out.omega[-1] > 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sector", range(6))
+def test_the_centre_of_the_sector_from_standstill_on(sector, sign):
+    start = np.radians(60 * sector + 30 - 20 * sign)
+    s = signals(lambda t: start + sign * 3000.0 * np.maximum(t - 0.02, 0) ** 2, 0.08, fine=10)
+    out = track(zeroth_order, PARAMS, s)
+    assert s.edge_tick.size > 5
+    np.testing.assert_allclose(error_deg(np.radians(60 * sectors(s.theta) + 30), out.theta), 0, atol=1e-9)
+
+
+def test_a_reversal_a_stop_and_a_lost_speed_change_nothing():
+    omega = rpm(200)
+    s = signals(lambda t: 0.3 + omega * np.interp(t, [0, 0.1, 0.15, 0.6], [0, 0.1, 0.05, 0.05]), 0.6, fine=10)
+    out = track(zeroth_order, PARAMS, s)
+    assert np.abs(error_deg(s.theta, out.theta)).max() <= 30 + 1e-6
+    assert out.omega[int(0.14 * PWM_HZ)] < 0
+    assert set(out.omega[-1600:]) == {0.0}
+
+
+def test_no_angle_before_a_legal_code_and_none_lost_by_a_gap():
+    s = signals(constant(rpm(50), np.radians(70)), 0.02)
+    hall = s.hall.copy()
+    hall[:3] = 7
+    reset = np.zeros(hall.size, bool)
+    reset[100] = True
+    out = track(zeroth_order, PARAMS, s._replace(hall=hall), reset)
+    assert set(out.theta[:3]) == {0.0}
+    np.testing.assert_allclose(out.theta[3:], np.pi / 2, rtol=1e-12)
+    assert CODES[1] == s.hall[3]
+
+
+def test_a_short_pulse_shows_only_while_it_lasts():
+    s = signals(constant(rpm(100)), 0.1)
+    clean = track(zeroth_order, PARAMS, s).theta
+    hit = track(zeroth_order, PARAMS, glitch(s, 3, 0.002)).theta
+    assert (clean != hit).sum() == 1
