@@ -157,7 +157,9 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         omega = state.omega + params.T_s * a + params.k_omega * cross
         a_load += params.k_load * cross
     i_q = sample.i_beta * math.cos(theta) - sample.i_alpha * math.sin(theta)
-    return State(on, beyond, theta, omega, params.k_torque * i_q, a_load), Estimate(theta, omega, -params.tau_by_a * a_load)
+    return State(on, beyond, theta, omega, params.k_torque * i_q, a_load), Estimate(
+        theta, omega, -params.tau_by_a * a_load
+    )
 
 
 @jit

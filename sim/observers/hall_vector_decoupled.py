@@ -10,7 +10,7 @@ and what is left of the ripple begins at 18 times omega, a ninth of the other's:
 Misplaced sensors do not switch where the series takes them to: their ripple, at omega and 2 omega, stays.
 
 What the source leaves open: the subtracted terms are a feedback too. They turn the loop's gain into one that swings
-between -1 and 5 within a sector, the mean being 1. That does no harm while the sectors pass faster than the loop
+between -1.3 and 5.1 within a sector, the mean being 1. That does no harm while the sectors pass faster than the loop
 moves; below |omega_h| = 2 pi bw misplaced sensors would throw it out of lock, so there nothing is subtracted.
 
 Never measures a harmonic: the coefficients are those of ideal sensors.

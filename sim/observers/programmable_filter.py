@@ -20,8 +20,9 @@ which tunes the stages just as wrong, more.
 
 Below `omega_on` / `omega_off`, at standstill and while the reference voltage is exactly zero (outputs off) the estimate
 is that of `average_speed`. The filter starts at an edge with |omega_h| >= omega_on, as it would have settled at that
-edge's angle with the flux psi_f_hat. It stops once omega_h falls below omega_off or reverses, or when the estimate lies
-more than 30 deg outside the Hall sector.
+edge's angle with the flux psi_f_hat. It stops once |omega_h| < omega_off, or when the edges contradict it in two
+samples running (one alone may be a glitch): omega_h has the other sign, or the angle lies more than 30 deg outside the
+sector.
 
 Never integrates without forgetting, and never adapts a parameter.
 
@@ -63,6 +64,7 @@ class State(NamedTuple):
     """What the observer remembers."""
 
     on: int  # 1: the filter is at work, and the fields below hold the last sample's
+    doubted: int  # 1: the edges contradicted it
     i_alpha: float
     i_beta: float
     omega: float
@@ -118,7 +120,7 @@ def make_params(
 @kernel
 def init() -> State:
     """The filter off: it starts at an edge that shows a speed."""
-    return State(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @kernel
@@ -140,6 +142,7 @@ def _started(params: Params, sample: Sample) -> State:
     lag = math.copysign(phi, omega)
     return State(
         1,
+        0,
         sample.i_alpha,
         sample.i_beta,
         omega,
@@ -159,8 +162,9 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     omega_h = hall.omega
     i_alpha, i_beta = sample.i_alpha, sample.i_beta
     driven = sample.u_alpha != 0.0 or sample.u_beta != 0.0
-    if state.on == 1 and driven and abs(omega_h) >= params.omega_off and omega_h * state.omega > 0.0:
-        omega = state.omega + params.a_omega * (omega_h - state.omega)
+    if state.on == 1 and driven and abs(omega_h) >= params.omega_off:
+        reversed_ = omega_h * state.omega <= 0.0
+        omega = state.omega if reversed_ else state.omega + params.a_omega * (omega_h - state.omega)
         _, b, c, gain = _tuned(params, omega)
         half_R = 0.5 * params.R_s
         e_alpha = sample.u_alpha - half_R * (i_alpha + state.i_alpha) - params.L_by_T * (i_alpha - state.i_alpha)
@@ -172,9 +176,10 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         y3_alpha = b * state.y3_alpha + c * y2_alpha
         y3_beta = b * state.y3_beta + c * y2_beta
         theta = wrap(math.atan2(y3_beta, y3_alpha))
-        if abs(wrap(theta - centre(hall.sector))) <= GUARD:
+        doubted = 1 if reversed_ or abs(wrap(theta - centre(hall.sector))) > GUARD else 0
+        if doubted == 0 or state.doubted == 0:
             psi = gain * math.sqrt(y3_alpha * y3_alpha + y3_beta * y3_beta)
-            state = State(1, i_alpha, i_beta, omega, y1_alpha, y1_beta, y2_alpha, y2_beta, y3_alpha, y3_beta)
+            state = State(1, doubted, i_alpha, i_beta, omega, y1_alpha, y1_beta, y2_alpha, y2_beta, y3_alpha, y3_beta)
             return state, Estimate(theta, omega, psi, 1)
     if hall.edge == 1 and driven and omega_h != 0.0 and abs(omega_h) >= params.omega_on:
         state = _started(params, sample)  # at work from the next sample on

@@ -171,14 +171,14 @@ def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:
     }
 
 
-def glitch(s: Signals, edge: int, delay: float) -> Signals:
-    """The signals with a false pulse of 40 us on one sensor, to the next sector's code, over a sample.
+def glitch(s: Signals, edge: int, delay: float, ahead: int = 1) -> Signals:
+    """The signals with a false pulse of 40 us on one sensor over a sample, to the next sector's code (-1: the last's).
 
     The sample is the first at least `delay` s after an edge; it lies in the middle of the pulse.
     """
     k = int(np.searchsorted(s.tick, s.edge_tick[edge] + delay * TICK_HZ))
     half = TICK_HZ // 50_000
-    false = s.edge_hall[edge + 1]
+    false = s.edge_hall[edge + ahead]
     hall = s.hall.copy()
     hall[k] = false
     return s._replace(

@@ -19,36 +19,33 @@ def test_the_ripple_of_ideal_sensors_is_gone(speed):
     """The sixth and twelfth harmonics altogether; what is left begins with the eighteenth, as computed."""
     s = signals(constant(rpm(speed)), 2.0)
     plain, out = estimate(s), decoupled(s)
-    assert abs(component(s, out, 6, 1.0)) < 0.02 * abs(component(s, plain, 6, 1.0))
+    assert abs(component(s, out, 6, 1.0)) < 0.04 * abs(component(s, plain, 6, 1.0))
     assert abs(component(s, out, 12, 1.0)) < 0.1 * abs(component(s, plain, 12, 1.0))
     # of the ripple at 18 theta the loop makes this, and the swing of the decoupled loop's gain does not reach it
     expected = np.degrees((1 / 17 + 1 / 19) * abs(loop(18 * rpm(speed))))
     assert abs(component(s, out, 18, 1.0)) == pytest.approx(expected, rel=0.1)
     a_period = np.degrees(abs(rpm(speed))) * T_S
     assert abs(settled(s, out).mean()) < 0.02 + 0.2 * a_period
-    assert 5 < settled(s, plain).std() / settled(s, out).std() < 10
+    assert 4 < settled(s, plain).std() / settled(s, out).std() < 10
 
 
 @pytest.mark.parametrize("speed", [500.0, 1000.0])
 def test_the_ripple_of_misplaced_sensors_stays(speed):
     s = signals(constant(rpm(speed)), 2.0, edges_deg=PAPER_EDGES)
     plain, out = estimate(s), decoupled(s)
-    for harmonic in (1, 2):
+    for harmonic in (2, 4):  # the largest ones of Table I
         mine, other = (abs(component(s, e, harmonic, 1.0)) for e in (out, plain))
-        assert 0.5 < mine / other < 1.2
+        assert 0.9 < mine / other < 1.05
     assert 0.65 < settled(s, out).std() / settled(s, plain).std() < 0.8
 
 
-@pytest.mark.parametrize("edges_deg", [IDEAL_EDGES, PAPER_EDGES], ids=["ideal", "table I"])
-def test_nothing_is_subtracted_at_a_speed_within_the_bandwidth(edges_deg):
-    """There the subtraction would throw it out of lock; it is the plain observer, bit for bit."""
-    s = signals(constant(0.8 * W), 1.0, edges_deg=edges_deg)
-    plain, out = estimate(s), decoupled(s)
-    assert plain.omega.max() < W or edges_deg is PAPER_EDGES
-    if edges_deg is IDEAL_EDGES:
-        assert np.array_equal(plain.theta, out.theta)
-    centre = np.abs(error_deg(s.theta, out.theta))
-    assert centre.max() < 45
+def test_nothing_is_subtracted_at_a_speed_within_the_bandwidth():
+    """There the subtraction would throw it out of lock: it is the plain observer, bit for bit."""
+    for edges_deg in (IDEAL_EDGES, PAPER_EDGES):
+        slow = signals(constant(0.8 * W), 1.0, edges_deg=edges_deg)
+        assert np.array_equal(estimate(slow).theta, decoupled(slow).theta)
+        fast = signals(constant(1.3 * W), 1.0, edges_deg=edges_deg)
+        assert settled(fast, decoupled(fast)).std() < 0.75 * settled(fast, estimate(fast)).std()
 
 
 @pytest.mark.parametrize("speed", [500.0, -3000.0])
