@@ -18,7 +18,7 @@ edge_down_1..6.
 
 Source: P. B. Beccue, S. D. Pekarek, B. J. Deken, A. C. Koenig, "Compensation for asymmetries and misalignment in a
 Hall-effect position observer used in PMSM torque-ripple control", IEEE Trans. Ind. Appl., vol. 43, no. 2, pp. 560-570,
-2007 (the paper's [15], which it lists by the authors' first names).
+2007 (the paper lists it by the authors' first names).
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
 
     opens, width = _span(params, direction, hall.sector)
     middle = opens + 0.5 * width
-    if abs(omega) * hall.age > width:
+    if abs(omega) * hall.age > width:  # overdue
         omega = math.copysign(width / hall.age, omega)
     if hall.anchored == 0:
         travel = omega * hall.age
@@ -164,8 +164,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         travel = min(0.5 * params.omega_max * hall.age, 0.5 * width)
         theta = middle + direction * (travel - 0.5 * width)
     else:
-        travel = min(abs(omega) * hall.age, width)
-        theta = middle + direction * (travel - 0.5 * width)
+        theta = middle + direction * (abs(omega) * hall.age - 0.5 * width)
     return State(direction, hall.anchored, omega, omega_before), Estimate(wrap(theta), omega)
 
 
