@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.observers.catalogue import keyword_parameters
 from sim.observers import sample
+from sim.observers.catalogue import keyword_parameters
 
 TICK_HZ = 20_000_000
 PWM_HZ = 16_000
