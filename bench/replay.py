@@ -72,7 +72,9 @@ def replay(
     if out.exists() and not overwrite:
         raise BenchError(f"{out} exists: choose another name, or --overwrite to replace it")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers)) or tuple(CATALOGUE)
-    run = replayable(path)
+    run = readable_run(path)
+    if why := not_replayable(run):
+        raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names, run.info.parameters)
     estimators = Estimators(names, {**run.info.parameters, **values}, run.info.tick_hz, run.info.pwm_hz)
     augmenter = Augmenter(estimators, run.info.channels)
@@ -94,7 +96,7 @@ def replay(
             samples=len(run.samples),
             seconds=len(run.samples) / run.info.pwm_hz,
             lost_samples=sum(gap.lost_samples for gap in run.samples.gaps),
-            lost_edges=sum(gap.lost_samples for gap in _edges(run).gaps),
+            lost_edges=sum(gap.lost_samples for gap in run.edges.gaps),
             restarts=estimators.restarts,
             notes=_unknown(run),
         )
@@ -104,21 +106,22 @@ def replay(
     return result
 
 
-def replayable(path: Path) -> Run:
-    """Read a recording that observers can be run on. BenchError says why one cannot be."""
+def readable_run(path: Path) -> Run:
+    """Read a recording with samples of the drive and one clock. BenchError says why it is none."""
     run = read_run(path)
     if schema.FAST not in run.streams or not len(run.samples):
         raise BenchError(f"{path} holds no samples of the drive")
-    if why := unfit(run.samples.config):
-        raise BenchError(f"{path} cannot be replayed: {why}")
-    if schema.HALL not in run.edge_streams:
-        raise BenchError(f"{path} cannot be replayed: it has no Hall edges")
     chunks: list[SampleChunk | EdgeChunk] = [*run.streams.values(), *run.edge_streams.values()]
     for chunk in chunks:
         if len(back := np.flatnonzero(np.diff(chunk.tick) < 0)):
             at = chunk.tick[back[0]] / run.info.tick_hz
-            raise BenchError(f"{path} cannot be replayed: the drive's clock went back at {at:.3f} s, it has rebooted")
+            raise BenchError(f"{path}: the drive's clock went back at {at:.3f} s, so it has rebooted in the run")
     return run
+
+
+def not_replayable(run: Run) -> str:
+    """Why observers cannot be run on a recording, in words; empty if they can."""
+    return unfit(run.samples.config) or ("" if schema.HALL in run.edge_streams else "it has no Hall edges")
 
 
 def checked_settings(
@@ -174,10 +177,6 @@ def _unknown(run: Run) -> tuple[str, ...]:
     if "i_q" in missing or "i_q_ref" in missing:
         notes.append("the current loop's error, taken as 0: no channels i_q, i_q_ref")
     return tuple(notes)
-
-
-def _edges(run: Run) -> EdgeChunk:
-    return run.edge_streams[schema.HALL]
 
 
 def _feed(run: Run, sinks: AugmentedSinks, sink: FileSink) -> None:

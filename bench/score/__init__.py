@@ -1,0 +1,13 @@
+"""How good position estimates are on a recording, with the encoder as the reference: figures, a rank, a report.
+
+    metrics   statistics of an error, lags; pure functions of numpy arrays
+    phases    when the shaft stands, starts, runs steadily, changes speed, turns round
+    tracks    a recording with the estimates of the drive and of observers run again on it
+    board     all figures of every observer, by file and pooled, ranked
+    table     the board as lines of text, JSON and CSV
+    plots     error against time, angle and speed
+    report    the board as one HTML file
+    expect    bounds on figures, read, checked and written
+
+An error is always the actual less the estimated value.
+"""

@@ -1,0 +1,190 @@
+"""All figures of every observer, by recording and pooled, in the order of their rank.
+
+The rank is by the rms error of the angle over all samples in which the shaft moves: starts, steady running, changes of
+speed and reversals, each by the time that it lasts. Angles are in electrical degrees, speeds in r/min (mechanical where
+the pole pairs are known), lags in microseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import __version__
+from bench.acceptance.waveforms import sector_of_angle
+from bench.errors import BenchError
+from bench.estimators import entry_of
+from bench.score import phases
+from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
+from bench.score.phases import RPM, speed_bins
+from bench.score.tracks import HOST, Stretch, Track, load
+from bench.statistics import wrap
+from sim.observers.catalogue import CATALOGUE
+
+F64 = NDArray[np.float64]
+Figures = dict[str, Any]
+PHASES = ("moving", "error", "transient", "start_up", "reversal")
+"""Keys of the position error's figures by phase; `error` is that of steady running."""
+
+
+@dataclass(frozen=True)
+class Scoreboard:
+    """Figures by observer, the best first: pooled over all recordings, and by recording."""
+
+    tracks: tuple[Track, ...]
+    pooled: dict[str, Figures]
+    by_file: dict[str, dict[str, Figures]]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader has to know, with the recording that it is about."""
+        found = []
+        for track in self.tracks:
+            lost = f"{track.lost} samples lost" if track.lost else ""
+            short = f"{track.dropped} in stretches too short to score" if track.dropped else ""
+            began = sum(n for why, n in track.restarts.items() if why.startswith("lost"))
+            anew = f"observers began anew {began} times after a loss" if began else ""
+            found += [f"{track.path}: {words}" for words in (*track.notes, lost, short, anew) if words]
+        return found
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it as plain data; what cannot be told is null."""
+        return {
+            "hallbench": __version__,
+            "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
+            "definitions": {
+                "error": "actual less estimated",
+                "units": {"angle": "electrical deg", "speed": "r/min", "lag": "us", "step": "ns on this machine"},
+                "rank": "moving.rms",
+                "moving_rpm": phases.MOVING_RPM,
+                "transient_rpm_s": phases.TRANSIENT_RPM_S,
+                "start_up_s": phases.START_UP,
+                "reversal_s": phases.REVERSAL,
+            },
+            "observers": self.pooled,
+            "files": [
+                {
+                    "path": str(track.path),
+                    "samples": sum(len(s.t) for s in track.stretches),
+                    "rate_hz": track.rate,
+                    "pole_pairs": track.pole_pairs,
+                    "lost": track.lost,
+                    "dropped": track.dropped,
+                    "restarts": track.restarts,
+                    "front_end_ns": track.front_ns,
+                    "notes": list(track.notes),
+                    "observers": self.by_file[str(track.path)],
+                }
+                for track in self.tracks
+            ],
+        }
+
+
+def score(paths: Sequence[Path], observers: Sequence[str] = ()) -> Scoreboard:
+    """Score recordings: all estimates in them and all observers, or those named.
+
+    Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
+    cannot be read or scored, and for a name that is nowhere.
+    """
+    recorded = [name for name in observers if "_" in name and name.split("_")[0] in ("drive", "replayed")]
+    again = [entry_of(name).name for name in observers if name not in recorded] if observers else list(CATALOGUE)
+    tracks = tuple(load(path, again) for path in dict.fromkeys(paths))
+    names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
+    if missing := [name for name in recorded if name not in names]:
+        raise BenchError(f"no recording has the estimate '{missing[0]}'; there are {', '.join(names)}")
+    if observers:
+        names = [name for name in names if name in (*recorded, *again)]
+    by_file = {str(track.path): _ranked(names, [track]) for track in tracks}
+    return Scoreboard(tracks, _ranked(names, tracks), by_file)
+
+
+def flat(figures: Figures, prefix: str = "") -> Iterator[tuple[str, float | None]]:
+    """Every number under its dotted name, as `error.std`; words are left out."""
+    for key, value in figures.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{prefix}{key}.")
+        elif not isinstance(value, str):
+            yield prefix + key, value
+
+
+def _ranked(names: Sequence[str], tracks: Sequence[Track]) -> dict[str, Figures]:
+    pools: dict[tuple[int, ...], _Pool] = {}
+    found: dict[str, Figures] = {}
+    for name in names:
+        having = [track for track in tracks if name in track.kinds]
+        if not having:
+            continue
+        pool = pools.setdefault(tuple(map(id, having)), _Pool(having))
+        found[name] = pool.figures(name)
+    ranked = sorted(found, key=lambda name: math.inf if (rms := found[name]["moving"]["rms"]) is None else rms)
+    return {name: {"rank": place, **found[name]} for place, name in enumerate(ranked, 1)}
+
+
+class _Pool:
+    """Samples of some recordings put together, and where in them is what."""
+
+    def __init__(self, tracks: Sequence[Track]) -> None:
+        self._tracks = tracks
+        self._parts = [(track, stretch) for track in tracks for stretch in track.stretches]
+        self._theta = self._join(lambda track, stretch: stretch.theta)
+        self._omega = self._join(lambda track, stretch: stretch.omega)
+        self._rpm_by = self._join(lambda track, stretch: np.full(len(stretch.t), RPM / track.pole_pairs))
+        masks = {name: self._mask(name) for name in ("moving", "steady", "transient", "start_up", "reversal")}
+        steady = np.flatnonzero(masks["steady"])
+        sector = sector_of_angle(self._theta[steady])
+        self._where = {name: np.flatnonzero(mask) for name, mask in masks.items()}
+        self._by_sector = {str(k + 1): steady[sector == k] for k in range(6)}
+        rpm = (self._omega * self._rpm_by)[steady]
+        self._by_speed = {name: steady[at] for name, at in speed_bins(rpm).items()}
+
+    def _join(self, of: Callable[[Track, Stretch], F64]) -> F64:
+        return np.concatenate([np.empty(0), *(of(track, stretch) for track, stretch in self._parts)])
+
+    def _mask(self, name: str) -> NDArray[np.bool_]:
+        return np.concatenate([np.empty(0, bool), *(getattr(stretch.phases, name) for _, stretch in self._parts)])
+
+    def figures(self, name: str) -> Figures:
+        """All figures of one observer."""
+        radians = wrap(self._theta - self._join(lambda track, stretch: stretch.estimates[name].theta))
+        degrees = np.degrees(radians)
+        slip = (self._omega - self._join(lambda track, stretch: stretch.estimates[name].omega)) * self._rpm_by
+        steady = self._where["steady"]
+        known = steady[np.isfinite(slip[steady])]
+        pairs = [
+            Pair(s.omega, s.estimates[name].omega, s.phases.transient | s.phases.start_up | s.phases.reversal, t.rate)
+            for t, s in self._parts
+            if np.isfinite(s.estimates[name].omega).all()
+        ]
+        kind = self._tracks[0].kinds[name]
+        steps = [t.step_ns[name] for t in self._tracks if name in t.step_ns]
+        starts = sum(s.phases.starts for _, s in self._parts)
+        reversals = sum(s.phases.reversals for _, s in self._parts)
+        return {
+            "kind": kind,
+            "source": CATALOGUE[name].source if kind == HOST else f"channel of the recording, {kind}",
+            "moving": error_figures(degrees[self._where["moving"]]),
+            "error": error_figures(degrees[steady]),
+            "transient": error_figures(degrees[self._where["transient"]]),
+            "start_up": {"events": starts, **error_figures(degrees[self._where["start_up"]])},
+            "reversal": {"events": reversals, **error_figures(degrees[self._where["reversal"]])},
+            "speed": error_figures(slip[known]),
+            "lag": {
+                "angle_us": _microseconds(lag_by_speed(self._omega[steady], radians[steady])),
+                "speed_us": _microseconds(lag_in_time(pairs)),
+            },
+            "by_speed": {bin: error_figures(degrees[at]) for bin, at in self._by_speed.items()},
+            "by_sector": {sector: error_figures(degrees[at]) for sector, at in self._by_sector.items()},
+            "step_ns": float(np.mean(steps)) if steps else None,
+        }
+
+
+def _microseconds(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e6 * seconds

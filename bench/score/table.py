@@ -1,0 +1,68 @@
+"""The board as text: a table that fits 100 columns, and rows for CSV. Prints nothing itself."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from bench.score.board import Figures, Scoreboard, flat
+
+HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
+LEGEND = (
+    "position error, actual less estimated, electrical degrees: rms over all motion (the rank); std, max, p99, bias in",
+    "steady running; largest in transients, at start-up, at reversal. speed: std in r/min. lag: us. ns: a step, here.",
+)
+
+
+def row(name: str, figures: Figures) -> list[str]:
+    """An observer's figures as text under `HEADERS`; – where there is none."""
+    error = figures["error"]
+    return [
+        name,
+        _text(figures["moving"]["rms"], 2),
+        *(_text(error[key], 2) for key in ("std", "max", "p99")),
+        _text(error["bias"], 2, "+"),
+        *(_text(figures[phase]["max"], 1) for phase in ("transient", "start_up", "reversal")),
+        _text(figures["speed"]["std"], 1),
+        _text(figures["lag"]["angle_us"], 0),
+        _text(figures["step_ns"], 0),
+    ]
+
+
+def lines(observers: dict[str, Figures]) -> list[str]:
+    """The table, aligned: names to the left, numbers to the right."""
+    rows = [list(HEADERS), *(row(name, figures) for name, figures in observers.items())]
+    widths = [max(len(cells[k]) for cells in rows) for k in range(len(HEADERS))]
+    return [
+        "  ".join([cells[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))])
+        for cells in rows
+    ]
+
+
+def as_text(board: Scoreboard) -> list[str]:
+    """The whole board: pooled, then by recording where there are several, then notes."""
+    found = lines(board.pooled)
+    if len(board.by_file) > 1:
+        for path, observers in board.by_file.items():
+            found += ["", path, *lines(observers)]
+        found = [f"{len(board.by_file)} recordings pooled", *found]
+    notes = [f"note: {note}" for note in board.notes]
+    return [*found, "", *LEGEND, *notes]
+
+
+def as_csv(board: Scoreboard) -> str:
+    """Every figure as a row: file (empty: pooled), observer, figure, value (empty: cannot be told)."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["file", "observer", "figure", "value"])
+    tables: Sequence[tuple[str, dict[str, Figures]]] = [("", board.pooled), *board.by_file.items()]
+    for path, observers in tables:
+        for name, figures in observers.items():
+            for figure, value in flat(figures):
+                writer.writerow([path, name, figure, "" if value is None else repr(value)])
+    return text.getvalue()
+
+
+def _text(value: float | None, digits: int, sign: str = "") -> str:
+    return "–" if value is None else f"{value:{sign}.{digits}f}"

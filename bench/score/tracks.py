@@ -1,0 +1,158 @@
+"""A recording as the scoreboard sees it: the encoder's angle, the shaft's phases, and every estimate beside them.
+
+The estimates are the drive's own channels, those that a replay has added, and those of observers that are run here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.augment import SUFFIX
+from bench.errors import BenchError
+from bench.estimators import Estimate, Estimators
+from bench.replay import not_replayable, part, readable_run
+from bench.rerunio.recording import Run
+from bench.score.phases import Phases, phases_of, speed_of
+from protocol.messages import DriveState
+from protocol.signals import STATUS_STATE_MASK, Flag, Unit
+from protocol.streams import SampleChunk
+
+F64 = NDArray[np.float64]
+PIECE = 1 << 17  # samples that observers are run on at a time: what bounds the memory
+LEAST = 0.1  # s, shorter stretches between two losses are left out
+DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """n samples without a gap. Angles in electrical rad, speeds in electrical rad/s, (n,) each."""
+
+    t: F64  # s of device time
+    theta: F64
+    omega: F64
+    phases: Phases
+    estimates: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Track:
+    """One recording. `kinds`: who made each estimate."""
+
+    path: Path
+    rate: float
+    """Samples a second."""
+    pole_pairs: int
+    stretches: tuple[Stretch, ...]
+    kinds: dict[str, str]
+    step_ns: dict[str, float]
+    """What a step of each observer run here took on this machine, beside the front end's."""
+    front_ns: float | None
+    dropped: int
+    """Samples in stretches too short to be of use."""
+    lost: int
+    restarts: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def load(path: Path, names: Sequence[str]) -> Track:
+    """Read a recording and run the observers `names` on it.
+
+    Raises BenchError where it has no encoder, no samples, or a clock that goes back.
+    """
+    run = readable_run(path)
+    samples = run.samples
+    reference = next((c.name for c in samples.config.channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
+    if reference is None:
+        raise BenchError(f"{path} cannot be scored: it has no reference angle, so there must be an encoder")
+    notes: list[str] = []
+    rate = run.info.pwm_hz / samples.config.decimation
+    found, kinds = _recorded(samples)
+    estimators = None
+    if why := not_replayable(run):
+        notes.append(f"no observer could be run on it: {why}")
+    elif names:
+        estimators = Estimators(names, run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
+        found |= _run_again(run, estimators)
+        kinds |= dict.fromkeys(names, HOST)
+    if not found:
+        raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
+    usable = np.ones(len(samples), bool)
+    if "status" in (samples.raw.dtype.names or ()):
+        running = (samples.raw["status"] & STATUS_STATE_MASK) == DriveState.RUNNING
+        if running.any():
+            usable = running
+        else:
+            notes.append("the drive was never RUNNING: all samples count")
+    pole_pairs = run.info.n_p or 1
+    if run.info.n_p is None:
+        notes.append("the pole pairs are not known: r/min are electrical")
+    stretches, dropped = [], 0
+    theta = samples.physical(reference)
+    t = samples.tick / run.info.tick_hz
+    for rows in _contiguous(samples):
+        if rows.stop - rows.start < LEAST * rate:
+            dropped += rows.stop - rows.start
+            continue
+        omega = speed_of(theta[rows], rate)
+        stretches.append(
+            Stretch(
+                t[rows],
+                theta[rows],
+                omega,
+                phases_of(omega, usable[rows], rate, pole_pairs),
+                {name: Estimate(e.theta[rows], e.omega[rows]) for name, e in found.items()},
+            )
+        )
+    return Track(
+        path=path,
+        rate=rate,
+        pole_pairs=pole_pairs,
+        stretches=tuple(stretches),
+        kinds=kinds,
+        step_ns={} if estimators is None else {n: 1e9 * s / estimators.steps for n, s in estimators.seconds.items()},
+        front_ns=None if estimators is None else 1e9 * estimators.front_seconds / estimators.steps,
+        dropped=dropped,
+        lost=sum(gap.lost_samples for gap in samples.gaps),
+        restarts={} if estimators is None else estimators.restarts,
+        notes=tuple(notes),
+    )
+
+
+def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]]:
+    """The estimates that are in the stream: those of the drive as drive_<short>, a replay's as replayed_<short>."""
+    channels = samples.config.channels
+    speeds = {c.name for c in channels if c.flags & Flag.ESTIMATE and c.unit == Unit.RAD_PER_S}
+    found: dict[str, Estimate] = {}
+    kinds: dict[str, str] = {}
+    for channel in channels:
+        if not (channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD):
+            continue
+        short = channel.name.removeprefix("theta_")
+        kind = REPLAYED if short.endswith(SUFFIX) else DRIVE
+        omega = f"omega_{short}"
+        known = samples.physical(omega) if omega in speeds else np.full(len(samples), np.nan)
+        name = f"{kind}_{short.removesuffix(SUFFIX)}"
+        found[name], kinds[name] = Estimate(samples.physical(channel.name), known), kind
+    return found, kinds
+
+
+def _run_again(run: Run, estimators: Estimators) -> dict[str, Estimate]:
+    estimators.edges(run.edges)
+    n = len(run.samples)
+    pieces = [estimators.samples(part(run.samples, k, min(k + PIECE, n))) for k in range(0, n, PIECE)]
+    return {
+        name: Estimate(np.concatenate([p[name].theta for p in pieces]), np.concatenate([p[name].omega for p in pieces]))
+        for name in (entry.name for entry in estimators.entries)
+    }
+
+
+def _contiguous(samples: SampleChunk) -> list[slice]:
+    breaks = np.flatnonzero(np.diff(samples.index) != samples.config.decimation) + 1
+    bounds = [0, *breaks.tolist(), len(samples)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
