@@ -103,7 +103,8 @@ def score(paths: Sequence[Path], observers: Sequence[str] = ()) -> Scoreboard:
     if observers:
         names = [name for name in names if name in (*recorded, *again)]
     by_file = {str(track.path): _ranked(names, [track]) for track in tracks}
-    return Scoreboard(tracks, _ranked(names, tracks), by_file)
+    pooled = _ranked(names, tracks) if len(tracks) > 1 else by_file[str(tracks[0].path)]
+    return Scoreboard(tracks, pooled, by_file)
 
 
 def flat(figures: Figures, prefix: str = "") -> Iterator[tuple[str, float | None]]:
@@ -122,8 +123,10 @@ def _ranked(names: Sequence[str], tracks: Sequence[Track]) -> dict[str, Figures]
         having = [track for track in tracks if name in track.kinds]
         if not having:
             continue
-        pool = pools.setdefault(tuple(map(id, having)), _Pool(having))
-        found[name] = pool.figures(name)
+        key = tuple(map(id, having))
+        if key not in pools:
+            pools[key] = _Pool(having)
+        found[name] = pools[key].figures(name)
     ranked = sorted(found, key=lambda name: math.inf if (rms := found[name]["moving"]["rms"]) is None else rms)
     return {name: {"rank": place, **found[name]} for place, name in enumerate(ranked, 1)}
 

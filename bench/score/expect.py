@@ -1,0 +1,99 @@
+"""Bounds on figures of the pooled board, by their dotted names: read, checked, and written from a run.
+
+A bound has two sides, so that an error which vanishes is noticed as well as one which grows. One side may be infinite.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.errors import BenchError
+from bench.score.board import PHASES, Scoreboard, flat
+
+WRITTEN = (*PHASES, "speed", "lag")  # groups of figures that are written; the cost of a step is the machine's
+NOT_WRITTEN = ("n", "events")
+LAG_FLOOR = 50.0  # us: a lag below it gets the margin of this one
+Bounds = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A figure that is not within its bounds; None: it could not be told."""
+
+    name: str
+    value: float | None
+    lo: float
+    hi: float
+
+    def __str__(self) -> str:
+        found = "cannot be told" if self.value is None else f"is {self.value:.6g}"
+        return f"{self.name} {found}, expected {self.lo:.6g} … {self.hi:.6g}"
+
+
+def read(path: Path) -> dict[str, tuple[float, float]]:
+    """Bounds from a TOML or JSON (.json) file: `name = [lo, hi]`. BenchError names the file and what is wrong in it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise BenchError(f"--expect {path} cannot be read: {error.strerror}") from None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise BenchError(f"--expect {path}: {error}") from None
+    if not isinstance(data, dict):
+        raise BenchError(f"--expect {path}: it must be a table of name = [lo, hi]")
+    bounds: dict[str, tuple[float, float]] = {}
+    for name, value in _leaves(data):
+        numbers = isinstance(value, list) and all(type(x) in (int, float) and not math.isnan(x) for x in value)
+        if not numbers or len(value) != 2 or value[0] > value[1]:
+            raise BenchError(f"--expect {path}: {name} must be [lo, hi] with lo <= hi, got {value}")
+        bounds[name] = float(value[0]), float(value[1])
+    if not bounds:
+        raise BenchError(f"--expect {path} bounds nothing")
+    return bounds
+
+
+def check(board: Scoreboard, bounds: Bounds) -> list[Outside]:
+    """The figures outside their bounds. BenchError for a name that the board does not have."""
+    figures = dict(flat(board.pooled))
+    found = []
+    for name, (lo, hi) in bounds.items():
+        if name not in figures:
+            near = difflib.get_close_matches(name, figures, 1)
+            raise BenchError(f"no figure '{name}' in this score" + (f"; did you mean {near[0]}?" if near else ""))
+        value = figures[name]
+        if value is None or not lo <= value <= hi:
+            found.append(Outside(name, value, lo, hi))
+    return found
+
+
+def as_toml(board: Scoreboard, margin: float) -> str:
+    """Bounds around the board's figures, `margin` (a share) on both sides; of a bias, that share of its std at least.
+
+    By phase, speed and lag; not by bin, and not what depends on this machine.
+    """
+    lines = [f"# Bounds on the figures of `bench score`, {margin:.0%} on both sides."]
+    for name, figures in board.pooled.items():
+        lines += ["", f"[{name}]"]
+        for group in WRITTEN:
+            for key, value in figures[group].items():
+                if value is None or key in NOT_WRITTEN:
+                    continue
+                least = LAG_FLOOR if group == "lag" else figures[group]["std"] if key == "bias" else 0.0
+                spread = margin * max(abs(value), least)
+                lines.append(f"{group}.{key} = [{value - spread:.6g}, {value + spread:.6g}]")
+    return "\n".join(lines) + "\n"
+
+
+def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
