@@ -27,7 +27,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, keyword_parameters
 
-WINDOW = 1.0  # s of the recording handed on at a time
+WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
 ALIASES = {"k_p": "k_p_vt", "k_i": "k_i_vt"}
 Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 

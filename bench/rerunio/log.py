@@ -147,13 +147,11 @@ class RunLog:
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._add_trend(t_ns, values, errors)
-        period = round(PLANE_PERIOD * 1e9)
-        due = np.arange(t_ns[-1], max(int(t_ns[0]), self._next_plane_ns) - 1, -period)[::-1]
-        for row in np.searchsorted(t_ns, due).tolist():
-            self._next_plane_ns = int(t_ns[row]) + period
-            self._at(int(t_ns[row]))
-            now = {name: float(value[row]) for name, value in values.items()}
-            for entity, parts in self._plane.picture(now, {n: float(e[row]) for n, e in errors.items()}):
+        if t_ns[-1] >= self._next_plane_ns:
+            self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
+            self._at(int(t_ns[-1]))
+            newest = {name: float(value[-1]) for name, value in values.items()}
+            for entity, parts in self._plane.picture(newest, {n: float(e[-1]) for n, e in errors.items()}):
                 self._stream.log(entity, parts)
 
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:

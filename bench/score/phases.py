@@ -23,28 +23,8 @@ AFTER = 0.1  # s after such a change that count as transient too
 STAND = 0.1  # s without motion after which motion is a start
 BEFORE_START, START_UP = 0.01, 0.3  # s before and after the start that count as start-up
 REVERSAL = 0.1  # s before and after zero speed that count as reversal
-SPEED_EDGES: tuple[float, ...] = (
-    0.0,
-    75.0,
-    150.0,
-    350.0,
-    750.0,
-    1500.0,
-    2500.0,
-    4000.0,
-    7500.0,
-    15000.0,
-    35000.0,
-    75000.0,
-)
+SPEED_EDGES = (0.0, 75.0, 150.0, 350.0, 750.0, 1500.0, 2500.0, 4000.0, 7500.0, 15000.0, 35000.0, 75000.0)
 """r/min; none at a round speed, so that one that is held falls into one bin."""
-RPM = 10.0  # r/min above which the shaft moves
-TRANSIENT_RPM_S = 500.0  # (r/min)/s above which the speed changes
-AFTER = 0.1  # s after such a change that count as transient too
-STAND = 0.1  # s without motion after which motion is a start
-BEFORE_START, START_UP = 0.01, 0.3  # s before and after the start that count as start-up
-REVERSAL = 0.1  # s before and after zero speed that count as reversal
-SPEED_EDGES = (0.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0, 20000.0, 50000.0, 100000.0)
 RPM = 60.0 / (2.0 * np.pi)
 
 

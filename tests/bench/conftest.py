@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from processes import Program, Sim
+from recorded import record_drive
 
 
 @pytest.fixture
@@ -34,3 +36,11 @@ def start_sim() -> Iterator[Callable[..., Sim]]:
     yield run
     for program in started:
         program.close()
+
+
+@pytest.fixture(scope="session")
+def drive_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the simulated drive: start-up, speed step, load step, reversal. Not to be changed."""
+    path = tmp_path_factory.mktemp("drive") / "run.rrd"
+    record_drive(path)
+    return path

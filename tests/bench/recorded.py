@@ -1,0 +1,87 @@
+"""Recordings for the tests of replay and score: of the simulated drive in virtual time, and made up from formulas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from collect import Bench
+from virtual_run import WatchedLink, simulated
+
+from bench.rerunio.schema import RunInfo
+from bench.rerunio.sinks import FileSink
+from bench.verdict import Verdict
+from protocol.descriptor import Channel
+from protocol.messages import StreamEvent
+from protocol.signals import Flag, RawType, Unit
+from protocol.streams import SampleChunk, StreamConfig, sample_dtype
+
+TICK_HZ, PWM_HZ, N_P = 20_000_000, 16_000, 6
+RPM = 2 * math.pi / 60
+
+
+def record_drive(path: Path) -> None:
+    """Start-up, a speed step, a load step and a reversal, with a note, a mark and a summary: 2.2 s."""
+    bench = Bench(WatchedLink(simulated(seed=5)))
+    drive, load, client = bench.drive, bench.load, bench.client
+    info = RunInfo(
+        tick_hz=bench.hello.tick_hz,
+        pwm_hz=bench.hello.pwm_hz,
+        channels=drive.channels(None),
+        parameters=drive.parameters(),
+        identity={"target": "virtual:"},
+        node=bench.hello.node,
+    )
+    sink = FileSink(path, info, wait=True)
+    client.sinks = [sink]
+    bench.stream()
+    client.run_for(0.2)
+    load.arm()
+    load.start()
+    bench.turn(500 * RPM)
+    client.run_for(0.5)
+    sink.note("now faster", "WARN")
+    drive.speed(1000 * RPM)
+    client.run_for(0.5)
+    load.torque(0.2)
+    client.run_for(0.4)
+    load.torque(0.0)
+    drive.speed(-300 * RPM)
+    client.run_for(0.6)
+    drive.stop()
+    load.stop()
+    client.run_for(0.05)
+    second = bench.hello.tick_hz
+    sink.mark("steady", second // 2, second, Verdict.PASS)
+    sink.summary("# The run")
+    sink.close()
+
+
+def record_made_up(
+    path: Path, theta: np.ndarray, estimates: Mapping[str, tuple[np.ndarray, np.ndarray]], reference: bool = True
+) -> None:
+    """A recording with an encoder at `theta` (n,) rad, unwrapped, and estimates (angle, speed) by short name, no more.
+
+    Angles are telemetered as float32, so that formulas hold to 1e-6 rad.
+    """
+    flags = Flag.CHANNEL | Flag.WRAPS
+    channels = [Channel(1, "theta_enc", Unit.RAD, RawType.F32, 1.0, flags | (Flag.REFERENCE if reference else Flag(0)))]
+    columns = [theta]
+    for k, (short, (angle, speed)) in enumerate(estimates.items()):
+        channels.append(Channel(10 + 2 * k, f"theta_{short}", Unit.RAD, RawType.F32, 1.0, flags | Flag.ESTIMATE))
+        channels.append(
+            Channel(11 + 2 * k, f"omega_{short}", Unit.RAD_PER_S, RawType.F32, 1.0, Flag.CHANNEL | Flag.ESTIMATE)
+        )
+        columns += [angle, speed]
+    raw = np.empty(len(theta), sample_dtype(channels))
+    for channel, column in zip(channels, columns, strict=True):
+        wraps = channel.flags & Flag.WRAPS
+        raw[channel.name] = np.mod(column + np.pi, 2 * np.pi) - np.pi if wraps else column
+    info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters={"n_p": N_P})
+    config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, tuple(channels), 25)
+    index = np.arange(len(theta), dtype=np.int64)
+    sink = FileSink(path, info, wait=True)
+    sink.samples(SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ()))
+    sink.close()

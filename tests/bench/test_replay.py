@@ -1,0 +1,178 @@
+"""`bench replay`: what the drive computed comes out again bit for bit, and nothing that was recorded is lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from collect import cut
+
+from bench.cli import cli
+from bench.errors import BenchError
+from bench.estimators import Estimators, raw_counts
+from bench.replay import part, replay
+from bench.rerunio.recording import Run, read_run
+from bench.rerunio.sinks import FileSink
+from protocol.signals import Flag, Status
+from protocol.streams import Gap
+from sim.observers import bank
+from sim.observers.catalogue import CATALOGUE
+
+
+@pytest.fixture(scope="module")
+def run(drive_run: Path) -> Run:
+    return read_run(drive_run)
+
+
+def drive_resets(run: Run) -> int:
+    resets = int(np.count_nonzero(run.samples.raw["status"] & Status.OBSERVERS_RESET))
+    assert resets >= 1
+    return resets
+
+
+@pytest.fixture(scope="module")
+def replayed(drive_run: Path, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    out = tmp_path_factory.mktemp("replay") / "out.rrd"
+    result = replay(drive_run, out=out)
+    assert result.restarts == {"start": 1, "drive": drive_resets(run), "lost_samples": 0, "lost_edges": 0}
+    assert (result.lost_samples, result.lost_edges) == (0, 0)
+    return read_run(out)
+
+
+def test_the_hosts_estimates_are_the_drives_bit_for_bit(replayed: Run) -> None:
+    raw = replayed.samples.raw
+    after = np.flatnonzero(raw["status"] & Status.OBSERVERS_RESET)[0]
+    assert len(raw) - after > 25_000
+    for short in bank.SHORT:
+        for name in (f"theta_{short}", f"omega_{short}"):
+            assert np.array_equal(raw[name][after:], raw[f"{name}_host"][after:]), name
+            assert len(np.unique(raw[name][after:])) > 100
+
+
+def test_all_that_was_recorded_is_still_there(run: Run, replayed: Run) -> None:
+    for name in run.samples.raw.dtype.names:
+        assert np.array_equal(run.samples.raw[name], replayed.samples.raw[name]), name
+    for name in ("index", "tick"):
+        assert np.array_equal(getattr(run.samples, name), getattr(replayed.samples, name))
+    for name in ("index", "tick", "hall_old", "hall_new", "illegal", "encoder"):
+        assert np.array_equal(getattr(run.edges, name), getattr(replayed.edges, name))
+    assert len(run.events) >= 4
+    assert replayed.events == run.events
+    assert replayed.marks == run.marks
+    assert len(run.marks) == 1
+    assert sorted(zip(replayed.notes, replayed.levels, strict=True)) == sorted(zip(run.notes, run.levels, strict=True))
+    assert "WARN" in run.levels
+    assert replayed.summary.startswith("# The run\n")
+    assert "# Replay" in replayed.summary
+    assert replayed.info.parameters == run.info.parameters
+    assert replayed.info.started == run.info.started
+    assert replayed.info.recording_id != run.info.recording_id
+
+
+def test_the_dashboard_shows_the_hosts_estimates(replayed: Run) -> None:
+    assert {f"theta_{entry.short}_host" for entry in CATALOGUE.values()} <= set(replayed.info.position_estimates)
+    assert {f"omega_{entry.short}_host" for entry in CATALOGUE.values()} <= set(replayed.info.speeds)
+    wraps = {c.name for c in replayed.info.channels if c.flags & Flag.WRAPS}
+    assert "theta_vt_host" in wraps
+    assert "omega_vt_host" not in wraps
+
+
+def test_another_gain_changes_the_estimate_and_no_other(drive_run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "slow.rrd"
+    replay(drive_run, ("vt", "average_speed"), {"k_p": 600.0, "k_i": 9000.0}, out)
+    raw = read_run(out).samples.raw
+    assert np.array_equal(raw["theta_avg"], raw["theta_avg_host"])
+    assert np.mean(raw["theta_vt"] != raw["theta_vt_host"]) > 0.5
+    assert "theta_la_host" not in raw.dtype.names
+
+
+@pytest.mark.parametrize("lost", ["samples", "edges"])
+def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Path) -> None:
+    gap, width = 14_000, 300
+    assert run.samples.raw["status"][gap] & 7 == 3  # running
+    first, second = part(run.samples, 0, gap), part(run.samples, gap, len(run.samples))
+    due = int(np.searchsorted(run.edges.tick, first.tick[-1], side="right"))
+    edges = [cut(run.edges, 0, due), cut(run.edges, due, len(run.edges))]
+    if lost == "samples":
+        second = replace(part(run.samples, gap + width, len(run.samples)), gaps=(Gap(0, width, 12, False),))
+        anew = gap
+    else:
+        edges[1] = replace(cut(run.edges, due + 2, len(run.edges)), gaps=(Gap(0, 2, 1, False),))
+        anew = int(np.searchsorted(run.samples.tick, edges[1].tick[0]))
+    sink = FileSink(tmp_path / "gap.rrd", run.info, wait=True)
+    for edge_chunk, samples in zip(edges, (first, second), strict=True):
+        sink.edges(edge_chunk)
+        sink.samples(samples)
+    sink.close()
+    result = replay(tmp_path / "gap.rrd", out=tmp_path / "out.rrd")
+    none = {"start": 1, "drive": drive_resets(run), "lost_samples": 0, "lost_edges": 0}
+    assert result.restarts == none | {f"lost_{lost}": 1}
+    assert (result.lost_samples, result.lost_edges) == ((width, 0) if lost == "samples" else (0, 2))
+    samples = read_run(tmp_path / "out.rrd").samples
+    assert [(g.position, g.lost_samples) for g in samples.gaps] == ([(gap, width)] if lost == "samples" else [])
+    at_once = Estimators(["vector_tracking"], run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
+    rest = part(samples, anew, len(samples))
+    later = int(np.searchsorted(run.edges.tick, samples.tick[anew - 1], side="right"))  # edges in the gap count
+    at_once.edges(replace(cut(run.edges, later, len(run.edges)), gaps=()))
+    expected = at_once.samples(replace(rest, gaps=()))["vector_tracking"]
+    channel = samples.config.channel("theta_vt_host")
+    differ = raw_counts(channel, expected.theta) != rest.raw["theta_vt_host"]
+    assert np.count_nonzero(differ) == 0
+    same = slice(int(np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)[0]), gap)
+    assert np.array_equal(samples.raw["theta_vt"][same], samples.raw["theta_vt_host"][same])
+
+
+@pytest.mark.parametrize(
+    ("settings", "observers", "words"),
+    [
+        ({"k_p": 1e9}, (), "--set k_p: must be 0..100000, got 1e+09"),
+        ({"literal_sgn": 0.5}, (), "--set literal_sgn: must be a whole number"),
+        ({"nonsense": 1.0}, (), "--set nonsense: it is no parameter; there are "),
+        ({"i_max": 1.0}, (), "--set i_max: it changes nothing in average_speed"),
+        ({"k_p": 1.0}, ("average_speed",), "--set k_p: it changes nothing in average_speed; there are hall_timeout"),
+        ({}, ("nobody",), "no observer 'nobody'; there are average_speed, vector_tracking"),
+    ],
+)
+def test_settings_and_names_are_checked(
+    drive_run: Path, tmp_path: Path, settings: dict[str, float], observers: tuple[str, ...], words: str
+) -> None:
+    with pytest.raises(BenchError) as raised:
+        replay(drive_run, observers, settings, tmp_path / "out.rrd")
+    assert words in str(raised.value)
+    assert not (tmp_path / "out.rrd").exists()
+
+
+def test_a_recording_without_what_observers_need_is_refused(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "few.rrd"
+    channels = tuple(c for c in run.samples.config.channels if c.name not in ("i_b", "u_beta"))
+    sink = FileSink(path, replace(run.info, channels=channels), wait=True)
+    config = replace(run.samples.config, channels=channels)
+    raw = np.empty(100, config.dtype)
+    for name in config.dtype.names:
+        raw[name] = run.samples.raw[name][:100]
+    sink.samples(replace(part(run.samples, 0, 100), config=config, raw=raw))
+    sink.close()
+    with pytest.raises(BenchError, match=r"few\.rrd cannot be replayed: it has no channel u_beta, i_b"):
+        replay(path)
+
+
+def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
+    link = tmp_path / "a.rrd"
+    link.symlink_to(drive_run)
+    given = ["replay", str(link), "--observer", "vt", "--set", "k_i=5e4"]
+    done = CliRunner().invoke(cli, given)
+    assert done.exit_code == 0
+    assert "a.replay.rrd" in done.output
+    assert "vector_tracking" in done.output
+    written = (tmp_path / "a.replay.rrd").read_bytes()
+    again = CliRunner().invoke(cli, given)
+    assert str(again.exception).startswith(f"{tmp_path / 'a.replay.rrd'} exists")
+    assert (tmp_path / "a.replay.rrd").read_bytes() == written
+    itself = CliRunner().invoke(cli, ["replay", str(link), "-o", str(drive_run), "--overwrite"])
+    assert "is the recording itself" in str(itself.exception)
+    twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.rrd"), "--observer", "vt"])
+    assert "has theta_vt_host already" in str(twice.exception)
+    assert "3 is no" in CliRunner().invoke(cli, ["replay", str(link), "--set", "3 is no"]).output.replace("'", "")
