@@ -10,8 +10,9 @@ from bench.score.board import Figures, Scoreboard, flat
 
 HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
 LEGEND = (
-    "position error, actual less estimated, electrical degrees: rms over all motion (the rank); std, max, p99, bias in",
-    "steady running; largest in transients, at start-up, at reversal. speed: std in r/min. lag: us. ns: a step, here.",
+    "Position error, actual less estimated, in electrical degrees: rms over all motion (the rank);",
+    "std, max, p99 and bias in steady running; the largest in transients, at start-up, at reversal.",
+    "speed: std of its error, r/min. lag: of the angle, us. ns: what a step took on this machine.",
 )
 
 

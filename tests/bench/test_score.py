@@ -1,0 +1,273 @@
+"""`bench score` on recordings: made up ones whose errors are known, and one of the simulated drive."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from recorded import N_P, PWM_HZ, record_made_up
+
+from bench.cli import cli
+from bench.errors import BenchError
+from bench.rerunio.recording import read_run
+from bench.score import expect
+from bench.score.board import Scoreboard, flat, score
+from bench.score.plots import draw_error_by_angle, draw_error_over_time
+from bench.score.table import HEADERS, as_text
+from bench.statistics import wrap
+from sim.observers.catalogue import CATALOGUE
+
+TO_RPM = 60 / (2 * math.pi) / N_P
+DELAY = 50e-6
+
+
+def bench_command(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["score", *map(str, arguments)])
+
+
+def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Electrical angle and speed: half a second at 300 r/min, at 600, at 300 again, by ramps of 0.1 s."""
+    knots = np.array([0.0, 0.5, 0.6, 1.1, 1.2, 1.7])
+    omega = np.interp(t, knots, np.array([300, 300, 600, 600, 300, 300]) / TO_RPM)
+    fine = np.arange(-0.1, 1.8, 1e-5)
+    steps = np.interp(fine, knots, np.array([300, 300, 600, 600, 300, 300]) / TO_RPM) * 1e-5
+    return np.interp(t, fine, np.cumsum(steps) - 0.5 * steps), omega
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Estimates that are exact, 2 deg behind, 50 us late, and a sawtooth of 60 deg."""
+    path = tmp_path_factory.mktemp("made_up") / "made_up.rrd"
+    t = np.arange(round(1.7 * PWM_HZ)) / PWM_HZ
+    theta, omega = motion(t)
+    late, late_speed = motion(t - DELAY)
+    sector = np.floor(theta / (math.pi / 3)) * math.pi / 3 + math.pi / 6
+    estimates = {
+        "exact": (theta, omega),
+        "biased": (theta - math.radians(2.0), omega - 3.0 / TO_RPM),
+        "late": (late, late_speed),
+        "sector": (sector, omega),
+    }
+    record_made_up(path, theta, estimates)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made_up_board(made_up: Path) -> Scoreboard:
+    return score([made_up])
+
+
+@pytest.fixture(scope="module")
+def drive_board(drive_run: Path) -> Scoreboard:
+    return score([drive_run])
+
+
+def test_the_best_stands_first(made_up_board: Scoreboard) -> None:
+    assert list(made_up_board.pooled) == ["drive_exact", "drive_late", "drive_biased", "drive_sector"]
+    assert [figures["rank"] for figures in made_up_board.pooled.values()] == [1, 2, 3, 4]
+    assert made_up_board.notes == [
+        f"{made_up_board.tracks[0].path}: no observer could be run on it: "
+        "it has no channel hall, u_alpha, u_beta, i_a, i_b, i_c"
+    ]
+
+
+def test_known_errors_are_told(made_up_board: Scoreboard) -> None:
+    exact, late, biased, sector = made_up_board.pooled.values()
+    for phase in ("moving", "error", "transient"):
+        assert exact[phase]["max"] < 1e-3
+        assert biased[phase]["bias"] == pytest.approx(2.0, abs=1e-3)
+        assert biased[phase]["std"] < 1e-3
+        assert sector[phase]["std"] == pytest.approx(30 / math.sqrt(3), rel=0.02)
+        assert sector[phase]["max"] == pytest.approx(30, abs=1.5)
+        assert sector[phase]["p99"] == pytest.approx(29.7, abs=0.6)
+        assert abs(sector[phase]["bias"]) < 0.6
+    assert biased["speed"]["bias"] == pytest.approx(3.0, abs=0.1)
+    assert biased["speed"]["std"] < 0.2
+    for figures in (exact, late, biased, sector):
+        assert (figures["start_up"]["events"], figures["start_up"]["n"]) == (0, 0)
+        assert (figures["reversal"]["events"], figures["reversal"]["std"]) == (0, None)
+    slow, fast = (late["by_speed"][bin]["bias"] for bin in ("150_to_350", "350_to_750"))
+    assert slow == pytest.approx(math.degrees(300 / TO_RPM * DELAY), abs=2e-3)
+    assert fast == pytest.approx(math.degrees(600 / TO_RPM * DELAY), abs=2e-3)
+
+
+def test_a_delay_of_50_us_is_told_by_both_lags(made_up_board: Scoreboard) -> None:
+    lag = made_up_board.pooled["drive_late"]["lag"]
+    assert lag["angle_us"] == pytest.approx(50.0, abs=0.5)
+    assert lag["speed_us"] == pytest.approx(50.0, abs=1.0)
+    for name in ("drive_exact", "drive_biased"):
+        assert made_up_board.pooled[name]["lag"]["angle_us"] == pytest.approx(0.0, abs=0.5)
+    assert made_up_board.pooled["drive_exact"]["lag"]["speed_us"] == pytest.approx(0.0, abs=1.0)
+
+
+def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
+    t = np.arange(PWM_HZ) / PWM_HZ
+    theta = 200.0 * t
+    third = (np.mod(theta, 2 * np.pi) // (np.pi / 3)) == 2
+    record_made_up(tmp_path / "a.rrd", theta, {"x": (theta + np.radians(5.0) * third, np.full(len(t), 200.0))})
+    by_sector = score([tmp_path / "a.rrd"]).pooled["drive_x"]["by_sector"]
+    biases = [by_sector[str(k)]["bias"] for k in range(1, 7)]
+    assert biases == pytest.approx([0, 0, -5, 0, 0, 0], abs=0.05)
+    assert sum(figures["n"] for figures in by_sector.values()) == len(t)
+
+
+def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) -> None:
+    names = set(drive_board.pooled)
+    assert names == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt", "la")}
+    for name, short in (("average_speed", "avg"), ("vector_tracking", "vt"), ("load_angle", "la")):
+        host, drive = drive_board.pooled[name], drive_board.pooled[f"drive_{short}"]
+        assert host["start_up"]["events"] == 1
+        assert host["reversal"]["events"] >= 1
+        for group in ("moving", "error", "transient", "start_up", "reversal"):
+            for key in ("std", "max"):
+                assert host[group][key] == pytest.approx(drive[group][key], abs=0.006), (name, group)  # a raw count
+        assert drive["step_ns"] is None
+    assert drive_board.pooled["vector_tracking"]["step_ns"] > 1.0
+
+
+def test_figures_of_a_drive_are_those_of_its_columns(drive_run: Path, drive_board: Scoreboard) -> None:
+    samples = read_run(drive_run).samples
+    error = np.degrees(wrap(samples.physical("theta_enc") - samples.physical("theta_avg")))
+    t = samples.tick / 20e6
+    held = (t > t[0] + 0.55) & (t < t[0] + 0.68)  # at 500 r/min, in the middle of one stretch
+    average = drive_board.pooled["drive_avg"]
+    assert 6.0 < error[held].std() < 8.5  # the paper's sensors make 7.3 deg at any speed
+    assert 6.0 < average["error"]["std"] < 8.5
+    assert 3.0 < drive_board.pooled["drive_vt"]["by_speed"]["750_to_1500"]["std"] < 5.0
+    moving = average["moving"]["n"]
+    assert average["moving"]["max"] <= np.abs(error).max()
+    phases = sum(average[group]["n"] for group in ("error", "transient", "start_up", "reversal"))
+    assert abs(phases - moving) < 0.1 * moving
+
+
+def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None:
+    t = np.arange(PWM_HZ) / PWM_HZ
+    theta, omega = motion(t)
+    record_made_up(tmp_path / "b.rrd", theta, {"exact": (theta + math.radians(1.0), omega)})
+    board = score([made_up, tmp_path / "b.rrd"], ["drive_exact"])
+    first, second = (board.by_file[str(path)]["drive_exact"]["moving"] for path in (made_up, tmp_path / "b.rrd"))
+    pooled = board.pooled["drive_exact"]["moving"]
+    assert second["bias"] == pytest.approx(-1.0, abs=1e-3)
+    assert pooled["n"] == first["n"] + second["n"]
+    assert pooled["bias"] == pytest.approx(-second["n"] / pooled["n"], abs=1e-3)
+    text = "\n".join(as_text(board))
+    assert text.startswith("2 recordings pooled\n")
+    assert str(made_up) in text
+
+
+def test_without_an_encoder_it_says_so(tmp_path: Path) -> None:
+    t = np.arange(2000) / PWM_HZ
+    record_made_up(tmp_path / "a.rrd", 100 * t, {"x": (100 * t, t)}, reference=False)
+    with pytest.raises(BenchError, match="there must be an encoder"):
+        score([tmp_path / "a.rrd"])
+
+
+def test_names_that_are_nowhere_are_errors(made_up: Path) -> None:
+    with pytest.raises(BenchError, match="no observer 'nobody'; there are average_speed"):
+        score([made_up], ["nobody"])
+    with pytest.raises(BenchError, match="no recording has the estimate 'drive_vt'; there are drive_exact"):
+        score([made_up], ["drive_vt"])
+
+
+def test_the_table_fits_100_columns(drive_board: Scoreboard) -> None:
+    lines = as_text(drive_board)
+    assert max(map(len, lines)) <= 100
+    table = lines[: 1 + len(drive_board.pooled)]
+    assert len({len(line) for line in table}) == 1
+    assert table[0].split() == list(HEADERS)
+    longest = {"hall_vector_decoupled": next(iter(drive_board.pooled.values()))}
+    wide = as_text(Scoreboard(drive_board.tracks, longest, {"": longest}))
+    assert max(map(len, wide)) <= 100
+
+
+def test_the_command_writes_all_its_files(drive_run: Path, tmp_path: Path) -> None:
+    files = {kind: tmp_path / f"score.{kind}" for kind in ("html", "json", "csv")}
+    done = bench_command(
+        drive_run, "--observer", "vt", *(x for kind, path in files.items() for x in (f"--{kind}", path))
+    )
+    assert done.exit_code == 0, done.output
+    data = json.loads(files["json"].read_text())
+    figures = data["observers"]["vector_tracking"]
+    assert data["files"][0]["observers"]["vector_tracking"] == figures
+    with files["csv"].open() as file:
+        found = {(r["file"], r["observer"], r["figure"]): r["value"] for r in csv.DictReader(file)}
+    numbers = {name: value for name, value in flat(figures) if value is not None}
+    assert len(numbers) > 60
+    for name, value in numbers.items():
+        assert float(found["", "vector_tracking", name]) == value
+    page = files["html"].read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert not re.search(r"(?:src|href)=[\"'](?!data:|#)", page)
+    assert f"{figures['moving']['rms']:.3f}" in page
+
+
+def test_bounds_that_were_written_hold_and_others_do_not(drive_run: Path, tmp_path: Path) -> None:
+    bounds = tmp_path / "bounds.toml"
+    done = bench_command(drive_run, "--observer", "drive_vt", "--write-expect", bounds, "--margin", "10%")
+    assert done.exit_code == 0, done.output
+    read = expect.read(bounds)
+    std = score([drive_run], ["drive_vt"]).pooled["drive_vt"]["error"]["std"]
+    assert read["drive_vt.error.std"] == pytest.approx((0.9 * std, 1.1 * std), rel=1e-4)
+    lo, hi = read["drive_vt.error.bias"]
+    assert hi - lo >= 0.2 * std * 0.999
+    assert not any(name.endswith((".n", ".events", "step_ns")) for name in read)
+    held = bench_command(drive_run, "--observer", "drive_vt", "--expect", bounds)
+    assert held.exit_code == 0, held.output
+    assert f"{len(read)} of {len(read)} figures within" in held.output
+    for side in ([0, 0.99 * std], [1.01 * std, 9]):  # a known error that vanishes is news too
+        bounds.write_text(f"drive_vt.error.std = {side}\ndrive_vt.moving.max = [0, inf]\n")
+        outside = bench_command(drive_run, "--observer", "drive_vt", "--expect", bounds)
+        assert outside.exit_code == 1
+        assert f"OUTSIDE  drive_vt.error.std is {std:.6g}, expected {side[0]:.6g} … {side[1]:.6g}" in outside.output
+        assert "1 of 2 figures within" in outside.output
+
+
+def test_what_cannot_be_told_is_outside(made_up_board: Scoreboard) -> None:
+    (outside,) = expect.check(made_up_board, {"drive_exact.start_up.max": (0.0, 40.0)})
+    assert str(outside) == "drive_exact.start_up.max cannot be told, expected 0 … 40"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.toml", "x.y = 3", "x.y must be [lo, hi] with lo <= hi, got 3"),
+        ("a.toml", "x.y = [2, 1]", "got [2, 1]"),
+        ("a.toml", "x.y = [true, 1]", "got [True, 1]"),
+        ("a.toml", "x.y = [nan, 1]", "got [nan, 1]"),
+        ("a.toml", "x.y = [1, 2", "a.toml: "),
+        ("a.toml", "", "bounds nothing"),
+        ("a.json", "[1, 2]", "must be a table"),
+        ("a.json", '{"x": {"y": ["1", 2]}}', "x.y must be [lo, hi]"),
+    ],
+)
+def test_bad_bounds_are_errors(name: str, text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(BenchError) as raised:
+        expect.read(path)
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_unknown_figure_is_an_error(made_up_board: Scoreboard) -> None:
+    with pytest.raises(
+        BenchError, match=r"no figure 'drive_exact\.error\.sdt' in this score; did you mean drive_exact"
+    ):
+        expect.check(made_up_board, {"drive_exact.error.sdt": (0.0, 1.0)})
+
+
+def test_figures_show_what_was_scored(made_up_board: Scoreboard) -> None:
+    (track,) = made_up_board.tracks
+    speed, error = draw_error_over_time(track, "drive_biased").axes
+    assert max(line.get_ydata().max() for line in speed.lines) == pytest.approx(600, abs=5)
+    assert np.ptp(error.lines[0].get_ydata()) < 0.01
+    (ax,) = draw_error_by_angle(made_up_board.tracks, "drive_sector").axes
+    mean = next(line for line in ax.lines if line.get_label() == "mean")
+    x, y = mean.get_xdata(), mean.get_ydata()
+    assert y == pytest.approx(np.mod(x, 60.0) - 30.0, abs=1.6)

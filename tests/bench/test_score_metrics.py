@@ -1,0 +1,143 @@
+"""Figures of errors made from formulas, phases of speeds made from straight lines: what is told is what was put in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
+from bench.score.phases import phases_of, speed_bins, speed_of
+
+RATE = 16_000.0
+N_P = 6
+TO_RPM = 60 / (2 * math.pi) / N_P
+
+
+def test_a_sawtooth_has_its_figures() -> None:
+    error = np.linspace(-30.0, 30.0, 100_001)
+    figures = error_figures(error + 2.0)
+    assert figures["n"] == 100_001
+    assert figures["bias"] == pytest.approx(2.0, abs=1e-9)
+    assert figures["std"] == pytest.approx(30.0 / math.sqrt(3.0), rel=1e-4)
+    assert figures["rms"] == pytest.approx(math.hypot(2.0, 30.0 / math.sqrt(3.0)), rel=1e-4)
+    assert figures["max"] == pytest.approx(32.0)
+    assert figures["p99"] == pytest.approx(32.0 - 0.6, abs=1e-3)  # beyond 28 only one side is there: 1 % is 0.6
+
+
+def test_a_constant_has_no_spread() -> None:
+    assert error_figures(np.full(7, -0.5)) == {"n": 7, "bias": -0.5, "std": 0.0, "rms": 0.5, "max": 0.5, "p99": 0.5}
+
+
+def test_no_samples_have_no_figures() -> None:
+    assert set(error_figures(np.empty(0)).values()) == {0, None}
+
+
+@pytest.mark.parametrize("tau", [50e-6, -120e-6, 0.0])
+def test_an_angle_that_is_late_errs_in_proportion_to_the_speed(tau: float) -> None:
+    rng = np.random.default_rng(1)
+    omega = np.repeat([300.0, 600.0, -200.0], 20_000)
+    error = omega * tau + 0.03 + 0.01 * rng.standard_normal(len(omega))
+    assert lag_by_speed(omega, error) == pytest.approx(tau, abs=1e-6)
+
+
+def test_no_lag_is_told_from_one_speed() -> None:
+    assert lag_by_speed(np.linspace(300.0, 330.0, 100), np.ones(100)) is None
+    assert lag_by_speed(np.zeros(100), np.zeros(100)) is None
+    assert lag_by_speed(np.empty(0), np.empty(0)) is None
+
+
+def speed(t: np.ndarray) -> np.ndarray:
+    return 300.0 + 200.0 * np.tanh((t - 0.3) / 0.05) - 80.0 * np.exp(-(((t - 0.7) / 0.03) ** 2))
+
+
+@pytest.mark.parametrize("tau", [50e-6, 3.2e-3, -1e-3, 0.0])
+def test_a_delay_is_found_between_samples(tau: float) -> None:
+    t = np.arange(16_000) / RATE
+    rng = np.random.default_rng(2)
+    changing = (np.abs(t - 0.3) < 0.2) | (np.abs(t - 0.7) < 0.1)
+    estimate = speed(t - tau) + 0.5 * rng.standard_normal(len(t))
+    halves = [
+        Pair(speed(part), estimate[k : k + 8000], changing[k : k + 8000], RATE)
+        for k, part in ((0, t[:8000]), (8000, t[8000:]))
+    ]
+    found = lag_in_time(halves)
+    assert found == pytest.approx(tau, abs=25e-6)  # four times what the noise makes of it
+    exact = lag_in_time([Pair(speed(t), speed(t - tau), changing, RATE)])
+    assert exact == pytest.approx(tau, abs=0.2e-6)
+
+
+def test_no_delay_is_told_without_a_change_or_beyond_reason() -> None:
+    t = np.arange(16_000) / RATE
+    still, everywhere = np.full(len(t), 300.0), np.ones(len(t), bool)
+    assert lag_in_time([Pair(still, still, everywhere, RATE)]) is None
+    assert lag_in_time([Pair(speed(t), speed(t), np.zeros(len(t), bool), RATE)]) is None
+    assert lag_in_time([Pair(1000.0 * t, 1000.0 * (t - 0.2), everywhere, RATE)]) is None
+    assert lag_in_time([]) is None
+
+
+def test_the_speed_is_that_of_a_wrapped_angle() -> None:
+    t = np.arange(8000) / RATE
+    theta = np.mod(400.0 * t + 100.0 * t * t + np.pi, 2 * np.pi) - np.pi
+    assert speed_of(theta, RATE)[200:-200] == pytest.approx(400.0 + 200.0 * t[200:-200], abs=1e-6)
+
+
+def profile(points: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Electrical speed along straight lines between (s, r/min), at RATE."""
+    times, rpm = zip(*points, strict=True)
+    t = np.arange(round(times[-1] * RATE)) / RATE
+    return t, np.interp(t, times, rpm) / TO_RPM
+
+
+def test_phases_are_where_the_speed_says() -> None:
+    t, omega = profile([(0, 0), (0.5, 0), (0.9, 800), (1.5, 800), (1.7, 300), (2.2, 300), (2.4, -300), (3, -300)])
+    found = phases_of(omega, np.ones(len(t), bool), RATE, N_P)
+    begin = 0.5 + 10 / 2000  # at 10 r/min
+    assert (found.starts, found.reversals) == (1, 1)
+    zero = 2.3 + 10 / 3000
+    expected = {
+        "start_up": [(begin - 0.01, begin + 0.3)],
+        "transient": [(begin + 0.3, 1.0), (1.5, 1.8), (2.2, zero - 0.1), (zero + 0.1, 2.5)],
+        "steady": [(1.0, 1.5), (1.8, 2.2), (2.5, 3.0)],
+        "reversal": [(zero - 0.1, zero + 0.1)],
+    }
+    for name, spans in expected.items():
+        mask = getattr(found, name)
+        seconds = sum(b - a for a, b in spans)
+        assert mask.sum() / RATE == pytest.approx(seconds, abs=0.03 * len(spans)), name
+        for a, b in spans:
+            assert mask[(t > a + 0.02) & (t < b - 0.02)].all(), (name, a, b)
+    assert np.array_equal(found.moving, np.abs(omega * TO_RPM) > 10.0)
+    together = sum(getattr(found, name).astype(int) for name in expected)
+    assert together.max() == 1
+    assert (together[found.moving] == 1).all()
+
+
+def test_a_pause_ends_a_motion_and_a_short_one_does_not() -> None:
+    _, pause = profile([(0, 400), (0.3, 400), (0.31, 0), (0.5, 0), (0.51, -400), (1, -400)])
+    found = phases_of(pause, np.ones(len(pause), bool), RATE, N_P)
+    assert (found.starts, found.reversals) == (1, 0)
+    _, short = profile([(0, 400), (0.3, 400), (0.31, 0), (0.35, 0), (0.36, -400), (1, -400)])
+    found = phases_of(short, np.ones(len(short), bool), RATE, N_P)
+    assert (found.starts, found.reversals) == (0, 1)
+
+
+def test_what_is_not_usable_counts_for_nothing() -> None:
+    t, omega = profile([(0, 0), (0.5, 0), (0.9, 800), (2, 800)])
+    found = phases_of(omega, t > 1.2, RATE, N_P)
+    assert (found.starts, found.reversals) == (0, 0)
+    for name in ("moving", "steady", "transient", "start_up", "reversal"):
+        assert not getattr(found, name)[t <= 1.2].any()
+    assert found.steady[t > 1.2].all()
+
+
+def test_a_speed_that_is_held_falls_into_one_bin() -> None:
+    rng = np.random.default_rng(3)
+    for held, name in ((50, "0_to_75"), (500, "350_to_750"), (-1000, "-1500_to_-750"), (3000, "2500_to_4000")):
+        rpm = held + 0.02 * abs(held) * rng.standard_normal(1000)
+        assert {bin: len(at) for bin, at in speed_bins(rpm).items()} == {name: 1000}
+    both = speed_bins(np.array([-200.0, 200.0, 210.0, 1e6, 0.0]))
+    assert {bin: at.tolist() for bin, at in both.items()} == {
+        "-350_to_-150": [0], "150_to_350": [1, 2], "75000_to_up": [3],
+    }  # fmt: skip
