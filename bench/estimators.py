@@ -185,7 +185,7 @@ class Estimators:
     """
 
     def __init__(self, names: Sequence[str], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
-        self.entries = tuple(entry_of(name) for name in names)
+        self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
         self._kernels = _Kernels(self.entries, parameters, tick_hz, pwm_hz)
         self._inputs = _Inputs()
         self._next_index: int | None = None

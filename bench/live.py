@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from bench import __version__
 from bench.bus import BusMeter
-from bench.client import POLL, Client, SinkBase
+from bench.client import POLL, Client, Sink, SinkBase
 from bench.embedded import EmbeddedDrive
 from bench.energise import RPM, Plan, check_limits, require_consent
 from bench.errors import BenchError, DoesNotFit, Interrupted, NodeError
@@ -64,6 +64,8 @@ class LiveOptions:
     yes: bool = False
     clear_faults: bool = False
     host_observers: bool = False
+    estimate: tuple[str, ...] = ()
+    """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
     web_port: int | None = None
     config: str | None = None
 
@@ -194,12 +196,16 @@ class LiveRun:
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
-        if options.host_observers:
-            needed = self._compared_inputs(channels)
+        if options.host_observers or options.estimate:
+            from bench.estimators import entry_of
+
+            for name in options.estimate:
+                entry_of(name)  # a name that is wrong is told now, before anything turns
+            needed = self._inputs(channels)
             missing = [name for name in needed if name not in {channel.name for channel in channels}]
             if missing or decimation != 1:
                 raise BenchError(
-                    "--host-observers needs every PWM period"
+                    f"{self._on_host} needs every PWM period"
                     + (f" and the channels {', '.join(missing)}" if missing else "")
                 )
         self.drive.set_edges()
@@ -208,19 +214,27 @@ class LiveRun:
         except DoesNotFit as error:
             if needed:
                 few = ",".join(needed)
-                raise BenchError(f"{error}; --host-observers needs every PWM period: --channels {few}") from None
+                raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
             if not options.fit or not error.decimation:
                 raise
             self.drive.set_samples(channels, error.decimation)
             self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
         return channels
 
-    def _compared_inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
-        from bench.estimators import compared_inputs
+    def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
+        """What observers here must be given."""
+        from bench.estimators import INPUTS, compared_inputs
 
+        if self.options.estimate:
+            return INPUTS
         switch = "load_angle_comp"
         on = self.drive.has_parameter(switch) and self.drive.parameter(switch).value != 0.0
         return compared_inputs([channel.name for channel in channels], on)
+
+    @property
+    def _on_host(self) -> str:
+        """The option that runs observers here."""
+        return "--host-observers" if self.options.host_observers else "--estimate"
 
     def _channel_names(self) -> tuple[str, ...] | None:
         """The channels that were asked for; without a list of its own a run also gets what its control works with."""
@@ -244,11 +258,18 @@ class LiveRun:
 
             names = [channel.name for channel in channels]
             observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz, names)
+        augmenter = None
+        if options.estimate:
+            from bench.augment import AugmentedSinks, Augmenter
+            from bench.estimators import Estimators
+
+            estimators = Estimators(options.estimate, parameters, identity.tick_hz, identity.pwm_hz)
+            augmenter = Augmenter(estimators, channels)
         stats = RunStatistics(self.drive.number, observers)
         info = RunInfo(
             tick_hz=identity.tick_hz,
             pwm_hz=identity.pwm_hz,
-            channels=channels,
+            channels=(*channels, *(augmenter.channels if augmenter else ())),
             parameters=parameters,
             identity=describe(identity) | {"target": self.target, "hallbench": __version__},
             node=identity.node,
@@ -265,7 +286,10 @@ class LiveRun:
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
-            self.client.sinks = [self._notes, stats, *outputs.sinks]
+            sinks: list[Sink] = [stats, *outputs.sinks]
+            if augmenter is not None:
+                sinks = [AugmentedSinks(augmenter, identity.node, sinks)]
+            self.client.sinks = [self._notes, *sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)

@@ -64,6 +64,12 @@ OBSERVERS = [
     is_flag=True,
     help="Run the observers on the host too and compare them with the drive's.",
 )
+@click.option(
+    "--estimate",
+    metavar="NAME",
+    multiple=True,
+    help="Run this observer on the host and show it beside the drive's; see bench replay --list; repeatable.",
+)
 @click.option("--config", type=click.Path(exists=True, dir_okay=False), help="Figures of the simulated drive (TOML).")
 @click.option(
     "--json",

@@ -10,11 +10,13 @@ import pytest
 from collect import Bench, Collector, cut
 from virtual_run import WatchedLink, run, simulated
 
-from bench.estimators import CHECKED, HostObservers
+from bench.errors import BenchError
+from bench.estimators import CHECKED, Estimators, HostObservers
 from bench.rerunio.recording import read_run
 from protocol.signals import AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
-from sim.observers import vector_tracking
+from sim.observers import bank, vector_tracking
+from sim.observers.catalogue import CATALOGUE, DEFAULTS
 
 
 def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
@@ -96,6 +98,55 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     assert differ == 0
     still = HostObservers(bench.drive.parameters() | {"inject": 0.0}, bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
     assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
+
+
+def test_the_catalogues_observers_are_those_of_the_bank_bit_for_bit(drive_run: Path) -> None:
+    recorded = read_run(drive_run)
+    info, samples, edges = recorded.info, recorded.samples, recorded.edges
+    whole = HostObservers(info.parameters, info.tick_hz, info.pwm_hz)
+    whole.edges(edges)
+    expected, valid = whole.samples(samples)
+    estimators = Estimators(bank.OBSERVERS, info.parameters, info.tick_hz, info.pwm_hz)
+    cuts = np.sort(np.random.default_rng(4).choice(len(samples), 200, replace=False))
+    pieces, sent = [], 0
+    for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
+        piece = cut(samples, first, last)
+        due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right")) if len(piece) else sent
+        estimators.edges(cut(edges, sent, due))
+        sent = due
+        if len(piece):
+            pieces.append(estimators.samples(piece))
+    assert valid.sum() > 30_000
+    assert estimators.steps == len(samples)
+    for k, name in enumerate(bank.OBSERVERS):
+        for what, bits in (("theta", expected.theta[k]), ("omega", expected.omega[k])):
+            found = np.concatenate([getattr(piece[name], what) for piece in pieces])
+            assert np.array_equal(found[valid].view(np.int64), bits[valid].view(np.int64)), (name, what)
+
+
+def test_the_catalogue_is_consistent() -> None:
+    assert set(bank.OBSERVERS) <= set(CATALOGUE)
+    assert [CATALOGUE[name].short for name in bank.OBSERVERS] == list(bank.SHORT)
+    assert len({entry.short for entry in CATALOGUE.values()}) == len(CATALOGUE)
+    for name, entry in CATALOGUE.items():
+        assert entry.name == name
+        assert len(f"theta_{entry.short}_host") <= 16
+        assert entry.source
+
+
+def test_defaults_are_those_of_the_simulated_drive() -> None:
+    parameters = Bench(WatchedLink(simulated())).drive.parameters()
+    for name, value in DEFAULTS.items():
+        assert value == pytest.approx(parameters[name], rel=1e-6), name
+    motor = {name: parameters[name] for name in ("n_p", "omega_m_max", "R_s_hat", "L_s_hat", "psi_f_hat")}
+    parameters |= {"inject_amplitude": 0.0, "inject_hz": 0.0}  # nothing is injected, whatever they are
+    for entry in CATALOGUE.values():
+        assert entry.make_params(16_000.0, motor) == entry.make_params(16_000.0, parameters), entry.name
+
+
+def test_an_observer_that_lacks_a_parameter_names_it() -> None:
+    with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not tell"):
+        Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, 20e6, 16e3)
 
 
 def test_another_parameter_shows_as_a_difference() -> None:

@@ -1,0 +1,105 @@
+"""The host's estimates as further channels: live, recorded, beside the drive's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collect import Bench, Collector
+from virtual_run import WatchedLink, run, simulated
+
+from bench.augment import AugmentedSinks, Augmenter, host_channels
+from bench.errors import BenchError
+from bench.estimators import Estimators
+from bench.rerunio.recording import read_run
+from protocol.descriptor import Channel
+from protocol.messages import DriveState
+from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
+from protocol.streams import EdgeChunk, SampleChunk
+
+
+def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    chosen = ("vector_tracking", "avg", "vt")
+    ended = run(WatchedLink(simulated()), duration=0.6, estimate=chosen, host_observers=True, save=path)
+    (errors,) = ended.summary.position_error_deg.values()
+    assert errors["theta_vt_host"] == pytest.approx(errors["theta_vt"])
+    assert ended.summary.host_observers is not None
+    assert ended.summary.host_observers["different"] == 0
+    recorded = read_run(path)
+    raw = recorded.samples.raw
+    assert raw.dtype.names[-4:] == ("theta_vt_host", "omega_vt_host", "theta_avg_host", "omega_avg_host")
+    after = int(np.flatnonzero(raw["status"] & Status.OBSERVERS_RESET)[-1])
+    assert len(raw) - after > 5000
+    for name in ("theta_vt", "omega_vt", "theta_avg", "omega_avg"):
+        assert np.array_equal(raw[name][after:], raw[f"{name}_host"][after:]), name
+    assert {"theta_vt_host", "theta_avg_host"} < set(recorded.info.position_estimates)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"estimate": ("nobody",)}, "no observer 'nobody'; there are "),
+        ({"estimate": ("vt",), "rate_hz": 8000.0}, "--estimate needs every PWM period"),
+        (
+            {"estimate": ("vt",), "channels": ("hall", "i_a")},
+            "--estimate needs every PWM period and the channels status",
+        ),
+    ],
+)
+def test_what_cannot_be_estimated_is_told_before_anything_turns(options: dict[str, object], words: str) -> None:
+    link = WatchedLink(simulated())
+    with pytest.raises(BenchError) as raised:
+        run(link, **options)
+    assert words in str(raised.value)
+    assert set(link.states) == {DriveState.IDLE}
+
+
+def test_all_else_is_handed_on_as_it_came() -> None:
+    bench = Bench(WatchedLink(simulated()))
+    estimators = Estimators(["average_speed"], bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz)
+    plain, augmented = bench.collector, Collector()
+    augmenter = Augmenter(estimators, bench.drive.channels(None))
+    bench.client.sinks.append(AugmentedSinks(augmenter, bench.hello.node, [augmented]))
+    bench.load.set_samples(bench.load.channels(None), 16)
+    bench.load.start_streams()
+    bench.stream()
+    bench.turn(50.0)
+    bench.client.run_for(0.3)
+    bench.drive.stop()
+    assert len(augmented.chunks) == len(plain.chunks)
+    nodes = set()
+    for before, after in zip(plain.chunks, augmented.chunks, strict=True):
+        nodes.add(before.config.node)
+        if isinstance(before, EdgeChunk) or before.config.node != bench.hello.node:
+            assert after is before
+            continue
+        assert isinstance(after, SampleChunk)
+        assert after.config.channels == (*before.config.channels, *augmenter.channels)
+        assert after.gaps == before.gaps
+        for name in before.raw.dtype.names:
+            assert np.array_equal(after.raw[name], before.raw[name])
+    assert nodes == {1, 2}
+    assert len(augmented.events) >= 3
+    assert augmented.events == plain.events[-len(augmented.events) :]  # the others came before it was there
+    assert len(augmented.heartbeats) >= 3
+    assert augmented.heartbeats == plain.heartbeats[-len(augmented.heartbeats) :]
+
+
+def test_the_format_is_that_of_the_drives_estimates() -> None:
+    angle, speed = host_channels(["vt"], DRIVE_CHANNELS)
+    like = {channel.name: channel for channel in DRIVE_CHANNELS}
+    for channel, name in ((angle, "theta_vt"), (speed, "omega_vt")):
+        assert channel.name == f"{name}_host"
+        for field in ("unit", "raw", "scale", "flags"):
+            assert getattr(channel, field) == getattr(like[name], field), (name, field)
+    floats = [
+        Channel(1, "theta_x", Unit.RAD, RawType.F32, 1.0, Flag.CHANNEL | Flag.ESTIMATE | Flag.WRAPS),
+        Channel(2, "omega_x", Unit.RAD_PER_S, RawType.I32, 0.5, Flag.CHANNEL | Flag.ESTIMATE),
+    ]
+    angle, speed = host_channels(["vt"], floats)
+    assert (angle.raw, angle.scale, speed.raw, speed.scale) == (RawType.F32, 1.0, RawType.I32, 0.5)
+    angle, speed = host_channels(["vt"], ())
+    assert (angle.raw, angle.scale, speed.raw) == (RawType.I16, ANGLE, RawType.I16)
+    assert angle.flags == Flag.CHANNEL | Flag.ESTIMATE | Flag.WRAPS
