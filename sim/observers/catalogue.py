@@ -42,6 +42,9 @@ DEFAULTS: Mapping[str, float] = {
 }
 """What a parameter is where a drive has none of that name: the values of the simulated drive. Motor data have none."""
 
+EDGES = tuple(f"edge_{way}_{s}" for way in ("up", "down") for s in range(1, 7))
+"""Where the Hall edges lie, ideal less actual angle, rad: what `**edges` of a `make_params` stands for."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -70,26 +73,24 @@ class Entry:
         return self.make(pwm_hz, **chosen(self.signature, drive))
 
 
-def keyword_parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """The numbers that a `make_params` takes by name."""
-    parameters = inspect.signature(function).parameters.values()
-    return {p.name: p for p in parameters if p.kind is p.KEYWORD_ONLY and not isinstance(p.default, bool)}
+def keyword_parameters(function: Callable[..., Any]) -> dict[str, bool]:
+    """The numbers that a `make_params` takes by name, and whether it needs them; `**edges` stands for `EDGES`."""
+    found: dict[str, bool] = {}
+    for p in inspect.signature(function).parameters.values():
+        if p.kind is p.KEYWORD_ONLY and not isinstance(p.default, bool):
+            found[p.name] = p.default is p.empty
+        elif p.kind is p.VAR_KEYWORD:
+            found |= dict.fromkeys(EDGES, False)
+    return found
 
 
 def chosen(function: Callable[..., Any], drive: Mapping[str, float]) -> dict[str, float]:
     """The keyword arguments of a `make_params` from a drive's table, float32; KeyError names those that are missing."""
-    found: dict[str, float] = {}
-    missing: list[str] = []
-    for name, parameter in keyword_parameters(function).items():
-        if name in drive:
-            found[name] = float(np.float32(drive[name]))
-        elif name in DEFAULTS:
-            found[name] = float(np.float32(DEFAULTS[name]))
-        elif parameter.default is parameter.empty:
-            missing.append(name)
-    if missing:
+    known = {**DEFAULTS, **drive}
+    names = keyword_parameters(function)
+    if missing := [name for name, needed in names.items() if needed and name not in known]:
         raise KeyError(", ".join(missing))
-    return found
+    return {name: float(np.float32(known[name])) for name in names if name in known}
 
 
 def _of(module: ModuleType, short: str, source: str, signature: Callable[..., Any] | None = None) -> Entry:

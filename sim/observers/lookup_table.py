@@ -69,40 +69,23 @@ class Estimates(NamedTuple):
     omega: NDArray[np.float64]
 
 
-def make_params(
-    pwm_hz: float,
-    *,
-    n_p: float,
-    omega_m_max: float,
-    edge_up_1: float = 0.0,
-    edge_up_2: float = 0.0,
-    edge_up_3: float = 0.0,
-    edge_up_4: float = 0.0,
-    edge_up_5: float = 0.0,
-    edge_up_6: float = 0.0,
-    edge_down_1: float = 0.0,
-    edge_down_2: float = 0.0,
-    edge_down_3: float = 0.0,
-    edge_down_4: float = 0.0,
-    edge_down_5: float = 0.0,
-    edge_down_6: float = 0.0,
-) -> Params:
+def make_params(pwm_hz: float, *, n_p: float, omega_m_max: float, **edges: float) -> Params:
     """Constants from the drive's parameters of the same names (rad/s mechanical).
 
-    edge_up_1..6 and edge_down_1..6: ideal less actual angle (electrical rad) of the boundary that opens sector 1..6,
-    passed upwards and downwards; all zero is an ideal set of sensors.
+    `edges`: edge_up_1..6 and edge_down_1..6, ideal less actual angle (electrical rad) of the boundary that opens
+    sector 1..6, passed upwards and downwards; one that is not given is 0, where an ideal sensor has it.
     """
     return Params(
         1.0 / float(pwm_hz),
         float(n_p) * float(omega_m_max),
-        _boundaries((edge_up_1, edge_up_2, edge_up_3, edge_up_4, edge_up_5, edge_up_6)),
-        _boundaries((edge_down_1, edge_down_2, edge_down_3, edge_down_4, edge_down_5, edge_down_6)),
+        _boundaries([float(edges.get(f"edge_up_{s}", 0.0)) for s in range(1, 7)]),
+        _boundaries([float(edges.get(f"edge_down_{s}", 0.0)) for s in range(1, 7)]),
     )
 
 
-def _boundaries(delta: Six) -> Six:
+def _boundaries(delta: list[float]) -> Six:
     """Angles (rad) of the boundaries that open sectors 0..5, from their six offsets."""
-    a, b, c, d, e, f = (s * SECTOR_WIDTH - offset for s, offset in enumerate(map(float, delta)))
+    a, b, c, d, e, f = (s * SECTOR_WIDTH - offset for s, offset in enumerate(delta))
     return a, b, c, d, e, f
 
 

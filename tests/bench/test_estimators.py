@@ -106,7 +106,7 @@ def test_the_catalogues_observers_are_those_of_the_bank_bit_for_bit(drive_run: P
     whole = HostObservers(info.parameters, info.tick_hz, info.pwm_hz)
     whole.edges(edges)
     expected, valid = whole.samples(samples)
-    estimators = Estimators(bank.OBSERVERS, info.parameters, info.tick_hz, info.pwm_hz)
+    estimators = Estimators(tuple(CATALOGUE), info.parameters, info.tick_hz, info.pwm_hz)
     cuts = np.sort(np.random.default_rng(4).choice(len(samples), 200, replace=False))
     pieces, sent = [], 0
     for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
@@ -118,15 +118,15 @@ def test_the_catalogues_observers_are_those_of_the_bank_bit_for_bit(drive_run: P
             pieces.append(estimators.samples(piece))
     assert valid.sum() > 30_000
     assert estimators.steps == len(samples)
-    for k, name in enumerate(bank.OBSERVERS):
+    for k, name in enumerate(tuple(CATALOGUE)):
         for what, bits in (("theta", expected.theta[k]), ("omega", expected.omega[k])):
             found = np.concatenate([getattr(piece[name], what) for piece in pieces])
             assert np.array_equal(found[valid].view(np.int64), bits[valid].view(np.int64)), (name, what)
 
 
 def test_the_catalogue_is_consistent() -> None:
-    assert set(bank.OBSERVERS) <= set(CATALOGUE)
-    assert [CATALOGUE[name].short for name in bank.OBSERVERS] == list(bank.SHORT)
+    assert set(tuple(CATALOGUE)) <= set(CATALOGUE)
+    assert [CATALOGUE[name].short for name in tuple(CATALOGUE)] == list(bank.SHORT)
     assert len({entry.short for entry in CATALOGUE.values()}) == len(CATALOGUE)
     for name, entry in CATALOGUE.items():
         assert entry.name == name
