@@ -53,6 +53,7 @@ STEADY = 0.02  # largest relative difference of omega and its filtered value whi
 GATE = 25.0 * DEG  # largest difference of an edge that is used where the back-EMF counts
 GATE_LOW = 75.0 * DEG  # and where it does not
 LOST = 4
+SEEN = 2.0  # periods after which an edge is seen at the latest
 R_WEIGHT = 0.7  # weight up to which R_s is learned: psi_f matters more above
 BAND_R = 0.1  # of R_s, its error once learned; three times that before the second edge
 BAND_V = 0.06  # V, other errors of the back-EMF's size
@@ -215,17 +216,18 @@ def _between_edges(
         omega = min(max(omega, e_q / params.psi_f - band), e_q / params.psi_f + band)
         if e_q * omega < 0.0:
             omega *= 1.0 - params.T_s / TAU_OPPOSED
-    overdue = state.passed == 2 and abs(omega) * age >= 2.0 * state.half
+    since = max(age - SEEN * params.T_s, params.T_s)
+    overdue = state.passed == 2 and abs(omega) * since >= 2.0 * state.half
     if overdue:
-        omega = math.copysign(2.0 * state.half / age, omega)
+        omega = math.copysign(2.0 * state.half / since, omega)
     x = wrap(theta - state.middle)
     if abs(omega) < params.omega_off:
         x += params.T_s * (omega - 4.0 * x / params.timeout)
     elif overdue:
-        x -= x * params.T_s / age
+        x -= x * params.T_s / since
     else:
         x += params.T_s * omega
-    return state.middle + clip(x, state.half), omega
+    return state.middle + clip(x, state.half + SEEN * params.T_s * abs(omega)), omega
 
 
 @kernel
