@@ -27,7 +27,10 @@ OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
 """Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
 CHECKED = {
     f"{what}_{entry.short}": (entry.name, what) for entry in CATALOGUE.values() for what in ("theta", "omega")
-} | {name: ("vector_tracking", name) for name in ("delta_hat", "e_alpha", "e_beta")}
+} | {
+    **{name: ("vector_tracking", name) for name in ("delta_hat", "e_alpha", "e_beta")},
+    "sensors_le": ("learned_edges", "sensors"),
+}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]

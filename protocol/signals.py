@@ -164,6 +164,7 @@ class AngleSource(IntEnum):
     HALL_VECTOR_DECOUPLED = 7
     PROGRAMMABLE_FILTER = 8
     VECTOR_TRACKING_Q15 = 9
+    LEARNED_EDGES = 10
 
 
 SHORT = {
@@ -177,6 +178,7 @@ SHORT = {
     AngleSource.HALL_VECTOR_DECOUPLED: "hvd",
     AngleSource.PROGRAMMABLE_FILTER: "plf",
     AngleSource.VECTOR_TRACKING_Q15: "q15",
+    AngleSource.LEARNED_EDGES: "le",
 }
 """What channels call an angle source: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
 
@@ -255,6 +257,16 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     *_estimate(35, "hvd", "the same, harmonics decoupled [17]"),
     *_estimate(37, "plf", "rotor flux by the programmable filter [18]"),
     *_estimate(39, "q15", "vector tracking in 16-bit integers"),
+    *_estimate(41, "le", "back-EMF and learned Hall edges"),
+    _channel(
+        43,
+        "sensors_le",
+        Unit.NONE,
+        1.0,
+        "Hall sensors by the learned edges: bits 0-2 a, b, c not believed, bits 3-5 moved",
+        Flag.ON_REQUEST,
+        RawType.U8,
+    ),
 )
 
 LOAD_CHANNELS: tuple[Signal, ...] = (

@@ -14,7 +14,7 @@ from bench.cli.target import TARGET
 
 OBSERVERS = [
     "encoder", "average-speed", "vector-tracking", "load-angle", "zeroth-order", "lookup-table", "hall-vector",
-    "hall-vector-decoupled", "programmable-filter", "vector-tracking-q15",
+    "hall-vector-decoupled", "programmable-filter", "vector-tracking-q15", "learned-edges",
 ]  # fmt: skip
 
 

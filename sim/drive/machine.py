@@ -35,7 +35,7 @@ OBSERVED_BY = {
     channel.id: 1 << source - 1
     for source, short in SHORT.items()
     for channel in DRIVE_CHANNELS
-    if source and channel.name in (f"theta_{short}", f"omega_{short}")
+    if source and channel.name in (f"theta_{short}", f"omega_{short}", f"sensors_{short}")
 }
 """Bit of the observer, as `bank.Params.active` counts them, by the id of a channel that carries its estimate."""
 SHOWN = 0.98  # of the largest speed that the Hall sensors show

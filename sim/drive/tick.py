@@ -382,6 +382,9 @@ def advance(
         row["omega_plf"] = clipped(estimate.omega[7] * PER_RAD_PER_S)
         row["theta_q15"] = angle(estimate.theta[8])
         row["omega_q15"] = clipped(estimate.omega[8] * PER_RAD_PER_S)
+        row["theta_le"] = angle(estimate.theta[9])
+        row["omega_le"] = clipped(estimate.omega[9] * PER_RAD_PER_S)
+        row["sensors_le"] = estimate.sensors
         row["delta_hat"] = angle(estimate.delta_hat)
         row["e_alpha"] = clipped(estimate.e_alpha * PER_UNIT)
         row["e_beta"] = clipped(estimate.e_beta * PER_UNIT)

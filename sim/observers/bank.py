@@ -19,6 +19,7 @@ from sim.numba_cache import jit, kernel
 from sim.observers import (
     hall_vector,
     hall_vector_decoupled,
+    learned_edges,
     load_angle,
     lookup_table,
     programmable_filter,
@@ -53,6 +54,7 @@ class Params(NamedTuple):
     hall_vector_decoupled: hall_vector_decoupled.Params
     programmable_filter: programmable_filter.Params
     vector_tracking_q15: vector_tracking_q15.Params
+    learned_edges: learned_edges.Params
 
 
 class State(NamedTuple):
@@ -67,6 +69,7 @@ class State(NamedTuple):
     hall_vector_decoupled: hall_vector_decoupled.State
     programmable_filter: programmable_filter.State
     vector_tracking_q15: vector_tracking_q15.State
+    learned_edges: learned_edges.State
 
 
 class BankEstimate(NamedTuple):
@@ -80,6 +83,7 @@ class BankEstimate(NamedTuple):
     correction_on: int  # 1: the correction is at work
     sector: int  # 0..5, -1: not known yet
     injection_sync: int  # 1: the test sine begins a turn at this sample
+    sensors: int  # what the learned-edge observer thinks of the Hall sensors
 
 
 class BankEstimates(NamedTuple):
@@ -93,6 +97,7 @@ class BankEstimates(NamedTuple):
     correction_on: NDArray[np.int64]
     sector: NDArray[np.int64]
     injection_sync: NDArray[np.int64]
+    sensors: NDArray[np.int64]
 
     def column(self, name: str) -> NDArray[np.float64]:
         """The column of a channel, shape (n,): such as "theta_vt", "omega_avg", "delta_hat"."""
@@ -124,6 +129,7 @@ def make_params(
         own["hall_vector_decoupled"],
         own["programmable_filter"],
         own["vector_tracking_q15"],
+        own["learned_edges"],
     )
 
 
@@ -140,6 +146,7 @@ def init() -> State:
         hall_vector_decoupled.init(),
         programmable_filter.init(),
         vector_tracking_q15.init(),
+        learned_edges.init(),
     )
 
 
@@ -219,6 +226,13 @@ def step(
     if params.active & 256 != 0:
         q15_state, q15 = vector_tracking_q15.step(params.vector_tracking_q15, state.vector_tracking_q15, seen)
         q15_theta, q15_omega = q15.theta, q15.omega
+    le_state = learned_edges.init()
+    le_theta = le_omega = 0.0
+    sensors = 0
+    if params.active & 512 != 0:
+        le_state, le = learned_edges.step(params.learned_edges, state.learned_edges, seen)
+        le_theta, le_omega = le.theta, le.omega
+        sensors = le.sensors
     state = State(
         front,
         vt_state,
@@ -229,6 +243,7 @@ def step(
         hvd_state,
         plf_state,
         q15_state,
+        le_state,
     )
     return state, BankEstimate(
         (
@@ -241,6 +256,7 @@ def step(
             hvd_theta,
             plf_theta,
             q15_theta,
+            le_theta,
         ),
         (
             seen.hall.omega,
@@ -252,6 +268,7 @@ def step(
             hvd_omega,
             plf_omega,
             q15_omega,
+            le_omega,
         ),
         vt.delta_hat,
         vt.e_alpha,
@@ -259,6 +276,7 @@ def step(
         vt.on,
         seen.hall.sector,
         vt.sync,
+        sensors,
     )
 
 
@@ -291,6 +309,7 @@ def run(
         np.empty(n, np.float64),
         np.empty(n, np.float64),
         np.empty(n, np.float64),
+        np.empty(n, np.int64),
         np.empty(n, np.int64),
         np.empty(n, np.int64),
         np.empty(n, np.int64),
@@ -328,4 +347,5 @@ def run(
         out.correction_on[k] = estimate.correction_on
         out.sector[k] = estimate.sector
         out.injection_sync[k] = estimate.injection_sync
+        out.sensors[k] = estimate.sensors
     return state, out

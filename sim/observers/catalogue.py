@@ -18,6 +18,7 @@ from sim.observers import (
     average_speed,
     hall_vector,
     hall_vector_decoupled,
+    learned_edges,
     load_angle,
     lookup_table,
     programmable_filter,
@@ -39,6 +40,8 @@ DEFAULTS: Mapping[str, float] = {
     "k_pc": 0.0,  # rad/A
     "k_ic": 11.0,  # rad/(A s)
     "literal_sgn": 0.0,
+    "bw_hall_vector": 10.0,  # Hz
+    "learn_edges": 1.0,
 }
 """What a parameter is where a drive has none of that name: the values of the simulated drive. Motor data have none."""
 
@@ -120,6 +123,7 @@ _ENTRIES = (
     _of(hall_vector_decoupled, "hvd", "[17]: Harke et al. 2008"),
     _of(programmable_filter, "plf", "[18]: Karanayil et al. 2004"),
     _of(vector_tracking_q15, "q15", f"(3)-(10) of {_KIM}, in 16-bit integers"),
+    _of(learned_edges, "le", "docs/learned-edges.md"),
 )
 
 CATALOGUE: dict[str, Entry] = {entry.name: entry for entry in _ENTRIES}

@@ -13,9 +13,9 @@ from virtual_run import WatchedLink, run, simulated
 from bench.errors import BenchError
 from bench.estimators import CHECKED, Estimators, HostObservers
 from bench.rerunio.recording import read_run
-from protocol.signals import AngleSource, Injection, Status
+from protocol.signals import SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
-from sim.observers import bank, vector_tracking
+from sim.observers import vector_tracking
 from sim.observers.catalogue import CATALOGUE, DEFAULTS
 
 
@@ -100,10 +100,10 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
 
 
-def test_the_catalogues_observers_are_those_of_the_bank_bit_for_bit(drive_run: Path) -> None:
+def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run: Path) -> None:
     recorded = read_run(drive_run)
     info, samples, edges = recorded.info, recorded.samples, recorded.edges
-    whole = HostObservers(info.parameters, info.tick_hz, info.pwm_hz)
+    whole = HostObservers(info.parameters, info.tick_hz, info.pwm_hz, CHECKED)
     whole.edges(edges)
     expected, valid = whole.samples(samples)
     estimators = Estimators(tuple(CATALOGUE), info.parameters, info.tick_hz, info.pwm_hz)
@@ -118,15 +118,16 @@ def test_the_catalogues_observers_are_those_of_the_bank_bit_for_bit(drive_run: P
             pieces.append(estimators.samples(piece))
     assert valid.sum() > 30_000
     assert estimators.steps == len(samples)
-    for k, name in enumerate(tuple(CATALOGUE)):
-        for what, bits in (("theta", expected.theta[k]), ("omega", expected.omega[k])):
+    for name, entry in CATALOGUE.items():
+        for what in ("theta", "omega"):
+            bits = expected[f"{what}_{entry.short}"]
             found = np.concatenate([getattr(piece[name], what) for piece in pieces])
             assert np.array_equal(found[valid].view(np.int64), bits[valid].view(np.int64)), (name, what)
 
 
 def test_the_catalogue_is_consistent() -> None:
-    assert set(tuple(CATALOGUE)) <= set(CATALOGUE)
-    assert [CATALOGUE[name].short for name in tuple(CATALOGUE)] == list(bank.SHORT)
+    assert [name.upper() for name in CATALOGUE] == [source.name for source in AngleSource if source]
+    assert [entry.short for entry in CATALOGUE.values()] == [SHORT[source] for source in AngleSource if source]
     assert len({entry.short for entry in CATALOGUE.values()}) == len(CATALOGUE)
     for name, entry in CATALOGUE.items():
         assert entry.name == name
@@ -138,7 +139,7 @@ def test_defaults_are_those_of_the_simulated_drive() -> None:
     parameters = Bench(WatchedLink(simulated())).drive.parameters()
     for name, value in DEFAULTS.items():
         assert value == pytest.approx(parameters[name], rel=1e-6), name
-    motor = {name: parameters[name] for name in ("n_p", "omega_m_max", "R_s_hat", "L_s_hat", "psi_f_hat")}
+    motor = {name: parameters[name] for name in ("n_p", "omega_m_max", "R_s_hat", "L_s_hat", "psi_f_hat", "J_hat")}
     parameters |= {"inject_amplitude": 0.0, "inject_hz": 0.0}  # nothing is injected, whatever they are
     for entry in CATALOGUE.values():
         assert entry.make_params(16_000.0, motor) == entry.make_params(16_000.0, parameters), entry.name

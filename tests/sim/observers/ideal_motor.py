@@ -45,7 +45,8 @@ DRIVE = {
     "inject_amplitude": 0.0,
     "inject_hz": 0.0,
     "J_hat": 2.0e-4,
-    "bw_hall_vector": 8.0,
+    "bw_hall_vector": 10.0,
+    "learn_edges": 1.0,
     **{f"edge_{way}_{s}": 0.0 for way in ("up", "down") for s in range(1, 7)},
 }
 

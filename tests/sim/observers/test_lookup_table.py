@@ -204,8 +204,9 @@ def test_a_table_that_leaves_a_sector_no_width():
         assert out.omega[settled].max() == pytest.approx(rpm(500) * (60 + offset) / 60, rel=1e-3)
 
 
-def test_a_missing_entry_is_named():
+def test_an_entry_that_is_not_given_is_that_of_an_ideal_sensor():
     entries = table()
     del entries["edge_down_4"]
-    with pytest.raises(KeyError, match="edge_down_4"):
-        lookup_table.make_params(PWM_HZ, **LIMITS, **entries)
+    params = lookup_table.make_params(PWM_HZ, **LIMITS, **entries)
+    assert params.down[3] == pytest.approx(np.pi)
+    assert params.down[2] != pytest.approx(2 * np.pi / 3)
