@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 import numpy as np
 
 from bench.acceptance.capture import F64, Capture
+from bench.acceptance.plots.transients import Transient
 from bench.acceptance.waveforms import thd_by_angle
 from bench.energise import RPM
 
@@ -22,12 +23,12 @@ Measure = Callable[..., bool]
 Figure = Callable[..., None]
 """What the fixtures `measure` and `figure` give."""
 
-AVERAGE, PROPOSED = "average-speed", "vector-tracking"
-"""The paper's two approaches, as the drive calls them."""
-WORDS = {AVERAGE: "average", PROPOSED: "proposed"}
+AVERAGE, PROPOSED, LEARNED = "average-speed", "vector-tracking", "learned-edges"
+"""The paper's two approaches, and what goes past them, as the drive calls them."""
+WORDS = {AVERAGE: "average", PROPOSED: "proposed", LEARNED: "learned"}
 """The same in names of measurements."""
-THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt"}
-OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt"}
+THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt", LEARNED: "theta_le"}
+OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt", LEARNED: "omega_le"}
 
 
 Arguments = ParamSpec("Arguments")
@@ -99,6 +100,11 @@ class After(NamedTuple):
         if last is None:
             return whole_turns(self.capture.between(self.start + first, self.capture.span[1]))
         return self.capture.between(self.start + first, self.start + last)
+
+
+def shown(after: After, observer: str) -> Transient:
+    """What the figures of transients draw."""
+    return Transient(after.capture, after.start, THETA[observer], OMEGA[observer])
 
 
 def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: float = 5.0) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import SPEED, Load, NodeLoad, OwnLoad
-from bench.acceptance.plots.transients import LoadAngle, Transient, draw_load_angle, draw_transient
+from bench.acceptance.plots.transients import LoadAngle, draw_load_angle, draw_transient
 from bench.acceptance.suite.common import (
     AVERAGE,
     OMEGA,
@@ -27,6 +27,7 @@ from bench.acceptance.suite.common import (
     ripple,
     rpm,
     settle,
+    shown,
     speed_error,
     whole_turns,
 )
@@ -84,11 +85,6 @@ def measure_step(measure: Measure, run: After, before: float, after: float) -> N
 
     measure("proposed.rise", 1e3 * or_nan(lambda: response().rise), whole)
     measure("proposed.overshoot", 100 * or_nan(lambda: response().overshoot), whole)
-
-
-def shown(after: After, observer: str) -> Transient:
-    """What the figures draw."""
-    return Transient(after.capture, after.start, THETA[observer], OMEGA[observer])
 
 
 PHASES = {

@@ -1,0 +1,44 @@
+"""Errors of an observer over speed, one curve a load, with another observer's dashed behind. Nothing here measures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+from bench.acceptance.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
+
+MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
+
+
+class Panel(NamedTuple):
+    """One plot: (m, n) values of m loads at n speeds."""
+
+    title: str
+    name: str
+    unit: str
+    values: Sequence[Sequence[float]]
+    others: Sequence[Sequence[float]]
+    limit: float  # drawn as a line
+
+
+def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequence[Panel]) -> Figure:
+    """The panels side by side, both axes logarithmic; `speeds` (n,) in r/min, `loads` (m,) by name."""
+    figure, axes = new_figure(1, len(panels), height=3.2)
+    for ax, panel in zip(axes, panels, strict=True):
+        for (hue, mark), name, mine, others in zip(MARKS, loads, panel.values, panel.others, strict=False):
+            ax.plot(speeds, others, "--", color=hue, linewidth=LINE_WIDTH, alpha=0.6)
+            ax.plot(speeds, mine, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=name)
+        ax.axhline(panel.limit, color="0.4", linewidth=0.8, linestyle=":")
+        ax.set(xscale="log", yscale="log", xticks=list(speeds))
+        ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        axis_labels(ax, f"{panel.title} Mechanical speed", panel.name, "r/min", panel.unit)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
+    return figure
