@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
@@ -32,7 +33,7 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequenc
             ax.plot(speeds, others, "--", color=hue, linewidth=LINE_WIDTH, alpha=0.6)
             ax.plot(speeds, mine, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=name)
         ax.axhline(panel.limit, color="0.4", linewidth=0.8, linestyle=":")
-        ax.set(xscale="log", yscale="log", xticks=list(speeds))
+        ax.set(xscale="log", yscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
         ax.xaxis.set_minor_formatter(NullFormatter())
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -42,3 +43,8 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequenc
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
     return figure
+
+
+def _labelled(speeds: Sequence[float]) -> list[float]:
+    """The speeds that are far enough from the next for their labels."""
+    return [a for a, b in pairwise(speeds) if b >= 1.6 * a] + [speeds[-1]]

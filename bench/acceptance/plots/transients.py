@@ -53,13 +53,20 @@ class LoadAngle(NamedTuple):
     compensated: Transient
 
 
-def draw_transient(average: Transient, proposed: Transient, first: float, last: float, degrees: float) -> Figure:
-    """Estimated and actual speed, position error and currents of both approaches, (a) and (b), as in Figs. 9 to 11.
+def draw_transient(
+    one: Transient,
+    other: Transient,
+    first: float,
+    last: float,
+    degrees: float,
+    names: tuple[str, str] = ("average speed", "proposed"),
+) -> Figure:
+    """Estimated and actual speed, position error and currents of two approaches, (a) and (b), as in Figs. 9 to 11.
 
-    `first`, `last`: what is shown, in s from the start. `degrees`: range of the position error, plus and minus.
+    `names`: of the approaches. `first`, `last`: what is shown, in s from the start. `degrees`: range of the position error, plus and minus.
     """
     figure, axes = style.new_figure(3, 2, height=5.2)
-    for column, (transient, words) in enumerate(((average, "(a) average speed"), (proposed, "(b) proposed"))):
+    for column, (transient, words) in enumerate(((one, f"(a) {names[0]}"), (other, f"(b) {names[1]}"))):
         part = transient.between(first, last)
         t = part.t()
         speed, error, current = axes[column::2]

@@ -169,7 +169,14 @@ def test_learned_edges_transients(
         "learned_edges_speed_step",
         "Speed step, 500 to 1000 r/min, near no load, learned edges in the loop. "
         "(a) Estimate of the paper's observer on the same samples. (b) Learned edges.",
-        lambda: draw_transient(shown(begin, PROPOSED), shown(begin, LEARNED), -0.05, 0.2, 12),
+        lambda: draw_transient(
+            shown(begin, PROPOSED),
+            shown(begin, LEARNED),
+            -0.05,
+            0.2,
+            12,
+            ("proposed, not in the loop", "learned edges"),
+        ),
     )
 
 
