@@ -18,6 +18,7 @@ from bench.errors import BenchError, Interrupted
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
+    "hall": "Hall sensors: check their health, learn where their edges lie.",
     "replay": "Run observers again on a recording, beside the drive's own.",
     "score": "Score position observers on recordings: errors, lag, cost, ranked.",
     "sim": "Run the simulated drive on its own, behind a pty, TCP or CAN.",

@@ -1,0 +1,181 @@
+"""`bench hall`: are the Hall sensors healthy, and where do their edges lie?"""
+
+from __future__ import annotations
+
+import glob
+import json
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from bench.cli.number import Number
+from bench.cli.target import TargetType
+
+if TYPE_CHECKING:
+    from bench.cli.output import Progress
+    from bench.hall.health import Health
+    from bench.hall.source import Options, Source
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+class _SourceType(TargetType):
+    """A target or a recording."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Targets, and the recordings that are there."""
+        runs = sorted(glob.glob(glob.escape(incomplete) + "*.rrd"))
+        return [*super().shell_complete(ctx, param, incomplete), *map(CompletionItem, runs)]
+
+
+def _looking(function: Callable[..., None]) -> Callable[..., None]:
+    """The argument and the options that both commands have."""
+    for decorate in reversed((
+        click.argument("source", metavar="TARGET|RUN", type=_SourceType()),
+        click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=240.0, show_default=True,
+                     help="Highest speed at which the shaft turns both ways, r/min."),
+        click.option("--current", "current_a", metavar="A", type=Number(above=0), default=2.0, show_default=True,
+                     help="Largest phase current, A, peak."),
+        click.option("--passive", "--no-spin", "passive", is_flag=True,
+                     help="Energise nothing: the shaft is turned by hand."),
+        click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
+                     help="With --passive: watch for S seconds at most."),
+        click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
+        click.option("--save", metavar="FILE", type=_FILE, help="Record to this .rrd."),
+        click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists."),
+        click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+                     help="Figures of the simulated drive (TOML)."),
+        click.option("--json", "json_file", metavar="FILE", type=click.File("w", lazy=False),
+                     help="Write everything as JSON; - is standard output."),
+    )):  # fmt: skip
+        function = decorate(function)
+    return function
+
+
+@click.group("hall")
+def command() -> None:
+    """Hall sensors: check their health, learn where their edges lie.
+
+    \b
+    Examples:
+      bench hall check sim
+      bench hall learn sim --write
+    """
+
+
+@command.command("check")
+@_looking
+def check(source: str, json_file: IO[str] | None, **given: Any) -> None:
+    """Find out whether the Hall sensors, their wires and the encoder are healthy, and what is wrong.
+
+    TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time. Its
+    motor turns slowly both ways, by the encoder where there is one, at no more than --speed and --current; a drive that
+    trips meanwhile is recorded all the same. RUN: a recording (.rrd) in which the shaft turned both ways.
+
+    Exit codes: 0 healthy, 1 a fault was found, 2 cannot tell, or an error.
+
+    \b
+    Examples:
+      bench hall check serial:/dev/ttyACM0
+      bench hall check tcp:192.168.0.7:7000 --passive
+      bench hall check run.rrd --json health.json
+    """
+    from bench.cli.output import Progress
+
+    with Progress() as screen, _opened(_options(source, given), screen) as found:
+        health = _show(source, found, json_file, screen)
+    sys.exit(int(health.outcome))
+
+
+@command.command("learn")
+@_looking
+@click.option("--write", is_flag=True, help="Set the drive's parameters edge_up_1 … edge_down_6, and read them back.")
+@click.option("--out", metavar="FILE", type=_FILE, help="Write the edges to this .toml or .json, for a firmware.")
+def learn(source: str, json_file: IO[str] | None, write: bool, out: Path | None, **given: Any) -> None:
+    """Measure where the Hall edges lie, for observers that know them; refused where a check finds a fault.
+
+    TARGET and RUN are those of bench hall check. Without --write and --out the edges are only shown. A drive keeps what
+    was written until it is switched off.
+
+    \b
+    Examples:
+      bench hall learn serial:/dev/ttyACM0 --yes --write
+      bench hall learn run.rrd --out edges.toml
+    """
+    from bench.cli.output import Progress
+    from bench.hall import learn as learning
+
+    if out is not None:
+        learning.check_suffix(out)
+    options = _options(source, given)
+    if write and options.recorded:
+        raise click.UsageError(f"--write needs a drive, and {source} is a recording: give --out FILE")
+    with Progress() as screen, _opened(options, screen) as found:
+        edges = learning.learnt(_show(source, found, json_file, screen))
+        if out is not None:
+            learning.save(out, edges)
+            click.echo(f"edges: {out}")
+        if write and found.drive is not None:
+            learning.write(found.drive, edges)
+            click.echo(f"written to node {found.drive.number} and read back: {', '.join(_ends(edges.parameters()))}")
+
+
+def _ends(parameters: dict[str, float]) -> list[str]:
+    return [f"{name} = {value:+.4f} rad" for name, value in parameters.items()][:: len(parameters) - 1]
+
+
+def _options(source: str, given: dict[str, Any]) -> Options:
+    from bench.hall.source import Options
+
+    options = Options(source, **given)
+    if options.config is not None and source != "sim":
+        raise click.UsageError(f"--config is for the simulated drive, not for {source}")
+    if options.recorded and (options.save is not None or options.passive):
+        raise click.UsageError(f"{source} is a recording: --save and --passive are for a drive")
+    return options
+
+
+def _opened(options: Options, screen: Progress) -> AbstractContextManager[Source]:
+    from bench.hall.source import opened
+
+    def ask(question: str) -> bool:
+        screen.pause()
+        sure = click.confirm(question, err=True)
+        screen.resume()
+        return sure
+
+    return opened(options, screen, ask if sys.stdin.isatty() else None)
+
+
+def _show(source: str, found: Source, json_file: IO[str] | None, screen: Progress) -> Health:
+    """Examine what was recorded; print it, or write it as JSON."""
+    from bench.cli.output import pairs, table
+    from bench.hall import report
+    from bench.hall.health import examine
+    from bench.hall.trace import trace
+
+    looked_at = trace(found.turned.capture)
+    health = examine(looked_at)
+    screen.pause()
+    if json_file is not None:
+        json.dump(report.as_json(health, looked_at, found.turned, source), json_file, indent=2)
+        json_file.write("\n")
+        if json_file.name == "<stdout>":
+            return health
+    pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
+    click.echo()
+    table(report.EDGE_HEADERS, report.edge_rows(health.measured), report.EDGE_TITLE)
+    click.echo()
+    table(report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds))
+    if rows := report.current_rows(health):
+        click.echo()
+        table(report.CURRENT_HEADERS, rows)
+    click.echo()
+    for line in report.verdict_lines(health, found.turned.remarks):
+        click.echo(line)
+    return health

@@ -1,0 +1,372 @@
+"""One kind of fault each: from measurements to findings, causes in words with the evidence for them.
+
+Thresholds are wide enough for the paper's motor, one of whose sensors stands 6.4 deg off. What is looked at first, and
+what a finding makes of the rest, is `bench.hall.health`'s to say.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.acceptance.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
+from bench.hall import edges, reference
+from bench.hall.edges import OPENS, Measured
+from bench.hall.pulses import Pulses
+from bench.hall.reference import BackEmf, Turns
+from bench.hall.trace import INPUTS, SLOW, Floats, Trace
+from bench.statistics import wrap
+
+STILL = 0.01
+"""Share of time, and of the changes of the others, in which an input that never changes may have changed."""
+DISPLACED = math.radians(8.0)
+"""Off its place, from which on a sensor is displaced, or the encoder's zero off."""
+SCATTER = math.radians(2.0)
+"""Jitter from which on an edge is unsteady."""
+PULSES, PULSE_RATE = 3, 0.1
+"""False pulses, in all and in a second, that are a fault."""
+IMPLAUSIBLE = 0.005
+"""Share of edges to an illegal code or over a sector, beyond which a wiring that is right does not explain them."""
+SAME, OTHER = 0.9, 0.95
+"""How well edges repeat with the pole pairs that are right, at least (0..1); with others, to be believed."""
+SHIFTS = 72
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong."""
+
+    code: str
+    """For scripts: dead, pole_pairs, encoder_zero, encoder_reversed, encoder_slips, wiring, displaced, ring, duty,
+    unsteady, pulses, implausible."""
+    cause: str
+    evidence: tuple[str, ...]
+    advice: str
+
+
+@dataclass(frozen=True)
+class Codes:
+    """Codes and edges that no rotor makes, false pulses taken out."""
+
+    illegal_samples: int
+    """Samples with the code 000 or 111, those within false pulses too."""
+    samples: int
+    illegal: int
+    """Edges to or from 000 or 111."""
+    skipped: int
+    """Edges over a sector, between legal codes."""
+    edges: int
+
+
+def dead(trace: Trace, turns: Turns) -> list[Finding]:
+    """Inputs that never change while others, or the encoder, tell that the shaft turns."""
+    found = []
+    changed = trace.edges.old ^ trace.edges.new
+    changes = [int(np.count_nonzero(changed >> number & 1)) for number in range(len(INPUTS))]
+    told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
+    for number, name in enumerate(INPUTS):
+        high = trace.hall >> number & 1
+        if changes[number] > STILL * max(*changes, 1) or STILL < high.mean() < 1.0 - STILL:
+            continue
+        level = round(float(high.mean()))
+        found.append(
+            Finding(
+                "dead",
+                f"sensor {name} open (always 1)" if level else f"sensor {name} shorted (always 0)",
+                (
+                    f"input {name} reads {level} in {_percent(np.mean(high == level))} of {len(high)} samples, over "
+                    f"{turns.total:.1f} electrical turns",
+                    f"changes of the inputs: {told}",
+                ),
+                f"measure the wire of sensor {name}, its supply and its pull-up"
+                if level
+                else f"look for a short from the wire of sensor {name} to ground, or a dead sensor",
+            )
+        )
+    return found
+
+
+def inverted_by_codes(trace: Trace) -> list[Finding]:
+    """An inverted input makes 000 and 111 of two codes, which then never come."""
+    counts = np.bincount(trace.edges.new, minlength=8)
+    if min(counts[0], counts[7]) < 0.1 * len(trace.edges.new):
+        return []
+    for number, name in enumerate(INPUTS):
+        alone = 1 << number
+        if counts[alone] + counts[7 - alone] == 0:
+            return [
+                Finding(
+                    "wiring",
+                    f"sensor {name} inverted",
+                    (
+                        f"{counts[0]} edges to 000 and {counts[7]} to 111 of {len(trace.edges.new)}, "
+                        f"none to {alone:03b} or {7 - alone:03b} (c b a)",
+                    ),
+                    f"correct the polarity of sensor {name}",
+                )
+            ]
+    return []
+
+
+def pole_pairs(trace: Trace, turns: Turns) -> list[Finding]:
+    """Edges that do not repeat with the encoder's angle."""
+    n_p = turns.n_p
+    if n_p is None or not math.isfinite(turns.ratio):
+        return []
+    as_assumed = reference.repeats(trace.edges, 1.0)
+    if as_assumed >= SAME:
+        return []
+    measured = n_p * turns.ratio
+    near = range(max(1, math.floor(0.9 * measured - 1.0)), math.ceil(1.1 * measured + 1.0) + 1)
+    fits = {n: reference.repeats(trace.edges, n / n_p) for n in near}
+    best = max(fits, key=fits.__getitem__)
+    counted = (
+        f"{turns.by_hall:.1f} electrical turns by the Hall inputs, {turns.total:.1f} by the encoder with n_p = {n_p}: "
+        f"{n_p} x {turns.ratio:.3f} = {measured:.2f} pole pairs"
+    )
+    if best != n_p and fits[best] >= OTHER:
+        return [
+            Finding(
+                "pole_pairs",
+                f"wrong number of pole pairs: {n_p} in the drive, {best} would fit",
+                (
+                    counted,
+                    f"edges repeat to {_scatter(fits[best])} with {best} pole pairs, "
+                    f"to {_scatter(as_assumed)} with {n_p}",
+                ),
+                f"set the drive's parameter n_p to {best}, then check again: edges and wiring can be told only then",
+            )
+        ]
+    return [
+        Finding(
+            "encoder_slips",
+            "the encoder does not follow the shaft: the edges repeat with no number of pole pairs",
+            (counted, f"edges repeat to {_scatter(fits[best])} at best, with {best} pole pairs"),
+            "look for a coupling that slips, lost counts, and a wrong number of lines",
+        )
+    ]
+
+
+def encoder(emf: BackEmf | None) -> list[Finding]:
+    """Zero and direction of the encoder, where the back-EMF tells."""
+    if emf is None:
+        return []
+    evidence = (
+        f"by the back-EMF of {emf.n} samples, of which {_percent(emf.clear)} stands still in that frame"
+        + ("" if math.isnan(emf.spread) else f"; up and down agree to {_deg(emf.spread, 2)}"),
+    )
+    if emf.reversed:
+        return [
+            Finding(
+                "encoder_reversed",
+                "the encoder counts backwards",
+                (f"theta_enc falls when the rotor flux turns up; their sum is {_deg(emf.zero)}", *evidence),
+                "exchange the encoder's tracks A and B, or its direction in the firmware; then check again",
+            )
+        ]
+    if abs(emf.zero) > DISPLACED:
+        return [
+            Finding(
+                "encoder_zero",
+                f"the encoder's zero is {_deg(emf.zero)} off",
+                (f"theta_enc is {_deg(emf.zero)} ahead of the rotor flux", *evidence),
+                "align the encoder's zero with the rotor flux, then check again: edges are measured by it",
+            )
+        ]
+    return []
+
+
+def wires(trace: Trace, theta: Floats, wiring: Diagnosis, zero_known: bool) -> list[Finding]:
+    """A wiring that is not as specified."""
+    if wiring.best == AS_SPECIFIED:
+        return []
+    next_best = f"{wiring.runner_up}, explains {_percent(wiring.runner_up_share)}"
+    if wiring.best != NONE_KNOWN:
+        evidence = [f"explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
+        if not zero_known and "rotated" in wiring.best:
+            evidence.append("an encoder whose zero is 120 deg off looks alike: no back-EMF was recorded to tell")
+        return [
+            Finding("wiring", wiring.best, tuple(evidence), "connect the sensors as specified: a, b, c in that order")
+        ]
+    nearest = f"the nearest of the known wirings, {next_best} of {wiring.n} samples"
+    moving = np.abs(np.asarray(trace.omega)) >= SLOW
+    for backwards in (False, True):
+        shift, fit = _best_shift(-theta if backwards else theta, trace, moving)
+        if fit is None:
+            continue
+        explained = f"turned by {_deg(shift)} the specified wiring explains {_percent(fit.share)} of {fit.n} samples"
+        if backwards:
+            return [
+                Finding(
+                    "encoder_reversed",
+                    "the encoder counts backwards, or two Hall wires are exchanged and the sensors turned",
+                    (explained + " to an encoder that counts backwards", nearest),
+                    "let the drive turn the motor, so that the back-EMF can tell; see to the encoder's direction first",
+                )
+            ]
+        words = (
+            f"all Hall sensors are displaced by {_deg(shift)} together"
+            if zero_known
+            else f"the encoder's zero is {_deg(shift)} off, or all Hall sensors are displaced by so much together"
+        )
+        return [
+            Finding(
+                "ring" if zero_known else "encoder_zero",
+                words,
+                (explained, nearest),
+                "turn the ring of the sensors"
+                if zero_known
+                else "let the drive turn the motor: its back-EMF tells which",
+            )
+        ]
+    return [
+        Finding(
+            "wiring",
+            "the Hall codes fit no single fault of the wiring",
+            (nearest,),
+            "two faults at once, or a contact that comes and goes: check wire by wire, then check again",
+        )
+    ]
+
+
+def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
+    """Sensors that stand off their places, and edges that do not stand still; the wiring is as specified."""
+    zero = emf.zero if emf is not None and abs(emf.zero) > DISPLACED else 0.0
+    deltas = [edge.mean_delta + zero for edge in measured.edges]
+    pairs = [[OPENS.index((number, rises)) for rises in (True, False)] for number in range(len(INPUTS))]
+    off = [float(edges.mean_angle(wrap(np.array([deltas[s] for s in pair])))) for pair in pairs]
+    found = []
+    common = float(np.median(off))
+    if abs(common) > DISPLACED:
+        found.append(
+            Finding(
+                "ring" if emf is not None else "encoder_zero",
+                f"all Hall sensors are displaced by {_deg(-common)} together"
+                + ("" if emf is not None else ", or the encoder's zero is off by so much"),
+                (_all_deltas(measured),),
+                "turn the ring of the sensors, or align the encoder",
+            )
+        )
+    else:
+        common = 0.0
+    for number, name in enumerate(INPUTS):
+        rise, fall = pairs[number]
+        numbers = " and ".join(_roman(s) for s in sorted((rise, fall)))
+        evidence = (
+            f"edges that open {numbers} lie {_deg(-deltas[min(rise, fall)])} and {_deg(-deltas[max(rise, fall)])} from "
+            f"their places (95 % to {_deg(_widest(measured, (rise, fall)), 2)})",
+        )
+        if abs(off[number] - common) > DISPLACED:
+            found.append(
+                Finding(
+                    "displaced",
+                    f"sensor {name} is displaced by {_deg(common - off[number])} (edges {numbers})",
+                    evidence,
+                    f"move sensor {name}; or let an observer learn the edges",
+                )
+            )
+        uneven = float(wrap(np.array([deltas[rise] - deltas[fall]]))[0]) / 2.0
+        if abs(uneven) > DISPLACED:
+            found.append(
+                Finding(
+                    "duty",
+                    f"sensor {name} is 1 over {_percent(measured.duty[number])} of a turn",
+                    evidence,
+                    f"look at the magnet in front of sensor {name}, its distance and its threshold",
+                )
+            )
+    unsteady = [
+        (edge, passages) for edge in measured.edges for passages in (edge.up, edge.down) if passages.jitter > SCATTER
+    ]
+    if unsteady:
+        edge, passages = max(unsteady, key=lambda pair: pair[1].jitter)
+        found.append(
+            Finding(
+                "unsteady",
+                f"{len(unsteady)} of 12 passages scatter by more than {_deg(SCATTER)}",
+                (f"the worst: {edge.name}, {_deg(passages.jitter, 2)} rms over {passages.n} passages",),
+                "look for play between magnet and shaft, a sensor at its threshold, and a noisy supply",
+            )
+        )
+    return found
+
+
+def implausible(codes: Codes, found: Pulses) -> list[Finding]:
+    """Codes that neither the wiring nor false pulses explain."""
+    n = codes.illegal + codes.skipped
+    if n <= max(3.0, IMPLAUSIBLE * codes.edges, 0.2 * found.n):
+        return []
+    return [
+        Finding(
+            "implausible",
+            "a Hall wire makes contact now and then",
+            (f"{codes.illegal} edges with 000 or 111 and {codes.skipped} over a sector, of {codes.edges}",),
+            "move connectors and wires one by one while the shaft turns, and watch the count",
+        )
+    ]
+
+
+def false_pulses(found: Pulses) -> list[Finding]:
+    """Pulses too short for any rotor."""
+    if found.n < PULSES or found.rate < PULSE_RATE:
+        return []
+    evidence = [
+        f"{found.n} pulses of at most {found.widest * 1e6:.1f} us, {found.rate:.3g} a second; "
+        + ", ".join(f"{name} {n}" for name, n in zip(INPUTS, found.by_input, strict=True))
+    ]
+    if found.bins and not math.isnan(found.excess):
+        low, high = found.bins[0], found.bins[-1]
+        evidence.append(
+            ("they come with the current" if found.with_current else "they do not come with the current")
+            + f": {low.rate:.3g} a second at {low.lo:.2f} to {low.hi:.2f} A, {high.rate:.3g} at {high.lo:.2f} to "
+            f"{high.hi:.2f} A ({found.excess:+.1f} standard deviations)"
+        )
+    return [
+        Finding(
+            "pulses",
+            "false pulses on the Hall wires (EMI)",
+            tuple(evidence),
+            "keep the Hall wires away from the phases, shield or twist them, add a filter of some microseconds",
+        )
+    ]
+
+
+def _best_shift(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> tuple[float, Diagnosis | None]:
+    """By which angle (rad) `theta` is ahead of one with which the specified wiring explains the codes."""
+    best: tuple[float, Diagnosis | None] = (0.0, None)
+    few = np.flatnonzero(moving)[:: max(1, np.count_nonzero(moving) // 20_000)]
+    for k in range(SHIFTS):
+        shift = math.tau * k / SHIFTS
+        fit = diagnose(theta[few] - shift, trace.hall[few])
+        if fit.best == AS_SPECIFIED and (best[1] is None or fit.share > best[1].share):
+            best = (float(wrap(np.array([shift]))[0]), fit)
+    return best
+
+
+def _widest(measured: Measured, sectors: tuple[int, int]) -> float:
+    passages = [p for s in sectors for p in (measured.edges[s].up, measured.edges[s].down)]
+    return max((p.half_width for p in passages if not math.isnan(p.half_width)), default=math.nan)
+
+
+def _all_deltas(measured: Measured) -> str:
+    return "edges I to VI lie " + ", ".join(_deg(-edge.mean_delta) for edge in measured.edges) + " from their places"
+
+
+def _scatter(length: float) -> str:
+    """Scatter of angles whose mean unit vector is so long: Mardia and Jupp, Directional Statistics, 2000, (2.3.11)."""
+    return f"{math.degrees(math.sqrt(max(0.0, -2.0 * math.log(max(length, 1e-12))))):.1f} deg"
+
+
+def _roman(sector: int) -> str:
+    return ("I", "II", "III", "IV", "V", "VI")[sector]
+
+
+def _deg(angle: float, places: int = 1) -> str:
+    return f"{math.degrees(angle):.{places}f} deg"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * float(share):.1f} %"

@@ -1,0 +1,198 @@
+"""Where the six edges of the Hall inputs lie, passed upwards and downwards, with confidence.
+
+An edge is named by the input that changes and how: the one that opens sector I is "c falls" to a shaft that turns up,
+and "c rises" to one that turns down; both are one place on the rotor. So every edge is measured whatever the wiring is
+and whichever sensor is dead. Angles are electrical rad by the encoder.
+
+Edges seen late by a constant time lie later the faster the shaft turns. That delay is fitted over all edges, by least
+squares, where they were met at speeds that differ, and the angles are those at standstill. Confidence is that of
+Student's t with the scatter of the passages. Nothing here knows what is right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from bench.acceptance.waveforms.sectors import SECTORS
+from bench.hall.trace import INPUTS, Edges, Floats
+from bench.statistics import wrap
+from sim.observers.hall_speed import SECTOR_WIDTH
+
+CONFIDENCE = 0.95
+SPREAD = 0.1
+"""Of speeds about those of their edge and direction, as a share of them, below which no delay is fitted."""
+FAR = 6.0  # times the scatter,
+LEAST_FAR = math.radians(1.0)  # but at least so far from the median, lies a passage that is left out
+
+OPENS = ((2, False), (1, True), (0, False), (2, True), (1, False), (0, True))
+"""By sector: the input (0..2) that changes where it opens, and whether it rises, to a shaft that turns up."""
+
+
+@dataclass(frozen=True)
+class Passages:
+    """One edge, passed in one direction."""
+
+    angle: float
+    """Mean at standstill, rad in [-pi, pi); NaN for none."""
+    half_width: float
+    """Of the 95 % confidence interval of that mean, rad; NaN for fewer than two."""
+    jitter: float
+    """Standard deviation, what speed and delay explain taken out, rad; NaN for fewer than two."""
+    n: int
+
+
+@dataclass(frozen=True)
+class Edge:
+    """One of the six edges."""
+
+    sector: int
+    """0..5, that it opens when the wiring is as specified."""
+    up: Passages
+    down: Passages
+
+    @property
+    def name(self) -> str:
+        """Such as "c falls", of a shaft that turns up."""
+        number, rises = OPENS[self.sector]
+        return f"{INPUTS[number]} {'rises' if rises else 'falls'}"
+
+    @property
+    def ideal(self) -> float:
+        """Where it belongs, rad."""
+        return self.sector * SECTOR_WIDTH
+
+    @property
+    def hysteresis(self) -> float:
+        """Passed upwards minus passed downwards, rad; NaN unless both were."""
+        return _wrapped(self.up.angle - self.down.angle)
+
+    def delta(self, passages: Passages) -> float:
+        """Ideal minus actual angle, rad in [-pi, pi): that of Table I of Kim et al. 2011, 10.1109/TIE.2010.2098367."""
+        return _wrapped(self.ideal - passages.angle)
+
+    @property
+    def mean_delta(self) -> float:
+        """Mean of both directions, or of the one that there is, rad; NaN for none."""
+        both = [self.delta(passages) for passages in (self.up, self.down) if passages.n]
+        return mean_angle(np.array(both)) if both else math.nan
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The six edges, in the order of their sectors."""
+
+    edges: tuple[Edge, ...]
+    delay: float
+    """s by which edges are seen late; NaN where the speeds do not tell, the angles are then those at speed."""
+    delay_half_width: float
+    """Of its 95 % confidence interval, s."""
+    outliers: int
+    """Passages left out because they lay far from all others of their edge."""
+    duty: tuple[float, float, float]
+    """Share of an electrical turn in which the input a, b, c is 1; NaN unless both its edges were met."""
+    widths: tuple[float, ...]
+    """Of sectors I to VI, rad; NaN unless both edges were met."""
+
+    def least(self) -> int:
+        """Passages of the edge and direction with the fewest."""
+        return min(passages.n for edge in self.edges for passages in (edge.up, edge.down))
+
+    def widest(self) -> float:
+        """The widest half confidence interval of all, rad; inf where one is not known."""
+        widths = [passages.half_width for edge in self.edges for passages in (edge.up, edge.down)]
+        return math.inf if any(map(math.isnan, widths)) else max(widths)
+
+
+def measure(edges: Edges) -> Measured:
+    """Measure the edges; those without an angle count for nothing."""
+    groups: dict[tuple[int, bool], tuple[Floats, Floats, float]] = {}
+    outliers = 0
+    for sector, (number, rises) in enumerate(OPENS):
+        changes = (edges.old ^ edges.new) >> number & 1 == 1
+        rising = edges.new >> number & 1 == 1
+        for upwards in (True, False):
+            met = changes & (rising == (rises if upwards else not rises)) & ((edges.omega > 0) == upwards)
+            met &= np.isfinite(edges.theta)
+            theta, omega = edges.theta[met], edges.omega[met]
+            centre = mean_angle(theta)
+            off = wrap(theta - centre)
+            if len(off):
+                middle = float(np.median(off))
+                scatter = 1.4826 * float(np.median(np.abs(off - middle)))
+                near = np.abs(off - middle) <= max(FAR * scatter, LEAST_FAR)
+                outliers += int(np.count_nonzero(~near))
+                off, omega = off[near], omega[near]
+            groups[sector, upwards] = (off, omega, centre)
+    delay, spread = _delay([(off, omega) for off, omega, _ in groups.values()])
+    found = tuple(
+        Edge(s, *(_passages(*groups[s, upwards], delay, spread) for upwards in (True, False))) for s in range(SECTORS)
+    )
+    places = [edge.ideal - edge.mean_delta for edge in found]
+    widths = tuple((places[(s + 1) % SECTORS] - places[s]) % math.tau for s in range(SECTORS))
+    return Measured(found, delay, spread * _t(10**6), outliers, _duty(places), widths)
+
+
+def mean_angle(angles: Floats) -> float:
+    """Circular mean in [-pi, pi) of angles (n,) in rad; NaN for none."""
+    return _wrapped(float(np.angle(np.exp(1j * angles).mean()))) if len(angles) else math.nan
+
+
+def _duty(places: list[float]) -> tuple[float, float, float]:
+    share = {}
+    for number in range(len(INPUTS)):
+        rise, fall = (places[OPENS.index((number, rises))] for rises in (True, False))
+        share[number] = (fall - rise) % math.tau / math.tau
+    return share[0], share[1], share[2]
+
+
+def _passages(off: Floats, omega: Floats, centre: float, delay: float, spread: float) -> Passages:
+    """`off`: angles about `centre`; `delay` and its standard error in s."""
+    n = len(off)
+    if n == 0:
+        return Passages(math.nan, math.nan, math.nan, 0)
+    late = 0.0 if math.isnan(delay) else delay
+    still = off - late * omega
+    angle = _wrapped(centre + float(still.mean()))
+    if n == 1:
+        return Passages(angle, math.nan, math.nan, 1)
+    jitter = float(still.std(ddof=1))
+    by_delay = 0.0 if math.isnan(delay) else spread * float(omega.mean())
+    return Passages(angle, _t(n - 1) * math.hypot(jitter / math.sqrt(n), by_delay), jitter, n)
+
+
+def _delay(groups: list[tuple[Floats, Floats]]) -> tuple[float, float]:
+    """The delay common to all edges and its standard error, s; NaN where the speeds of each are too much alike."""
+    angles = np.concatenate([off - off.mean() for off, _ in groups if len(off) > 1] or [np.empty(0)])
+    speeds = np.concatenate([omega - omega.mean() for _, omega in groups if len(omega) > 1] or [np.empty(0)])
+    size = np.concatenate([omega for _, omega in groups if len(omega) > 1] or [np.empty(0)])
+    if len(speeds) < 3 * len(groups) or speeds.std() < SPREAD * math.sqrt(float(np.mean(size**2))):
+        return math.nan, math.nan
+    square = float(np.sum(speeds**2))
+    delay = float(np.sum(angles * speeds)) / square
+    rest = angles - delay * speeds
+    return delay, math.sqrt(float(np.sum(rest**2)) / (len(rest) - len(groups) - 1) / square)
+
+
+def _t(freedom: int) -> float:
+    """Two-sided 95 % quantile of Student's t with `freedom` >= 1 degrees.
+
+    Below 5 from tables, else by the expansion 26.7.5 of Abramowitz and Stegun, Handbook of Mathematical Functions,
+    1964, to within 0.1 %.
+    """
+    if freedom < 5:
+        return (12.7062, 4.3027, 3.1824, 2.7764)[freedom - 1]
+    z = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
+    terms = (
+        (z**3 + z) / 4.0,
+        (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
+        (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0,
+    )
+    return z + math.fsum(term / float(freedom) ** k for k, term in enumerate(terms, 1))
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % math.tau - math.pi

@@ -1,0 +1,139 @@
+"""What is wrong with Hall sensors, their wires or the encoder they are compared with: causes in words, with evidence.
+
+A cause is named only on evidence that tells it from the others, and every one comes with its numbers. In this order:
+is there enough to go by; inputs that never change; pole pairs; the encoder's zero and direction by the back-EMF; the
+wiring (one fault of it at a time); where the sensors stand; false pulses. The encoder's zero, where no back-EMF was
+recorded, is taken to be right unless the wiring then makes no sense, and the words say what else it may be.
+
+Nothing here talks to a drive or prints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from bench.acceptance.waveforms.sectors import SECTORS
+from bench.acceptance.wiring import AS_SPECIFIED, Diagnosis, diagnose
+from bench.hall import causes, edges, pulses, reference
+from bench.hall.causes import DISPLACED, Codes, Finding
+from bench.hall.edges import Measured
+from bench.hall.pulses import Pulses
+from bench.hall.reference import BackEmf, Turns
+from bench.hall.trace import SLOW, Floats, Trace
+from sim.observers.hall_speed import SECTOR_OF_CODE
+
+LEAST_TURNS = 2.0
+"""Electrical turns, each way, below which nothing is said to be healthy."""
+LEAST_PASSAGES = 5
+
+
+class Outcome(IntEnum):
+    """What a check found; the value is the exit code."""
+
+    HEALTHY = 0
+    FAULT = 1
+    CANNOT_TELL = 2
+
+
+@dataclass(frozen=True)
+class Health:
+    """The result of a check."""
+
+    outcome: Outcome
+    findings: tuple[Finding, ...]
+    missing: tuple[str, ...]
+    """What stands in the way of saying more, and what to do about it."""
+    turns: Turns
+    measured: Measured
+    pulses: Pulses
+    codes: Codes
+    emf: BackEmf | None
+    wiring: Diagnosis | None
+
+
+def examine(trace: Trace) -> Health:
+    """Say what is wrong."""
+    turns, measured, found_pulses = reference.turns(trace), edges.measure(trace.edges), pulses.count(trace)
+    codes = _codes(trace)
+    findings: list[Finding] = []
+    missing: list[str] = []
+    emf: BackEmf | None = None
+    wiring: Diagnosis | None = None
+    if not turns.total >= LEAST_TURNS:
+        missing.append(
+            f"the shaft turned by {np.nan_to_num(turns.total):.1f} electrical turns only: let it turn both ways, with "
+            "more current (--current), by a load machine, or by hand (--passive)"
+        )
+    elif dead := causes.dead(trace, turns):
+        findings += dead
+    elif trace.theta is None:
+        findings += causes.inverted_by_codes(trace)
+        missing.append(
+            "no encoder was recorded: exchanged wires and displaced sensors do not show without one; "
+            "record theta_enc, or fit an encoder for the check"
+        )
+    elif pole_pairs := causes.pole_pairs(trace, turns):
+        findings += pole_pairs
+    else:
+        emf = reference.back_emf(trace)
+        findings += causes.encoder(emf)
+        zero_known, theta = emf is not None, _by_flux(trace.theta, emf)
+        try:
+            wiring = _wiring(trace, theta)
+        except ValueError as error:
+            missing.append(f"the wiring is not known: {error}")
+        else:
+            findings += causes.wires(trace, theta, wiring, zero_known)
+            if wiring.best == AS_SPECIFIED:
+                findings += causes.places(measured, emf)
+                findings += causes.implausible(codes, found_pulses)
+        missing += _thin(turns, measured)
+    findings += causes.false_pulses(found_pulses)
+    outcome = Outcome.FAULT if findings else Outcome.CANNOT_TELL if missing else Outcome.HEALTHY
+    return Health(outcome, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, wiring)
+
+
+def _codes(trace: Trace) -> Codes:
+    sector = np.array(SECTOR_OF_CODE)
+    leaves, enters = sector[trace.edges.old], sector[trace.edges.new]
+    illegal = (leaves < 0) | (enters < 0)
+    neighbours = np.isin((enters - leaves) % SECTORS, (1, SECTORS - 1))
+    return Codes(
+        int(np.count_nonzero((trace.hall == 0) | (trace.hall == 7))),
+        len(trace.hall),
+        int(np.count_nonzero(illegal)),
+        int(np.count_nonzero(~illegal & ~neighbours)),
+        len(leaves),
+    )
+
+
+def _by_flux(theta: Floats, emf: BackEmf | None) -> Floats:
+    """The angle of the rotor flux, where the back-EMF says that the encoder's is another."""
+    if emf is None:
+        return theta
+    if emf.reversed:
+        return emf.zero - theta
+    return theta - emf.zero if abs(emf.zero) > DISPLACED else theta
+
+
+def _wiring(trace: Trace, theta: Floats) -> Diagnosis:
+    moving = np.abs(np.asarray(trace.omega)) >= SLOW
+    return diagnose(theta[moving], trace.hall[moving])
+
+
+def _thin(turns: Turns, measured: Measured) -> list[str]:
+    words = []
+    if min(turns.up, turns.down) < LEAST_TURNS:
+        words.append(
+            f"the shaft turned {turns.up:.1f} electrical turns up and {turns.down:.1f} down: turn it both ways, "
+            f"{LEAST_TURNS:g} at least"
+        )
+    elif measured.least() < LEAST_PASSAGES:
+        words.append(
+            f"an edge was passed {measured.least()} times only in one direction: let it turn longer, for "
+            f"{LEAST_PASSAGES} times at least"
+        )
+    return words

@@ -1,0 +1,218 @@
+"""Turns a motor slowly both ways so that its Hall sensors can be looked at, whatever is wrong with them.
+
+Three ways are tried in turn until the shaft has turned far enough in both directions: the drive by its encoder, which
+needs no Hall sensor; the drive by its Hall sensors, which needs no encoder; the load machine, where the rig has one,
+with the drive off. A drive that trips (its protection sees bad Hall sensors) lets the shaft coast, and is recorded
+meanwhile. By hand is the fourth way: `watch` energises nothing.
+
+Everything goes through a `Rig`, which stops what turns and puts parameters back however this is left. Nothing here
+judges Hall sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.acceptance.capture import Capture
+from bench.acceptance.loads import SPEED
+from bench.acceptance.rig import Rig
+from bench.energise import RPM
+from bench.errors import BenchError
+from protocol.errors import HbpError
+from protocol.messages import Fault
+
+SHARES = (0.25, 0.5, 1.0)
+"""Of the highest speed, at which the shaft turns both ways; by Hall sensors the lowest is left out."""
+DWELL_TURNS = 8.0  # electrical turns at a speed,
+DWELL = (1.0, 4.0)  # s, but so long at least and at most
+ENOUGH = 6.0
+"""Electrical turns each way with which no further way of turning is tried."""
+FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
+RUNAWAY = 1.6  # of the highest speed, at which a motor that does not follow is stopped
+COAST = 5.0  # s that a shaft may take to stand when it is let go
+STANDS = 3.0  # electrical rad/s
+LOOK = 0.5  # s between looks while somebody turns the shaft
+
+
+@dataclass(frozen=True)
+class Turned:
+    """What was recorded, and how the shaft was turned, in words."""
+
+    capture: Capture
+    how: str
+    remarks: tuple[str, ...] = ()
+    """Trips, and ways that did not turn the motor."""
+
+
+class _NotFollowing(Exception):
+    """The motor does not do what it is told; the text says what it did."""
+
+
+class Turner:
+    """Turns the shaft of `rig` at up to `most_rpm` mechanical r/min; `progress` shows a line."""
+
+    def __init__(self, rig: Rig, most_rpm: float, progress: Callable[[str], None]) -> None:
+        self._rig = rig
+        self._most_rpm = most_rpm
+        self._progress = progress
+        self._first = rig.tick()
+        self._remarks: list[str] = []
+        self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
+
+    def spin(self) -> Turned:
+        """Try all ways until the shaft has turned far enough both ways.
+
+        Raises BenchError if the link goes silent; HbpError.
+        """
+        tried = []
+        with self._rig.drive.may_trip():
+            for how, turn in self._ways():
+                try:
+                    turn()
+                except _NotFollowing as error:
+                    self._remarks.append(f"{how}: {error}")
+                finally:
+                    self._stop()
+                tried.append(how)
+                self._coast()
+                if self._far_enough():
+                    break
+            self._leave_clear()
+        return self._turned(", then ".join(tried))
+
+    def watch(self, seconds: float) -> Turned:
+        """Record for `seconds`, or until the shaft was turned far enough by hand, or Ctrl-C."""
+        end = self._rig.client.now() + seconds
+        with suppress(KeyboardInterrupt):
+            while (left := end - self._rig.client.now()) > 0 and not self._far_enough():
+                up, down = self._turns()
+                self._progress(
+                    f"turn the shaft by hand: {up:.1f} electrical turns up, {down:.1f} down, {left:.0f} s left"
+                )
+                self._rig.wait(min(LOOK, left))
+        return self._turned("by hand")
+
+    def _turned(self, how: str) -> Turned:
+        return Turned(self._rig.capture(self._first, self._rig.recorder.newest), how, tuple(self._remarks))
+
+    # -- ways ---------------------------------------------------------------------------------------------------
+
+    def _ways(self) -> Iterator[tuple[str, Callable[[], None]]]:
+        if self._rig.has_encoder:
+            yield "the drive by its encoder", lambda: self._by_drive("encoder", SHARES)
+        yield "the drive by its Hall sensors", lambda: self._by_drive("average-speed", SHARES[1:])
+        load = self._rig.load
+        if load is not None and SPEED in load.abilities:
+            yield "the load machine", self._by_load
+
+    def _speeds(self, shares: tuple[float, ...]) -> list[float]:
+        """Mechanical rad/s."""
+        return [sign * share * self._most_rpm * RPM for sign in (1.0, -1.0) for share in shares]
+
+    def _dwell(self, omega_m: float) -> float:
+        turns_per_second = self._rig.drive.n_p * abs(omega_m) / math.tau
+        return min(max(DWELL_TURNS / turns_per_second, DWELL[0]), DWELL[1])
+
+    def _by_drive(self, source: str, shares: tuple[float, ...]) -> None:
+        drive = self._rig.drive
+        for omega_m in self._speeds(shares):
+            self._progress(f"{source}: {omega_m / RPM:+.0f} r/min")
+            first = self._rig.tick()
+            try:
+                if not self._running:
+                    self._running = True
+                    drive.start(source)
+                drive.speed(omega_m)
+            except (BenchError, HbpError):
+                if not drive.faults:
+                    raise
+            self._rig.until(self._let_go, self._dwell(omega_m))
+            if drive.faults:
+                self._after_trip(source, omega_m)
+            elif abs(self._speed()) > self._limit():
+                raise _NotFollowing(f"told to turn at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
+            self._require_following(first, omega_m)
+
+    def _by_load(self) -> None:
+        load = self._rig.load
+        assert load is not None
+        try:
+            for omega_m in self._speeds(SHARES):
+                self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
+                load.speed(omega_m)  # type: ignore[attr-defined]  # it has the ability
+                self._rig.wait(self._dwell(omega_m))
+        finally:
+            load.off()
+
+    # -- looks --------------------------------------------------------------------------------------------------
+
+    def _let_go(self) -> bool:
+        return bool(self._rig.drive.faults) or abs(self._speed()) > self._limit()
+
+    def _speed(self) -> float:
+        """Electrical rad/s, by what the drive has; 0 before the first sample."""
+        recorder = self._rig.recorder
+        if recorder.newest < 0:
+            return 0.0
+        return recorder.latest("omega_enc" if self._rig.has_encoder else "omega_avg")
+
+    def _limit(self) -> float:
+        return RUNAWAY * self._most_rpm * RPM * self._rig.drive.n_p
+
+    def _after_trip(self, source: str, omega_m: float) -> None:
+        """Record what coasts, and make the drive ready again."""
+        drive = self._rig.drive
+        self._remarks.append(f"{source} at {omega_m / RPM:+.0f} r/min: the drive tripped {', '.join(drive.faults)}")
+        self._running = False
+        self._coast()
+        try:
+            drive.forget_faults()
+        except (BenchError, HbpError):
+            raise _NotFollowing("its fault does not clear where the shaft stands now") from None
+
+    def _coast(self) -> None:
+        self._rig.until(lambda: abs(self._speed()) < STANDS, COAST)
+
+    def _stop(self) -> None:
+        self._running = False
+        self._rig.drive.stop()
+
+    def _leave_clear(self) -> None:
+        """Clear what the drive has latched; one that sees an illegal code where the shaft stands keeps its fault."""
+        drive = self._rig.drive
+        try:
+            drive.forget_faults()
+        except (BenchError, HbpError):
+            self._remarks.append(f"the drive is off and keeps its fault {', '.join(drive.faults)}: its cause persists")
+            self._rig.recorder.faults = Fault(0)  # the rig need not try again
+
+    def _require_following(self, first: int, omega_m: float) -> None:
+        if not self._rig.has_encoder:
+            return
+        capture = self._rig.capture(first, self._rig.recorder.newest)
+        way = float(capture.theta[-1] - capture.theta[0]) * math.copysign(1.0, omega_m)
+        asked = abs(omega_m) * self._rig.drive.n_p * self._dwell(omega_m)
+        if way < (FOLLOWS * asked if self._running else 0.0):
+            raise _NotFollowing(
+                f"told to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min it turned "
+                f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
+            )
+
+    def _turns(self) -> tuple[float, float]:
+        """Electrical turns so far, up and down: by the encoder; by the Hall edges, both alike, without one."""
+        if self._rig.recorder.newest <= self._first:
+            return 0.0, 0.0
+        capture = self._rig.capture(self._first, self._rig.recorder.newest)
+        if not self._rig.has_encoder:
+            half = len(capture.edges) / 12.0
+            return half, half
+        steps = np.diff(capture.theta[:: max(1, round(capture.rate / 100.0))])
+        return float(steps[steps > 0].sum()) / math.tau, float(-steps[steps < 0].sum()) / math.tau
+
+    def _far_enough(self) -> bool:
+        return min(self._turns()) >= ENOUGH

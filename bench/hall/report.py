@@ -1,0 +1,203 @@
+"""A check for people, as rows of tables and lines, and for programs, as plain data. Nothing here measures or prints."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from bench.hall.edges import Edge, Measured, Passages
+from bench.hall.health import Health, Outcome
+from bench.hall.live import Turned
+from bench.hall.trace import INPUTS, Trace
+
+WIDTH = 79
+NUMERALS = ("I", "II", "III", "IV", "V", "VI")
+EDGE_HEADERS = ("edge", "ideal", "up", "down", "+-95 %", "passed", "hyst.", "jitter", "width")
+SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
+CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
+EDGE_TITLE = "edges, electrical degrees; passed: times up/down; width: of the sector that it opens"
+
+
+def edge_rows(measured: Measured) -> list[list[str]]:
+    """A row for each edge."""
+    return [
+        [
+            f"{NUMERALS[edge.sector]:<3} {edge.name}",
+            f"{math.degrees(edge.ideal):.0f}",
+            _number(_angle(edge, edge.up), 2),
+            _number(_angle(edge, edge.down), 2),
+            _number(_widest(edge), 2),
+            f"{edge.up.n}/{edge.down.n}",
+            _number(math.degrees(edge.hysteresis), 2),
+            _number(math.degrees(_jitter(edge)), 2),
+            _number(math.degrees(width), 1),
+        ]
+        for edge, width in zip(measured.edges, measured.widths, strict=True)
+    ]
+
+
+def sensor_rows(health: Health, seconds: float) -> list[list[str]]:
+    """A row for each sensor."""
+    return [
+        [name, _number(100.0 * duty, 1), str(n), f"{n / seconds:.3g}"]
+        for name, duty, n in zip(INPUTS, health.measured.duty, health.pulses.by_input, strict=True)
+    ]
+
+
+def current_rows(health: Health) -> list[list[str]]:
+    """A row for each range of the current, each of the same time; none without false pulses or currents."""
+    bins = health.pulses.bins if health.pulses.n else ()
+    return [[f"{one.lo:.2f} to {one.hi:.2f}", str(one.n), f"{one.rate:.3g}"] for one in bins]
+
+
+def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
+    """Names and values of all that is no table of its own."""
+    codes, turns, measured, emf = health.codes, health.turns, health.measured, health.emf
+    rows = [
+        ["turned", f"{turned.how}: {turns.up:.1f} electrical turns up, {turns.down:.1f} down"],
+        ["data", f"{len(trace.hall)} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
+        ["illegal codes", f"{codes.illegal_samples} samples, {codes.illegal} edges; {codes.skipped} sectors skipped"],
+    ]
+    if turns.n_p is not None and trace.theta is not None and not math.isnan(turns.ratio):
+        rows.append(["pole pairs", f"{turns.n_p} in the drive; {turns.n_p * turns.ratio:.2f} by the Hall edges"])
+    if not math.isnan(measured.delay):
+        within = measured.delay_half_width * 1e6
+        rows.append(["edges seen late", f"by {measured.delay * 1e6:.1f} us +- {within:.1f} us (95 %)"])
+    if emf is not None and not emf.reversed:
+        rows.append(["encoder's zero", f"{math.degrees(emf.zero):+.1f} deg by the back-EMF of {emf.n} samples"])
+    left_out = [
+        f"{n} edges {why}"
+        for n, why in (
+            (trace.unplaced, "beside a gap"),
+            (trace.slow, "of a shaft that hardly moved"),
+            (measured.outliers, "far from the others"),
+        )
+        if n
+    ]
+    if left_out:
+        rows.append(["left out", ", ".join(left_out)])
+    dropped = trace.capture.dropped
+    if dropped:
+        rows.append(["lost", f"{dropped[0][2]}" + (f", and {len(dropped) - 1} more" if len(dropped) > 1 else "")])
+    return rows
+
+
+def verdict_lines(health: Health, remarks: Sequence[str]) -> list[str]:
+    """What was found, why, and what to do, within `WIDTH` columns."""
+    lines = [line for remark in remarks for line in _wrapped("note: ", remark)]
+    for finding in health.findings:
+        lines += _wrapped("FAULT: ", finding.cause)
+        for evidence in finding.evidence:
+            lines += _wrapped("  because ", evidence)
+        lines += _wrapped("  to do: ", finding.advice)
+    for missing in health.missing:
+        lines += _wrapped("cannot tell: ", missing)
+    if health.outcome is Outcome.HEALTHY:
+        assert health.wiring is not None
+        lines += _wrapped(
+            "HEALTHY: ",
+            f"wired as specified, which explains {100.0 * health.wiring.share:.1f} % of {health.wiring.n} samples; the "
+            f"next, {health.wiring.runner_up}, {100.0 * health.wiring.runner_up_share:.1f} %",
+        )
+    return lines
+
+
+def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[str, Any]:
+    """All of it as plain data; what is not known is null."""
+    measured, turns, emf, wiring, found = health.measured, health.turns, health.emf, health.wiring, health.pulses
+    return {
+        "source": source,
+        "outcome": health.outcome.name.lower(),
+        "exit_code": int(health.outcome),
+        "findings": [
+            {"code": f.code, "cause": f.cause, "evidence": list(f.evidence), "advice": f.advice}
+            for f in health.findings
+        ],
+        "missing": list(health.missing),
+        "turned": turned.how,
+        "remarks": list(turned.remarks),
+        "seconds": trace.seconds,
+        "samples": len(trace.hall),
+        "turns_up": turns.up,
+        "turns_down": turns.down,
+        "n_p": turns.n_p,
+        "n_p_by_hall": None if turns.n_p is None else _plain(turns.n_p * turns.ratio),
+        "edges": [_edge_json(edge, width) for edge, width in zip(measured.edges, measured.widths, strict=True)],
+        "delay_s": _plain(measured.delay),
+        "duty": {name: _plain(duty) for name, duty in zip(INPUTS, measured.duty, strict=True)},
+        "false_pulses": {
+            "n": found.n,
+            "per_second": found.rate,
+            "by_input": dict(zip(INPUTS, found.by_input, strict=True)),
+            "widest_s": _plain(found.widest),
+            "by_current": [{"from_a": b.lo, "to_a": b.hi, "n": b.n, "per_second": b.rate} for b in found.bins],
+            "excess_with_current_sigma": _plain(found.excess),
+        },
+        "codes": {
+            "illegal_samples": health.codes.illegal_samples,
+            "illegal_edges": health.codes.illegal,
+            "skipped_sectors": health.codes.skipped,
+            "edges": health.codes.edges,
+        },
+        "wiring": None if wiring is None else wiring._asdict(),
+        "back_emf": None
+        if emf is None
+        else {
+            "zero_deg": math.degrees(emf.zero),
+            "reversed": emf.reversed,
+            "clear": emf.clear,
+            "spread_deg": _plain(math.degrees(emf.spread)),
+            "n": emf.n,
+        },
+        "left_out": {"unplaced": trace.unplaced, "slow": trace.slow, "outliers": measured.outliers},
+        "lost": [words for _, _, words in trace.capture.dropped],
+    }
+
+
+def _edge_json(edge: Edge, width: float) -> dict[str, Any]:
+    return {
+        "sector": edge.sector + 1,
+        "edge": edge.name,
+        "ideal_deg": math.degrees(edge.ideal),
+        **{
+            way: {
+                "angle_deg": _plain(_angle(edge, passages)),
+                "half_width_95_deg": _plain(math.degrees(passages.half_width)),
+                "jitter_deg": _plain(math.degrees(passages.jitter)),
+                "n": passages.n,
+            }
+            for way, passages in (("up", edge.up), ("down", edge.down))
+        },
+        "hysteresis_deg": _plain(math.degrees(edge.hysteresis)),
+        "sector_width_deg": _plain(math.degrees(width)),
+    }
+
+
+def _angle(edge: Edge, passages: Passages) -> float:
+    """deg, nearest to where the edge belongs."""
+    return math.degrees(edge.ideal - edge.delta(passages))
+
+
+def _widest(edge: Edge) -> float:
+    """deg."""
+    known = [p.half_width for p in (edge.up, edge.down) if not math.isnan(p.half_width)]
+    return math.degrees(max(known, default=math.nan))
+
+
+def _jitter(edge: Edge) -> float:
+    """The larger of both directions, rad."""
+    return max((p.jitter for p in (edge.up, edge.down) if not math.isnan(p.jitter)), default=math.nan)
+
+
+def _number(value: float, places: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{places}f}"
+
+
+def _plain(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+def _wrapped(head: str, text: str) -> list[str]:
+    return textwrap.wrap(head + text, WIDTH, subsequent_indent=" " * len(head))

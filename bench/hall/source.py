@@ -1,0 +1,106 @@
+"""Where a check gets its data: a recording, or a drive that turns its motor, or is turned by hand, for it.
+
+A drive is energised only with consent, and only by `bench.hall.live`; it is at rest when the data are handed out, and
+the link is closed, with every parameter as it was, on leaving. Nothing here measures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from bench.acceptance.marks import Envelope
+from bench.acceptance.rig import Plan, Rig
+from bench.acceptance.settings import Settings
+from bench.acceptance.targets import SIM, alone_on, open_target, require_agreement
+from bench.energise import Plan as Spin
+from bench.energise import check_limits
+from bench.errors import BenchError
+from bench.hall.live import Turned, Turner
+from bench.hall.trace import capture_of
+from bench.interrupts import signals_as_exceptions
+from bench.node import Node
+from protocol.links import Link
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for; r/min, A and s as on the command line."""
+
+    source: str
+    """A target, or the path of a recording."""
+    speed_rpm: float = 240.0
+    current_a: float = 2.0
+    passive: bool = False
+    duration: float = 60.0
+    """s that the shaft is watched at most, with `passive`."""
+    yes: bool = False
+    config: Path | None = None
+    """Figures of the simulated drive."""
+    save: Path | None = None
+    overwrite: bool = False
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the source is a recording."""
+        return self.source.endswith(".rrd") or Path(self.source).is_file()
+
+
+class Screen(Protocol):
+    """Where progress goes."""
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+
+    def progress(self, text: str) -> None:
+        """The line that tells what is going on now."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What there is to measure, and the drive that it came from, at rest; None with a recording."""
+
+    turned: Turned
+    drive: Node | None
+
+
+@contextmanager
+def opened(
+    options: Options,
+    screen: Screen,
+    confirm: Callable[[str], bool] | None,
+    open_link: Callable[[], Link] | None = None,
+) -> Iterator[Source]:
+    """Read the recording, or turn the drive's shaft. `confirm` asks a person, None where there is nobody.
+
+    `open_link` opens another link than that of the target. Raises BenchError and HbpError for what the user can mend.
+    """
+    if options.recorded:
+        from bench.rerunio.recording import read_run
+
+        yield Source(Turned(capture_of(read_run(options.source)), "recorded"), None)
+        return
+    if options.save is not None and options.save.exists() and not options.overwrite:
+        raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
+    settings = Settings(config=options.config)
+    plan = Plan(
+        open_link or (lambda: open_target(options.source, settings, "hall")),
+        options.source,
+        settings,
+        Envelope() if options.passive else Envelope(options.speed_rpm, options.current_a),
+        recording=options.save,
+        virtual=options.source == SIM,
+        title="hall",
+    )
+    with signals_as_exceptions(), alone_on(options.source):
+        if not options.passive:
+            require_agreement(options.source, settings, plan.envelope, options.yes, confirm)
+        with Rig(plan) as rig:
+            if not options.passive:
+                check_limits(rig.drive.node, Spin(options.speed_rpm))
+            turner = Turner(rig, options.speed_rpm, screen.progress)
+            turned = turner.watch(options.duration) if options.passive else turner.spin()
+            yield Source(turned, rig.drive.node)
