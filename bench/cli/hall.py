@@ -169,13 +169,14 @@ def _show(source: str, found: Source, json_file: IO[str] | None, screen: Progres
             return health
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
     click.echo()
-    table(report.EDGE_HEADERS, report.edge_rows(health.measured), report.EDGE_TITLE)
-    click.echo()
-    table(report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds))
-    if rows := report.current_rows(health):
-        click.echo()
-        table(report.CURRENT_HEADERS, rows)
-    click.echo()
+    for headers, rows, title in (
+        (report.EDGE_HEADERS, report.edge_rows(health), report.EDGE_TITLE),
+        (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ""),
+        (report.CURRENT_HEADERS, report.current_rows(health), ""),
+    ):
+        if rows:
+            table(headers, rows, title)
+            click.echo()
     for line in report.verdict_lines(health, found.turned.remarks):
         click.echo(line)
     return health

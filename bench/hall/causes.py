@@ -185,7 +185,7 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, zero_known: bool) -> l
         return []
     next_best = f"{wiring.runner_up}, explains {_percent(wiring.runner_up_share)}"
     if wiring.best != NONE_KNOWN:
-        evidence = [f"explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
+        evidence = [f"that explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
         if not zero_known and "rotated" in wiring.best:
             evidence.append("an encoder whose zero is 120 deg off looks alike: no back-EMF was recorded to tell")
         return [

@@ -3,7 +3,7 @@
 Three ways are tried in turn until the shaft has turned far enough in both directions: the drive by its encoder, which
 needs no Hall sensor; the drive by its Hall sensors, which needs no encoder; the load machine, where the rig has one,
 with the drive off. A drive that trips (its protection sees bad Hall sensors) lets the shaft coast, and is recorded
-meanwhile. By hand is the fourth way: `watch` energises nothing.
+meanwhile. By hand is the fourth way: `bench.hall.watch`.
 
 Everything goes through a `Rig`, which stops what turns and puts parameters back however this is left. Nothing here
 judges Hall sensors.
@@ -12,14 +12,14 @@ judges Hall sensors.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench.acceptance.capture import Capture
 from bench.acceptance.loads import SPEED
+from bench.acceptance.recorder import Recorder
 from bench.acceptance.rig import Rig
 from bench.energise import RPM
 from bench.errors import BenchError
@@ -36,7 +36,7 @@ FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does
 RUNAWAY = 1.6  # of the highest speed, at which a motor that does not follow is stopped
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
-LOOK = 0.5  # s between looks while somebody turns the shaft
+LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a count
 
 
 @dataclass(frozen=True)
@@ -84,18 +84,6 @@ class Turner:
                     break
             self._leave_clear()
         return self._turned(", then ".join(tried))
-
-    def watch(self, seconds: float) -> Turned:
-        """Record for `seconds`, or until the shaft was turned far enough by hand, or Ctrl-C."""
-        end = self._rig.client.now() + seconds
-        with suppress(KeyboardInterrupt):
-            while (left := end - self._rig.client.now()) > 0 and not self._far_enough():
-                up, down = self._turns()
-                self._progress(
-                    f"turn the shaft by hand: {up:.1f} electrical turns up, {down:.1f} down, {left:.0f} s left"
-                )
-                self._rig.wait(min(LOOK, left))
-        return self._turned("by hand")
 
     def _turned(self, how: str) -> Turned:
         return Turned(self._rig.capture(self._first, self._rig.recorder.newest), how, tuple(self._remarks))
@@ -170,10 +158,13 @@ class Turner:
         self._remarks.append(f"{source} at {omega_m / RPM:+.0f} r/min: the drive tripped {', '.join(drive.faults)}")
         self._running = False
         self._coast()
+        other = [name for name in drive.faults if name != Fault.HALL.name]
         try:
             drive.forget_faults()
         except (BenchError, HbpError):
             raise _NotFollowing("its fault does not clear where the shaft stands now") from None
+        if other:
+            raise _NotFollowing(f"not tried again after {', '.join(other)}")
 
     def _coast(self) -> None:
         self._rig.until(lambda: abs(self._speed()) < STANDS, COAST)
@@ -203,16 +194,19 @@ class Turner:
                 f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
             )
 
-    def _turns(self) -> tuple[float, float]:
-        """Electrical turns so far, up and down: by the encoder; by the Hall edges, both alike, without one."""
-        if self._rig.recorder.newest <= self._first:
-            return 0.0, 0.0
-        capture = self._rig.capture(self._first, self._rig.recorder.newest)
-        if not self._rig.has_encoder:
-            half = len(capture.edges) / 12.0
-            return half, half
-        steps = np.diff(capture.theta[:: max(1, round(capture.rate / 100.0))])
-        return float(steps[steps > 0].sum()) / math.tau, float(-steps[steps < 0].sum()) / math.tau
-
     def _far_enough(self) -> bool:
-        return min(self._turns()) >= ENOUGH
+        return min(electrical_turns(self._rig.recorder, self._first, self._rig.drive.parameters)) >= ENOUGH
+
+
+def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Up and down since the device tick `first`: by the encoder; by the Hall edges, both alike, without one."""
+    if recorder.newest <= first:
+        return 0.0, 0.0
+    capture = recorder.capture(first, recorder.newest, parameters)
+    try:
+        theta = capture.theta
+    except BenchError:  # no encoder
+        half = len(capture.edges) / 12.0
+        return half, half
+    steps = np.diff(theta[:: max(1, round(capture.rate / LOOKS))])
+    return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau

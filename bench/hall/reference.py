@@ -77,7 +77,7 @@ def turns(trace: Trace) -> Turns:
         return Turns(half, half, by_hall, pole_pairs)
     way = trace.omega * trace.sample_time / math.tau
     moving = np.abs(trace.omega) >= SLOW
-    return Turns(float(way[moving & (way > 0)].sum()), float(-way[moving & (way < 0)].sum()), by_hall, pole_pairs)
+    return Turns(float(way[moving & (way > 0)].sum()), abs(float(way[moving & (way < 0)].sum())), by_hall, pole_pairs)
 
 
 def _hall_turns(edges: Edges) -> float:

@@ -7,7 +7,9 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from bench.hall.edges import Edge, Measured, Passages
+from bench.acceptance.waveforms.sectors import SECTORS
+from bench.acceptance.wiring import AS_SPECIFIED
+from bench.hall.edges import Edge, Passages
 from bench.hall.health import Health, Outcome
 from bench.hall.live import Turned
 from bench.hall.trace import INPUTS, Trace
@@ -20,21 +22,24 @@ CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
 EDGE_TITLE = "edges, electrical degrees; passed: times up/down; width: of the sector that it opens"
 
 
-def edge_rows(measured: Measured) -> list[list[str]]:
-    """A row for each edge."""
+def edge_rows(health: Health) -> list[list[str]]:
+    """A row for each edge; none where none was passed. A width makes sense with the wiring as specified only."""
+    measured = health.measured
+    if not any(passages.n for edge in measured.edges for passages in (edge.up, edge.down)):
+        return []
     return [
         [
             f"{NUMERALS[edge.sector]:<3} {edge.name}",
             f"{math.degrees(edge.ideal):.0f}",
-            _number(_angle(edge, edge.up), 2),
-            _number(_angle(edge, edge.down), 2),
+            _number(_angle(edge.up), 2),
+            _number(_angle(edge.down), 2),
             _number(_widest(edge), 2),
             f"{edge.up.n}/{edge.down.n}",
             _number(math.degrees(edge.hysteresis), 2),
             _number(math.degrees(_jitter(edge)), 2),
             _number(math.degrees(width), 1),
         ]
-        for edge, width in zip(measured.edges, measured.widths, strict=True)
+        for edge, width in zip(measured.edges, _widths(health), strict=True)
     ]
 
 
@@ -66,13 +71,14 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
         within = measured.delay_half_width * 1e6
         rows.append(["edges seen late", f"by {measured.delay * 1e6:.1f} us +- {within:.1f} us (95 %)"])
     if emf is not None and not emf.reversed:
-        rows.append(["encoder's zero", f"{math.degrees(emf.zero):+.1f} deg by the back-EMF of {emf.n} samples"])
+        zero = round(math.degrees(emf.zero), 1) + 0.0  # no -0.0
+        rows.append(["encoder's zero", f"{zero:.1f} deg ahead of the back-EMF, over {emf.n} samples"])
     left_out = [
-        f"{n} edges {why}"
+        f"{n} {'edge' if n == 1 else 'edges'} {why}"
         for n, why in (
             (trace.unplaced, "beside a gap"),
             (trace.slow, "of a shaft that hardly moved"),
-            (measured.outliers, "far from the others"),
+            (measured.outliers, "far from others of their kind"),
         )
         if n
     ]
@@ -124,7 +130,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "turns_down": turns.down,
         "n_p": turns.n_p,
         "n_p_by_hall": None if turns.n_p is None else _plain(turns.n_p * turns.ratio),
-        "edges": [_edge_json(edge, width) for edge, width in zip(measured.edges, measured.widths, strict=True)],
+        "edges": [_edge_json(edge, width) for edge, width in zip(measured.edges, _widths(health), strict=True)],
         "delay_s": _plain(measured.delay),
         "duty": {name: _plain(duty) for name, duty in zip(INPUTS, measured.duty, strict=True)},
         "false_pulses": {
@@ -163,7 +169,7 @@ def _edge_json(edge: Edge, width: float) -> dict[str, Any]:
         "ideal_deg": math.degrees(edge.ideal),
         **{
             way: {
-                "angle_deg": _plain(_angle(edge, passages)),
+                "angle_deg": _plain(_angle(passages)),
                 "half_width_95_deg": _plain(math.degrees(passages.half_width)),
                 "jitter_deg": _plain(math.degrees(passages.jitter)),
                 "n": passages.n,
@@ -175,9 +181,14 @@ def _edge_json(edge: Edge, width: float) -> dict[str, Any]:
     }
 
 
-def _angle(edge: Edge, passages: Passages) -> float:
-    """deg, nearest to where the edge belongs."""
-    return math.degrees(edge.ideal - edge.delta(passages))
+def _widths(health: Health) -> tuple[float, ...]:
+    specified = health.wiring is not None and health.wiring.best == AS_SPECIFIED
+    return health.measured.widths if specified else (math.nan,) * SECTORS
+
+
+def _angle(passages: Passages) -> float:
+    """deg from -30 to 330, so that what belongs at 0 is not found near 360."""
+    return (math.degrees(passages.angle) + 30.0) % 360.0 - 30.0
 
 
 def _widest(edge: Edge) -> float:

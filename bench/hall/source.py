@@ -21,9 +21,9 @@ from bench.energise import check_limits
 from bench.errors import BenchError
 from bench.hall.live import Turned, Turner
 from bench.hall.trace import capture_of
+from bench.hall.watch import watch
 from bench.interrupts import signals_as_exceptions
 from bench.node import Node
-from protocol.links import Link
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,10 @@ class Source:
 
 
 @contextmanager
-def opened(
-    options: Options,
-    screen: Screen,
-    confirm: Callable[[str], bool] | None,
-    open_link: Callable[[], Link] | None = None,
-) -> Iterator[Source]:
+def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | None) -> Iterator[Source]:
     """Read the recording, or turn the drive's shaft. `confirm` asks a person, None where there is nobody.
 
-    `open_link` opens another link than that of the target. Raises BenchError and HbpError for what the user can mend.
+    Raises BenchError and HbpError for what the user can mend.
     """
     if options.recorded:
         from bench.rerunio.recording import read_run
@@ -86,21 +81,25 @@ def opened(
     if options.save is not None and options.save.exists() and not options.overwrite:
         raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
     settings = Settings(config=options.config)
+    if options.passive:
+        with signals_as_exceptions(), alone_on(options.source):
+            link = open_target(options.source, settings, "hall")
+            try:
+                yield Source(*watch(link, options.source, options.duration, options.save, screen.progress))
+            finally:
+                link.close()
+        return
     plan = Plan(
-        open_link or (lambda: open_target(options.source, settings, "hall")),
+        lambda: open_target(options.source, settings, "hall"),
         options.source,
         settings,
-        Envelope() if options.passive else Envelope(options.speed_rpm, options.current_a),
+        Envelope(options.speed_rpm, options.current_a),
         recording=options.save,
         virtual=options.source == SIM,
         title="hall",
     )
     with signals_as_exceptions(), alone_on(options.source):
-        if not options.passive:
-            require_agreement(options.source, settings, plan.envelope, options.yes, confirm)
+        require_agreement(options.source, settings, plan.envelope, options.yes, confirm)
         with Rig(plan) as rig:
-            if not options.passive:
-                check_limits(rig.drive.node, Spin(options.speed_rpm))
-            turner = Turner(rig, options.speed_rpm, screen.progress)
-            turned = turner.watch(options.duration) if options.passive else turner.spin()
-            yield Source(turned, rig.drive.node)
+            check_limits(rig.drive.node, Spin(options.speed_rpm))
+            yield Source(Turner(rig, options.speed_rpm, screen.progress).spin(), rig.drive.node)
