@@ -32,7 +32,8 @@ IMPLAUSIBLE = 0.005
 """Share of edges to an illegal code or over a sector, beyond which a wiring that is right does not explain them."""
 SAME, OTHER = 0.9, 0.95
 """How well edges repeat with the pole pairs that are right, at least (0..1); with others, to be believed."""
-SHIFTS = 72
+SHIFTS, FEW = 72, 20_000
+"""Constants in a turn, and samples, with which an angle that is off by one is looked for."""
 
 
 @dataclass(frozen=True)
@@ -179,8 +180,9 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
     return []
 
 
-def wires(trace: Trace, theta: Floats, wiring: Diagnosis, zero_known: bool) -> list[Finding]:
-    """A wiring that is not as specified."""
+def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, emf: BackEmf | None) -> list[Finding]:
+    """A wiring that is not as specified; `theta`: of the rotor flux, as far as that is known."""
+    zero_known = emf is not None
     if wiring.best == AS_SPECIFIED:
         return []
     next_best = f"{wiring.runner_up}, explains {_percent(wiring.runner_up_share)}"
@@ -194,10 +196,11 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, zero_known: bool) -> l
     nearest = f"the nearest of the known wirings, {next_best} of {wiring.n} samples"
     moving = np.abs(np.asarray(trace.omega)) >= SLOW
     for backwards in (False, True):
-        shift, fit = _best_shift(-theta if backwards else theta, trace, moving)
+        fit = _shifted(-theta if backwards else theta, trace, moving)
         if fit is None:
             continue
-        explained = f"turned by {_deg(shift)} the specified wiring explains {_percent(fit.share)} of {fit.n} samples"
+        shift = -edges.mean_angle(np.array(_deltas(measured, emf)))
+        explained = f"turned by some angle, the specified wiring explains {_percent(fit.share)} of {fit.n} samples"
         if backwards:
             return [
                 Finding(
@@ -234,8 +237,7 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, zero_known: bool) -> l
 
 def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
     """Sensors that stand off their places, and edges that do not stand still; the wiring is as specified."""
-    zero = emf.zero if emf is not None and abs(emf.zero) > DISPLACED else 0.0
-    deltas = [edge.mean_delta + zero for edge in measured.edges]
+    deltas = _deltas(measured, emf)
     pairs = [[OPENS.index((number, rises)) for rises in (True, False)] for number in range(len(INPUTS))]
     off = [float(edges.mean_angle(wrap(np.array([deltas[s] for s in pair])))) for pair in pairs]
     found = []
@@ -334,16 +336,20 @@ def false_pulses(found: Pulses) -> list[Finding]:
     ]
 
 
-def _best_shift(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> tuple[float, Diagnosis | None]:
-    """By which angle (rad) `theta` is ahead of one with which the specified wiring explains the codes."""
-    best: tuple[float, Diagnosis | None] = (0.0, None)
-    few = np.flatnonzero(moving)[:: max(1, np.count_nonzero(moving) // 20_000)]
-    for k in range(SHIFTS):
-        shift = math.tau * k / SHIFTS
-        fit = diagnose(theta[few] - shift, trace.hall[few])
-        if fit.best == AS_SPECIFIED and (best[1] is None or fit.share > best[1].share):
-            best = (float(wrap(np.array([shift]))[0]), fit)
-    return best
+def _shifted(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> Diagnosis | None:
+    """How well the specified wiring explains the codes to an angle that is off by the constant for which it does best.
+
+    None where that is not well enough.
+    """
+    few = np.flatnonzero(moving)[:: max(1, np.count_nonzero(moving) // FEW)]
+    fits = [diagnose(theta[few] - math.tau * k / SHIFTS, trace.hall[few]) for k in range(SHIFTS)]
+    return max((fit for fit in fits if fit.best == AS_SPECIFIED), key=lambda fit: fit.share, default=None)
+
+
+def _deltas(measured: Measured, emf: BackEmf | None) -> list[float]:
+    """Ideal minus actual angle of each edge, rad: by the rotor flux, where the encoder's zero is off."""
+    zero = emf.zero if emf is not None and abs(emf.zero) > DISPLACED else 0.0
+    return [edge.mean_delta + zero for edge in measured.edges]
 
 
 def _widest(measured: Measured, sectors: tuple[int, int]) -> float:

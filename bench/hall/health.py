@@ -80,14 +80,14 @@ def examine(trace: Trace) -> Health:
     else:
         emf = reference.back_emf(trace)
         findings += causes.encoder(emf)
-        zero_known, theta = emf is not None, _by_flux(trace.theta, emf)
+        theta = _by_flux(trace.theta, emf)
         try:
             wiring = _wiring(trace, theta)
         except ValueError as error:
             missing.append(f"the wiring is not known: {error}")
         else:
-            findings += causes.wires(trace, theta, wiring, zero_known)
-            if wiring.best == AS_SPECIFIED:
+            findings += causes.wires(trace, theta, wiring, measured, emf)
+            if wiring.best == AS_SPECIFIED and not (emf is not None and emf.reversed):
                 findings += causes.places(measured, emf)
                 findings += causes.implausible(codes, found_pulses)
         missing += _thin(turns, measured)

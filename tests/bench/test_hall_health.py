@@ -1,0 +1,178 @@
+"""What a check concludes from captures made by formula: causes that the simulated drive cannot have, and doubt."""
+
+import math
+
+import numpy as np
+import pytest
+from hall_motor import Motor, capture
+
+from bench.hall.health import Health, Outcome, examine
+from bench.hall.report import WIDTH, as_json, edge_rows, fact_rows, verdict_lines
+from bench.hall.trace import trace
+
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+REAL = Motor(delta_deg=TABLE_I, hysteresis_deg=0.5, jitter_deg=0.05)
+OFF = REAL.but(running=False)
+
+
+def check(motor: Motor) -> Health:
+    return examine(trace(capture(motor)))
+
+
+def causes(health: Health) -> list[str]:
+    return [f"{finding.code}: {finding.cause}" for finding in health.findings]
+
+
+def test_the_papers_sensors_are_healthy_with_and_without_back_emf():
+    for motor in (REAL, OFF):
+        found = check(motor)
+        assert found.outcome is Outcome.HEALTHY
+        assert found.findings == found.missing == ()
+        assert found.wiring is not None
+        assert found.wiring.share == 1.0
+        assert (found.emf is None) == (motor is OFF)
+
+
+def test_a_reversed_encoder_is_told_from_exchanged_wires_by_the_back_emf():
+    backwards = {"encoder": lambda theta: math.radians(10.0) - theta}
+    by_emf = check(REAL.but(**backwards))
+    assert causes(by_emf) == ["encoder_reversed: the encoder counts backwards"]
+    assert "their sum is 10.0 deg" in by_emf.findings[0].evidence[0]
+    assert by_emf.wiring is not None
+    assert by_emf.wiring.best == "as specified"
+    [without] = check(OFF.but(**backwards)).findings
+    assert without.cause == "the encoder counts backwards, or two Hall wires are exchanged and the sensors turned"
+
+
+def test_sensors_that_are_all_displaced_are_told_from_the_encoders_zero_by_the_back_emf():
+    turned = REAL.but(delta_deg=tuple(delta - 20.0 for delta in TABLE_I))
+    [ring] = check(turned).findings
+    assert (ring.code, ring.cause) == (
+        "ring",
+        "all Hall sensors are displaced by 19.0 deg together",
+    )  # Table I: 1 deg early in the mean
+    [either] = check(turned.but(running=False)).findings
+    assert either.cause == "the encoder's zero is 19.0 deg off, or all Hall sensors are displaced by so much together"
+    [zero] = check(REAL.but(encoder=lambda theta: theta + math.radians(20.0))).findings
+    assert zero.code == "encoder_zero"
+    assert zero.cause.startswith("the encoder's zero is 20.")
+
+
+def test_a_rotation_without_back_emf_names_what_else_it_may_be():
+    rotated = {"rewire": lambda abc: (abc[2], abc[0], abc[1])}
+    [certain], [doubtful] = check(REAL.but(**rotated)).findings, check(OFF.but(**rotated)).findings
+    assert certain.cause == doubtful.cause == "sensors rotated (a on b, b on c, c on a)"
+    assert len(certain.evidence) == 1
+    assert "an encoder whose zero is 120 deg off looks alike" in doubtful.evidence[1]
+
+
+@pytest.mark.parametrize(("moved", "code"), [(3.0, None), (14.0, "displaced"), (-16.0, "displaced")])
+def test_one_displaced_sensor_is_named_with_its_edges(moved, code):
+    delta = list(TABLE_I)
+    for sector in (1, 4):  # where b rises and falls
+        delta[sector] -= moved
+    found = check(REAL.but(delta_deg=delta))
+    if code is None:
+        assert found.outcome is Outcome.HEALTHY
+        return
+    [finding] = found.findings
+    expected = moved + 1.2  # it stood at the mean of -3.0 and 0.6 ideal minus actual
+    assert (finding.code, finding.cause) == (code, f"sensor b is displaced by {expected:.1f} deg (edges II and V)")
+
+
+def test_an_uneven_duty_and_unsteady_edges_are_faults_of_their_own():
+    [uneven] = check(REAL.but(delta_deg=(0.0, 10.0, 0.0, 0.0, -10.0, 0.0))).findings
+    assert (uneven.code, uneven.cause) == ("duty", "sensor b is 1 over 55.6 % of a turn")
+    [unsteady] = check(REAL.but(jitter_deg=3.0)).findings
+    assert unsteady.code == "unsteady"
+    assert check(REAL.but(jitter_deg=1.0)).outcome is Outcome.HEALTHY
+
+
+def test_an_encoder_that_slips_has_no_pole_pairs():
+    [finding] = check(REAL.but(encoder=lambda theta: theta * 0.917)).findings
+    assert finding.code == "encoder_slips"
+    assert "6 x 1.09" in finding.evidence[0]
+
+
+def test_a_contact_that_comes_and_goes_is_no_wiring():
+    breaks = Motor(
+        turns=((60.0, 2.0), (0.0, 0.05), (-60.0, 2.0)),
+        pulses=[(0.31 + 0.25 * k + late, 1) for k in range(14) for late in (0.0, 0.0007)],
+    )
+    made = capture(breaks)
+    long = made.edges.tick[np.flatnonzero(np.diff(made.edges.tick) == 60)]
+    assert len(long) == 28  # pairs of pulses: now their middle edges go, and a break of 0.7 ms is left
+    keep = np.ones(len(made.edges), bool)
+    starts = np.flatnonzero(np.diff(made.edges.tick) == 60)
+    keep[starts[0::2] + 1] = False
+    keep[starts[1::2]] = False
+    edges = made.edges
+    broken = type(made)(
+        made.samples,
+        type(edges)(
+            edges.config, edges.tick[keep], edges.hall_old[keep], edges.hall_new[keep], edges.illegal[keep],
+            edges.encoder[keep], edges.index[keep], (),
+        ),
+        made.tick_hz, made.parameters,
+    )  # fmt: skip
+    codes = [finding.code for finding in examine(trace(broken)).findings]
+    assert codes == ["implausible"]
+
+
+def test_without_an_encoder_only_some_faults_show():
+    blind = REAL.but(without=("theta_enc", "omega_enc"))
+    healthy = check(blind)
+    assert healthy.outcome is Outcome.CANNOT_TELL
+    assert "no encoder was recorded" in healthy.missing[0]
+    for number, name in enumerate("abc"):
+
+        def inverted(abc: tuple[int, int, int], number: int = number) -> tuple[int, int, int]:
+            return tuple(level ^ (k == number) for k, level in enumerate(abc))  # type: ignore[return-value]
+
+        assert causes(check(blind.but(rewire=inverted))) == [f"wiring: sensor {name} inverted"]
+    assert causes(check(blind.but(rewire=lambda abc: (abc[0], 0, abc[2])))) == ["dead: sensor b shorted (always 0)"]
+
+
+def test_little_data_is_not_health():
+    for turns, words in (
+        (((60.0, 0.02),), "the shaft turned by 0.2 electrical turns only"),
+        (((60.0, 2.0),), "19.1 electrical turns up and 0.0 down: turn it both ways"),
+        (((60.0, 0.3), (0.0, 0.05), (-60.0, 0.3)), "an edge was passed"),
+    ):
+        found = check(REAL.but(turns=turns))
+        assert found.outcome is Outcome.CANNOT_TELL
+        assert words in found.missing[0]
+    assert check(REAL.but(turns=((60.0, 2.0),), rewire=lambda abc: (abc[1], abc[0], abc[2]))).outcome is Outcome.FAULT
+
+
+def test_two_false_pulses_are_none_and_many_are_a_fault():
+    few = check(REAL.but(pulses=[(0.5, 0), (1.5, 1)]))
+    assert (few.outcome, few.pulses.n) == (Outcome.HEALTHY, 2)
+    [finding] = check(REAL.but(pulses=[(0.1 + 0.2 * k, 2) for k in range(30)])).findings
+    assert finding.code == "pulses"
+    assert finding.evidence[0].startswith("30 pulses of at most 3.0 us, 4.")
+    assert finding.evidence[0].endswith("a 0, b 0, c 30")
+
+
+def test_a_report_fits_a_terminal_and_its_json_says_the_same():
+    from bench.hall.live import Turned
+
+    for motor in (
+        REAL,
+        REAL.but(rewire=lambda abc: (abc[1], abc[0], abc[2]), pulses=[(0.1 + 0.2 * k, 2) for k in range(30)]),
+    ):
+        made = capture(motor)
+        looked_at = trace(made)
+        health, turned = examine(looked_at), Turned(made, "by hand", ("a remark",))
+        rows = edge_rows(health)
+        lines = verdict_lines(health, turned.remarks)
+        assert max(map(len, lines)) <= WIDTH
+        assert sum(max(len(row[k]) for row in rows) + 2 for k in range(len(rows[0]))) <= WIDTH
+        assert all(len(row) == 2 for row in fact_rows(health, looked_at, turned))
+        data = as_json(health, looked_at, turned, "x")
+        assert data["exit_code"] == int(health.outcome)
+        assert [f["cause"] for f in data["findings"]] == [f.cause for f in health.findings]
+        for row, edge in zip(rows, data["edges"], strict=True):
+            assert float(row[2]) == pytest.approx(edge["up"]["angle_deg"], abs=0.0051)
+            assert row[5] == f"{edge['up']['n']}/{edge['down']['n']}"
+    assert rows[0][8] == "-"  # no widths where the wires are exchanged
