@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -50,7 +50,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists."),
         click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      help="Figures of the simulated drive (TOML)."),
-        click.option("--json", "json_file", metavar="FILE", type=click.File("w", lazy=False),
+        click.option("--json", "json_file", metavar="FILE", type=click.Path(dir_okay=False, allow_dash=True),
                      help="Write everything as JSON; - is standard output."),
     )):  # fmt: skip
         function = decorate(function)
@@ -70,7 +70,7 @@ def command() -> None:
 
 @command.command("check")
 @_looking
-def check(source: str, json_file: IO[str] | None, **given: Any) -> None:
+def check(source: str, json_file: str | None, **given: Any) -> None:
     """Find out whether the Hall sensors, their wires and the encoder are healthy, and what is wrong.
 
     TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time. Its
@@ -96,7 +96,7 @@ def check(source: str, json_file: IO[str] | None, **given: Any) -> None:
 @_looking
 @click.option("--write", is_flag=True, help="Set the drive's parameters edge_up_1 … edge_down_6, and read them back.")
 @click.option("--out", metavar="FILE", type=_FILE, help="Write the edges to this .toml or .json, for a firmware.")
-def learn(source: str, json_file: IO[str] | None, write: bool, out: Path | None, **given: Any) -> None:
+def learn(source: str, json_file: str | None, write: bool, out: Path | None, **given: Any) -> None:
     """Measure where the Hall edges lie, for observers that know them; refused where a check finds a fault.
 
     TARGET and RUN are those of bench hall check. Without --write and --out the edges are only shown. A drive keeps what
@@ -152,7 +152,7 @@ def _opened(options: Options, screen: Progress) -> AbstractContextManager[Source
     return opened(options, screen, ask if sys.stdin.isatty() else None)
 
 
-def _show(source: str, found: Source, json_file: IO[str] | None, screen: Progress) -> Health:
+def _show(source: str, found: Source, json_file: str | None, screen: Progress) -> Health:
     """Examine what was recorded; print it, or write it as JSON."""
     from bench.cli.output import pairs, table
     from bench.hall import report
@@ -163,10 +163,14 @@ def _show(source: str, found: Source, json_file: IO[str] | None, screen: Progres
     health = examine(looked_at)
     screen.pause()
     if json_file is not None:
-        json.dump(report.as_json(health, looked_at, found.turned, source), json_file, indent=2)
-        json_file.write("\n")
-        if json_file.name == "<stdout>":
+        text = json.dumps(report.as_json(health, looked_at, found.turned, source), indent=2)
+        if json_file == "-":
+            click.echo(text)
             return health
+        try:
+            Path(json_file).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise click.ClickException(f"--json {json_file} cannot be written: {error.strerror}") from None
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
     click.echo()
     for headers, rows, title in (

@@ -19,6 +19,7 @@ from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
 from bench.hall.trace import INPUTS, SLOW, Floats, Trace
 from bench.statistics import wrap
+from sim.observers.hall_speed import SECTOR_WIDTH
 
 STILL = 0.01
 """Share of time, and of the changes of the others, in which an input that never changes may have changed."""
@@ -183,8 +184,6 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
 def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, emf: BackEmf | None) -> list[Finding]:
     """A wiring that is not as specified; `theta`: of the rotor flux, as far as that is known."""
     zero_known = emf is not None
-    if wiring.best == AS_SPECIFIED:
-        return []
     next_best = f"{wiring.runner_up}, explains {_percent(wiring.runner_up_share)}"
     if wiring.best != NONE_KNOWN:
         evidence = [f"that explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
@@ -233,6 +232,11 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
             "two faults at once, or a contact that comes and goes: check wire by wire, then check again",
         )
     ]
+
+
+def in_their_sectors(measured: Measured, emf: BackEmf | None) -> bool:
+    """Whether every edge lies within half a sector of its place: so does none where wires are not as specified."""
+    return all(abs(delta) < SECTOR_WIDTH / 2.0 for delta in wrap(np.array(_deltas(measured, emf))))
 
 
 def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:

@@ -86,10 +86,13 @@ def examine(trace: Trace) -> Health:
         except ValueError as error:
             missing.append(f"the wiring is not known: {error}")
         else:
-            findings += causes.wires(trace, theta, wiring, measured, emf)
-            if wiring.best == AS_SPECIFIED and not (emf is not None and emf.reversed):
-                findings += causes.places(measured, emf)
-                findings += causes.implausible(codes, found_pulses)
+            as_specified, forwards = wiring.best == AS_SPECIFIED, emf is None or not emf.reversed
+            found: list[Finding] = []
+            if forwards and (as_specified or causes.in_their_sectors(measured, emf)):
+                found = causes.places(measured, emf) + causes.implausible(codes, found_pulses)
+            if not as_specified and not found:
+                found = causes.wires(trace, theta, wiring, measured, emf)
+            findings += found
         missing += _thin(turns, measured)
     findings += causes.false_pulses(found_pulses)
     outcome = Outcome.FAULT if findings else Outcome.CANNOT_TELL if missing else Outcome.HEALTHY

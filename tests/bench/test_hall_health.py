@@ -49,10 +49,12 @@ def test_sensors_that_are_all_displaced_are_told_from_the_encoders_zero_by_the_b
     [ring] = check(turned).findings
     assert (ring.code, ring.cause) == (
         "ring",
-        "all Hall sensors are displaced by 19.0 deg together",
-    )  # Table I: 1 deg early in the mean
+        "all Hall sensors are displaced by 21.2 deg together",
+    )  # 20 and the middle one of the sensors of Table I, b
     [either] = check(turned.but(running=False)).findings
-    assert either.cause == "the encoder's zero is 19.0 deg off, or all Hall sensors are displaced by so much together"
+    assert (
+        either.cause == "all Hall sensors are displaced by 21.2 deg together, or the encoder's zero is off by so much"
+    )
     [zero] = check(REAL.but(encoder=lambda theta: theta + math.radians(20.0))).findings
     assert zero.code == "encoder_zero"
     assert zero.cause.startswith("the encoder's zero is 20.")

@@ -1,0 +1,279 @@
+"""`bench hall` on the simulated drive: every fault is named from a live drive and from its recording, and all ends off.
+
+The drive is another process's as far as the bench knows; faults are put in by its configuration. Truths are figures
+of that configuration.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
+
+from bench.cli import main
+from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.hall.health import Health, Outcome, examine
+from bench.hall.source import Options, opened
+from bench.hall.trace import trace
+from protocol.messages import DriveState, Fault, SetpointMode
+from sim.drive.device import SimulatedDevice
+from sim.drive.virtual import VirtualLink
+
+TARGET = "serial:/dev/ttyHALL"
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+
+
+def moved(sensor_edges: tuple[int, int], by: float) -> str:
+    placed = [delta - by if s in sensor_edges else delta for s, delta in enumerate(TABLE_I)]
+    return f"[hall]\ndelta_deg = {placed}\n"
+
+
+FAULTS = {  # what the simulated drive has, and what a check must say
+    "[wiring]\nhall_swap = 1\n": "sensors a and b exchanged",
+    "[wiring]\nhall_swap = 2\n": "sensors b and c exchanged",
+    "[wiring]\nhall_swap = 3\n": "sensors c and a exchanged",
+    "[wiring]\nhall_swap = 4\n": "sensors rotated (a on b, b on c, c on a)",
+    "[wiring]\nhall_swap = 5\n": "sensors rotated (a on c, b on a, c on b)",
+    "[wiring]\nhall_open = 1\n": "sensor a open (always 1)",
+    "[wiring]\nhall_open = 2\n": "sensor b open (always 1)",
+    "[wiring]\nhall_open = 4\n": "sensor c open (always 1)",
+    "[wiring]\nhall_short = 2\n": "sensor b shorted (always 0)",
+    "[wiring]\nhall_invert = 1\n": "sensor a inverted",
+    "[wiring]\nhall_invert = 4\n": "sensor c inverted",
+    "[wiring]\nhall_glitch = 30.0\n": "false pulses on the Hall wires (EMI)",
+    "[firmware]\nn_p = 4\n": "wrong number of pole pairs: 4 in the drive, 6 would fit",
+    moved((0, 3), 12.0): "sensor c is displaced by 14.2 deg (edges I and IV)",
+    moved((2, 5), -15.0): "sensor a is displaced by -21.4 deg (edges III and VI)",
+    "[encoder]\noffset_deg = 40.0\n": "the encoder's zero is 40 deg off",
+    "[encoder]\noffset_deg = -130.0\n": "the encoder's zero is -130 deg off",
+}
+
+
+def look(options: Options, confirm: object = None) -> Health:
+    with opened(options, RecordingScreen(), confirm) as source:  # type: ignore[arg-type]
+        return examine(trace(source.turned.capture))
+
+
+def rounded(cause: str) -> str:
+    """Angles to a degree or two, as good as the configuration is known to a check: jitter, dead time."""
+    words = [f"{2 * round(float(w) / 2)}" if w.lstrip("-").replace(".", "").isdigit() and "." in w else w
+             for w in cause.split()]  # fmt: skip
+    return " ".join(words)
+
+
+@pytest.mark.parametrize(("config", "cause"), list(FAULTS.items()), ids=list(FAULTS.values()))
+def test_each_fault_is_named_from_the_drive_and_from_its_recording(tmp_path: Path, config: str, cause: str) -> None:
+    (tmp_path / "faulty.toml").write_text(config)
+    run = tmp_path / "run.rrd"
+    live = look(Options("sim", config=tmp_path / "faulty.toml", save=run))
+    recorded = look(Options(str(run)))
+    for health in (live, recorded):
+        assert health.outcome is Outcome.FAULT
+        assert [rounded(finding.cause) for finding in health.findings] == [rounded(cause)]
+        assert all(finding.evidence and finding.advice for finding in health.findings)
+    assert [edge.up.n for edge in live.measured.edges] == pytest.approx(
+        [edge.up.n for edge in recorded.measured.edges], abs=2
+    )
+
+
+def test_a_healthy_drive_is_measured_to_what_its_configuration_says(tmp_path: Path) -> None:
+    run = tmp_path / "run.rrd"
+    for health in (look(Options("sim", save=run)), look(Options(str(run)))):
+        assert health.outcome is Outcome.HEALTHY
+        assert health.emf is not None
+        assert abs(math.degrees(health.emf.zero)) < 0.5
+        for edge, delta in zip(health.measured.edges, TABLE_I, strict=True):
+            assert math.degrees(edge.delta(edge.up)) == pytest.approx(delta - 0.25, abs=0.06)
+            assert math.degrees(edge.delta(edge.down)) == pytest.approx(delta + 0.25, abs=0.06)
+            assert 0.01 < math.degrees(edge.up.half_width) < 0.04
+            assert 0.04 < math.degrees(edge.up.jitter) < 0.1  # 0.05 deg, and the encoder's counts of 0.15 deg
+            assert edge.up.n >= 40 <= edge.down.n
+        assert health.turns.ratio == pytest.approx(1.0, abs=0.01)
+        assert health.codes.illegal == health.codes.skipped == health.pulses.n == 0
+
+
+# -- drives that cannot turn as they should ---------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reached(device: SimulatedDevice, on_call: object = None) -> Iterator[list[WatchedLink]]:
+    """`TARGET` is this device, each time it is opened."""
+    links: list[WatchedLink] = []
+
+    def link(target: str) -> VirtualLink:
+        links.append(WatchedLink(device, on_call or (lambda number: None)))  # type: ignore[arg-type]
+        return links[-1]
+
+    with patch("bench.acceptance.targets.open_link", link):
+        yield links
+
+
+def test_a_trip_is_told_and_no_error_and_the_drive_is_left_as_it_was() -> None:
+    device = simulated(wiring__hall_open=1)
+    with reached(device), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        assert any("tripped HALL" in remark for remark in source.turned.remarks)
+        assert at_rest(device)
+    assert device.bench.parameters["i_max"] == 8.0
+    assert device.bench.parameters["observer"] == 2.0
+    assert at_rest(device)
+
+
+def test_a_drive_that_runs_away_by_its_encoder_is_stopped_and_turned_otherwise() -> None:
+    device = simulated(encoder__offset_deg=180.0)
+    fastest = 0.0
+
+    def measure(number: int) -> None:
+        nonlocal fastest
+        fastest = max(fastest, abs(device.bench.truth.omega_m))
+
+    with reached(device, measure), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        assert source.turned.how == "the drive by its encoder, then the drive by its Hall sensors"
+        assert "ran away and was stopped" in source.turned.remarks[0]
+        [finding] = examine(trace(source.turned.capture)).findings
+        assert finding.code == "encoder_zero"
+    assert 1.6 * 240 < fastest * 60 / math.tau < 4.0 * 240  # it did, and not for long
+    assert at_rest(device)
+
+
+def test_a_drive_without_an_encoder_turns_by_its_hall_sensors_and_leaves_doubt() -> None:
+    with reached(simulated(encoder__present=0)), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        assert source.turned.how == "the drive by its Hall sensors"
+        found = examine(trace(source.turned.capture))
+    assert found.outcome is Outcome.CANNOT_TELL
+    assert "no encoder was recorded" in found.missing[0]
+
+
+def test_a_speed_beyond_the_drives_limit_is_refused_before_anything_turns() -> None:
+    device = simulated()
+    with reached(device) as links, pytest.raises(BenchError, match=r"--speed 4000 is beyond the drive's limit of 3151"):
+        look(Options(TARGET, speed_rpm=4000.0, yes=True))
+    assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+
+
+# -- consent, and the end of it ---------------------------------------------------------------------------------
+
+
+def test_nothing_is_energised_without_consent() -> None:
+    device = physical()
+    for confirm in (None, lambda question: False):
+        with reached(device) as links, pytest.raises(UnsafeError):
+            look(Options(TARGET), confirm)
+        assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+    asked: list[str] = []
+
+    def agree(question: str) -> bool:
+        asked.append(question)
+        return True
+
+    with reached(device) as links:
+        assert look(Options(TARGET), agree).outcome is Outcome.HEALTHY
+    assert "up to 240 r/min, phase current up to 2 A" in asked[0]
+    assert any(DriveState.RUNNING in link.states for link in links)
+    assert at_rest(device)
+
+
+def test_a_signal_ends_with_the_outputs_off() -> None:
+    with reached(simulated()) as links:
+        look(Options(TARGET, yes=True))
+    states = links[-1].states
+    on, off = states.index(DriveState.RUNNING), len(states) - states[::-1].index(DriveState.RUNNING)
+    for at, kind in ((on + 2, signal.SIGTERM), ((on + off) // 2, signal.SIGINT), (off - 1, signal.SIGHUP)):
+        device = simulated()
+
+        def interrupt(number: int, at: int = at, kind: signal.Signals = kind) -> None:
+            if number == at:
+                signal.raise_signal(kind)
+
+        with reached(device, interrupt) as links, pytest.raises((KeyboardInterrupt, Interrupted)):
+            look(Options(TARGET, yes=True))
+        assert DriveState.RUNNING in links[-1].states
+        assert at_rest(device)
+        assert device.bench.faults == Fault(0)  # STOP did it, not the watchdog
+        assert device.bench.parameters["i_max"] == 8.0
+
+
+def by_hand(device: SimulatedDevice) -> object:
+    """Somebody turns the shaft: up, then down."""
+
+    def turn(number: int) -> None:
+        machine = device.bench
+        if number == 60:
+            machine.load_enter_state(DriveState.RUNNING)
+        if number >= 60:
+            machine.load_setpoint(SetpointMode.SPEED, 8.0 if number % 80 < 40 else -8.0)
+
+    return turn
+
+
+def test_passive_watches_a_drive_that_keeps_its_fault_and_changes_nothing_in_it() -> None:
+    device = physical()
+    machine = device.bench
+    machine.set_load_param("hall_invert", 1.0)
+    before = dict(machine.parameters)
+    with reached(device, by_hand(device)) as links:
+        found = look(Options(TARGET, passive=True, duration=30.0))
+    assert [finding.cause for finding in found.findings] == ["sensor a inverted"]
+    assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+    assert machine.parameters == before
+    assert min(found.turns.up, found.turns.down) >= 5.0
+    assert links[-1].clock() < 25.0  # it did not wait for the time to be up
+
+
+def test_passive_gives_up_in_time_when_nobody_turns_the_shaft() -> None:
+    with reached(simulated()):
+        found = look(Options(TARGET, passive=True, duration=1.0))
+    assert found.outcome is Outcome.CANNOT_TELL
+    assert "0.0 electrical turns only" in found.missing[0]
+
+
+# -- the command ------------------------------------------------------------------------------------------------
+
+
+def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(["hall", *arguments])
+    read = capsys.readouterr()
+    return int(ended.value.code or 0), read.out, read.err
+
+
+def test_the_command_prints_a_verdict_and_its_exit_code_is_that(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "faulty.toml").write_text("[wiring]\nhall_swap = 2\nhall_glitch = 30.0\n")
+    data = tmp_path / "health.json"
+    code, out, _ = bench(capsys, "check", "sim", "--config", str(tmp_path / "faulty.toml"), "--json", str(data))
+    assert code == 1
+    assert "FAULT: sensors b and c exchanged" in out.splitlines()
+    assert "FAULT: false pulses on the Hall wires (EMI)" in out.splitlines()
+    assert max(map(len, out.splitlines())) <= 84
+    assert json.loads(data.read_text())["outcome"] == "fault"
+    code, out, _ = bench(capsys, "check", "sim", "--json", "-")
+    assert (code, json.loads(out)["outcome"]) == (0, "healthy")
+    assert json.loads(out)["edges"][2]["up"]["angle_deg"] == pytest.approx(120.0 - 7.2 + 0.25, abs=0.1)
+    code, out, _ = bench(capsys, "check", "sim", "--passive", "--duration", "0.5")
+    assert code == 2
+    assert "cannot tell: the shaft turned by 0.0 electrical turns only" in out
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("check", "nowhere.rrd"), "nowhere.rrd: no such file"),
+    (("check", "tcp:127.0.0.1:1", "--config", "pyproject.toml"), "--config is for the simulated drive"),
+    (("check", "x.rrd", "--passive"), "x.rrd is a recording: --save and --passive are for a drive"),
+    (("learn", "x.rrd", "--write"), "--write needs a drive, and x.rrd is a recording"),
+    (("learn", "sim", "--out", "edges.yaml"), "--out edges.yaml: the name must end in .toml or .json"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_refused_in_a_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    code, _, err = bench(capsys, *arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert words in err
+    assert len(err.splitlines()) == 1
