@@ -35,6 +35,7 @@ SAME, OTHER = 0.9, 0.95
 """How well edges repeat with the pole pairs that are right, at least (0..1); with others, to be believed."""
 SHIFTS, FEW = 72, 20_000
 """Constants in a turn, and samples, with which an angle that is off by one is looked for."""
+TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF tells which"
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
                     "encoder_reversed",
                     "the encoder counts backwards, or two Hall wires are exchanged and the sensors turned",
                     (explained + " to an encoder that counts backwards", nearest),
-                    "let the drive turn the motor, so that the back-EMF can tell; see to the encoder's direction first",
+                    f"see to the encoder's direction first; {TELL}",
                 )
             ]
         words = (
@@ -219,9 +220,7 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
                 "ring" if zero_known else "encoder_zero",
                 words,
                 (explained, nearest),
-                "turn the ring of the sensors"
-                if zero_known
-                else "let the drive turn the motor: its back-EMF tells which",
+                "turn the ring of the sensors" if zero_known else TELL,
             )
         ]
     return [
@@ -253,7 +252,7 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
                 f"all Hall sensors are displaced by {_deg(-common)} together"
                 + ("" if emf is not None else ", or the encoder's zero is off by so much"),
                 (_all_deltas(measured),),
-                "turn the ring of the sensors, or align the encoder",
+                "turn the ring of the sensors" if emf is not None else TELL,
             )
         )
     else:

@@ -100,10 +100,9 @@ def verdict_lines(health: Health, remarks: Sequence[str]) -> list[str]:
         lines += _wrapped("  to do: ", finding.advice)
     for missing in health.missing:
         lines += _wrapped("cannot tell: ", missing)
-    if health.outcome is Outcome.HEALTHY:
-        assert health.wiring is not None
+    if health.wiring is not None and not health.findings:
         lines += _wrapped(
-            "HEALTHY: ",
+            "HEALTHY: " if health.outcome is Outcome.HEALTHY else "so far: ",
             f"wired as specified, which explains {100.0 * health.wiring.share:.1f} % of {health.wiring.n} samples; the "
             f"next, {health.wiring.runner_up}, {100.0 * health.wiring.runner_up_share:.1f} %",
         )

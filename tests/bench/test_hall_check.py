@@ -15,9 +15,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from click.shell_completion import ShellComplete
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
 
-from bench.cli import main
+from bench.cli import cli, main
 from bench.errors import BenchError, Interrupted, UnsafeError
 from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
@@ -260,6 +261,16 @@ def test_the_command_prints_a_verdict_and_its_exit_code_is_that(
     code, out, _ = bench(capsys, "check", "sim", "--passive", "--duration", "0.5")
     assert code == 2
     assert "cannot tell: the shaft turned by 0.0 electrical turns only" in out
+
+
+def test_completion_knows_targets_and_recordings(tmp_path: Path) -> None:
+    for name in ("a.rrd", "b.rrd", "b.txt"):
+        (tmp_path / name).touch()
+    for subcommand in ("check", "learn"):
+        complete = ShellComplete(cli, {}, "bench", "_BENCH_COMPLETE")
+        assert [item.value for item in complete.get_completions(["hall", subcommand], "si")] == ["sim"]
+        found = complete.get_completions(["hall", subcommand], f"{tmp_path}/")
+        assert [item.value for item in found] == [f"{tmp_path}/a.rrd", f"{tmp_path}/b.rrd"]
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
