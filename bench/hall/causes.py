@@ -33,6 +33,9 @@ IMPLAUSIBLE = 0.005
 """Share of edges to an illegal code or over a sector, beyond which a wiring that is right does not explain them."""
 SAME, OTHER = 0.9, 0.95
 """How well edges repeat with the pole pairs that are right, at least (0..1); with others, to be believed."""
+MULTIPLE = 0.75
+"""Electrical turns by Hall inputs for one by the encoder, below which the drive's pole pairs are a multiple of the
+motor's: edges repeat with both."""
 SHIFTS, FEW = 72, 20_000
 """Constants in a turn, and samples, with which an angle that is off by one is looked for."""
 TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF tells which"
@@ -120,7 +123,7 @@ def pole_pairs(trace: Trace, turns: Turns) -> list[Finding]:
     if n_p is None or not math.isfinite(turns.ratio):
         return []
     as_assumed = reference.repeats(trace.edges, 1.0)
-    if as_assumed >= SAME:
+    if as_assumed >= SAME and turns.ratio > MULTIPLE:
         return []
     measured = n_p * turns.ratio
     near = range(max(1, math.floor(0.9 * measured - 1.0)), math.ceil(1.1 * measured + 1.0) + 1)

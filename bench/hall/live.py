@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -33,7 +35,7 @@ DWELL = (1.0, 4.0)  # s, but so long at least and at most
 ENOUGH = 6.0
 """Electrical turns each way with which no further way of turning is tried."""
 FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
-RUNAWAY = 1.6  # of the highest speed, at which a motor that does not follow is stopped
+RUNAWAY = 1.6  # of the speed that was asked for, or was there before, at which a motor is stopped
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
 LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a count
@@ -110,7 +112,10 @@ class Turner:
         drive = self._rig.drive
         for omega_m in self._speeds(shares):
             self._progress(f"{source}: {omega_m / RPM:+.0f} r/min")
+            if self._running and self._speed() * omega_m < 0.0:
+                self._brake()
             first = self._rig.tick()
+            limit = RUNAWAY * max(abs(omega_m) * drive.n_p, abs(self._speed()))
             try:
                 if not self._running:
                     self._running = True
@@ -119,12 +124,18 @@ class Turner:
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
-            self._rig.until(self._let_go, self._dwell(omega_m))
+            self._rig.until(partial(self._let_go, limit), self._dwell(omega_m))
             if drive.faults:
                 self._after_trip(source, omega_m)
-            elif abs(self._speed()) > self._limit():
+            elif abs(self._speed()) > limit:
                 raise _NotFollowing(f"told to turn at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
             self._require_following(first, omega_m)
+
+    def _brake(self) -> None:
+        """Down to a stand before the shaft turns the other way; a trip is looked at later."""
+        with suppress(BenchError, HbpError):
+            self._rig.drive.speed(0.0)
+        self._rig.until(lambda: bool(self._rig.drive.faults) or abs(self._speed()) < STANDS, COAST)
 
     def _by_load(self) -> None:
         load = self._rig.load
@@ -139,8 +150,8 @@ class Turner:
 
     # -- looks --------------------------------------------------------------------------------------------------
 
-    def _let_go(self) -> bool:
-        return bool(self._rig.drive.faults) or abs(self._speed()) > self._limit()
+    def _let_go(self, limit: float) -> bool:
+        return bool(self._rig.drive.faults) or abs(self._speed()) > limit
 
     def _speed(self) -> float:
         """Electrical rad/s, by what the drive has; 0 before the first sample."""
@@ -148,9 +159,6 @@ class Turner:
         if recorder.newest < 0:
             return 0.0
         return recorder.latest("omega_enc" if self._rig.has_encoder else "omega_avg")
-
-    def _limit(self) -> float:
-        return RUNAWAY * self._most_rpm * RPM * self._rig.drive.n_p
 
     def _after_trip(self, source: str, omega_m: float) -> None:
         """Record what coasts, and make the drive ready again."""

@@ -180,7 +180,7 @@ def test_there_is_no_back_emf_to_go_by(changed):
     assert reference.back_emf(trace(capture(Motor(**changed)))) is None
 
 
-@pytest.mark.parametrize(("in_drive", "of_motor"), [(4, 6), (7, 6), (6, 6), (2, 14)])
+@pytest.mark.parametrize(("in_drive", "of_motor"), [(4, 6), (7, 6), (6, 6), (2, 14), (3, 6)])
 def test_turns_by_the_hall_inputs_are_those_of_the_motors_pole_pairs(in_drive, of_motor):
     made = trace(capture(Motor(n_p=in_drive, encoder=lambda theta: theta * in_drive / of_motor)))
     found = reference.turns(made)

@@ -90,6 +90,15 @@ def test_an_uneven_duty_and_unsteady_edges_are_faults_of_their_own():
     assert check(REAL.but(jitter_deg=1.0)).outcome is Outcome.HEALTHY
 
 
+@pytest.mark.parametrize("in_drive", [1, 3, 5, 7, 12, 18])
+def test_any_other_number_of_pole_pairs_is_told_with_the_right_one(in_drive):
+    [finding] = check(REAL.but(n_p=in_drive, encoder=lambda theta: theta * in_drive / 6)).findings
+    assert (finding.code, finding.cause) == (
+        "pole_pairs",
+        f"wrong number of pole pairs: {in_drive} in the drive, 6 would fit",
+    )
+
+
 def test_an_encoder_that_slips_has_no_pole_pairs():
     [finding] = check(REAL.but(encoder=lambda theta: theta * 0.917)).findings
     assert finding.code == "encoder_slips"
