@@ -175,11 +175,13 @@ def _show(source: str, found: Source, json_file: str | None, screen: Progress) -
     click.echo()
     for headers, rows, title in (
         (report.EDGE_HEADERS, report.edge_rows(health), report.EDGE_TITLE),
-        (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ""),
-        (report.CURRENT_HEADERS, report.current_rows(health), ""),
+        (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ()),
+        (report.CURRENT_HEADERS, report.current_rows(health), ()),
     ):
         if rows:
-            table(headers, rows, title)
+            for line in title:
+                click.echo(line)
+            table(headers, rows)
             click.echo()
     for line in report.verdict_lines(health, found.turned.remarks):
         click.echo(line)

@@ -64,6 +64,7 @@ class Turner:
         self._progress = progress
         self._first = rig.tick()
         self._remarks: list[str] = []
+        self._trips: dict[str, list[str]] = {}  # speeds, by how the drive turned the motor and what it tripped
         self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
 
     def spin(self) -> Turned:
@@ -88,14 +89,15 @@ class Turner:
         return self._turned(", then ".join(tried))
 
     def _turned(self, how: str) -> Turned:
-        return Turned(self._rig.capture(self._first, self._rig.recorder.newest), how, tuple(self._remarks))
+        trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
+        return Turned(self._rig.capture(self._first, self._rig.recorder.newest), how, (*trips, *self._remarks))
 
     # -- ways ---------------------------------------------------------------------------------------------------
 
     def _ways(self) -> Iterator[tuple[str, Callable[[], None]]]:
         if self._rig.has_encoder:
-            yield "the drive by its encoder", lambda: self._by_drive("encoder", SHARES)
-        yield "the drive by its Hall sensors", lambda: self._by_drive("average-speed", SHARES[1:])
+            yield "the drive by its encoder", lambda: self._by_drive("encoder", "encoder", SHARES)
+        yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
         load = self._rig.load
         if load is not None and SPEED in load.abilities:
             yield "the load machine", self._by_load
@@ -108,10 +110,10 @@ class Turner:
         turns_per_second = self._rig.drive.n_p * abs(omega_m) / math.tau
         return min(max(DWELL_TURNS / turns_per_second, DWELL[0]), DWELL[1])
 
-    def _by_drive(self, source: str, shares: tuple[float, ...]) -> None:
+    def _by_drive(self, source: str, observer: str, shares: tuple[float, ...]) -> None:
         drive = self._rig.drive
         for omega_m in self._speeds(shares):
-            self._progress(f"{source}: {omega_m / RPM:+.0f} r/min")
+            self._progress(f"the drive by its {source}: {omega_m / RPM:+.0f} r/min")
             if self._running and self._speed() * omega_m < 0.0:
                 self._brake()
             first = self._rig.tick()
@@ -119,7 +121,7 @@ class Turner:
             try:
                 if not self._running:
                     self._running = True
-                    drive.start(source)
+                    drive.start(observer)
                 drive.speed(omega_m)
             except (BenchError, HbpError):
                 if not drive.faults:
@@ -163,7 +165,8 @@ class Turner:
     def _after_trip(self, source: str, omega_m: float) -> None:
         """Record what coasts, and make the drive ready again."""
         drive = self._rig.drive
-        self._remarks.append(f"{source} at {omega_m / RPM:+.0f} r/min: the drive tripped {', '.join(drive.faults)}")
+        what = f"the drive, by its {source}, tripped {', '.join(drive.faults)}"
+        self._trips.setdefault(what, []).append(f"{omega_m / RPM:+.0f}")
         self._running = False
         self._coast()
         other = [name for name in drive.faults if name != Fault.HALL.name]

@@ -16,10 +16,13 @@ from bench.hall.trace import INPUTS, Trace
 
 WIDTH = 79
 NUMERALS = ("I", "II", "III", "IV", "V", "VI")
-EDGE_HEADERS = ("edge", "ideal", "up", "down", "+-95 %", "passed", "hyst.", "jitter", "width")
+EDGE_HEADERS = ("edge", "up", "down", "+-95 %", "passed", "hyst.", "jitter", "width")
 SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
 CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
-EDGE_TITLE = "edges, electrical degrees; passed: times up/down; width: of the sector that it opens"
+EDGE_TITLE = (
+    "Edges in electrical degrees: they belong at 0, 60 … 300; passed: times up/down;",
+    "width: of the sector that opens there",
+)
 
 
 def edge_rows(health: Health) -> list[list[str]]:
@@ -30,7 +33,6 @@ def edge_rows(health: Health) -> list[list[str]]:
     return [
         [
             f"{NUMERALS[edge.sector]:<3} {edge.name}",
-            f"{math.degrees(edge.ideal):.0f}",
             _number(_angle(edge.up), 2),
             _number(_angle(edge.down), 2),
             _number(_widest(edge), 2),

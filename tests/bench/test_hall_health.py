@@ -7,7 +7,7 @@ import pytest
 from hall_motor import Motor, capture
 
 from bench.hall.health import Health, Outcome, examine
-from bench.hall.report import WIDTH, as_json, edge_rows, fact_rows, verdict_lines
+from bench.hall.report import EDGE_HEADERS, WIDTH, as_json, edge_rows, fact_rows, verdict_lines
 from bench.hall.trace import trace
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
@@ -178,12 +178,13 @@ def test_a_report_fits_a_terminal_and_its_json_says_the_same():
         rows = edge_rows(health)
         lines = verdict_lines(health, turned.remarks)
         assert max(map(len, lines)) <= WIDTH
-        assert sum(max(len(row[k]) for row in rows) + 2 for k in range(len(rows[0]))) <= WIDTH
+        cells = [EDGE_HEADERS, *rows]
+        assert sum(max(len(row[k]) for row in cells) + 3 for k in range(len(EDGE_HEADERS))) <= WIDTH  # rich takes 3
         assert all(len(row) == 2 for row in fact_rows(health, looked_at, turned))
         data = as_json(health, looked_at, turned, "x")
         assert data["exit_code"] == int(health.outcome)
         assert [f["cause"] for f in data["findings"]] == [f.cause for f in health.findings]
         for row, edge in zip(rows, data["edges"], strict=True):
-            assert float(row[2]) == pytest.approx(edge["up"]["angle_deg"], abs=0.0051)
-            assert row[5] == f"{edge['up']['n']}/{edge['down']['n']}"
-    assert rows[0][8] == "-"  # no widths where the wires are exchanged
+            assert float(row[1]) == pytest.approx(edge["up"]["angle_deg"], abs=0.0051)
+            assert row[4] == f"{edge['up']['n']}/{edge['down']['n']}"
+    assert rows[0][7] == "-"  # no widths where the wires are exchanged
