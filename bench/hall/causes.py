@@ -193,9 +193,11 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
         evidence = [f"that explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
         if not zero_known and "rotated" in wiring.best:
             evidence.append("an encoder whose zero is 120 deg off looks alike: no back-EMF was recorded to tell")
-        return [
-            Finding("wiring", wiring.best, tuple(evidence), "connect the sensors as specified: a, b, c in that order")
-        ]
+        exchanged = "exchanged" in wiring.best or "rotated" in wiring.best
+        advice = (
+            "connect the sensors to the inputs of their names" if exchanged else "correct the polarity of that sensor"
+        )
+        return [Finding("wiring", wiring.best, tuple(evidence), advice)]
     nearest = f"the nearest of the known wirings, {next_best} of {wiring.n} samples"
     moving = np.abs(np.asarray(trace.omega)) >= SLOW
     for backwards in (False, True):
@@ -273,7 +275,7 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
                     "displaced",
                     f"sensor {name} is displaced by {_deg(common - off[number])} (edges {numbers})",
                     evidence,
-                    f"move sensor {name}; or let an observer learn the edges",
+                    f"move sensor {name} by {_deg(off[number] - common)}",
                 )
             )
         uneven = float(wrap(np.array([deltas[rise] - deltas[fall]]))[0]) / 2.0
