@@ -56,7 +56,7 @@ LOST = 4
 SEEN = 2.0  # periods after which an edge is seen at the latest
 R_WEIGHT = 0.7  # weight up to which R_s is learned: psi_f matters more above
 BAND_R = 0.1  # of R_s, its error once learned; three times that before the second edge
-BAND_V = 0.06  # V, other errors of the back-EMF's size
+BAND_V = 0.04  # V, other errors of the back-EMF's size
 TAU_E_Q = 0.5e-3  # s, filters
 TAU_I_Q = 1e-3
 TAU_OPPOSED = 10e-3  # s, in which omega gives way to a back-EMF of the other sign
@@ -272,7 +272,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         omega += w * w * T_s * epsilon
         theta += 2.0 * w * T_s * epsilon
         if learn and passed == 2:
-            voltage = voltage_learning.learn_dead_time(voltage, T_s, e_d, e.s_alpha * cos + e.s_beta * sin)
+            s_d = e.s_alpha * cos + e.s_beta * sin
+            voltage = voltage_learning.learn_dead_time(voltage, (1.0 - weight * weight) * T_s, e_d, s_d)
     if weight >= LEAD:
         theta += T_s * omega
     else:

@@ -5,7 +5,8 @@ Dead time. What the drive leaves uncompensated is a voltage v in step with the s
     u_x = u_x* - v sat(i_x / I_FADE),   x = a, b, c.
 
 Across the rotor it swings at six times the frequency, which at low speed distorts the back-EMF more than noise does. v
-follows by least mean squares from e_d, the back-EMF across the estimate, along the d component of those signs.
+follows by least mean squares from e_d, the back-EMF across the estimate, along the d component of those signs; the
+slower, the stronger the back-EMF, because at speed other errors have the same frequency and v matters less.
 
 Resistance. Over a sector the mean back-EMF along the estimate is psi_f omega plus (R_s - R_s_hat) i_q, and the edges
 give omega. Where the speed is low, so that an error of psi_f matters little, a part of the difference goes to R_s.
@@ -28,7 +29,7 @@ from sim.observers.transforms import clarke
 
 SQRT3 = math.sqrt(3.0)
 I_FADE = 0.3  # A, below it the dead time's error is in proportion to the current: the sign changes within the period
-V_RATE = 12.8  # 1/(V s)
+V_RATE = 25.0  # 1/(V s)
 V_MAX = 0.5  # V
 R_RATE = 0.02  # a sector
 R_MAX = 0.5  # of R_s_hat
@@ -90,9 +91,9 @@ def back_emf(
 
 
 @kernel
-def learn_dead_time(voltage: Voltage, T_s: float, e_d: float, s_d: float) -> Voltage:
-    """After a period with the back-EMF `e_d` (V) across the estimate, `s_d` being the signs' d component."""
-    return Voltage(clip(voltage.v + V_RATE * T_s * e_d * s_d, V_MAX), voltage.R_error)
+def learn_dead_time(voltage: Voltage, seconds: float, e_d: float, s_d: float) -> Voltage:
+    """After `seconds` with the back-EMF `e_d` (V) across the estimate, `s_d` being the signs' d component."""
+    return Voltage(clip(voltage.v + V_RATE * seconds * e_d * s_d, V_MAX), voltage.R_error)
 
 
 @kernel

@@ -315,7 +315,7 @@ def test_an_observer_that_is_half_a_turn_off_finds_back():
 @pytest.mark.parametrize("psi_error", [0.7, 1.0, 1.4])
 @pytest.mark.parametrize("width", [60.0, 180.0])
 def test_the_loop_is_stable_at_every_speed(psi_error, width):
-    """Spectral radius of the errors from edge to edge: the back-EMF's loop in between, the edge's correction at its end.
+    """Spectral radius of the errors from edge to edge: the back-EMF's loop in between, the edge's part at its end.
 
     The loop on the errors x, y of angle and speed: x' = y - 2 w g x, y' = -w² g x, with g = psi_f / psi_f_hat.
     """
