@@ -267,13 +267,14 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     weight = 0.0
     if driven and abs(omega) >= params.omega_off and e_q * omega > CREDIBLE * params.psi_f * omega * omega:
         weight = omega * omega / (omega * omega + OMEGA_HALF * OMEGA_HALF)
-        epsilon = clip(-e_d / (params.psi_f * omega), EPSILON_MAX) - edges.c * i_q
+        size = params.psi_f * omega
+        epsilon = clip(-e_d / size, EPSILON_MAX) - edges.c * i_q
         w = BANDWIDTH * weight
         omega += w * w * T_s * epsilon
         theta += 2.0 * w * T_s * epsilon
         if learn and passed == 2:
             s_d = e.s_alpha * cos + e.s_beta * sin
-            voltage = voltage_learning.learn_dead_time(voltage, (1.0 - weight * weight) * T_s, e_d, s_d)
+            voltage = voltage_learning.learn_dead_time(voltage, (1.0 - weight * weight) * T_s, -epsilon * size, s_d)
     if weight >= LEAD:
         theta += T_s * omega
     else:

@@ -5,8 +5,8 @@ Dead time. What the drive leaves uncompensated is a voltage v in step with the s
     u_x = u_x* - v sat(i_x / I_FADE),   x = a, b, c.
 
 Across the rotor it swings at six times the frequency, which at low speed distorts the back-EMF more than noise does. v
-follows by least mean squares from e_d, the back-EMF across the estimate, along the d component of those signs; the
-slower, the stronger the back-EMF, because at speed other errors have the same frequency and v matters less.
+follows by least mean squares from what the observer's loop leaves of e_d, the back-EMF across the estimate, along the d
+component of those signs; the slower, the stronger the back-EMF: at speed other errors swing alike, and v matters less.
 
 Resistance. Over a sector the mean back-EMF along the estimate is psi_f omega plus (R_s - R_s_hat) i_q, and the edges
 give omega. Where the speed is low, so that an error of psi_f matters little, a part of the difference goes to R_s.
@@ -91,9 +91,12 @@ def back_emf(
 
 
 @kernel
-def learn_dead_time(voltage: Voltage, seconds: float, e_d: float, s_d: float) -> Voltage:
-    """After `seconds` with the back-EMF `e_d` (V) across the estimate, `s_d` being the signs' d component."""
-    return Voltage(clip(voltage.v + V_RATE * seconds * e_d * s_d, V_MAX), voltage.R_error)
+def learn_dead_time(voltage: Voltage, seconds: float, rest: float, s_d: float) -> Voltage:
+    """After `seconds` in which the loop left `rest` (V) of e_d, `s_d` being the signs' d component.
+
+    The loop keeps the mean of `rest` at zero; e_d itself may have one, which a d current would turn into a drift of v.
+    """
+    return Voltage(clip(voltage.v + V_RATE * seconds * rest * s_d, V_MAX), voltage.R_error)
 
 
 @kernel

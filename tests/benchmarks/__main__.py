@@ -12,6 +12,7 @@ from tests.benchmarks import (
     bench_can,
     bench_decode,
     bench_fixed_point,
+    bench_learned_edges,
     bench_live,
     bench_sim,
     bench_slcan,
@@ -23,6 +24,10 @@ PARTS = {
     "accuracy": (
         "Accuracy: plant against solve_ivp, position errors against the plant",
         lambda seconds: bench_accuracy.rows(),
+    ),
+    "learned": (
+        "Learned edges: position errors against the plant, beside vector tracking",
+        lambda seconds: bench_learned_edges.rows(),
     ),
     "decode": ("Decode: bytes to numpy columns, CRC checked", lambda seconds: bench_decode.rows()),
     "fixed_point": (

@@ -13,7 +13,6 @@ import numpy as np
 
 from protocol.signals import AngleSource
 from sim.observers import learned_edges, vector_tracking
-from sim.observers.sample import Samples
 from tests.benchmarks.table import Row
 from tests.sim.observers.ideal_motor import error_deg
 from tests.sim.observers.replay import Run, Telemetry
@@ -85,14 +84,13 @@ def nanoseconds() -> tuple[float, float]:
     run = Run(None, 1, SOURCE)
     run.forced(1000, 4, SLICE / PWM_HZ)
     telemetry = run.telemetry()
-    samples = Samples(*(type(c)(*c) if isinstance(c, tuple) else c for c in telemetry.samples))
     own = learned_edges.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in NEEDS})
     other = vector_tracking.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in VT_NEEDS})
     best = [np.inf, np.inf]
     for _ in range(REPEAT):
         for k, (module, params) in enumerate(((learned_edges, own), (vector_tracking, other))):
             begin = time.perf_counter()
-            module.run(params, module.init(), samples, telemetry.reset)
+            module.run(params, module.init(), telemetry.samples, telemetry.reset)
             best[k] = min(best[k], (time.perf_counter() - begin) / telemetry.reset.size)
     return best[0] * 1e9, best[1] * 1e9
 
