@@ -14,12 +14,12 @@ import numpy as np
 
 from bench.client import Sink
 from bench.estimators import Estimators, raw_counts
+from bench.rerunio.schema import HOST_SUFFIX
 from protocol.descriptor import Channel
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
-SUFFIX = "_host"
 _FIRST_ID = 0xFF00  # past the ids of any drive's channels
 
 
@@ -28,14 +28,14 @@ def host_channels(shorts: Sequence[str], beside: Sequence[Channel | Signal]) -> 
     angle = _like(beside, Unit.RAD, Channel(0, "", Unit.RAD, RawType.I16, ANGLE, Flag.WRAPS))
     speed = _like(beside, Unit.RAD_PER_S, Channel(0, "", Unit.RAD_PER_S, RawType.I16, SPEED, Flag(0)))
     return tuple(
-        replace(like, id=_FIRST_ID + 2 * k + second, name=f"{what}_{short}{SUFFIX}")
+        replace(like, id=_FIRST_ID + 2 * k + second, name=f"{what}_{short}{HOST_SUFFIX}")
         for k, short in enumerate(shorts)
         for second, (what, like) in enumerate((("theta", angle), ("omega", speed)))
     )
 
 
 def _like(channels: Sequence[Channel | Signal], unit: Unit, otherwise: Channel) -> Channel:
-    known = [c for c in channels if c.unit == unit and c.flags & Flag.ESTIMATE and not c.name.endswith(SUFFIX)]
+    known = [c for c in channels if c.unit == unit and c.flags & Flag.ESTIMATE and not c.name.endswith(HOST_SUFFIX)]
     chosen = known[0] if known else otherwise
     flags = Flag.CHANNEL | Flag.ESTIMATE | (chosen.flags & Flag.WRAPS)
     return Channel(0, "", unit, chosen.raw, chosen.scale, flags, chosen.offset)

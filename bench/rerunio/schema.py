@@ -62,6 +62,8 @@ EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
 MARK_FIELDS = ("mark:name", "mark:first_tick", "mark:last_tick", "mark:verdict")
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
+HOST_SUFFIX = "_host"  # of channels that the host has estimated itself
+
 DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
 SPEED_REFERENCE = "omega_ref"
 
@@ -198,8 +200,9 @@ def colour(name: str) -> tuple[int, int, int]:
 
 
 def label(name: str) -> str:
-    """What a plot calls a channel."""
-    return LABELS.get(name, name)
+    """What a plot calls a channel; one that the host has estimated says so."""
+    drives = name.removesuffix(HOST_SUFFIX)
+    return LABELS.get(name, name) if name == drives else f"{LABELS.get(drives, drives)}, host"
 
 
 @dataclass(frozen=True)

@@ -34,16 +34,18 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
     """Speed and position error of an observer over a whole recording; the start of a recording is t = 0."""
     figure, (speed, error) = new_figure(2, height=3.6)
     begin = float(track.stretches[0].t[0])
-    for stretch in track.stretches:
+    for k, stretch in enumerate(track.stretches):
         t = stretch.t - begin
         degrees = np.degrees(wrap(stretch.theta - stretch.estimates[name].theta))
         rpm = RPM / track.pole_pairs
-        speed.plot(*_envelope(t, stretch.estimates[name].omega * rpm), color=BLUE, linewidth=LINE_WIDTH)
-        speed.plot(*_envelope(t, stretch.omega * rpm), color=BLACK, linewidth=LINE_WIDTH)
+        for omega, colour, words in ((stretch.estimates[name].omega, BLUE, name), (stretch.omega, BLACK, "encoder")):
+            label = "" if k else words
+            speed.plot(*_envelope(t, omega * rpm), color=colour, linewidth=LINE_WIDTH, label=label)
         error.plot(*_envelope(t, degrees), color=BLUE, linewidth=0.6)
     axis_labels(speed, "", "speed", unit_y="r/min")
     axis_labels(error, "t", "error", "s", "el. °")
     figure.align_ylabels([speed, error])
+    legend_above(speed)
     return figure
 
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.augment import SUFFIX
 from bench.errors import BenchError
 from bench.estimators import Estimate, Estimators
 from bench.replay import not_replayable, part, readable_run
 from bench.rerunio.recording import Run
+from bench.rerunio.schema import HOST_SUFFIX
 from bench.score.phases import Phases, phases_of, speed_of
 from protocol.messages import DriveState
 from protocol.signals import STATUS_STATE_MASK, Flag, Unit
@@ -134,10 +134,10 @@ def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]
         if not (channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD):
             continue
         short = channel.name.removeprefix("theta_")
-        kind = REPLAYED if short.endswith(SUFFIX) else DRIVE
+        kind = REPLAYED if short.endswith(HOST_SUFFIX) else DRIVE
         omega = f"omega_{short}"
         known = samples.physical(omega) if omega in speeds else np.full(len(samples), np.nan)
-        name = f"{kind}_{short.removesuffix(SUFFIX)}"
+        name = f"{kind}_{short.removesuffix(HOST_SUFFIX)}"
         found[name], kinds[name] = Estimate(samples.physical(channel.name), known), kind
     return found, kinds
 

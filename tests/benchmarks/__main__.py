@@ -14,6 +14,7 @@ from tests.benchmarks import (
     bench_fixed_point,
     bench_learned_edges,
     bench_live,
+    bench_replay,
     bench_sim,
     bench_slcan,
     bench_start,
@@ -38,6 +39,7 @@ PARTS = {
     "live": ("Live: all channels at 16 kHz over a pty, recorded", bench_live.rows),
     "can": ("CAN: stream frames to numpy columns, and a run over slcan, recorded", bench_can.rows),
     "slcan": ("slcan: text, and reading 5000 CAN FD frames of 64 bytes a second", bench_slcan.rows),
+    "replay": ("Replay and score of a recorded minute, all channels at 16 kHz", lambda seconds: bench_replay.rows()),
     "accept": ("Acceptance: the whole suite in virtual time", lambda seconds: bench_accept.rows()),
     "start": ("Start-up, caches warm", lambda seconds: bench_start.rows()),
 }
