@@ -8,6 +8,7 @@ stream's own gaps. The input is never changed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -101,8 +102,12 @@ def replay(
             notes=_unknown(run),
         )
         sink.summary(f"{run.summary}\n\n{as_markdown(result)}")
-    finally:
         sink.close()
+    except BaseException:
+        with suppress(BenchError):
+            sink.close()
+        out.unlink(missing_ok=True)  # half a replay looks like a whole one
+        raise
     return result
 
 
