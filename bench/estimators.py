@@ -9,7 +9,7 @@ runs ahead of its input: an edge is used once a sample at or after it has arrive
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, Entry, chosen
+from sim.observers.catalogue import CATALOGUE, Entry, chosen, missing
 
 INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
 OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
@@ -138,12 +138,12 @@ class _Kernels:
     def __init__(
         self, entries: Sequence[Entry], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float
     ) -> None:
-        self._front = sample.make_params(tick_hz, **_constants(sample.make_params, "the Hall front end", parameters))
-        self._front_state = sample.init()
-        self._observers = []
+        _require("the Hall front end", missing(sample.make_params, parameters))
         for entry in entries:
-            _constants(entry.signature, entry.name, parameters)
-            self._observers.append((entry, entry.make_params(pwm_hz, parameters)))
+            _require(entry.name, entry.missing(parameters))
+        self._front = sample.make_params(tick_hz, **chosen(sample.make_params, parameters))
+        self._front_state = sample.init()
+        self._observers = [(entry, entry.make_params(pwm_hz, parameters)) for entry in entries]
         self._states = {entry.name: entry.init() for entry in entries}
         self._clear_times()
         self.run(_one_sample())
@@ -246,6 +246,14 @@ def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[s
     return INPUTS if compensated else tuple(name for name in INPUTS if name not in ("i_q_ref", "i_q"))
 
 
+def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of all observers that a drive with these parameters has what it takes for, and of the others in words."""
+    front = missing(sample.make_params, parameters)
+    lacking = {name: dict.fromkeys((*front, *entry.missing(parameters))) for name, entry in CATALOGUE.items()}
+    left_out = (f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs)
+    return tuple(name for name, needs in lacking.items() if not needs), tuple(left_out)
+
+
 def entry_of(name: str) -> Entry:
     """The observer of that name, or of that short name. BenchError, naming what there is, if there is none."""
     for entry in CATALOGUE.values():
@@ -274,11 +282,9 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
     return counts.astype(np.int64).astype(dtype)
 
 
-def _constants(signature: Callable[..., Any], what: str, parameters: Mapping[str, float]) -> dict[str, float]:
-    try:
-        return chosen(signature, parameters)
-    except KeyError as missing:
-        raise BenchError(f"{what} needs {missing.args[0]}, which the drive does not tell: --set it") from None
+def _require(what: str, names: Sequence[str]) -> None:
+    if names:
+        raise BenchError(f"{what} needs {', '.join(names)}, which the drive does not tell")
 
 
 def _breaks(index: NDArray[np.int64], expected: int | None) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ import numpy as np
 from bench import __version__
 from bench.augment import AugmentedSinks, Augmenter
 from bench.errors import BenchError
-from bench.estimators import INPUTS, Estimators, entry_of, unfit
+from bench.estimators import INPUTS, Estimators, all_for, entry_of, unfit
 from bench.rerunio import schema
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.sinks import FileSink
@@ -45,8 +45,10 @@ class Replayed:
     lost_samples: int
     lost_edges: int
     restarts: Mapping[str, int]
-    notes: tuple[str, ...]
-    """What is not known, and what was done about it."""
+    left_out: tuple[str, ...]
+    """Observers that the drive's parameters do not suffice for."""
+    unknown: tuple[str, ...]
+    """What is not known of the run, and what was done about it."""
 
 
 def default_output(path: Path) -> Path:
@@ -72,12 +74,18 @@ def replay(
         raise BenchError(f"{out} is the recording itself: choose another name")
     if out.exists() and not overwrite:
         raise BenchError(f"{out} exists: choose another name, or --overwrite to replace it")
-    names = tuple(dict.fromkeys(entry_of(name).name for name in observers)) or tuple(CATALOGUE)
+    names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
     run = readable_run(path)
     if why := not_replayable(run):
         raise BenchError(f"{path} cannot be replayed: {why}")
-    values = checked_settings(settings or {}, names, run.info.parameters)
-    estimators = Estimators(names, {**run.info.parameters, **values}, run.info.tick_hz, run.info.pwm_hz)
+    values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
+    parameters = {**run.info.parameters, **values}
+    left_out: tuple[str, ...] = ()
+    if not names:
+        names, left_out = all_for(parameters)
+        if not names:
+            raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
+    estimators = Estimators(names, parameters, run.info.tick_hz, run.info.pwm_hz)
     augmenter = Augmenter(estimators, run.info.channels)
     taken = {channel.name for channel in run.samples.config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
@@ -99,7 +107,8 @@ def replay(
             lost_samples=sum(gap.lost_samples for gap in run.samples.gaps),
             lost_edges=sum(gap.lost_samples for gap in run.edges.gaps),
             restarts=estimators.restarts,
-            notes=_unknown(run),
+            left_out=left_out,
+            unknown=_unknown(run),
         )
         sink.summary(f"{run.summary}\n\n{as_markdown(result)}")
         sink.close()
@@ -160,7 +169,8 @@ def rows(result: Replayed) -> list[list[str]]:
         ["samples", f"{result.samples}, {result.seconds:.1f} s"],
         ["lost in the recording", f"{result.lost_samples} samples, {result.lost_edges} edges"],
         ["observers began anew", began],
-        *(["not known", note] for note in result.notes),
+        *(["left out", words] for words in result.left_out),
+        *(["not known", words] for words in result.unknown),
     ]
 
 

@@ -95,8 +95,8 @@ def score(paths: Sequence[Path], observers: Sequence[str] = ()) -> Scoreboard:
     cannot be read or scored, and for a name that is nowhere.
     """
     recorded = [name for name in observers if "_" in name and name.split("_")[0] in ("drive", "replayed")]
-    again = [entry_of(name).name for name in observers if name not in recorded] if observers else list(CATALOGUE)
-    tracks = tuple(load(path, again) for path in dict.fromkeys(paths))
+    again = [entry_of(name).name for name in observers if name not in recorded]
+    tracks = tuple(load(path, again if observers else None) for path in dict.fromkeys(paths))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
     if missing := [name for name in recorded if name not in names]:
         raise BenchError(f"no recording has the estimate '{missing[0]}'; there are {', '.join(names)}")

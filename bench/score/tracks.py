@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.estimators import Estimate, Estimators
+from bench.estimators import Estimate, Estimators, all_for
 from bench.replay import not_replayable, part, readable_run
 from bench.rerunio.recording import Run
 from bench.rerunio.schema import HOST_SUFFIX
@@ -60,8 +60,8 @@ class Track:
     notes: tuple[str, ...] = ()
 
 
-def load(path: Path, names: Sequence[str]) -> Track:
-    """Read a recording and run the observers `names` on it.
+def load(path: Path, names: Sequence[str] | None) -> Track:
+    """Read a recording and run the observers `names` on it; None: all that the drive's parameters suffice for.
 
     Raises BenchError where it has no encoder, no samples, or a clock that goes back.
     """
@@ -76,10 +76,14 @@ def load(path: Path, names: Sequence[str]) -> Track:
     estimators = None
     if why := not_replayable(run):
         notes.append(f"no observer could be run on it: {why}")
-    elif names:
-        estimators = Estimators(names, run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
-        found |= _run_again(run, estimators)
-        kinds |= dict.fromkeys(names, HOST)
+    else:
+        if names is None:
+            names, left_out = all_for(run.info.parameters)
+            notes += [f"left out, {words}" for words in left_out]
+        if names:
+            estimators = Estimators(names, run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
+            found |= _run_again(run, estimators)
+            kinds |= dict.fromkeys(names, HOST)
     if not found:
         raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
     usable = np.ones(len(samples), bool)

@@ -68,10 +68,14 @@ class Entry:
         """Names of the drive parameters that it depends on."""
         return tuple(keyword_parameters(self.signature))
 
+    def missing(self, drive: Mapping[str, float]) -> tuple[str, ...]:
+        """Parameters that it cannot do without and that are neither in a drive's table nor in `DEFAULTS`."""
+        return missing(self.signature, drive)
+
     def make_params(self, pwm_hz: float, drive: Mapping[str, float]) -> Any:
         """Its constants from a drive's whole parameter table, rounded to float32 as a drive stores them.
 
-        What it does not need is ignored; what is missing comes from `DEFAULTS`. KeyError names what has no default.
+        What it does not need is ignored; what is not there comes from `DEFAULTS`. Nothing may be `missing`.
         """
         return self.make(pwm_hz, **chosen(self.signature, drive))
 
@@ -87,13 +91,16 @@ def keyword_parameters(function: Callable[..., Any]) -> dict[str, bool]:
     return found
 
 
+def missing(function: Callable[..., Any], drive: Mapping[str, float]) -> tuple[str, ...]:
+    """What a `make_params` cannot do without and is neither in a drive's table nor in `DEFAULTS`."""
+    needed = keyword_parameters(function).items()
+    return tuple(name for name, must in needed if must and name not in drive and name not in DEFAULTS)
+
+
 def chosen(function: Callable[..., Any], drive: Mapping[str, float]) -> dict[str, float]:
-    """The keyword arguments of a `make_params` from a drive's table, float32; KeyError names those that are missing."""
-    known = {**DEFAULTS, **drive}
-    names = keyword_parameters(function)
-    if missing := [name for name, needed in names.items() if needed and name not in known]:
-        raise KeyError(", ".join(missing))
-    return {name: float(np.float32(known[name])) for name in names if name in known}
+    """The keyword arguments of a `make_params` from a drive's table or `DEFAULTS`, float32."""
+    table = {**DEFAULTS, **drive}
+    return {name: float(np.float32(table[name])) for name in keyword_parameters(function) if name in table}
 
 
 def _of(module: ModuleType, short: str, source: str, signature: Callable[..., Any] | None = None) -> Entry:

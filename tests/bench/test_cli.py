@@ -16,8 +16,7 @@ from bench import __version__
 from bench.cli import cli, main
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS
 
-COMMANDS = ["live", "accept", "hall", "sim", "devices", "info", "protocol", "completion"]
-COMMANDS = ["live", "accept", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
+COMMANDS = ["live", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from collect import Bench, Collector, cut
 from virtual_run import WatchedLink, run, simulated
 
 from bench.errors import BenchError
-from bench.estimators import CHECKED, Estimators, HostObservers
+from bench.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
 from protocol.signals import SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
@@ -148,6 +148,19 @@ def test_defaults_are_those_of_the_simulated_drive() -> None:
 def test_an_observer_that_lacks_a_parameter_names_it() -> None:
     with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not tell"):
         Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, 20e6, 16e3)
+
+
+def test_observers_that_lack_a_parameter_are_left_out() -> None:
+    motor = {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1, "psi_f_hat": 0.01}
+    names, left_out = all_for(motor)
+    assert "average_speed" in names
+    assert {"vector_tracking", "load_angle"}.isdisjoint(names)
+    assert "load_angle: it needs L_s_hat" in left_out
+    assert len(names) + len(left_out) == len(CATALOGUE)
+    assert all_for(motor | {"L_s_hat": 1e-4, "J_hat": 1e-4}) == (tuple(CATALOGUE), ())
+    names, left_out = all_for({})
+    assert names == ()
+    assert "average_speed: it needs n_p, omega_m_max" in left_out
 
 
 def test_another_parameter_shows_as_a_difference() -> None:
