@@ -63,7 +63,8 @@ def draw_transient(
 ) -> Figure:
     """Estimated and actual speed, position error and currents of two approaches, (a) and (b), as in Figs. 9 to 11.
 
-    `names`: of the approaches. `first`, `last`: what is shown, in s from the start. `degrees`: range of the position error, plus and minus.
+    `first`, `last`: what is shown, in s from the start. `degrees`: range of the position error, plus and minus.
+    `names`: of the approaches.
     """
     figure, axes = style.new_figure(3, 2, height=5.2)
     for column, (transient, words) in enumerate(((one, f"(a) {names[0]}"), (other, f"(b) {names[1]}"))):

@@ -1,7 +1,7 @@
 """The learned-edge observer in the control loop of the simulated drive: what it is meant for, over many seeds.
 
-Table I's edges and edges that lie anywhere within 15 deg of where they should; dead time of 1 us, 90 % of it compensated;
-20 mA of noise. The oracle is the plant's angle.
+Table I's edges, and edges that lie anywhere within 15 deg of where they should; dead time of 1 us, 90 % of it
+compensated; 20 mA of noise. The oracle is the plant's angle.
 """
 
 import numpy as np
