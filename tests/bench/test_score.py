@@ -119,7 +119,7 @@ def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
 
 def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) -> None:
     names = set(drive_board.pooled)
-    assert names == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt", "la")}
+    assert names == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt")}
     for name, short in (("average_speed", "avg"), ("vector_tracking", "vt"), ("load_angle", "la")):
         host, drive = drive_board.pooled[name], drive_board.pooled[f"drive_{short}"]
         assert host["start_up"]["events"] == 1
