@@ -197,10 +197,6 @@ class LiveRun:
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
         if options.host_observers or options.estimate:
-            from bench.estimators import entry_of
-
-            for name in options.estimate:
-                entry_of(name)  # a name that is wrong is told now, before anything turns
             needed = self._inputs(channels)
             missing = [name for name in needed if name not in {channel.name for channel in channels}]
             if missing or decimation != 1:
@@ -222,14 +218,16 @@ class LiveRun:
         return channels
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
-        """What observers here must be given."""
-        from bench.estimators import INPUTS, compared_inputs
+        """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
+        from bench.estimators import CHECKED, compared_inputs, entry_of
 
-        if self.options.estimate:
-            return INPUTS
+        names = {channel.name for channel in channels}
+        if self.options.host_observers and not names & CHECKED.keys():
+            raise BenchError("--host-observers has nothing to compare: add an estimate to --channels, such as theta_vt")
+        names |= {f"theta_{entry_of(name).short}" for name in self.options.estimate}
         switch = "load_angle_comp"
         on = self.drive.has_parameter(switch) and self.drive.parameter(switch).value != 0.0
-        return compared_inputs([channel.name for channel in channels], on)
+        return compared_inputs(names, on)
 
     @property
     def _on_host(self) -> str:
