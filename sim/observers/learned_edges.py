@@ -61,7 +61,7 @@ TAU_E_Q = 0.5e-3  # s, filters
 TAU_I_Q = 1e-3
 TAU_OPPOSED = 10e-3  # s, in which omega gives way to a back-EMF of the other sign
 TINY = 1e-9  # V s, least psi_f
-SENSOR_OF_BIT = (-1, 0, 1, -1, 2, -1, -1, -1)
+SENSOR_OF_BIT = (-1, 0, 1, -1, 2, -1, -1, -1)  # that changed; -1: none, or more than one
 
 
 class Params(NamedTuple):
@@ -103,7 +103,7 @@ class State(NamedTuple):
     middle: float  # of the stretch that the last leads into, rad
     half: float  # of its width
     off: int  # edges in a row that were too far off
-    unused: int  # edges that were not used, so far
+    unused: int  # edges that were not used so far; one that is pending counts
     voltage: Voltage
     edges: Edges
 
@@ -231,6 +231,22 @@ def _between_edges(
 
 
 @kernel
+def _levels(params: Params, state: State, sample: Sample) -> tuple[int, int, float, int]:
+    """`code`, `pending`, `pending_age`, `unused` after a sample: a level counts once the next sample still shows it."""
+    unused = state.unused + sample.edges
+    if sample.code == state.pending:
+        return sample.code, -1, 0.0, unused
+    if sample.code == state.code:
+        return state.code, -1, 0.0, unused
+    age = 0.5 * params.T_s  # an edge that was not captured
+    if sample.edges == 0:
+        unused += 1
+    elif sample.edge_to == sample.code:
+        age = min(sample.edge_age, params.T_s)
+    return state.code, sample.code, age, unused
+
+
+@kernel
 def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]:
     """One control period."""
     if state.primed == 0:
@@ -284,21 +300,9 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         theta, omega = _between_edges(params, state, theta, omega, e_q, i_q, age, driven)
     theta = wrap(theta)
 
-    # an edge counts once the next sample still shows it
-    code = state.code
-    pending = -1
-    pending_age = 0.0
-    sensor = -1
-    unused = state.unused + sample.edges
-    if sample.code == state.pending:
-        sensor = SENSOR_OF_BIT[code ^ sample.code]
-        code = sample.code
-    elif sample.code != code:
-        pending = sample.code
-        pending_age = 0.5 * T_s
-        if sample.edges > 0 and sample.edge_to == sample.code:
-            pending_age = min(sample.edge_age, T_s)
-
+    # the edges' part
+    code, pending, pending_age, unused = _levels(params, state, sample)
+    sensor = SENSOR_OF_BIT[state.code ^ code]
     middle = state.middle
     half = state.half
     off = state.off
@@ -368,7 +372,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         voltage,
         edges,
     )
-    return state, Estimate(theta, omega_lpf, edges.sensors, edges.learned, unused)
+    waiting = 1 if pending >= 0 else 0
+    return state, Estimate(theta, omega_lpf, edges.sensors, edges.learned, unused - waiting)
 
 
 @jit
