@@ -290,7 +290,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         theta += 2.0 * w * T_s * epsilon
         if learn and passed == 2:
             s_d = e.s_alpha * cos + e.s_beta * sin
-            voltage = voltage_learning.learn_dead_time(voltage, (1.0 - weight * weight) * T_s, -epsilon * size, s_d)
+            matters = 1.0 - weight * weight * weight * weight
+            voltage = voltage_learning.learn_dead_time(voltage, matters * T_s, -epsilon * size, s_d)
     if weight >= LEAD:
         theta += T_s * omega
     else:
@@ -315,7 +316,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         boundary, now = edge_learning.met(edges, sensor, state.code, code, then, omega, how)
         if learn and passed == 2 and weight >= LEAD and abs(omega - state.omega_lpf) < STEADY * abs(omega):
             r = wrap(then + edges.c * i_q - boundary * SECTOR_WIDTH)
-            edges = edge_learning.learn(edges, boundary, now, r, i_q, weight)
+            edges = edge_learning.learn(edges, boundary, now, r, i_q, weight * weight)
         d = wrap(edge_learning.place(edges, boundary, now) - then)
         if passed == 0 or abs(d) < (GATE if weight >= LEAD else GATE_LOW):
             off = 0

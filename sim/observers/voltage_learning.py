@@ -29,7 +29,7 @@ from sim.observers.transforms import clarke
 
 SQRT3 = math.sqrt(3.0)
 I_FADE = 0.3  # A, below it the dead time's error is in proportion to the current: the sign changes within the period
-V_RATE = 25.0  # 1/(V s)
+V_RATE = 30.0  # 1/(V s)
 V_MAX = 0.5  # V
 R_RATE = 0.02  # a sector
 R_MAX = 0.5  # of R_s_hat
