@@ -131,8 +131,8 @@ class HostObservers:
 class _Kernels:
     """Observers behind one front end: their constants, their states, and the time that each of them took.
 
-    `seconds` is what each observer took for `steps` samples, `front_seconds` what the front end took, which is all that
-    the average-speed approach needs.
+    `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end took,
+    which is all that the average-speed approach needs.
     """
 
     def __init__(
@@ -157,14 +157,14 @@ class _Kernels:
     def run(self, arguments: Arguments) -> dict[str, Any]:
         """The observers' estimates by name, from what `_Inputs.take` gives."""
         reset = arguments[-1]
-        begun = time.perf_counter()
+        begun = time.thread_time()
         self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
-        self.front_seconds += time.perf_counter() - begun
+        self.front_seconds += time.thread_time() - begun
         found = {}
         for entry, params in self._observers:
-            begun = time.perf_counter()
+            begun = time.thread_time()
             self._states[entry.name], found[entry.name] = entry.run(params, self._states[entry.name], samples, reset)
-            self.seconds[entry.name] += time.perf_counter() - begun
+            self.seconds[entry.name] += time.thread_time() - begun
         self.steps += len(reset)
         return found
 
