@@ -53,8 +53,8 @@ def write_report(board: Scoreboard, path: Path) -> None:
                 legend=" ".join(LEGEND),
                 rows=[row(name, figures) for name, figures in board.pooled.items()],
                 files={
-                    path: [row(name, figures) for name, figures in observers.items()]
-                    for path, observers in board.by_file.items()
+                    file: [row(name, figures) for name, figures in found.items()]
+                    for file, found in board.by_file.items()
                 },
                 by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
                 observers=observers,

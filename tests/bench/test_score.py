@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,15 @@ from recorded import N_P, PWM_HZ, record_made_up
 
 from bench.cli import cli
 from bench.errors import BenchError
+from bench.replay import part
 from bench.rerunio.recording import read_run
+from bench.rerunio.sinks import FileSink
 from bench.score import expect
 from bench.score.board import Scoreboard, flat, score
 from bench.score.plots import draw_error_by_angle, draw_error_over_time
 from bench.score.table import HEADERS, as_text
 from bench.statistics import wrap
+from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
 
 TO_RPM = 60 / (2 * math.pi) / N_P
@@ -159,6 +163,26 @@ def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None
     text = "\n".join(as_text(board))
     assert text.startswith("2 recordings pooled\n")
     assert str(made_up) in text
+
+
+def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Path, tmp_path: Path) -> None:
+    run = read_run(made_up)
+    sink = FileSink(tmp_path / "gaps.rrd", run.info, wait=True)
+    n, held = len(run.samples), [(0, 6000), (6100, 6600), (6640, len(run.samples))]  # 500 samples are 31 ms
+    for (first, last), lost in zip(held, (0, 100, 40), strict=True):
+        gaps = (Gap(0, lost, 4, False),) if lost else ()
+        sink.samples(replace(part(run.samples, first, last), gaps=gaps))
+    sink.close()
+    board = score([tmp_path / "gaps.rrd"])
+    (track,) = board.tracks
+    assert (track.lost, track.dropped) == (140, 500)
+    assert [len(stretch.t) for stretch in track.stretches] == [6000, n - 6640]
+    assert any("140 samples lost" in note for note in board.notes)
+    assert any("500 in stretches too short to score" in note for note in board.notes)
+    late = board.pooled["drive_late"]
+    assert late["moving"]["n"] == 6000 + n - 6640
+    assert late["lag"]["angle_us"] == pytest.approx(50.0, abs=0.5)
+    assert late["lag"]["speed_us"] == pytest.approx(50.0, abs=1.0)
 
 
 def test_without_an_encoder_it_says_so(tmp_path: Path) -> None:
