@@ -58,7 +58,7 @@ def phases_of(omega: F64, usable: Flags, rate: float, pole_pairs: int) -> Phases
     for begin, end in pairwise(runs.tolist()):
         now = int(direction[begin])
         if now == 0:
-            if end - begin >= STAND * rate:
+            if begin == 0 or end - begin >= STAND * rate:  # before the first sample it stood, for all that is known
                 last = 0
                 if end < n and usable[end]:
                     starts += 1

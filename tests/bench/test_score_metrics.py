@@ -123,6 +123,15 @@ def test_a_pause_ends_a_motion_and_a_short_one_does_not() -> None:
     assert (found.starts, found.reversals) == (0, 1)
 
 
+def test_a_recording_may_begin_just_before_the_shaft_starts() -> None:
+    t, omega = profile([(0, 0), (0.02, 0), (0.4, 800), (1, 800)])
+    found = phases_of(omega, np.ones(len(t), bool), RATE, N_P)
+    assert (found.starts, found.reversals) == (1, 0)
+    assert found.start_up[(t > 0.03) & (t < 0.3)].all()
+    _, running = profile([(0, 400), (1, 400)])
+    assert phases_of(running, np.ones(len(running), bool), RATE, N_P).starts == 0
+
+
 def test_what_is_not_usable_counts_for_nothing() -> None:
     t, omega = profile([(0, 0), (0.5, 0), (0.9, 800), (2, 800)])
     found = phases_of(omega, t > 1.2, RATE, N_P)
