@@ -55,7 +55,7 @@ class Augmenter:
         n, width = len(chunk), chunk.raw.dtype.itemsize
         raw = np.empty(n, config.dtype)
         # Records as bytes: numpy copies field by field otherwise.
-        raw.view(np.uint8).reshape(n, -1)[:, :width] = chunk.raw.view(np.uint8).reshape(n, width)
+        raw.view(np.uint8).reshape(n, -1)[:, :width] = np.ascontiguousarray(chunk.raw).view(np.uint8).reshape(n, width)
         found = self.estimators.samples(chunk)
         columns = [column for entry in self.estimators.entries for column in found[entry.name]]
         for channel, column in zip(self.channels, columns, strict=True):
