@@ -19,7 +19,7 @@ its loop and the less an edge's own word: weight = omega² / (omega² + OMEGA_HA
 - Between the first edge and the second omega is the back-EMF's size by psi_f, as soon as it is past `omega_on`.
 - A back-EMF much too small along the estimate, or outputs that are off, is not believed: edges lead.
 
-Edges of a recording must be at least two periods apart to be used, as they are up to four times the speed of Table II's
+Edges of a recording must be at least two periods apart to be used, as they are up to three times the speed of Table II's
 motor. Works on the sensors' raw levels, and so with two sensors, or one. Never uses the front end's sector or speed, an
 encoder, or a model of the shaft.
 
