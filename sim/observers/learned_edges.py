@@ -19,9 +19,9 @@ its loop and the less an edge's own word: weight = omega² / (omega² + OMEGA_HA
 - Between the first edge and the second omega is the back-EMF's size by psi_f, as soon as it is past `omega_on`.
 - A back-EMF much too small along the estimate, or outputs that are off, is not believed: edges lead.
 
-Edges of a recording must be at least two periods apart to be used, as they are up to three times the speed of Table II's
-motor. Works on the sensors' raw levels, and so with two sensors, or one. Never uses the front end's sector or speed, an
-encoder, or a model of the shaft.
+Edges must be at least two periods apart to be used, as they are up to three times the speed of Table II's motor. Works
+on the sensors' raw levels, and so with two sensors, or one. Never uses the front end's sector or speed, an encoder, or
+a model of the shaft.
 
 Source of the back-EMF and its alignment: (5) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367, and `vector_tracking`;
 of the dead time's shape: the paper's [20], see `sim.control.dead_time`.

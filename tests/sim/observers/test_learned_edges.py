@@ -290,12 +290,14 @@ def test_a_rotor_that_is_held_at_once_is_seen_to_stand():
 
 
 def test_without_voltage_the_edges_lead():
-    """Outputs off: nothing of a back-EMF in u and i. 500 r/min, edges learned before."""
+    """Outputs off: nothing of a back-EMF in u and i, but d current that dies away. 500 r/min, edges learned before."""
     s = signals(constant(rpm(500)), 2.0, edges_deg=PAPER_EDGES)
     off = s.tick >= TICKS * PWM_HZ
-    s = s._replace(
-        **{name: np.where(off, 0.0, getattr(s, name)) for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c")}
-    )
+    dying = np.zeros(s.tick.size)
+    dying[PWM_HZ : PWM_HZ + 4] = 8.0, 6.0, 4.0, 2.0
+    phases = {name: dying * np.cos(s.theta - 2 * np.pi / 3 * k) for k, name in enumerate(("i_a", "i_b", "i_c"))}
+    left = {"u_alpha": 0.0, "u_beta": 0.0, **phases}
+    s = s._replace(**{name: np.where(off, value, getattr(s, name)) for name, value in left.items()})
     _, out = estimate(s)
     assert np.abs(error_deg(s.theta, out.theta)[PWM_HZ - 100 :]).max() < 1.0
 
