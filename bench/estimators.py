@@ -131,8 +131,8 @@ class HostObservers:
 class _Kernels:
     """Observers behind one front end: their constants, their states, and the time that each of them took.
 
-    `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end took,
-    which is all that the average-speed approach needs.
+    `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end
+    took, which is all that the average-speed approach needs.
     """
 
     def __init__(

@@ -20,6 +20,7 @@ from bench.energise import Plan as Spin
 from bench.energise import check_limits
 from bench.errors import BenchError
 from bench.hall.live import Turned, Turner
+from bench.hall.reference import EMF_CHANNELS
 from bench.hall.trace import capture_of
 from bench.hall.watch import watch
 from bench.interrupts import signals_as_exceptions
@@ -97,6 +98,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
         recording=options.save,
         virtual=options.source == SIM,
         title="hall",
+        channels=frozenset(EMF_CHANNELS),
     )
     with signals_as_exceptions(), alone_on(options.source):
         require_agreement(options.source, settings, plan.envelope, options.yes, confirm)

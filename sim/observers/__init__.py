@@ -4,11 +4,21 @@ Each module has one observer as pure kernels: `Params`, `State`, `Estimate` (Nam
 `step` (one control period) and `run` (the loop over arrays). Nothing here knows a plant, a drive or a wire:
 times, codes, voltages and currents come in as arguments, in SI units.
 
-    hall_speed       Hall front end: sector, direction, average speed (1), overdue edges, faults of the
-    sensors
-    average_speed    position by (1)-(2)
-    vector_tracking  position by (3)-(10), with the load-angle compensation (18)-(19)
-    bank             the three fed from one stream of samples and edges, as drive and host run them
+    hall_speed               Hall front end: sector, direction, average speed (1), overdue edges, sensors' faults
+    sample                   what every position observer is given, made once by the front end
+    average_speed            position by (1)-(2), [13]
+    zeroth_order             the centre of the Hall sector, [14]
+    lookup_table             average speed with a table of the edges, [15]
+    hall_vector              vector tracking of the Hall vector with the mechanical model, [16]
+    hall_vector_decoupled    the same with its harmonics decoupled, [17]
+    programmable_filter      rotor flux by cascaded programmable low-pass filters, [18]
+    vector_tracking          position by (3)-(10)
+    load_angle               the same with the load-angle compensation (18)-(19)
+    vector_tracking_q15      (3)-(10) in 16-bit integers; `c/` has the same in C99
+    learned_edges            past the paper: back-EMF and edges whose places are learned (`edge_learning`,
+                             `voltage_learning`)
+    catalogue                all of them by name, with what it takes to run one
+    bank                     all of them fed from one stream of samples and edges, as the drive runs them
 
 Equation numbers: S.-Y. Kim, C. Choi, K. Lee, W. Lee, "An Improved Rotor Position Estimation With
 Vector-Tracking Observer in PMSM Drives With Low-Resolution Hall-Effect Sensors", IEEE Trans. Ind. Electron.,

@@ -1,7 +1,7 @@
 """The learned-edge observer beside vector tracking: position errors against the plant, and what a step costs.
 
-`python -m tests.benchmarks learned`. Both are run on the same telemetry. The control works on the encoder, so that
-nothing but the observers is compared; `SOURCE` puts another angle into the loop.
+`python -m tests.benchmarks learned`. Both are run on the same telemetry, the control on the learned edges; `SOURCE`
+puts another angle into the loop.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.benchmarks.table import Row
 from tests.sim.observers.ideal_motor import error_deg
 from tests.sim.observers.replay import Run, Telemetry
 
-SOURCE = AngleSource.ENCODER
+SOURCE = AngleSource.LEARNED_EDGES
 PWM_HZ = 16_000
 NEEDS = (
     "n_p",
