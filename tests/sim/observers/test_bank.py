@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
+from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals, table
 
 from sim.observers import average_speed, bank, hall_speed, sample
 from sim.observers.catalogue import CATALOGUE
@@ -18,6 +18,7 @@ MILLI = 1 / 1024
 LOAD_ANGLE = {**DRIVE, "load_angle_comp": 1.0, "k_ic": 11.0}
 BACK_EMF = {**DRIVE, "inject": 1.0, "inject_amplitude": 0.1, "inject_hz": 123.4}
 HALL = {**BACK_EMF, "inject": 2.0}
+TOLD = {**DRIVE, **table()}  # where the edges lie
 
 
 def busy(seconds=0.6):
@@ -56,9 +57,22 @@ def busy(seconds=0.6):
     )
 
 
+def learning():
+    """1500 r/min and then 200, too short for a reset: edges are learned, then R_s."""
+    fast, slow, then = rpm(1500), rpm(200), 0.08
+    return signals(
+        lambda t: 0.3 + fast * np.minimum(t, then) + slow * np.maximum(t - then, 0),
+        0.15,
+        i_q=5.0,
+        edges_deg=PAPER_EDGES,
+        noise=0.02,
+        seed=7,
+    )
+
+
 def resets(n):
     mask = np.zeros(n, bool)
-    mask[[0, 2500, 2501, 5200]] = True
+    mask[[k for k in (0, 2500, 2501, 5200) if k < n]] = True
     return mask
 
 
@@ -80,8 +94,8 @@ def numbers(value):
         yield float(value)
 
 
-def run_whole(drive=DRIVE):
-    s = busy()
+def run_whole(drive=DRIVE, make=busy):
+    s = make()
     params = bank.make_params(TICK_HZ, PWM_HZ, **drive)
     state, out = bank.run(params, bank.init(), *s.arguments(resets(s.tick.size)))
     return bits(out, state)
@@ -128,7 +142,9 @@ def run_chunks(seed, drive=DRIVE):
 
 
 @pytest.mark.parametrize(
-    "drive", [DRIVE, LOAD_ANGLE, BACK_EMF, HALL], ids=["plain", "load angle", "sine on theta*", "sine on theta_h"]
+    "drive",
+    [DRIVE, LOAD_ANGLE, BACK_EMF, HALL, TOLD],
+    ids=["plain", "load angle", "sine on theta*", "sine on theta_h", "edges told"],
 )
 def test_step_run_and_chunks_agree_bit_for_bit(drive):
     whole = run_whole(drive)
@@ -138,11 +154,22 @@ def test_step_run_and_chunks_agree_bit_for_bit(drive):
 
 
 def test_the_uncompiled_kernels_agree_bit_for_bit():
-    code = "import test_bank as t; print(t.run_whole(), t.run_steps(t.LOAD_ANGLE))"
+    code = (
+        "import test_bank as t; print(t.run_whole(t.TOLD), t.run_steps(t.LOAD_ANGLE), t.run_whole(t.DRIVE, t.learning))"
+    )
     here = Path(__file__).parent
     env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join([str(here), *sys.path])}
     plain = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
-    assert plain.stdout.split() == [run_whole(), run_steps(LOAD_ANGLE)]
+    assert plain.stdout.split() == [run_whole(TOLD), run_steps(LOAD_ANGLE), run_whole(DRIVE, learning)]
+
+
+def test_what_can_be_learned_is_learned_where_the_bits_are_compared():
+    s = learning()
+    state, _ = bank.run(bank.make_params(TICK_HZ, PWM_HZ, **DRIVE), bank.init(), *s.arguments(resets(s.tick.size)))
+    assert state.learned_edges.edges.learned == 6
+    assert state.learned_edges.edges.c != 0.0
+    assert state.learned_edges.voltage.v != 0.0
+    assert state.learned_edges.voltage.R_error != 0.0
 
 
 def test_the_bank_is_its_observers_put_together():

@@ -30,9 +30,9 @@ L_s +20 %     7.3/17.3   1.2/3.7   1.2/3.8 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6
 psi_f -10 %   7.3/17.3   1.2/2.8   1.2/2.7 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.9   1.2/2.8   0.3/1.4
 broken wire          -         -         -         -         -         -         -         -         -   0.2/0.7
 """)
-"""What was measured, means over five seeds: std and largest size of the error, deg; of the sudden stop the time in which
-it is seen, ms, and the largest error. `python tests/sim/observers/battery.py` prints such a table. The lap has taught
-`le` where the edges lie, which it does not know before a start and after a gap; `lut` is told. "-": nothing claimed."""
+"""What was measured, means over five seeds: std and largest size of the error, deg; of the sudden stop the time, ms, in
+which it is seen, and the largest error. `python tests/sim/observers/battery.py` prints such a table. The lap taught
+`le` where the edges lie, which it does not know before a start or after a gap; `lut` is told. "-": nothing claimed."""
 FLOORS = 0.15, 0.6  # what the figures may differ by however small they are
 CENTRES = np.array([np.nan, 30.0, 150.0, 90.0, 270.0, 330.0, 210.0, np.nan])  # deg, of the sectors, by Hall code
 
