@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from bench.node import DRIVE, LOAD, Node
 from protocol.links import Link
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
+
+if TYPE_CHECKING:
+    from bench.estimators import HostObservers
 
 EDGE_FIELDS = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
 
@@ -55,6 +59,23 @@ def cut(chunk, first: int, last: int):
     """Records [first, last) of a chunk without gaps."""
     names = EDGE_FIELDS if isinstance(chunk, EdgeChunk) else ("index", "tick", "raw")
     return replace(chunk, **{name: getattr(chunk, name)[first:last] for name in names})
+
+
+def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
+    """Give a run to the observers in pieces: each piece's edges first, as a client delivers them."""
+    compared = differ = sent = 0
+    for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
+        if first == last:
+            continue
+        piece = cut(samples, first, last)
+        due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right"))
+        if due > sent:
+            observers.edges(cut(edges, sent, due))
+            sent = due
+        n, bad = observers.compare(piece)
+        compared += n
+        differ += bad
+    return compared, differ
 
 
 class Bench:

@@ -7,34 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect import Bench, Collector, cut
+from collect import Bench, Collector, cut, feed
 from virtual_run import WatchedLink, run, simulated
 
 from bench.errors import BenchError
 from bench.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
 from protocol.signals import SHORT, AngleSource, Injection, Status
-from protocol.streams import EdgeChunk, Gap, SampleChunk
-from sim.observers import vector_tracking
+from protocol.streams import EdgeChunk, Gap
 from sim.observers.catalogue import CATALOGUE, DEFAULTS
-
-
-def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
-    """Give a run to the observers in pieces: each piece's edges first, as a client delivers them."""
-    compared = differ = sent = 0
-    for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
-        if first == last:
-            continue
-        piece = cut(samples, first, last)
-        due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right"))
-        if due > sent:
-            observers.edges(cut(edges, sent, due))
-            sent = due
-        n, bad = observers.compare(piece)
-        compared += n
-        differ += bad
-    return compared, differ
-
 
 ALL = tuple(f"+{name}" for name in CHECKED)
 """Also what is streamed on request only."""
@@ -42,43 +23,6 @@ ALL = tuple(f"+{name}" for name in CHECKED)
 
 def host_observers(bench: Bench) -> HostObservers:
     return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
-
-
-@pytest.mark.parametrize("compensation", [0, 1])
-@pytest.mark.parametrize("source", [AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING])
-def test_host_and_drive_agree_bit_for_bit(source: AngleSource, compensation: int) -> None:
-    bench = Bench(WatchedLink(simulated(seed=3)))
-    bench.drive.set("observer", source)
-    bench.drive.set("load_angle_comp", compensation)
-    bench.drive.set("k_pc", 0.01 * compensation)
-    observers = host_observers(bench)
-    bench.stream(ALL)
-    bench.load.arm()
-    bench.load.start()
-    bench.turn(50.0)  # start-up from an unknown angle
-    bench.client.run_for(0.5)
-    bench.drive.speed(100.0)  # speed step
-    bench.client.run_for(0.4)
-    bench.load.torque(0.2)  # load step
-    bench.client.run_for(0.4)
-    bench.drive.set("observer", AngleSource.AVERAGE_SPEED + AngleSource.VECTOR_TRACKING - source)
-    bench.client.run_for(0.2)
-    bench.load.torque(0.0)
-    bench.drive.speed(-60.0)  # reversal
-    bench.client.run_for(0.6)
-    bench.drive.stop()
-    bench.load.stop()
-    bench.client.run_for(0.1)
-    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
-    reset = np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)
-    assert len(reset) == 1  # where ARMED begins
-    assert len(edges) > 500
-    assert samples.physical("omega_enc").min() < -300
-    rng = np.random.default_rng(1)
-    cuts = np.sort(rng.choice(len(samples), 400, replace=False))
-    assert feed(observers, samples, edges, cuts) == (len(samples) - reset[0], 0)
-    assert feed(host_observers(bench), samples, edges, np.array([], int)) == (len(samples) - reset[0], 0)
-    assert len(vector_tracking.run.signatures) == 1  # compiled once, before the motor turned
 
 
 @pytest.mark.parametrize("where", [Injection.BACK_EMF, Injection.HALL])
