@@ -1,4 +1,4 @@
-"""Host and drive run the same observers: bit for bit, over manoeuvres, chunk boundaries, recordings and gaps."""
+"""Host and drive run the same observers: bit for bit, over chunk boundaries, faults, recordings and gaps."""
 
 from __future__ import annotations
 

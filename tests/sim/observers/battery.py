@@ -184,7 +184,8 @@ class Stop(Scenario):
         """Time until the speed stays below a tenth of what it was, ms, and largest size of the error, deg."""
         ((one, out),) = zip(recordings, estimates, strict=True)
         above = np.abs(out.omega[one.scored]) > 0.1 * np.abs(one.omega).max()
-        return float(np.flatnonzero(above)[-1] + 1) / PWM_HZ * 1e3, std_and_largest([one.error(out)[one.scored]])[1]
+        seen = np.flatnonzero(above).max(initial=-1) + 1
+        return float(seen) / PWM_HZ * 1e3, std_and_largest([one.error(out)[one.scored]])[1]
 
 
 def steady(rpm: float, seconds: float = 0.6) -> Callable[[Tape], None]:
