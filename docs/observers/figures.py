@@ -34,7 +34,7 @@ from bench.acceptance.style import (
     save,
 )
 
-COLOURS = 64  # of a figure on the page
+COLOURS = 128  # of a figure on the page
 LARGEST = 120_000  # bytes
 LOOK: dict[str, tuple[str, str, str]] = {
     "average_speed": (ORANGE, "-", "o"),
@@ -64,11 +64,11 @@ def draw(paths: Mapping[str, Path], seen: Seen, numbers: Mapping[str, Any], fold
     _save(by_speed(numbers), folder / "by_speed.png")
     _save(transients(numbers), folder / "transients.png")
     weaknesses: dict[str, Callable[[Axes], None]] = {
-        "average_speed": lambda ax: _event(ax, events["speed_step"], ("average_speed", "lookup_table"), 0.80, 0.15),
+        "average_speed": lambda ax: _event(ax, events["reversal"], ("average_speed", "vector_tracking"), 0.80, 0.2),
         "zeroth_order": lambda ax: _distribution(ax, seen),
         "lookup_table": lambda ax: _shares(ax, numbers),
         "hall_vector": lambda ax: _event(ax, events["load_step_full"], ("hall_vector", "vector_tracking"), 0.80, 0.2),
-        "hall_vector_decoupled": lambda ax: _spectrum(ax, seen),
+        "hall_vector_decoupled": lambda ax: _spectrum(ax, numbers),
         "programmable_filter": lambda ax: _against_theory(ax, numbers, "programmable_filter"),
         "vector_tracking": lambda ax: _vector_tracking(ax, numbers),
         "load_angle": lambda ax: _load(ax, numbers),
@@ -161,14 +161,11 @@ def _shares(ax: Axes, numbers: Mapping[str, Any]) -> None:
     column_title(ax, "500 r/min, 4 A")
 
 
-def _spectrum(ax: Axes, seen: Seen) -> None:
+def _spectrum(ax: Axes, numbers: Mapping[str, Any]) -> None:
     """Amplitudes of the error's harmonics of an electrical turn at 500 r/min."""
-    at = seen.whole(500)
-    for k, name in enumerate(("hall_vector", "hall_vector_decoupled")):
-        orders = np.arange(1, 19)
-        error = seen.errors[name][at] - seen.errors[name][at].mean()
-        size = [2.0 * abs(np.mean(error * np.exp(-1j * n * seen.theta[at]))) for n in orders]
-        ax.bar(orders + 0.4 * (k - 0.5), size, 0.4, label=name, color=(PURPLE, OLIVE)[k])
+    for k, (name, harmonics) in enumerate(numbers["harmonics"].items()):
+        orders = np.array([int(order) for order in harmonics])
+        ax.bar(orders + 0.4 * (k - 0.5), list(harmonics.values()), 0.4, label=name, color=(PURPLE, OLIVE)[k])
     ax.set_xticks([1, 2, 3, 6, 9, 12, 15, 18])
     axis_labels(ax, "harmonic of the electrical frequency", "amplitude", "", "el. °")
     legend_above(ax)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from observers import theory
-from observers.recordings import EVENTS, LEARNING, LOADS, SPEEDS, STAGES, SLOPE, edges, in_the_loop
+from observers.recordings import EVENTS, FULL, LEARNING, LIGHT, LOADS, SPEEDS, STAGES, edges, in_the_loop
 
 from bench.acceptance.waveforms import thd_by_angle
 from bench.energise import RPM
@@ -32,6 +32,7 @@ from sim.observers.catalogue import CATALOGUE
 from sim.params import load_params
 
 F64 = NDArray[np.float64]
+ORDERS = 18
 LUT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 READ = cache(readable_run)
 
@@ -132,9 +133,8 @@ def measured(paths: Mapping[str, Path], seen: Seen) -> dict[str, Any]:
         "shares": shares,
         "learning": {"seconds": LEARNING, "before": figures(before), "after": figures(after)},
         "fixed": fixed,
-        "drive": {key: READ(paths["steady"]).info.parameters[key] for key in ("k_ic", "bw_current")},
+        "harmonics": {name: harmonics(seen, name) for name in ("hall_vector", "hall_vector_decoupled")},
         "theory": predicted(READ(paths["steady"]).info.parameters),
-        "slope": SLOPE,
         "samples": len(seen.t),
     }
 
@@ -142,6 +142,13 @@ def measured(paths: Mapping[str, Path], seen: Seen) -> dict[str, Any]:
 def _fixed(seen: Seen, rpm: int) -> dict[str, float]:
     at = seen.whole(rpm)
     return figures(seen.errors["vector_tracking"][at] - seen.errors["vector_tracking_q15"][at])
+
+
+def harmonics(seen: Seen, name: str) -> dict[str, float]:
+    """Amplitudes of the error's harmonics of an electrical turn at 500 r/min, by order."""
+    at = seen.whole(500)
+    error = seen.errors[name][at] - seen.errors[name][at].mean()
+    return {str(n): float(2.0 * abs(np.mean(error * np.exp(-1j * n * seen.theta[at])))) for n in range(1, ORDERS + 1)}
 
 
 def learned(seen: Seen) -> tuple[F64, F64]:
@@ -161,6 +168,9 @@ def predicted(drive: Mapping[str, float]) -> dict[str, Any]:
     rest = params.inverter.u_dc * params.inverter.dead_time * params.clock.pwm_hz
     rest *= 1.0 - drive["dead_time_comp"]
     k_p, k_i = drive["k_p_vt"], drive["k_i_vt"]
+    motor = params.motor
+    by_ampere = 1.5 * motor.n_p**2 * motor.psi_f / params.mechanics.J
+    steps = {"speed": drive["alpha_m_max"] * motor.n_p, "4": LIGHT * by_ampere, "7": FULL * by_ampere}
     by_speed = {}
     for rpm in SPEEDS:
         omega = rpm * RPM * params.motor.n_p
@@ -188,6 +198,9 @@ def predicted(drive: Mapping[str, float]) -> dict[str, Any]:
         "average_speed": figures(turn.average_speed),
         "zeroth_order": figures(turn.zeroth_order),
         "lookup_table": theory.lookup_table(params.hall.jitter_deg, count),
+        "after_acceleration": {key: theory.after_acceleration(a, 500 * RPM * motor.n_p) for key, a in steps.items()},
+        "after_load_step": {key: theory.after_load_step(steps[key], drive["bw_hall_vector"]) for key in ("4", "7")},
+        "load_angle": math.degrees(drive["k_ic"] * LOADS[-1] / (2.0 * math.pi * drive["bw_current"])),
         "count": count,
         "rest": rest,
         "by_speed": by_speed,

@@ -110,6 +110,19 @@ def lookup_table(jitter: float, count: float) -> float:
     return math.sqrt(jitter**2 * (7.0 / 3.0 + 1.0 / 3.0) + count**2 / 12.0)
 
 
+def after_acceleration(a: float, omega: float) -> float:
+    """Error at the end of a sector that takes its speed from the one before, `a` rad/s2 after a constant `omega` rad/s.
+
+    With T the sector's time the speed is that of T / 2 before its start: a T^2 / 2 by this, and as much by the sector.
+    """
+    return math.degrees(a * (math.radians(SECTOR) / omega) ** 2)
+
+
+def after_load_step(a: float, bandwidth: float) -> float:
+    """Largest error of three poles at `bandwidth` Hz after an unknown acceleration `a` rad/s2: a t^2 / 2 e^{-w t}."""
+    return math.degrees(2.0 * math.exp(-2.0) * a / (2.0 * math.pi * bandwidth) ** 2)
+
+
 def dead_time(omega: float, amperes: float, volts: float, i_smooth: float, flux: float, k_p: float, k_i: float) -> F64:
     """Error of (3)-(10) at `omega` rad/s by a phase voltage that follows the currents' signs, of `volts` at most.
 
