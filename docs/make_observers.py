@@ -1,4 +1,4 @@
-"""Records the simulated drive over its whole range, scores all observers on it; makes docs/observers.md and its figures.
+"""Records the simulated drive over its whole range and scores all observers on it; makes docs/observers.md and figures.
 
 python docs/make_observers.py [--page]
 
@@ -38,9 +38,7 @@ def run() -> dict[str, Any]:
         paths = recordings.record(Path(folder))
         seen = measures.Seen(paths["steady"])
         numbers = rounded(
-            measures.scored(paths, Path(folder))
-            | measures.measured(paths, seen)
-            | {"loop": measures.closed_loops()}
+            measures.scored(paths, Path(folder)) | measures.measured(paths, seen) | {"loop": measures.closed_loops()}
         )
         figures.draw(paths, seen, numbers, PARTS)
     return numbers

@@ -76,7 +76,7 @@ def figures(error: F64) -> dict[str, float]:
 
 
 def scored(paths: Mapping[str, Path], folder: Path) -> dict[str, Any]:
-    """What `bench score` says of the recordings: observers in the order of their rank, with the figures of the table."""
+    """What `bench score` says of the recordings: observers in the order of their rank, with the table's figures."""
     report = folder / "score.json"
     files = [str(paths[name]) for name in ("steady", *EVENTS)]
     command = [sys.executable, "-m", "bench", "score", *files, "--json", str(report)]
@@ -123,9 +123,7 @@ def measured(paths: Mapping[str, Path], seen: Seen) -> dict[str, Any]:
             name: {str(rpm): figures(error[seen.whole(rpm)]) for rpm in SPEEDS} for name, error in seen.errors.items()
         },
         "by_load": {
-            name: {
-                f"{rpm}": {f"{load:g}": figures(error[seen.whole(rpm, load)]) for load in LOADS} for rpm in SPEEDS
-            }
+            name: {f"{rpm}": {f"{load:g}": figures(error[seen.whole(rpm, load)]) for load in LOADS} for rpm in SPEEDS}
             for name, error in seen.errors.items()
         },
         "backwards": {name: figures(error[seen.whole(-500, 4.0)]) for name, error in seen.errors.items()},
@@ -212,7 +210,8 @@ def closed_loops() -> dict[str, Any]:
     found: dict[str, Any] = {}
     for source in AngleSource:
         loop = in_the_loop(source)
-        thd = {str(rpm): 100.0 * thd_by_angle(theta, i_a).value for rpm, (theta, i_a) in loop.currents.items()}
+        thd = {str(rpm): None for rpm in loop.tripped}
+        thd |= {str(rpm): 100.0 * thd_by_angle(theta, i_a).value for rpm, (theta, i_a) in loop.currents.items()}
         words = [f"{stage}: {what}" for stage, what in zip(STAGES, loop.course, strict=False) if what]
         words += [f"{rpm} r/min: {what}" for rpm, what in loop.tripped.items()]
         found[source.name.lower()] = {"thd": thd, "words": words}

@@ -74,8 +74,9 @@ class Turn:
     def programmable_filter(self, omega: float, bandwidth: float, T_s: float) -> F64:
         """Error of three stages tuned to omega_h behind its low-pass at `bandwidth` Hz.
 
-        A stage 1 / (1 + j x), x the tangent of its lag, answers to a share d of wrong tuning with j x d / (1 + j x), part
-        of it a gain, part of it a lead. A ripple of n omega comes through a stage as that answers to (1 + n) omega.
+        A stage 1 / (1 + j x), x the tangent of its lag, answers to a share d of wrong tuning with j x d / (1 + j x),
+        part of it a gain, part of it a lead. A ripple of n omega comes through a stage as that answers to
+        (1 + n) omega.
         """
         w = 2.0 * math.pi * bandwidth
         x = math.tan((0.5 * math.pi - 0.5 * omega * T_s) / 3.0)
@@ -130,7 +131,8 @@ def dead_time(omega: float, amperes: float, volts: float, i_smooth: float, flux:
     of `flux` V s times omega.
     """
     x = 2.0 * math.pi * np.arange(N) / N
-    v = [volts * np.clip(-amperes * np.sin(x - shift) / i_smooth, -1.0, 1.0) for shift in np.arange(3) * 2 * math.pi / 3]
+    currents = [-amperes * np.sin(x - phase * 2.0 * math.pi / 3.0) for phase in range(3)]
+    v = [volts * np.clip(i / i_smooth, -1.0, 1.0) for i in currents]
     alpha, beta = (2.0 * v[0] - v[1] - v[2]) / 3.0, (v[1] - v[2]) / math.sqrt(3.0)
     across = np.fft.rfft((alpha * np.cos(x) + beta * np.sin(x)) / (flux * omega))
     s = 1j * omega * np.arange(len(across))

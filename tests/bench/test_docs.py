@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -10,6 +11,7 @@ import click
 import pytest
 
 from bench.cli import cli
+from sim.observers.catalogue import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -85,3 +87,18 @@ def test_both_ci_commands_stand_in_the_readme() -> None:
         assert match, name
         assert match.group(1).endswith(ends)
         assert "pip install" in match.group(1)
+
+
+def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numbers() -> None:
+    spec = importlib.util.spec_from_file_location("make_observers", ROOT / "docs" / "make_observers.py")
+    assert spec is not None
+    assert spec.loader is not None
+    generator = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generator)
+    text = (ROOT / "docs" / "observers.md").read_text()
+    assert text == generator.page()  # else: python docs/make_observers.py --page
+    for name in CATALOGUE:  # a section for each, and no other figures than the page shows
+        assert f"\n## {name}\n" in text
+    shown = set(re.findall(r"\]\(observers/(\w+\.png)\)", text))
+    assert shown == {path.name for path in (ROOT / "docs" / "observers").glob("*.png")}
+    assert shown >= {f"{name}.png" for name in CATALOGUE}
