@@ -37,8 +37,8 @@ def run() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         paths = recordings.record(Path(folder))
         seen = measures.Seen(paths["steady"])
-        numbers = rounded(
-            measures.scored(paths, Path(folder)) | measures.measured(paths, seen) | {"loop": measures.closed_loops()}
+        numbers: dict[str, Any] = rounded(
+            measures.scored(paths, Path(folder)) | measures.measured(paths, seen) | {"in_loop": measures.closed_loops()}
         )
         figures.draw(paths, seen, numbers, PARTS)
     return numbers

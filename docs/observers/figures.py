@@ -145,7 +145,7 @@ def _event(ax: Axes, seen: Seen, names: tuple[str, ...], first: float, length: f
 def _distribution(ax: Axes, seen: Seen) -> None:
     """How often which error occurs, beside the uniform one of ideal sensors."""
     error = seen.errors["zeroth_order"][seen.whole(500, 4.0)]
-    ax.hist(error, bins=np.arange(-42, 43, 2.0), density=True, color=GREY, label="measured")
+    ax.hist(error, bins=list(range(-42, 43, 2)), density=True, color=GREY, label="measured")
     ax.plot([-30, -30, 30, 30], [0, 1 / 60, 1 / 60, 0], color=BLACK, lw=LINE_WIDTH, label="ideal sensors")
     axis_labels(ax, "error", "density", "el. °", "1/°")
     legend_above(ax)

@@ -210,7 +210,7 @@ def closed_loops() -> dict[str, Any]:
     found: dict[str, Any] = {}
     for source in AngleSource:
         loop = in_the_loop(source)
-        thd = {str(rpm): None for rpm in loop.tripped}
+        thd: dict[str, float | None] = {str(rpm): None for rpm in loop.tripped}
         thd |= {str(rpm): 100.0 * thd_by_angle(theta, i_a).value for rpm, (theta, i_a) in loop.currents.items()}
         words = [f"{stage}: {what}" for stage, what in zip(STAGES, loop.course, strict=False) if what]
         words += [f"{rpm} r/min: {what}" for rpm, what in loop.tripped.items()]

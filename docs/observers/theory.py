@@ -35,12 +35,14 @@ class Turn:
     def average_speed(self) -> F64:
         """Error of (1)-(2)."""
         passed = np.roll(self.widths, 1)[self.sector]
-        return self.theta - SECTOR * self.sector - np.minimum(self.since * SECTOR / passed, SECTOR)
+        error: F64 = self.theta - SECTOR * self.sector - np.minimum(self.since * SECTOR / passed, SECTOR)
+        return error
 
     @property
     def zeroth_order(self) -> F64:
         """Error of the centre of the ideal sector."""
-        return self.theta - SECTOR * self.sector - 0.5 * SECTOR
+        error: F64 = self.theta - SECTOR * self.sector - 0.5 * SECTOR
+        return error
 
     def vector_tracking(self, omega: float, k_p: float, k_i: float, tau: float) -> tuple[F64, F64]:
         """Error at `omega` rad/s by the ripple of omega_h: what its feed-forward brings, and that with (6) as well.
@@ -69,7 +71,8 @@ class Turn:
         def closed(s: complex) -> complex:
             return (3.0 * w * s * s + 3.0 * w * w * s + w**3) / (s + w) ** 3
 
-        return -math.degrees(1.0) * (seen.mean() + self._filtered(seen, omega, closed))
+        error: F64 = -math.degrees(1.0) * (seen.mean() + self._filtered(seen, omega, closed))
+        return error
 
     def programmable_filter(self, omega: float, bandwidth: float, T_s: float) -> F64:
         """Error of three stages tuned to omega_h behind its low-pass at `bandwidth` Hz.
@@ -90,7 +93,8 @@ class Turn:
             return w / (s + w) * (stages(n) - stages(-n).conjugate()) / 2j
 
         wrong = (self.speed.mean() - 1.0) * stages(0.0).imag + self._filtered(self.speed, omega, lead)
-        return -np.degrees(wrong)
+        error: F64 = -np.degrees(wrong)
+        return error
 
     def _filtered(self, values: F64, omega: float, response: Callable[[complex], complex]) -> F64:
         """What a filter makes of a period of `values`, without their mean."""
