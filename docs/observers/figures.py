@@ -86,8 +86,10 @@ def by_speed(numbers: Mapping[str, Any]) -> Any:
     """Standard deviation in steady running by speed, all loads, a line for each observer."""
     figure, (ax,) = new_figure(height=4.4)
     for name in numbers["board"]:
-        _by_speed(ax, [numbers["by_speed"][name][str(rpm)]["std"] for rpm in SPEEDS], name, name)
-    _speed_axis(ax)
+        colour, dash, mark = LOOK[name]
+        values = [numbers["by_speed"][name][str(rpm)]["std"] for rpm in SPEEDS]
+        ax.plot(SPEEDS, values, dash, marker=mark, markersize=3.5, color=colour, linewidth=1.3, label=name)
+    _speed_axis(ax, unnamed=0)
     ax.set_yscale("log")
     ax.set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10, 20], ["0.1", "0.2", "0.5", "1", "2", "5", "10", "20"])
     ax.yaxis.set_minor_formatter(NullFormatter())
@@ -144,8 +146,9 @@ def _event(ax: Axes, seen: Seen, names: tuple[str, ...], first: float, length: f
 
 def _distribution(ax: Axes, seen: Seen) -> None:
     """How often which error occurs, beside the uniform one of ideal sensors."""
+    # bins of 4.5 deg: four samples at 500 r/min
     error = seen.errors["zeroth_order"][seen.whole(500, 4.0)]
-    ax.hist(error, bins=list(range(-42, 43, 2)), density=True, color=GREY, label="measured")
+    ax.hist(error, bins=[4.5 * k for k in range(-10, 11)], density=True, color=GREY, label="measured")
     ax.plot([-30, -30, 30, 30], [0, 1 / 60, 1 / 60, 0], color=BLACK, lw=LINE_WIDTH, label="ideal sensors")
     axis_labels(ax, "error", "density", "el. °", "1/°")
     legend_above(ax)
@@ -234,14 +237,9 @@ def _learning(ax: Axes, seen: Seen) -> None:
     legend_above(ax)
 
 
-def _by_speed(ax: Axes, values: list[float], name: str, words: str) -> None:
-    colour, dash, mark = LOOK[name]
-    ax.plot(SPEEDS, values, dash, marker=mark, markersize=3.5, color=colour, linewidth=1.3, label=words)
-
-
-def _speed_axis(ax: Axes) -> None:
+def _speed_axis(ax: Axes, unnamed: int = 2000) -> None:
     ax.set_xscale("log")
-    ax.set_xticks(SPEEDS, [str(rpm) for rpm in SPEEDS], fontsize=7.5)
+    ax.set_xticks(SPEEDS, [str(rpm) if rpm != unnamed else "" for rpm in SPEEDS], fontsize=7.5)
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel("speed [r/min]", fontsize=FONT_SIZE)
 

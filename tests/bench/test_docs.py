@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import shlex
 from pathlib import Path
@@ -102,3 +103,41 @@ def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numb
     shown = set(re.findall(r"\]\(observers/(\w+\.png)\)", text))
     assert shown == {path.name for path in (ROOT / "docs" / "observers").glob("*.png")}
     assert shown >= {f"{name}.png" for name in CATALOGUE}
+
+
+@pytest.mark.parametrize(
+    ("name", "speeds", "lo", "hi"),
+    [
+        ("average_speed", (50, 100, 200, 500, 1000, 2000, 3000), 0.98, 1.02),
+        ("zeroth_order", (50, 100, 200, 500, 1000, 2000, 3000), 0.99, 1.01),
+        ("lookup_table", (50, 100, 200, 500, 1000, 2000, 3000), 0.8, 1.2),
+        ("hall_vector", (50, 100, 200, 500, 1000), 0.95, 1.06),
+        ("programmable_filter", (50, 100, 200, 500, 1000, 2000, 3000), 0.95, 1.08),
+        ("vector_tracking", (200, 500, 1000, 2000, 3000), 0.9, 1.03),
+    ],
+)
+def test_the_measured_errors_of_the_observers_are_those_that_the_page_computes(
+    name: str, speeds: tuple[int, ...], lo: float, hi: float
+) -> None:
+    numbers = json.loads((ROOT / "docs" / "observers" / "numbers.json").read_text())
+    for rpm in map(str, speeds):
+        theory = numbers["theory"].get(name) or numbers["theory"]["by_speed"][rpm].get(name)
+        if name == "vector_tracking":
+            measured, computed = numbers["by_load"][name][rpm]["4"]["std"], theory["4"]
+        else:
+            measured = numbers["by_speed"][name][rpm]["std"]
+            computed = theory if name == "lookup_table" else theory["std"]
+        assert lo < measured / computed < hi, (rpm, measured, computed)
+
+
+def test_the_order_of_the_observers_is_the_one_that_the_page_speaks_of() -> None:
+    numbers = json.loads((ROOT / "docs" / "observers" / "numbers.json").read_text())
+    std = {name: {int(rpm): row["std"] for rpm, row in rows.items()} for name, rows in numbers["by_speed"].items()}
+    without_edges = set(std) - {"lookup_table", "learned_edges", "vector_tracking_q15", "load_angle"}
+    for rpm in std["vector_tracking"]:
+        assert min(std, key=lambda name: std[name][rpm]) == "lookup_table", rpm
+        leads = min(without_edges, key=lambda name: std[name][rpm]) == "vector_tracking"
+        assert leads == (rpm <= 200), rpm
+    swinging = {name for name, row in numbers["in_loop"].items() if "swings" in str(row["words"])}
+    assert swinging == {"average_speed", "zeroth_order", "lookup_table", "programmable_filter"}
+    assert "trips" not in str(numbers["in_loop"])
