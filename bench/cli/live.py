@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from bench.cli.files import check_outputs
 from bench.cli.number import Number
 from bench.cli.target import TARGET
 
@@ -101,6 +102,7 @@ def command(target: str | None, json_file: str | None, channels: str | None, con
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
         raise click.UsageError("--channels names none: give names separated by commas")
+    check_outputs({"--save": given["save"], "--json": json_file}, [config])
     if json_file not in (None, "-"):
         _claim(Path(json_file))
     options = live.LiveOptions(target=target, channels=names, config=config, **given)

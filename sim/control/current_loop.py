@@ -79,7 +79,7 @@ def step(
     size = math.sqrt(u_d * u_d + u_q * u_q)
     if size > u_max:
         share = u_max / size
-        back = (1.0 - share) * params.k_i_T / params.k_p
+        back = (1.0 - share) * min(params.k_i_T, params.k_p) / params.k_p
         u_d_i -= back * u_d
         u_q_i -= back * u_q
         u_d *= share

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, SHORT
+from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource
 from protocol.streams import EDGE_RECORD
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
@@ -38,6 +38,8 @@ OBSERVED_BY = {
     if source and channel.name in (f"theta_{short}", f"omega_{short}", f"sensors_{short}")
 }
 """Bit of the observer, as `bank.Params.active` counts them, by the id of a channel that carries its estimate."""
+ALWAYS = 1 << AngleSource.AVERAGE_SPEED - 1 | 1 << AngleSource.VECTOR_TRACKING - 1  # observers that run in any case
+WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
 
@@ -80,6 +82,8 @@ class SimulatedBench:
         self.load_parameters = {name: _f32(value) for name, value in params.load_parameters().items()}
         self._quantiles = noise.table()
         self._watched: frozenset[int] = frozenset()
+        self._used = 0  # observers that the control has used since it began to run, a bit each
+        self._source_from, self._source_before = 0, int(self.parameters["observer"])
         self._params = self._made(self.load_parameters)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
@@ -140,10 +144,21 @@ class SimulatedBench:
             self._params = self._made(self.load_parameters)
 
     def _made(self, load_parameters: Mapping[str, float]) -> BenchConstants:
-        active = 1 << int(self.parameters["observer"]) >> 1
+        source = int(self.parameters["observer"])
+        self._used |= 1 << source >> 1
+        active = self._used
         for channel in self._watched:
             active |= OBSERVED_BY.get(channel, 0)
-        return _make(self.params, self.parameters, load_parameters, active)
+        made = _make(self.params, self.parameters, load_parameters, active)
+        return made._replace(source=source, source_from=self._source_from, source_before=self._source_before)
+
+    def _observe(self, source: int) -> None:
+        """Let the control use another angle: at once, or, where that is not known yet, when it has warmed up."""
+        before = self._params
+        self._source_before = before.source if self.n >= before.source_from else before.source_before
+        known = ALWAYS | before.firmware.bank.active
+        cold = self.outputs_on and source and not known >> source - 1 & 1
+        self._source_from = self.n + round(WARM_UP * self.params.clock.pwm_hz) if cold else 0
 
     def enable(self, on: bool = True) -> None:
         """Go from IDLE through ARMED to RUNNING, or back to IDLE."""
@@ -158,6 +173,9 @@ class SimulatedBench:
         """
         if state == DriveState.ARMED:
             self._reset = True
+        if state != DriveState.RUNNING:
+            self._used = self._source_from = 0
+            self._params = self._made(self.load_parameters)
         self._drive = tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0)
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
@@ -185,9 +203,14 @@ class SimulatedBench:
         self._load = mechanics.Load(int(mode), torque, speed)
 
     def set_param(self, name: str, value: float) -> None:
-        """Set a firmware parameter, as a float32; in use from the next period."""
+        """Set a firmware parameter, as a float32; in use from the next period.
+
+        `observer`: while the motor runs, an observer that has not been running takes over after `WARM_UP`.
+        """
         if name not in self.parameters:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.parameters)}")
+        if name == "observer":
+            self._observe(int(value))
         self.parameters[name] = _f32(value)
         self._params = self._made(self.load_parameters)
 
@@ -281,9 +304,11 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
             protection.make_params(p.clock.pwm_hz, drive["n_p"], has_encoder, **_protection(p, drive)),
             period,
             drive["n_p"],
-            int(drive["observer"]),
             has_encoder,
         ),
+        int(drive["observer"]),
+        0,
+        0,
         p.clock.period_ticks,
         p.clock.substeps,
         period / p.clock.substeps,

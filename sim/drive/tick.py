@@ -63,6 +63,9 @@ class Params(NamedTuple):
     wiring: hall_wiring.Params
     current_sensor: current_sensor.Params
     firmware: tick_firmware.Params
+    source: int  # AngleSource of the control
+    source_from: int  # the first sample at which it is used
+    source_before: int  # what is used until then
     period_ticks: int
     substeps: int
     h: float  # integration step, s
@@ -333,8 +336,9 @@ def advance(
         reset = state.k == 0 or (j == 0 and command.reset)
         if reset:
             before = _with_bank(before)
+        source = params.source if state.k >= params.source_from else params.source_before
         firmware, result = tick_firmware.step(
-            params.firmware, before, command.drive, sensed, arrays.edge_tick, arrays.edge_hall, first, m
+            params.firmware, before, command.drive, source, sensed, arrays.edge_tick, arrays.edge_hall, first, m
         )
 
         estimate = result.estimate

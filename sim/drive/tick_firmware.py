@@ -43,7 +43,6 @@ class Params(NamedTuple):
     protection: protection.Params
     T_s: float
     n_p: float
-    source: int  # AngleSource
     has_encoder: bool
 
 
@@ -218,6 +217,7 @@ def step(
     params: Params,
     state: State,
     command: Command,
+    source: int,
     sensed: Sensed,
     edge_ticks: NDArray[np.int64],
     edge_halls: NDArray[np.uint8],
@@ -225,7 +225,7 @@ def step(
     last: int,
 ) -> tuple[State, Result]:
     """One control period: observers with the edges [first, last) of the arrays, protection, loops,
-    modulation.
+    modulation. `source`: the AngleSource that the control uses.
 
     On return `state.now` is what is in force until the next sample.
     """
@@ -246,7 +246,7 @@ def step(
         last,
     )
     tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
-    theta, omega = _angle(params, params.source, sensed, omega_enc, estimate)
+    theta, omega = _angle(params, source, sensed, omega_enc, estimate)
 
     protected = _protect(params, state, sensed, estimator.front.hall, omega_enc, estimate)
     faults = state.faults
@@ -267,7 +267,7 @@ def step(
     output = output_off()
     if command.state == RUNNING and faults == 0:
         mode = command.mode
-        if state.source != params.source and state.next.on:
+        if state.source != source and state.next.on:
             theta_old, omega_old = _angle(params, state.source, sensed, omega_enc, estimate)
             current, speed = _change_over(params, current, speed, theta_old, omega_old, theta, omega)
         if mode == MODE_SPEED:
@@ -296,7 +296,7 @@ def step(
         tracker,
         current,
         speed,
-        params.source,
+        source,
         mode,
         i_d_ref,
         i_q_ref,

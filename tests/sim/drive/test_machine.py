@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
+from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, AngleSource, Status
 from sim.drive.machine import SimulatedBench
 from sim.params import load_params
 
@@ -236,6 +236,45 @@ def test_a_change_of_the_angle_source_is_bumpless():
         assert bench.truth.omega_m == pytest.approx(100.0, abs=8.0)
     assert np.median(steps) < 0.02
     assert max(steps) < 0.05
+
+
+@pytest.mark.parametrize("source", [s for s in AngleSource if s > AngleSource.VECTOR_TRACKING])
+@pytest.mark.parametrize("rpm", [400, 2000])
+def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(source, rpm):
+    """To it and back, nothing of it streamed. The speed by zeroth order itself is off by a quarter of it."""
+    room = 0.25 if source == AngleSource.ZEROTH_ORDER else 0.12
+    bench = spinning(rpm * np.pi / 30, 1.0)
+    bench.load_enter_state(DriveState.RUNNING)
+    bench.load_setpoint(SetpointMode.TORQUE, 0.1)
+    bench.advance(16000)
+    speed = bench.truth.omega_m
+    bench.set_param("observer", source)
+    before = bench.advance(1600)
+    assert set(before.samples["status"] >> STATUS_SOURCE_SHIFT & 3) == {2}
+    after = bench.advance(800)
+    assert set(after.samples["status"] >> STATUS_SOURCE_SHIFT & 3) == {3}
+    assert np.abs(after.samples["omega_true"] / 8 / 6 - speed).max() < room * speed
+    bench.set_param("observer", 0)
+    back = bench.advance(400)
+    assert set(back.samples["status"] >> STATUS_SOURCE_SHIFT & 3) == {0}
+    assert np.abs(back.samples["omega_true"] / 8 / 6 - speed).max() < room * speed
+
+
+def test_the_warm_up_does_not_depend_on_portions():
+    def run(portions):
+        bench = spinning(100.0, 1.0)
+        bench.set_param("observer", AngleSource.LEARNED_EDGES)
+        return np.concatenate([bench.advance(n).samples for n in portions])
+
+    assert np.array_equal(run([4000]), run([1599, 1, 2, 398, 2000]))
+
+
+def test_the_largest_resistance_leaves_the_plant_sound():
+    bench = spinning(80.0, 0.5)
+    bench.set_param("R_s_hat", 100.0)
+    bench.setpoint(SetpointMode.CURRENT, 4.0)
+    bench.advance(8000)
+    assert np.isfinite(bench.truth).all()
 
 
 def test_load_torque_step_is_held_by_the_speed_loop():
