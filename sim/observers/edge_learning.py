@@ -34,8 +34,7 @@ from typing import NamedTuple
 
 from sim.numba_cache import kernel
 from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
-from sim.observers.transforms import TWO_PI, wrap
-from sim.observers.voltage_learning import clip
+from sim.observers.transforms import TWO_PI, clip, wrap
 
 Twelve = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 """A value for each place: boundaries 0..5 passed upwards, then 0..5 passed downwards."""

@@ -41,8 +41,8 @@ from sim.observers.average_speed import FASTEST, HALF_SECTOR, centre
 from sim.observers.edge_learning import BY_CODES, BY_SPEED, DEG, NEARER, Edges, Twelve
 from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
 from sim.observers.sample import Sample, Samples, at
-from sim.observers.transforms import wrap
-from sim.observers.voltage_learning import Voltage, clip
+from sim.observers.transforms import clip, wrap
+from sim.observers.voltage_learning import Voltage
 
 BANDWIDTH = 1000.0  # rad/s, of the loop where the back-EMF is strong
 OMEGA_HALF = 150.0  # rad/s, where the weight is a half: 240 r/min of Table II's motor

@@ -26,3 +26,9 @@ def wrap(angle: float) -> float:
 def clarke(a: float, b: float, c: float) -> tuple[float, float]:
     """(alpha, beta) of three phase quantities, in their own unit; a part common to all three drops out."""
     return (2.0 * a - b - c) / 3.0, (b - c) * ONE_BY_SQRT3
+
+
+@kernel
+def clip(value: float, limit: float) -> float:
+    """`value` within +-`limit`."""
+    return min(max(value, -limit), limit)

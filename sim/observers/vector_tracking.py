@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 from sim.numba_cache import jit, kernel
 from sim.observers.average_speed import HALF_SECTOR, centre
 from sim.observers.sample import Sample, Samples, at
-from sim.observers.transforms import TWO_PI, wrap
+from sim.observers.transforms import TWO_PI, clip, wrap
 
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre beyond which the estimate is not believed
 DELTA_MAX = HALF_SECTOR  # rad, largest load angle
@@ -179,11 +179,6 @@ def init() -> State:
 
 
 @kernel
-def _clip(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
-
-
-@kernel
 def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
     """Real and imaginary part of the inverse, at `omega`, of the filter y += a (x - y)."""
     x = omega * params.T_s
@@ -273,8 +268,8 @@ def step(
         size = max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
         cross = (f_alpha * cos + f_beta * sin) / size
         if params.load_angle_comp != 0:  # (18)
-            delta_i = _clip(delta_i + params.k_ic_T * sample.i_q_err, DELTA_MAX)
-            delta = _clip(params.k_pc * sample.i_q_err + delta_i, DELTA_MAX)
+            delta_i = clip(delta_i + params.k_ic_T * sample.i_q_err, DELTA_MAX)
+            delta = clip(params.k_pc * sample.i_q_err + delta_i, DELTA_MAX)
         # (19), which is (9) with a load angle of zero; (4); (10)
         error = delta - cross * direction
         omega_corr_i = state.omega_corr_i + params.k_i_T * error
@@ -292,7 +287,7 @@ def step(
             on = 1  # at work from the next sample on
     else:
         middle = centre(hall.sector)
-        theta = wrap(middle + _clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
+        theta = wrap(middle + clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
 
     omega_lpf = state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
     state = State(

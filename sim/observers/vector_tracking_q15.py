@@ -162,7 +162,7 @@ def make_params(
     return Params(
         Constants(
             z_now=_integer(z_now, z_unit, INT16_MAX),
-            z_before=round(z_before / z_unit),
+            z_before=max(min(round(z_before / z_unit), INT16_MAX), -INT16_MAX),
             z_shift=z_shift,
             a_min=_gain(T_s / (T_s + float(tau_max))),
             k_p=_integer(float(k_p_vt), step, TURN_MAX),

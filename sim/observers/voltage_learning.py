@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
-from sim.observers.transforms import clarke
+from sim.observers.transforms import clarke, clip
 
 SQRT3 = math.sqrt(3.0)
 I_FADE = 0.3  # A, below it the dead time's error is in proportion to the current: the sign changes within the period
@@ -57,12 +57,6 @@ class BackEmf(NamedTuple):
 def init() -> Voltage:
     """Nothing learned: the parameters explain everything."""
     return Voltage(0.0, 0.0)
-
-
-@kernel
-def clip(value: float, limit: float) -> float:
-    """`value` within +-`limit`."""
-    return min(max(value, -limit), limit)
 
 
 @kernel

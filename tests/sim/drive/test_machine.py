@@ -241,8 +241,8 @@ def test_a_change_of_the_angle_source_is_bumpless():
 @pytest.mark.parametrize("source", [s for s in AngleSource if s > AngleSource.VECTOR_TRACKING])
 @pytest.mark.parametrize("rpm", [400, 2000])
 def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(source, rpm):
-    """To it and back, nothing of it streamed. The speed by zeroth order itself is off by a quarter of it."""
-    room = 0.25 if source == AngleSource.ZEROTH_ORDER else 0.12
+    """To it and back, nothing of it streamed. Two of them have no better speed than the Hall speed, 20 % off here."""
+    room = 0.25 if source in (AngleSource.ZEROTH_ORDER, AngleSource.LOOKUP_TABLE) else 0.12
     bench = spinning(rpm * np.pi / 30, 1.0)
     bench.load_enter_state(DriveState.RUNNING)
     bench.load_setpoint(SetpointMode.TORQUE, 0.1)
