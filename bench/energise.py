@@ -14,6 +14,7 @@ from bench.node import Node
 from protocol.messages import Feature
 
 RPM = math.tau / 60  # mechanical rad/s of one r/min
+FLOAT32 = 1e-7  # to which a drive rounds its parameters, as a share
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,8 @@ class Plan:
 
 def check_limits(drive: Node, plan: Plan) -> None:
     """Raise BenchError, naming value and limit, if the plan exceeds what the drive allows."""
+    if math.isfinite(plan.current_a):
+        _check(drive, "--current", plan.current_a, "i_max", 1.0, "A")
     _check(drive, "--speed", plan.speed_rpm, "omega_m_max", RPM, "r/min")
     _check(drive, "--load", plan.load_a, "i_max", 1.0, "A")
 
@@ -37,7 +40,7 @@ def _check(drive: Node, option: str, value: float, parameter: str, unit: float, 
     if not drive.has_parameter(parameter):
         return
     limit = drive.parameter(parameter).value / unit
-    if not abs(value) <= limit:
+    if not abs(value) <= limit * (1.0 + FLOAT32):
         raise BenchError(
             f"{option} {value:g} is beyond the drive's limit of {limit:.4g} {symbol} (its parameter {parameter})"
         )

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from bench.acceptance.ending import put_back, try_all
+from bench.acceptance.ending import not_put_back, put_back, try_all
 from bench.acceptance.marks import Envelope
 from bench.acceptance.recorder import Recorder
 from bench.energise import RPM
@@ -166,6 +166,10 @@ class Drive:
         """
         clear = [self.node.clear_faults] if clear_faults and self._recorder.faults else []
         try_all([*clear, lambda: put_back(self.node, self._touched)])
+
+    def not_put_back(self) -> str:
+        """Parameters that are not as they were before, as the end of a sentence; empty where all are."""
+        return not_put_back(self._touched)
 
     def _set(self, name: str, value: float) -> None:
         if name in self._before:

@@ -5,7 +5,7 @@ A drive that has not answered STOP has its own watchdog left. Nothing here feeds
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 
@@ -41,6 +41,12 @@ def put_back(node: Node, before: dict[str, float]) -> None:
         del before[name]
 
     try_all([partial(set_one, name) for name in before])
+
+
+def not_put_back(before: Mapping[str, float]) -> str:
+    """What `put_back` has left of `before`, as the end of a sentence; empty where that is nothing."""
+    names = ", ".join(f"{name} (was {value:g})" for name, value in before.items())
+    return f"; not put back: {names}" if names else ""
 
 
 def watch_it_stop(drive: Node, last: Heartbeat | None) -> str:

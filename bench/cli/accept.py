@@ -50,7 +50,7 @@ def command(**given: Any) -> None:
     for name in ("junit", "json"):
         if given[name] is not None and not given[name].parent.is_dir():
             raise click.UsageError(f"--{name} {given[name]}: there is no directory {given[name].parent}")
-    with Progress() as screen:
+    with Progress(status=not given["list_only"]) as screen:
         run, code = accept(AcceptOptions(**given), screen)
     if run is not None:
         for line in closing_lines(run):

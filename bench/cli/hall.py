@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import glob
 import json
+import signal
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
+from bench.cli import fail
+from bench.cli.files import check_outputs
 from bench.cli.number import Number
 from bench.cli.target import TargetType
+from bench.errors import Interrupted
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
@@ -47,7 +51,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
                      help="With --passive: watch for S seconds at most."),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
         click.option("--save", metavar="FILE", type=_FILE, help="Record to this .rrd."),
-        click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists."),
+        click.option("--overwrite", is_flag=True, help="Replace output files that exist."),
         click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      help="Figures of the simulated drive (TOML)."),
         click.option("--json", "json_file", metavar="FILE", type=click.Path(dir_okay=False, allow_dash=True),
@@ -87,7 +91,8 @@ def check(source: str, json_file: str | None, **given: Any) -> None:
     """
     from bench.cli.output import Progress
 
-    with Progress() as screen, _opened(_options(source, given), screen) as found:
+    options = _options(source, given, {"--json": json_file})
+    with Progress() as screen, _opened(options, screen) as found:
         health = _show(source, found, json_file, screen)
     sys.exit(int(health.outcome))
 
@@ -110,9 +115,9 @@ def learn(source: str, json_file: str | None, write: bool, out: Path | None, **g
     from bench.cli.output import Progress
     from bench.hall import learn as learning
 
+    options = _options(source, given, {"--json": json_file, "--out": out})
     if out is not None:
-        learning.check_suffix(out)
-    options = _options(source, given)
+        learning.check_out(out, options.overwrite)
     if write and options.recorded:
         raise click.UsageError(f"--write needs a drive, and {source} is a recording: give --out FILE")
     with Progress() as screen, _opened(options, screen) as found:
@@ -122,17 +127,17 @@ def learn(source: str, json_file: str | None, write: bool, out: Path | None, **g
             click.echo(f"edges: {out}")
         if write and found.drive is not None:
             learning.write(found.drive, edges)
-            click.echo(f"written to node {found.drive.number} and read back: {', '.join(_ends(edges.parameters()))}")
+            click.echo(f"{len(edges.parameters())} parameters written to node {found.drive.number} and read back")
+            if source == "sim":
+                click.echo("the simulated drive ends now and forgets them: --out FILE keeps them, for its --config")
 
 
-def _ends(parameters: dict[str, float]) -> list[str]:
-    return [f"{name} = {value:+.4f} rad" for name, value in parameters.items()][:: len(parameters) - 1]
-
-
-def _options(source: str, given: dict[str, Any]) -> Options:
+def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | str | None]) -> Options:
+    """Checked as far as that can be done before anything is opened."""
     from bench.hall.source import Options
 
     options = Options(source, **given)
+    check_outputs({"--save": options.save, **outputs}, [source if options.recorded else None, options.config])
     if options.config is not None and source != "sim":
         raise click.UsageError(f"--config is for the simulated drive, not for {source}")
     if options.recorded and (options.save is not None or options.passive):
@@ -140,7 +145,9 @@ def _options(source: str, given: dict[str, Any]) -> Options:
     return options
 
 
-def _opened(options: Options, screen: Progress) -> AbstractContextManager[Source]:
+@contextmanager
+def _opened(options: Options, screen: Progress) -> Iterator[Source]:
+    """What `opened` gives; a signal ends the command in a line that says how the drive was left."""
     from bench.hall.source import opened
 
     def ask(question: str) -> bool:
@@ -149,7 +156,20 @@ def _opened(options: Options, screen: Progress) -> AbstractContextManager[Source
         screen.resume()
         return sure
 
-    return opened(options, screen, ask if sys.stdin.isatty() else None)
+    try:
+        with opened(options, screen, ask if sys.stdin.isatty() else None) as found:
+            yield found
+    except (KeyboardInterrupt, Interrupted) as interrupt:
+        screen.pause()
+        number = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
+        words = f"interrupted by {signal.Signals(number).name}"
+        if interrupt.__cause__ is not None:
+            words += f"; {interrupt.__cause__}"
+        elif not options.recorded and not options.passive:
+            words += "; outputs off"
+        if options.save is not None and options.save.is_file():
+            words += f"; recording: {options.save}"
+        fail(words, 128 + number)
 
 
 def _show(source: str, found: Source, json_file: str | None, screen: Progress) -> Health:

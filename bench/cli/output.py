@@ -58,7 +58,8 @@ def note(text: str) -> None:
 
 
 def _is_number(cell: str) -> bool:
-    return re.fullmatch(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", cell) is not None
+    """A number, or two with a stroke between."""
+    return re.fullmatch(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?(/\d+)?", cell) is not None
 
 
 def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
@@ -70,10 +71,14 @@ def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: st
     shown = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD)
     for column, header in enumerate(headers):
         numeric = column > 0 and any(_is_number(row[column]) for row in rows)
-        shown.add_column(header, justify="right" if numeric else "left", overflow="fold")
+        shown.add_column(header, justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
     for row in rows:
         shown.add_row(*[Text(cell) for cell in row])
-    Console().print(shown)
+    console = Console()
+    if console.measure(shown).maximum > console.width:  # words fold, numbers do not: they move together
+        shown.box, shown.padding = None, (0, 1, 0, 0)
+        console.width = max(console.width, console.measure(shown).minimum)
+    console.print(shown)
 
 
 class Progress:
@@ -81,12 +86,14 @@ class Progress:
 
     PLAIN_PERIOD = 5.0  # s
 
-    def __init__(self) -> None:
+    def __init__(self, status: bool = True) -> None:
+        """`status`: whether there is a status line at all; without it notes are plain lines."""
+        self._wanted = status
         self._status: Status | None = None
         self._last_plain = -math.inf
 
     def __enter__(self) -> Self:
-        if sys.stderr.isatty():
+        if self._wanted and sys.stderr.isatty():
             from rich.console import Console
 
             self._status = Console(stderr=True, highlight=False).status("connecting …")

@@ -24,7 +24,10 @@ from sim.observers.hall_speed import SECTOR_WIDTH
 STILL = 0.01
 """Share of time, and of the changes of the others, in which an input that never changes may have changed."""
 DISPLACED = math.radians(8.0)
-"""Off its place, from which on a sensor is displaced, or the encoder's zero off."""
+"""Off its place, from which on a sensor is displaced."""
+ZERO = math.radians(2.5)
+"""Off the rotor flux, from which on the encoder's zero is off: what the back-EMF of a motor that turned both ways may
+be wrong by, at least."""
 SCATTER = math.radians(2.0)
 """Jitter from which on an edge is unsteady."""
 PULSES, PULSE_RATE = 3, 0.1
@@ -173,16 +176,29 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
                 "exchange the encoder's tracks A and B, or its direction in the firmware; then check again",
             )
         ]
-    if abs(emf.zero) > DISPLACED:
+    if zero := zero_off(emf):
         return [
             Finding(
                 "encoder_zero",
-                f"the encoder's zero is {_deg(emf.zero)} off",
-                (f"theta_enc is {_deg(emf.zero)} ahead of the rotor flux", *evidence),
-                "align the encoder's zero with the rotor flux, then check again: edges are measured by it",
+                f"the encoder's zero is {_deg(zero)} off",
+                (f"theta_enc is {_deg(zero)} ahead of the rotor flux", *evidence),
+                "align the encoder's zero with the rotor flux, because edges are measured by it",
             )
         ]
     return []
+
+
+def zero_off(emf: BackEmf | None) -> float:
+    """rad by which `theta_enc` is ahead of the rotor flux; 0 where that is not known, or less than its uncertainty.
+
+    Errors of the resistance, the inductance and the timing turn the back-EMF one way going up and the other going down:
+    their mean is right, and half their difference tells their size. Where only one direction was seen, and where that
+    is large, more is allowed for.
+    """
+    if emf is None or emf.reversed:
+        return 0.0
+    within = DISPLACED if math.isnan(emf.spread) else max(ZERO, 2.0 * emf.spread)
+    return emf.zero if abs(emf.zero) > within else 0.0
 
 
 def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, emf: BackEmf | None) -> list[Finding]:
@@ -240,14 +256,14 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
 
 def in_their_sectors(measured: Measured, emf: BackEmf | None) -> bool:
     """Whether every edge lies within half a sector of its place: so does none where wires are not as specified."""
-    return all(abs(delta) < SECTOR_WIDTH / 2.0 for delta in wrap(np.array(_deltas(measured, emf))))
+    return all(abs(delta) < SECTOR_WIDTH / 2.0 for delta in _deltas(measured, emf))
 
 
 def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
     """Sensors that stand off their places, and edges that do not stand still; the wiring is as specified."""
     deltas = _deltas(measured, emf)
     pairs = [[OPENS.index((number, rises)) for rises in (True, False)] for number in range(len(INPUTS))]
-    off = [float(edges.mean_angle(wrap(np.array([deltas[s] for s in pair])))) for pair in pairs]
+    off = [float(edges.mean_angle(np.array([deltas[s] for s in pair]))) for pair in pairs]
     found = []
     common = float(np.median(off))
     if abs(common) > DISPLACED:
@@ -256,7 +272,7 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
                 "ring" if emf is not None else "encoder_zero",
                 f"all Hall sensors are displaced by {_deg(-common)} together"
                 + ("" if emf is not None else ", or the encoder's zero is off by so much"),
-                (_all_deltas(measured),),
+                ("edges I to VI lie " + ", ".join(_deg(-delta) for delta in deltas) + " from their places",),
                 "turn the ring of the sensors" if emf is not None else TELL,
             )
         )
@@ -356,17 +372,14 @@ def _shifted(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> Diagnosi
 
 def _deltas(measured: Measured, emf: BackEmf | None) -> list[float]:
     """Ideal minus actual angle of each edge, rad: by the rotor flux, where the encoder's zero is off."""
-    zero = emf.zero if emf is not None and abs(emf.zero) > DISPLACED else 0.0
-    return [edge.mean_delta + zero for edge in measured.edges]
+    zero = zero_off(emf)
+    deltas: list[float] = wrap(np.array([edge.mean_delta + zero for edge in measured.edges])).tolist()
+    return deltas
 
 
 def _widest(measured: Measured, sectors: tuple[int, int]) -> float:
     passages = [p for s in sectors for p in (measured.edges[s].up, measured.edges[s].down)]
     return max((p.half_width for p in passages if not math.isnan(p.half_width)), default=math.nan)
-
-
-def _all_deltas(measured: Measured) -> str:
-    return "edges I to VI lie " + ", ".join(_deg(-edge.mean_delta) for edge in measured.edges) + " from their places"
 
 
 def _scatter(length: float) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from bench.acceptance.waveforms.sectors import SECTORS
 from bench.acceptance.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
-from bench.hall.causes import DISPLACED, Codes, Finding
+from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
@@ -54,8 +54,8 @@ class Health:
     wiring: Diagnosis | None
 
 
-def examine(trace: Trace) -> Health:
-    """Say what is wrong."""
+def examine(trace: Trace, further: str = "") -> Health:
+    """Say what is wrong. `further`: how the shaft is made to turn more where it turned too little, in words."""
     turns, measured, found_pulses = reference.turns(trace), edges.measure(trace.edges), pulses.count(trace)
     codes = _codes(trace)
     findings: list[Finding] = []
@@ -64,8 +64,8 @@ def examine(trace: Trace) -> Health:
     wiring: Diagnosis | None = None
     if not turns.total >= LEAST_TURNS:
         missing.append(
-            f"the shaft turned by {np.nan_to_num(turns.total):.1f} electrical turns only: let it turn both ways, with "
-            "more current (--current), by a load machine, or by hand (--passive)"
+            f"the shaft turned by {np.nan_to_num(turns.total):.1f} electrical turns only: let it turn both ways"
+            + (f", {further}" if further else "")
         )
     elif dead := causes.dead(trace, turns):
         findings += dead
@@ -119,7 +119,7 @@ def _by_flux(theta: Floats, emf: BackEmf | None) -> Floats:
         return theta
     if emf.reversed:
         return emf.zero - theta
-    return theta - emf.zero if abs(emf.zero) > DISPLACED else theta
+    return theta - causes.zero_off(emf)
 
 
 def _wiring(trace: Trace, theta: Floats) -> Diagnosis:

@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bench.acceptance.ending import put_back
+from bench.acceptance.ending import not_put_back, put_back
 from bench.acceptance.waveforms.sectors import SECTORS
 from bench.errors import BenchError, NodeError
 from bench.hall.health import Health, Outcome
 from bench.node import Node
+from protocol.errors import HbpError
+from protocol.signals import DRIVE_PARAMETERS
+from sim.observers.catalogue import EDGES
 
 ENOUGH = math.radians(0.5)
 """rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""
-REACH = 0.506
-"""rad, as far off as the parameters go."""
+PARAMETERS = {record.name: record for record in DRIVE_PARAMETERS if record.name in EDGES}
 
 
 @dataclass(frozen=True)
@@ -34,18 +37,15 @@ class Learnt:
 
     def parameters(self) -> dict[str, float]:
         """By the names of the drive's parameters."""
-        return {
-            f"{name}_{number}": value
-            for name, values in (("edge_up", self.edge_up), ("edge_down", self.edge_down))
-            for number, value in enumerate(values, 1)
-        }
+        return dict(zip(EDGES, self.edge_up + self.edge_down, strict=True))
 
 
 def learnt(health: Health) -> Learnt:
     """The edges of a healthy check. BenchError, with what to do, where they are not to be used."""
     if health.outcome is Outcome.FAULT:
         more = f" (and {len(health.findings) - 1} more)" if len(health.findings) > 1 else ""
-        raise BenchError(f"no edges learnt: {health.findings[0].cause}{more}; put it right and learn again")
+        first = health.findings[0]
+        raise BenchError(f"no edges learnt: {first.cause}{more}; {first.advice}; then learn again")
     if health.outcome is Outcome.CANNOT_TELL:
         raise BenchError(f"no edges learnt: {health.missing[0]}")
     widest = health.measured.widest()
@@ -57,8 +57,9 @@ def learnt(health: Health) -> Learnt:
     edges = health.measured.edges
     result = Learnt(tuple(e.delta(e.up) for e in edges), tuple(e.delta(e.down) for e in edges))
     for name, value in result.parameters().items():
-        if abs(value) > REACH:
-            raise BenchError(f"no edges learnt: {name} = {value:.3f} rad is beyond {REACH} rad: move the sensor")
+        lo, hi = PARAMETERS[name].lo, PARAMETERS[name].hi
+        if not lo <= value <= hi:
+            raise BenchError(f"no edges learnt: {name} = {value:.3f} rad is not in {lo:g}..{hi:g} rad: move the sensor")
     return result
 
 
@@ -80,13 +81,15 @@ def write(drive: Node, found: Learnt) -> None:
             if stored != float(np.float32(value)):
                 raise NodeError(f"{name} reads {stored:g} after {value:g} was written: nothing was changed")
     except BaseException:
-        put_back(drive, before)
+        try:
+            put_back(drive, before)
+        except (BenchError, HbpError) as error:
+            raise NodeError(f"{error}{not_put_back(before)}") from error
         raise
 
 
 def save(path: Path, found: Learnt) -> None:
-    """Write a .toml, as the simulated drive's configuration has it, or a .json. BenchError for another suffix."""
-    check_suffix(path)
+    """Write a .json by that ending, else a .toml, as the simulated drive's configuration has it. Raises BenchError."""
     if path.suffix == ".json":
         text = json.dumps({"unit": "rad", "edge_up": found.edge_up, "edge_down": found.edge_down}, indent=1) + "\n"
     else:
@@ -99,7 +102,13 @@ def save(path: Path, found: Learnt) -> None:
         raise BenchError(f"cannot write {path}: {error.strerror}") from None
 
 
-def check_suffix(path: Path) -> None:
-    """BenchError unless the edges can be written to a file of that name."""
+def check_out(path: Path, overwrite: bool) -> None:
+    """BenchError unless the edges can be written to a file of that name; one that is there only with `overwrite`."""
     if path.suffix not in (".toml", ".json"):
         raise BenchError(f"--out {path}: the name must end in .toml or .json")
+    if path.exists() and not overwrite:
+        raise BenchError(f"--out {path} exists: choose another name, or --overwrite to replace it")
+    if not path.parent.is_dir():
+        raise BenchError(f"--out {path}: there is no directory {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise BenchError(f"--out {path} cannot be written: permission denied")

@@ -35,9 +35,11 @@ DWELL = (1.0, 4.0)  # s, but so long at least and at most
 ENOUGH = 6.0
 """Electrical turns each way with which no further way of turning is tried."""
 FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
-RUNAWAY = 1.6  # of the speed that was asked for, or was there before, at which a motor is stopped
+RUNAWAY = 1.6  # of the highest speed that was asked for so far, at which a motor is stopped
+GROWS = 1.2  # of the speed that was there when it was told to stand, at which a motor is stopped
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
+FURTHER = "with more current (--current), faster (--speed), by a load machine, or by hand (--passive)"
 LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a count
 
 
@@ -49,6 +51,8 @@ class Turned:
     how: str
     remarks: tuple[str, ...] = ()
     """Trips, and ways that did not turn the motor."""
+    further: str = ""
+    """How more of it is to be had, in words; empty for a recording."""
 
 
 class _NotFollowing(Exception):
@@ -56,7 +60,10 @@ class _NotFollowing(Exception):
 
 
 class Turner:
-    """Turns the shaft of `rig` at up to `most_rpm` mechanical r/min; `progress` shows a line."""
+    """Turns the shaft of `rig` at up to `most_rpm` mechanical r/min; `progress` shows a line.
+
+    Raises BenchError for a speed that is too low to measure at.
+    """
 
     def __init__(self, rig: Rig, most_rpm: float, progress: Callable[[str], None]) -> None:
         self._rig = rig
@@ -65,6 +72,13 @@ class Turner:
         self._first = rig.tick()
         self._remarks: list[str] = []
         self._trips: dict[str, list[str]] = {}  # speeds, by how the drive turned the motor and what it tripped
+        slowest = ENOUGH / DWELL[1] * math.tau / rig.drive.n_p / RPM
+        if most_rpm < slowest:
+            raise BenchError(
+                f"--speed {most_rpm:g} is too slow: {slowest:g} r/min at least, for {ENOUGH:g} electrical turns in "
+                f"{DWELL[1]:g} s"
+            )
+        self._asked = 0.0  # electrical rad/s, the highest so far
         self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
 
     def spin(self) -> Turned:
@@ -90,7 +104,8 @@ class Turner:
 
     def _turned(self, how: str) -> Turned:
         trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
-        return Turned(self._rig.capture(self._first, self._rig.recorder.newest), how, (*trips, *self._remarks))
+        capture = self._rig.capture(self._first, self._rig.recorder.newest)
+        return Turned(capture, how, (*trips, *self._remarks), FURTHER)
 
     # -- ways ---------------------------------------------------------------------------------------------------
 
@@ -117,7 +132,8 @@ class Turner:
             if self._running and self._speed() * omega_m < 0.0:
                 self._brake()
             first = self._rig.tick()
-            limit = RUNAWAY * max(abs(omega_m) * drive.n_p, abs(self._speed()))
+            self._asked = max(self._asked, abs(omega_m) * drive.n_p)
+            limit = RUNAWAY * self._asked
             try:
                 if not self._running:
                     self._running = True
@@ -135,9 +151,14 @@ class Turner:
 
     def _brake(self) -> None:
         """Down to a stand before the shaft turns the other way; a trip is looked at later."""
+        before = self._speed()
+        limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
             self._rig.drive.speed(0.0)
-        self._rig.until(lambda: bool(self._rig.drive.faults) or abs(self._speed()) < STANDS, COAST)
+        self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
+        if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
+            was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
+            raise _NotFollowing(f"told to stand it went from {was:+.0f} to {now:+.0f} r/min and was stopped")
 
     def _by_load(self) -> None:
         load = self._rig.load

@@ -47,7 +47,7 @@ class Options:
     @property
     def recorded(self) -> bool:
         """Whether the source is a recording."""
-        return self.source.endswith(".rrd") or Path(self.source).is_file()
+        return self.source != SIM and (self.source.endswith(".rrd") or Path(self.source).is_file())
 
 
 class Screen(Protocol):
@@ -103,5 +103,6 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     with signals_as_exceptions(), alone_on(options.source):
         require_agreement(options.source, settings, plan.envelope, options.yes, confirm)
         with Rig(plan) as rig:
-            check_limits(rig.drive.node, Spin(options.speed_rpm))
-            yield Source(Turner(rig, options.speed_rpm, screen.progress).spin(), rig.drive.node)
+            check_limits(rig.drive.node, Spin(options.speed_rpm, current_a=options.current_a))
+            turner = Turner(rig, options.speed_rpm, screen.progress)
+            yield Source(turner.spin(), rig.drive.node)

@@ -23,6 +23,7 @@ from protocol.links import Link
 from protocol.messages import Role
 
 WATCHED = ("hall", "status", "theta_enc", "omega_enc", "i_a", "i_b")
+FURTHER = "once round at least, and take longer (--duration)"
 LOOK = 0.5  # s between looks at how far it turned
 
 
@@ -60,7 +61,7 @@ def watch(
                     break
         with suppress(HbpError):
             node.stop_streams()
-    return Turned(recorder.capture(first, recorder.newest, parameters), "by hand"), node
+    return Turned(recorder.capture(first, recorder.newest, parameters), "by hand", further=FURTHER), node
 
 
 def _stream(node: Node) -> tuple[Channel, ...]:
