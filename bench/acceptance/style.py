@@ -33,7 +33,7 @@ LEGEND_LINE = 20  # pt: height of a legend of one line, with the space above it
 CHUNK = 10_000  # points that Agg draws at a time; a noisy line of more can be too much for it
 
 BLACK, GREY, LIGHT = "#1a1a1a", "#7f7f7f", "#d9d9d9"
-ORANGE, BLUE, GREEN, OLIVE, PURPLE, VERMILION, LILAC = (
+ORANGE, BLUE, GREEN, OLIVE, PURPLE, VERMILION, LILAC, LIME = (
     "#d98200",
     "#0072b2",
     "#00906a",
@@ -41,6 +41,7 @@ ORANGE, BLUE, GREEN, OLIVE, PURPLE, VERMILION, LILAC = (
     "#b3478f",
     "#c8401a",
     "#6a5acd",
+    "#5a9a1f",
 )
 # The hues of the recording's dashboard (bench.rerunio.schema), darkened for white paper; after Okabe and Ito.
 COLOURS: dict[str, str] = {
@@ -52,6 +53,8 @@ COLOURS: dict[str, str] = {
     "omega_avg": ORANGE,
     "theta_vt": BLUE,
     "omega_vt": BLUE,
+    "theta_le": LIME,
+    "omega_le": LIME,
     "omega_ref": OLIVE,
     "i_a": VERMILION,
     "i_b": GREEN,

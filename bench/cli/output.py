@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from rich.status import Status
 
 
+NARROW = 11
+"""Columns that words keep on a terminal too narrow for a table."""
+
+
 def table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print `rows` under `headers`; the first column is left-aligned, numbers to the right."""
     if sys.stdout.isatty():
@@ -68,16 +72,19 @@ def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: st
     from rich.table import Table
     from rich.text import Text
 
+    console = Console()
     shown = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD)
+    needed = 0  # for numbers, which must not fold, and some words
     for column, header in enumerate(headers):
         numeric = column > 0 and any(_is_number(row[column]) for row in rows)
         shown.add_column(header, justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
+        width = max(len(row[column]) for row in [headers, *rows])
+        needed += (width if numeric else min(width, NARROW)) + 1
     for row in rows:
         shown.add_row(*[Text(cell) for cell in row])
-    console = Console()
-    if console.measure(shown).maximum > console.width:  # words fold, numbers do not: they move together
+    if needed + 2 * len(headers) > console.width:
         shown.box, shown.padding = None, (0, 1, 0, 0)
-        console.width = max(console.width, console.measure(shown).minimum)
+        console.width = max(console.width, needed)
     console.print(shown)
 
 

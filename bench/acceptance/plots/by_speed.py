@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from bench.acceptance.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
 
+DASHED: dict[str, Any] = {"linestyle": "--", "linewidth": LINE_WIDTH}
+DOTTED: dict[str, Any] = {"linestyle": ":", "linewidth": 0.8, "color": "0.4"}
 MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
@@ -25,14 +28,17 @@ class Panel(NamedTuple):
     limit: float  # drawn as a line
 
 
-def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequence[Panel]) -> Figure:
-    """The panels side by side, both axes logarithmic; `speeds` (n,) in r/min, `loads` (m,) by name."""
+def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequence[Panel], other: str) -> Figure:
+    """The panels side by side, both axes logarithmic; `speeds` (n,) in r/min, `loads` (m,) by name.
+
+    `other`: name of the observer that is dashed.
+    """
     figure, axes = new_figure(1, len(panels), height=3.2)
     for ax, panel in zip(axes, panels, strict=True):
         for (hue, mark), name, mine, others in zip(MARKS, loads, panel.values, panel.others, strict=False):
-            ax.plot(speeds, others, "--", color=hue, linewidth=LINE_WIDTH, alpha=0.6)
+            ax.plot(speeds, others, color=hue, alpha=0.6, **DASHED)
             ax.plot(speeds, mine, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=name)
-        ax.axhline(panel.limit, color="0.4", linewidth=0.8, linestyle=":")
+        ax.axhline(panel.limit, **DOTTED)
         ax.set(xscale="log", yscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
         ax.xaxis.set_minor_formatter(NullFormatter())
@@ -41,6 +47,8 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequenc
         ax.yaxis.set_minor_formatter(NullFormatter())
         axis_labels(ax, f"{panel.title} Mechanical speed", panel.name, "r/min", panel.unit)
     handles, labels = axes[0].get_legend_handles_labels()
+    handles += [Line2D([], [], color="0.4", **DASHED), Line2D([], [], **DOTTED)]
+    labels += [other, "limit"]
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
     return figure
 

@@ -163,6 +163,7 @@ def _environment() -> Environment:
         "paragraphs": words.paragraphs,
         "place": words.place,
         "plain": words.plain,
+        "setting": words.setting,
         "span": words.span_text,
         "tally": words.tally,
         "tightest": tightest,

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from bench.acceptance.drive import SOURCES
 from bench.acceptance.results import Limits, Measurement, Verdict
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
@@ -143,6 +144,12 @@ def plain(value: object) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return str(value) or NOTHING
+
+
+def setting(value: float, name: str) -> str:
+    """The value of a drive's parameter; that of `observer` with the name of the angle source."""
+    source = {float(number): source for source, number in SOURCES.items()}.get(value) if name == "observer" else None
+    return plain(value) + (f" ({source})" if source else "")
 
 
 def _decimals(scale: float) -> int:

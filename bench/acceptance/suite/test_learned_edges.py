@@ -118,6 +118,7 @@ def test_learned_edges_map(drive: Drive, load: NodeLoad, record: Record, measure
                 Panel("(a)", "error std", "deg", std[LEARNED], std[PROPOSED], 0.5),
                 Panel("(b)", "error max", "deg", largest[LEARNED], largest[PROPOSED], 1.5),
             ],
+            "vector tracking",
         ),
     )
 
