@@ -26,8 +26,7 @@ STILL = 0.01
 DISPLACED = math.radians(8.0)
 """Off its place, from which on a sensor is displaced."""
 ZERO = math.radians(2.5)
-"""Off the rotor flux, from which on the encoder's zero is off: what the back-EMF of a motor that turned both ways may
-be wrong by, at least."""
+"""Off the rotor flux, from which on the encoder's zero is off: more than the back-EMF is wrong by."""
 SCATTER = math.radians(2.0)
 """Jitter from which on an edge is unsteady."""
 PULSES, PULSE_RATE = 3, 0.1
@@ -176,7 +175,8 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
                 "exchange the encoder's tracks A and B, or its direction in the firmware; then check again",
             )
         ]
-    if zero := zero_off(emf):
+    zero = ahead(emf)
+    if abs(zero) > ZERO:
         return [
             Finding(
                 "encoder_zero",
@@ -188,16 +188,15 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
     return []
 
 
-def zero_off(emf: BackEmf | None) -> float:
+def ahead(emf: BackEmf | None) -> float:
     """rad by which `theta_enc` is ahead of the rotor flux; 0 where that is not known, or less than its uncertainty.
 
-    Errors of the resistance, the inductance and the timing turn the back-EMF one way going up and the other going down:
-    their mean is right, and half their difference tells their size. Where only one direction was seen, and where that
-    is large, more is allowed for.
+    Errors of the inductance and of the timing turn the back-EMF one way going up and the other going down: half of what
+    they differ by tells how far the mean is to be believed. Where only one direction was seen, nothing tells.
     """
     if emf is None or emf.reversed:
         return 0.0
-    within = DISPLACED if math.isnan(emf.spread) else max(ZERO, 2.0 * emf.spread)
+    within = DISPLACED if math.isnan(emf.spread) else 2.0 * emf.spread
     return emf.zero if abs(emf.zero) > within else 0.0
 
 
@@ -371,8 +370,8 @@ def _shifted(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> Diagnosi
 
 
 def _deltas(measured: Measured, emf: BackEmf | None) -> list[float]:
-    """Ideal minus actual angle of each edge, rad: by the rotor flux, where the encoder's zero is off."""
-    zero = zero_off(emf)
+    """Ideal minus actual angle of each edge, rad in [-pi, pi): by the rotor flux, as far as that is known."""
+    zero = ahead(emf)
     deltas: list[float] = wrap(np.array([edge.mean_delta + zero for edge in measured.edges])).tolist()
     return deltas
 

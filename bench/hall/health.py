@@ -119,7 +119,7 @@ def _by_flux(theta: Floats, emf: BackEmf | None) -> Floats:
         return theta
     if emf.reversed:
         return emf.zero - theta
-    return theta - causes.zero_off(emf)
+    return theta - causes.ahead(emf)
 
 
 def _wiring(trace: Trace, theta: Floats) -> Diagnosis:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from unittest.mock import patch
 
@@ -53,6 +54,8 @@ FAULTS = {  # what the simulated drive has, and what a check must say
     moved((0, 3), 12.0): "sensor c is displaced by 14.2 deg (edges I and IV)",
     moved((2, 5), -15.0): "sensor a is displaced by -21.4 deg (edges III and VI)",
     "[encoder]\noffset_deg = 40.0\n": "the encoder's zero is 40 deg off",
+    "[encoder]\noffset_deg = 5.0\n": "the encoder's zero is 4 deg off",
+    "[encoder]\noffset_deg = -7.0\n": "the encoder's zero is -6 deg off",
     "[encoder]\noffset_deg = -130.0\n": "the encoder's zero is -130 deg off",
 }
 
@@ -156,6 +159,72 @@ def test_a_speed_beyond_the_drives_limit_is_refused_before_anything_turns() -> N
     with reached(device) as links, pytest.raises(BenchError, match=r"--speed 4000 is beyond the drive's limit of 3151"):
         look(Options(TARGET, speed_rpm=4000.0, yes=True))
     assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+
+
+@pytest.mark.parametrize(("option", "words"), [
+    ({"current_a": 100.0}, r"--current 100 is beyond the drive's limit of 8 A \(its parameter i_max\)"),
+    ({"speed_rpm": 5.0}, r"--speed 5 is too slow: 15 r/min at least, for 6 electrical turns in 4 s"),
+])  # fmt: skip
+def test_what_a_drive_cannot_do_or_nobody_can_measure_is_refused(option: dict[str, float], words: str) -> None:
+    with reached(simulated()) as links, pytest.raises(BenchError, match=words):
+        look(Options(TARGET, yes=True, **option))  # type: ignore[arg-type]
+    assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
+
+
+def test_the_slowest_speed_that_is_not_refused_is_enough() -> None:
+    with reached(simulated()):
+        assert look(Options(TARGET, yes=True, speed_rpm=15.0, current_a=2.1)).outcome is Outcome.HEALTHY
+
+
+def forced(device: SimulatedDevice, speed: Callable[[list[float]], float | None]) -> tuple[object, list[float]]:
+    """The load machine forces what `speed` makes of the speeds that the drive was told so far; None lets go."""
+    machine, told = device.bench, []
+    drive = machine.setpoint
+
+    def setpoint(mode: SetpointMode, value: float, value2: float = 0.0) -> None:
+        told.append(value)
+        drive(mode, value, value2)
+
+    def turn(number: int) -> None:
+        force = speed(told)
+        machine.load_enter_state(DriveState.IDLE if force is None else DriveState.RUNNING)
+        if force is not None:
+            machine.load_setpoint(SetpointMode.SPEED, force)
+
+    machine.setpoint = setpoint  # type: ignore[method-assign]
+    return turn, told
+
+
+@pytest.mark.parametrize(("force", "now"), [(40.0, "+3[0-9]{2}"), (20.0, "+191")], ids=["grows", "does not stop"])
+def test_a_motor_that_does_not_stand_is_not_told_to_turn_the_other_way(force: float, now: str) -> None:
+    device = simulated()
+    turn, told = forced(device, lambda told: force if device.bench.outputs_on and told and told[-1] == 0.0 else None)
+    with reached(device, turn), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        remark = source.turned.remarks[0]
+        assert re.search(rf"encoder: told to stand it went from \+2[34]\d to \{now} r/min and was stopped$", remark)
+    assert min(told) == 0.0
+    assert at_rest(device)
+
+
+def test_a_motor_is_stopped_by_the_speed_that_it_was_told_and_not_by_the_one_that_it_has() -> None:
+    device = simulated()
+    turn, _ = forced(device, lambda told: 24.0 if len(told) < 2 and not device.bench.faults else None)
+    with reached(device, turn), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
+        assert "told to turn at +60 r/min it ran away and was stopped" in source.turned.remarks[0]
+    assert at_rest(device)
+
+
+def test_what_a_lost_link_leaves_changed_is_named() -> None:
+    device = simulated()
+
+    def lose(number: int) -> None:
+        if device.bench.outputs_on and device.bench.truth.omega_m > 20.0:
+            links[-1].close()
+
+    with reached(device, lose) as links, pytest.raises(BenchError) as ended:
+        look(Options(TARGET, yes=True))
+    assert str(ended.value).startswith("the bench could not be left as it was: ")
+    assert str(ended.value).endswith("; not put back: i_max (was 8), observer (was 2)")
 
 
 # -- consent, and the end of it ---------------------------------------------------------------------------------
@@ -271,6 +340,65 @@ def test_the_command_prints_a_verdict_and_its_exit_code_is_that(
     code, out, _ = bench(capsys, "check", "sim", "--passive", "--duration", "0.5")
     assert code == 2
     assert "cannot tell: the shaft turned by 0.0 electrical turns only" in out
+
+
+def test_advice_is_for_who_turns_the_shaft(capsys: pytest.CaptureFixture[str]) -> None:
+    _, by_hand_out, _ = bench(capsys, "check", "sim", "--passive", "--duration", "0.5")
+    _, by_drive_out, _ = bench(capsys, "check", "sim", "--current", "0.02")
+    advice, other = (" ".join(out.split("cannot tell: ")[1].split()) for out in (by_hand_out, by_drive_out))
+    assert "--duration" in advice
+    assert "--passive" not in advice
+    assert "(--current), faster (--speed), by a load machine, or by hand (--passive)" in other
+
+
+def test_a_file_of_that_name_does_not_hide_the_simulated_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("sim", "run"):
+        Path(name).write_text("no recording")
+    assert not Options("sim").recorded
+    assert Options("run").recorded
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_command_in_a_line_that_says_where_the_recording_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: signal.Signals
+) -> None:
+    device, run = simulated(), tmp_path / "run.rrd"
+
+    def interrupt(number: int) -> None:
+        if not sent and device.bench.truth.omega_m > 5.0:
+            sent.append(number)
+            signal.raise_signal(kind)
+
+    sent: list[int] = []
+    with reached(device, interrupt):
+        code, _, err = bench(capsys, "check", TARGET, "--yes", "--save", str(run))
+    assert code == 128 + kind
+    assert err.splitlines()[-1] == f"error: interrupted by {kind.name}; outputs off; recording: {run}"
+    assert at_rest(device)
+    assert run.stat().st_size > 10_000
+
+
+def test_no_output_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.rrd").write_text("precious")
+    Path("rig.toml").write_text("")
+    Path("old.toml").write_text("precious")
+    for arguments, words in (
+        (("check", "run.rrd", "--json", "run.rrd"), "--json run.rrd is a file that is read"),
+        (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is a file that is read"),
+        (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json are the same file"),
+        (("learn", "run.rrd", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
+        (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is a file that is read"),
+        (("learn", "sim", "--out", "old.toml"), "--out old.toml exists: choose another name, or --overwrite"),
+        (("learn", "sim", "--out", "nowhere/edges.toml"), "there is no directory nowhere"),
+    ):
+        code, out, err = bench(capsys, *arguments)
+        assert (code, out) == (2, "")
+        assert words in err
+        assert len(err.splitlines()) == 1
+    assert Path("run.rrd").read_text() == Path("old.toml").read_text() == "precious"
+    assert Path("rig.toml").read_text() == ""
 
 
 def test_completion_knows_targets_and_recordings(tmp_path: Path) -> None:

@@ -60,6 +60,36 @@ def test_sensors_that_are_all_displaced_are_told_from_the_encoders_zero_by_the_b
     assert zero.cause.startswith("the encoder's zero is 20.")
 
 
+@pytest.mark.parametrize("zero_deg", [0.0, 1.0, -2.0, 5.0, 7.0, -7.0, 40.0])
+def test_a_zero_of_the_encoder_beyond_its_uncertainty_is_a_finding_and_no_more_than_one(zero_deg):
+    found = check(REAL.but(encoder=lambda theta: theta + math.radians(zero_deg)))
+    assert found.emf is not None
+    assert math.degrees(found.emf.zero) == pytest.approx(zero_deg, abs=0.3)
+    if abs(zero_deg) < 2.5:
+        assert found.outcome is Outcome.HEALTHY
+        return
+    [finding] = found.findings
+    assert finding.code == "encoder_zero"
+    assert found.wiring is not None
+    assert (found.wiring.best, found.wiring.share) == ("as specified", 1.0)
+
+
+def test_a_displaced_sensor_is_told_by_the_same_angle_whatever_the_encoders_zero():
+    delta = [value - (14.0 if sector in (1, 4) else 0.0) for sector, value in enumerate(TABLE_I)]
+    found = check(REAL.but(delta_deg=delta, encoder=lambda theta: theta + math.radians(6.0)))
+    assert [finding.code for finding in found.findings] == ["encoder_zero", "displaced"]
+    assert found.findings[1].cause.startswith("sensor b is displaced by 15.")
+
+
+def test_a_back_emf_that_turns_with_the_direction_makes_the_zero_less_certain():
+    wrong = {"parameters": {"L_s_hat": 1.5e-3}, "current": lambda t: np.where(t < 3.5, 2.0, -2.0)}
+    for zero_deg, outcome in ((0.0, Outcome.HEALTHY), (5.0, Outcome.HEALTHY), (40.0, Outcome.FAULT)):
+        found = check(REAL.but(encoder=lambda theta, by=zero_deg: theta + math.radians(by), **wrong))
+        assert found.emf is not None
+        assert math.degrees(found.emf.spread) > 4.0
+        assert found.outcome is outcome
+
+
 def test_a_rotation_without_back_emf_names_what_else_it_may_be():
     rotated = {"rewire": lambda abc: (abc[2], abc[0], abc[1])}
     [certain], [doubtful] = check(REAL.but(**rotated)).findings, check(OFF.but(**rotated)).findings
