@@ -128,7 +128,7 @@ def learn(source: str, json_file: str | None, write: bool, out: Path | None, **g
         if write and found.drive is not None:
             learning.write(found.drive, edges)
             click.echo(f"{len(edges.parameters())} parameters written to node {found.drive.number} and read back")
-            if source == "sim":
+            if source == "sim" and out is None:
                 click.echo("the simulated drive ends now and forgets them: --out FILE keeps them, for its --config")
 
 
