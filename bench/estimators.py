@@ -8,6 +8,7 @@ runs ahead of its input: an edge is used once a sample at or after it has arrive
 
 from __future__ import annotations
 
+import difflib
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -45,12 +46,17 @@ class _Inputs:
         self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
         self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use."""
-        if len(chunk) and len(self._edge_tick) and chunk.tick[0] < self._edge_tick[-1]:
+    def edges(self, chunk: EdgeChunk) -> bool:
+        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use.
+
+        Whether such older edges were dropped.
+        """
+        anew = bool(len(chunk) and len(self._edge_tick) and chunk.tick[0] < self._edge_tick[-1])
+        if anew:
             self._edge_tick, self._edge_hall = self._edge_tick[:0], self._edge_hall[:0]
         self._edge_tick = np.concatenate([self._edge_tick, chunk.tick])
         self._edge_hall = np.concatenate([self._edge_hall, chunk.hall_new])
+        return anew
 
     def take(self, chunk: SampleChunk, reset: Flags) -> Arguments:
         """What `sample.run` takes after params and state: samples, the edges up to them, resets."""
@@ -214,7 +220,8 @@ class Estimators:
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
         if len(chunk):
-            self._inputs.edges(chunk)
+            if self._inputs.edges(chunk):
+                self._edges_lost = self._edges_lost[:0]
             self._edges_lost = np.concatenate([self._edges_lost, chunk.tick[_breaks(chunk.index, self._next_edge)]])
             self._next_edge = int(chunk.index[-1]) + 1
 
@@ -255,11 +262,19 @@ def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str
 
 
 def entry_of(name: str) -> Entry:
-    """The observer of that name, or of that short name. BenchError, naming what there is, if there is none."""
-    for entry in CATALOGUE.values():
-        if name in (entry.name, entry.short):
-            return entry
-    raise BenchError(f"no observer '{name}'; there are {', '.join(CATALOGUE)}")
+    """The observer of that name, or of that short name; - stands for _. BenchError, naming what there is, if none."""
+    known = {name: entry for entry in CATALOGUE.values() for name in (entry.name, entry.short)}
+    wanted = name.replace("-", "_")
+    if wanted in known:
+        return known[wanted]
+    there = ", ".join(f"{entry.name} ({entry.short})" for entry in CATALOGUE.values())
+    raise BenchError(f"no observer '{name}'{did_you_mean(wanted, known)}; there are {there}")
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The nearest of `names` in words that follow a name; empty if none is near."""
+    near = difflib.get_close_matches(name, list(names), 1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def unfit(config: StreamConfig) -> str:

@@ -494,6 +494,11 @@ def run(
     """
     if options.save is not None and options.save.exists() and not options.overwrite:
         raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
+    if options.estimate:
+        from bench.estimators import entry_of
+
+        for name in options.estimate:
+            entry_of(name)
     with ExitStack() as stack:
         stack.enter_context(signals_as_exceptions())
         target = options.target or "sim"

@@ -2,7 +2,7 @@
 
 Parameters are those that the recording began with, and what `settings` puts in their place: later changes are not in a
 recording. The health counters of the drive's heartbeats are not in it either; losses are counted anew, from the
-stream's own gaps. The input is never changed.
+stream's own gaps. The input is never changed. The output appears, or replaces an earlier one, when it is whole.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from bench.errors import BenchError
 from bench.estimators import INPUTS, Estimators, all_for, entry_of, unfit
 from bench.rerunio import schema
 from bench.rerunio.recording import Run, read_run
+from bench.rerunio.salvage import ends_early
 from bench.rerunio.sinks import FileSink
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from protocol.streams import EdgeChunk, SampleChunk
@@ -29,6 +30,14 @@ from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, keyword_parameters
 
 WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
+BEGAN = {
+    "start": "at the start",
+    "drive": "where the drive initialised them",
+    "lost_samples": "after lost samples",
+    "lost_edges": "after lost edges",
+}
+"""Why observers began anew, in words, by the keys of `Estimators.restarts`."""
+ENDS_EARLY = "the recording ends early: it was cut short, or is still being written"
 ALIASES = {"k_p": "k_p_vt", "k_i": "k_i_vt"}
 Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 
@@ -74,6 +83,8 @@ def replay(
         raise BenchError(f"{out} is the recording itself: choose another name")
     if out.exists() and not overwrite:
         raise BenchError(f"{out} exists: choose another name, or --overwrite to replace it")
+    if out.exists() and not out.is_file():
+        raise BenchError(f"{out} is no file that can be replaced: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
     run = readable_run(path)
     if why := not_replayable(run):
@@ -96,7 +107,9 @@ def replay(
         identity={**run.info.identity, "replayed": f"{path.name} by hallbench {__version__}", **_told(values)},
         recording_id=uuid4().hex,
     )
-    sink = FileSink(out, info, overwrite=overwrite, wait=True)
+    whole = out.resolve()
+    part_file = whole.with_name(f"{whole.name}.{info.recording_id[:8]}.part")
+    sink = FileSink(part_file, info, wait=True)
     try:
         _feed(run, AugmentedSinks(augmenter, run.info.node, [sink]), sink)
         result = Replayed(
@@ -112,10 +125,11 @@ def replay(
         )
         sink.summary(f"{run.summary}\n\n{as_markdown(result)}")
         sink.close()
+        part_file.replace(whole)
     except BaseException:
         with suppress(BenchError):
             sink.close()
-        out.unlink(missing_ok=True)  # half a replay looks like a whole one
+        part_file.unlink(missing_ok=True)
         raise
     return result
 
@@ -157,13 +171,15 @@ def checked_settings(
                 raise BenchError(f"--set {given}: must be {limits.lo:g}..{limits.hi:g}, got {value:g}")
             if limits.flags & Flag.WHOLE and value != int(value):
                 raise BenchError(f"--set {given}: must be a whole number, got {value:g}")
+        if name in checked:
+            raise BenchError(f"--set {given}: {name} is set already: give one of the two names")
         checked[name] = value
     return checked
 
 
 def rows(result: Replayed) -> list[list[str]]:
     """The figures of a replay as pairs of name and text."""
-    began = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in result.restarts.items() if n)
+    began = ", ".join(f"{n} {BEGAN[why]}" for why, n in result.restarts.items() if n)
     return [
         ["observers", ", ".join(result.observers)],
         ["samples", f"{result.samples}, {result.seconds:.1f} s"],
@@ -186,7 +202,8 @@ def _told(values: Mapping[str, float]) -> dict[str, str]:
 def _unknown(run: Run) -> tuple[str, ...]:
     names = {channel.name for channel in run.samples.config.channels}
     missing = [name for name in INPUTS if name not in names]
-    notes = ["parameters that were changed during the run: those of its beginning hold"]
+    notes = [ENDS_EARLY] if ends_early(run.path) else []
+    notes.append("parameters that were changed during the run: those of its beginning hold")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")
     if "i_q" in missing or "i_q_ref" in missing:

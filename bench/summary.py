@@ -193,7 +193,7 @@ def summarise(
     )
 
 
-ERROR_HEADERS = ("position error, electrical degrees", "estimate", "mean", "std", "max")
+ERROR_HEADERS = ("position error while running, electrical degrees", "estimate", "mean", "std", "max")
 
 
 def error_rows(summary: Summary) -> list[list[str]]:

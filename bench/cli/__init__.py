@@ -6,6 +6,7 @@ Subcommands are imported when they are called, so that `bench --help` stays quic
 from __future__ import annotations
 
 import importlib
+import os
 import signal
 import sys
 from typing import Any, NoReturn
@@ -39,6 +40,14 @@ class _LazyGroup(click.Group):
         command = importlib.import_module(f"bench.cli.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; exit code 141, as of SIGPIPE, where the reader of its output has gone (click's is 1)."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+            sys.exit(141)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -85,9 +94,6 @@ def main(args: list[str] | None = None) -> Any:
         fail(error.format_message(), 2)
     except Interrupted as interrupt:
         fail(f"interrupted by {signal.Signals(interrupt.signum).name}", 128 + interrupt.signum)
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone: nothing left to say
-        sys.exit(141)
     except Exception as error:
         _explain(error)
 

@@ -19,6 +19,14 @@ OBSERVERS = [
 ]  # fmt: skip
 
 
+class Observer(click.Choice[str]):
+    """A name of an observer, written with - or _."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Read it, or say why not."""
+        return super().convert(str(value).replace("_", "-"), param, ctx)
+
+
 @click.command("live")
 @click.argument("target", required=False, type=TARGET)
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min.")
@@ -29,7 +37,7 @@ OBSERVERS = [
     type=Number(),
     help="Load torque, as the q current that it takes, A; needs a load machine.",
 )
-@click.option("--observer", type=click.Choice(OBSERVERS), help="Angle that the drive's control uses.")
+@click.option("--observer", type=Observer(OBSERVERS), help="Angle that the drive's control uses.")
 @click.option(
     "--duration",
     metavar="S",

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from bench.cli.files import check_outputs
 from bench.cli.number import Number
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -51,6 +52,10 @@ def command(
       bench replay a.rrd
       bench replay a.rrd --observer vector_tracking --set k_p=900 -o slow.rrd
     """
+    check_outputs({"--out": out}, [run])
+    given = [name for name, _ in settings]
+    if twice := [name for name in dict.fromkeys(given) if given.count(name) > 1]:
+        raise click.UsageError(f"--set {twice[0]} is given {given.count(twice[0])} times: give it once")
     from bench.cli.output import pairs
     from bench.replay import replay, rows
 

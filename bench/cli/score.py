@@ -10,11 +10,13 @@ from typing import Any
 
 import click
 
+from bench.cli.files import check_outputs
+
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class Share(click.ParamType[float]):
-    """A share above 0, as 20% or 0.2."""
+    """A share above 0 and below 1, as 20% or 0.2."""
 
     name = "share"
 
@@ -25,8 +27,8 @@ class Share(click.ParamType[float]):
             share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
         except ValueError:
             share = 0.0
-        if not 0.0 < share < 1e3:
-            self.fail(f"'{value}' is no share such as 20% or 0.2", param, ctx)
+        if not 0.0 < share < 1.0:
+            self.fail(f"'{value}' is no share above 0 and below 100%, such as 20% or 0.2", param, ctx)
         return share
 
 
@@ -39,6 +41,7 @@ class Share(click.ParamType[float]):
 @click.option("--csv", "csv_file", metavar="FILE", type=_FILE, help="Write all figures as CSV, one a row.")
 @click.option("--expect", metavar="FILE", type=_FILE, help="Bounds on figures (TOML or JSON); outside: exit code 1.")
 @click.option("--write-expect", metavar="FILE", type=_FILE, help="Write bounds around this run's figures (TOML).")
+@click.option("--overwrite", is_flag=True, help="Let --write-expect replace a file that exists.")
 @click.option("--margin", type=Share(), default="20%", show_default=True, help="Of --write-expect, on both sides.")
 def command(
     runs: tuple[Path, ...],
@@ -48,6 +51,7 @@ def command(
     csv_file: Path | None,
     expect: Path | None,
     write_expect: Path | None,
+    overwrite: bool,
     margin: float,
 ) -> None:
     """Score position observers on recordings: errors, lag and cost, ranked.
@@ -63,9 +67,15 @@ def command(
       bench score a.rrd b.rrd --html score.html --json score.json
       bench score a.rrd --expect bounds.toml
     """
-    for name, path in (("html", html), ("json", json_file), ("csv", csv_file), ("write-expect", write_expect)):
+    outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
+    check_outputs(outputs, [*runs, expect])
+    for option, path in outputs.items():
         if path is not None and not path.parent.is_dir():
-            raise click.UsageError(f"--{name} {path}: there is no directory {path.parent}")
+            raise click.UsageError(f"{option} {path}: there is no directory {path.parent}")
+    if write_expect is not None and write_expect.exists() and not overwrite:
+        raise click.UsageError(
+            f"--write-expect {write_expect} exists: choose another name, or --overwrite to replace it"
+        )
     from bench.score import expect as bounds
     from bench.score.board import score
     from bench.score.table import as_csv, as_text
@@ -78,9 +88,9 @@ def command(
         from bench.score.report import write_report
 
         write_report(board, html)
-    _write("json", json_file, lambda: json.dumps(board.as_json(), indent=2) + "\n")
-    _write("csv", csv_file, lambda: as_csv(board))
-    _write("write-expect", write_expect, lambda: bounds.as_toml(board, margin))
+    _write("--json", json_file, lambda: json.dumps(board.as_json(), indent=2) + "\n")
+    _write("--csv", csv_file, lambda: as_csv(board))
+    _write("--write-expect", write_expect, lambda: bounds.as_toml(board, margin))
     if expected is None:
         return
     outside = bounds.check(board, expected)
@@ -96,4 +106,4 @@ def _write(option: str, path: Path | None, text: Callable[[], str]) -> None:
     try:
         path.write_text(text(), encoding="utf-8")
     except OSError as error:
-        raise click.ClickException(f"--{option} {path} cannot be written: {error.strerror}") from None
+        raise click.ClickException(f"{option} {path} cannot be written: {error.strerror}") from None

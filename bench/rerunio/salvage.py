@@ -23,10 +23,20 @@ _END = 0
 
 def whole_length(path: Path) -> int:
     """Bytes of `path` up to the end of its last whole message; all of them for a finished or a foreign file."""
+    return _walked(path)[0]
+
+
+def ends_early(path: Path) -> bool:
+    """Whether `path` is a recording without the footer that ends a finished one: cut short, or still being written."""
+    return not _walked(path)[1]
+
+
+def _walked(path: Path) -> tuple[int, bool]:
+    """`whole_length`, and whether the file is finished, or foreign."""
     size = path.stat().st_size
     with path.open("rb") as file:
         if file.read(_HEADER_BYTES)[: len(_MAGIC)] != _MAGIC:
-            return size
+            return size, True
         position = _HEADER_BYTES
         while len(head := file.read(_MESSAGE.size)) == _MESSAGE.size:
             kind, length = _MESSAGE.unpack(head)
@@ -34,10 +44,10 @@ def whole_length(path: Path) -> int:
             if end > size:
                 break
             if kind == _END:
-                return size
+                return size, True
             position = end
             file.seek(position)
-    return position
+    return position, False
 
 
 def mend(path: Path) -> None:

@@ -1,8 +1,9 @@
 """All figures of every observer, by recording and pooled, in the order of their rank.
 
 The rank is by the rms error of the angle over all samples in which the shaft moves: starts, steady running, changes of
-speed and reversals, each by the time that it lasts. Angles are in electrical degrees, speeds in r/min (mechanical where
-the pole pairs are known), lags in microseconds.
+speed and reversals. Recordings are pooled sample by sample; an observer that is in only some of them stands after those
+that are in all, because it was not put to the same test. Angles are in electrical degrees, speeds in r/min (mechanical
+where the pole pairs are known), lags in microseconds.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from numpy.typing import NDArray
 from bench import __version__
 from bench.acceptance.waveforms import sector_of_angle
 from bench.errors import BenchError
-from bench.estimators import entry_of
+from bench.estimators import did_you_mean, entry_of
 from bench.score import phases
 from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
 from bench.score.phases import RPM, speed_bins
-from bench.score.tracks import HOST, Stretch, Track, load
+from bench.score.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
 from bench.statistics import wrap
 from sim.observers.catalogue import CATALOGUE
 
@@ -47,6 +48,13 @@ class Scoreboard:
     def notes(self) -> list[str]:
         """What a reader has to know, with the recording that it is about."""
         found = []
+        rates = sorted({track.rate for track in self.tracks})
+        if len(rates) > 1:
+            which = ", ".join(f"{rate:g}" for rate in rates)
+            found.append(f"recorded at {which} samples a second: pooled by the sample, so the faster weighs more")
+        for name, figures in self.pooled.items():
+            if words := partly(figures, self.tracks):
+                found.append(f"{name} is in {words}: it stands after those that are in all")
         for track in self.tracks:
             lost = f"{track.lost} samples lost" if track.lost else ""
             short = f"{track.dropped} in stretches too short to score" if track.dropped else ""
@@ -94,17 +102,41 @@ def score(paths: Sequence[Path], observers: Sequence[str] = ()) -> Scoreboard:
     Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
     cannot be read or scored, and for a name that is nowhere.
     """
-    recorded = [name for name in observers if "_" in name and name.split("_")[0] in ("drive", "replayed")]
-    again = [entry_of(name).name for name in observers if name not in recorded]
+    recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
+    again = [_observer(name) for name in observers if not _is_recorded(name)]
     tracks = tuple(load(path, again if observers else None) for path in dict.fromkeys(paths))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
     if missing := [name for name in recorded if name not in names]:
-        raise BenchError(f"no recording has the estimate '{missing[0]}'; there are {', '.join(names)}")
+        nearest = did_you_mean(missing[0], names)
+        raise BenchError(f"no recording has the estimate '{missing[0]}'{nearest}; there are {', '.join(names)}")
     if observers:
         names = [name for name in names if name in (*recorded, *again)]
     by_file = {str(track.path): _ranked(names, [track]) for track in tracks}
     pooled = _ranked(names, tracks) if len(tracks) > 1 else by_file[str(tracks[0].path)]
-    return Scoreboard(tracks, pooled, by_file)
+    board = Scoreboard(tracks, pooled, by_file)
+    if not any(figures["moving"]["n"] for figures in pooled.values()):
+        still = f"in no sample does the shaft turn faster than {phases.MOVING_RPM:g} r/min" if pooled else ""
+        raise BenchError(f"nothing to score: {'; '.join(filter(None, (*board.notes, still)))}")
+    return board
+
+
+def partly(figures: Figures, tracks: Sequence[Track]) -> str:
+    """In how many of the recordings the observer of these figures is, in words; empty for all."""
+    n = figures["recordings"]
+    return f"{n} of {len(tracks)} recordings" if n < len(tracks) else ""
+
+
+def _is_recorded(name: str) -> bool:
+    return name.replace("-", "_").startswith((f"{DRIVE}_", f"{REPLAYED}_"))
+
+
+def _observer(name: str) -> str:
+    try:
+        return entry_of(name).name
+    except BenchError as error:
+        raise BenchError(
+            f"{error}; and of what was recorded drive_… and replayed_… with a short name, as drive_vt"
+        ) from None
 
 
 def flat(figures: Figures, prefix: str = "") -> Iterator[tuple[str, float | None]]:
@@ -127,8 +159,13 @@ def _ranked(names: Sequence[str], tracks: Sequence[Track]) -> dict[str, Figures]
         if key not in pools:
             pools[key] = _Pool(having)
         found[name] = pools[key].figures(name)
-    ranked = sorted(found, key=lambda name: math.inf if (rms := found[name]["moving"]["rms"]) is None else rms)
+    ranked = sorted(found, key=lambda name: _place(found[name], len(tracks)))
     return {name: {"rank": place, **found[name]} for place, name in enumerate(ranked, 1)}
+
+
+def _place(figures: Figures, recordings: int) -> tuple[bool, float]:
+    rms = figures["moving"]["rms"]
+    return figures["recordings"] < recordings, math.inf if rms is None else rms
 
 
 class _Pool:
@@ -172,6 +209,7 @@ class _Pool:
         reversals = sum(s.phases.reversals for _, s in self._parts)
         return {
             "kind": kind,
+            "recordings": len(self._tracks),
             "source": CATALOGUE[name].source if kind == HOST else f"channel of the recording, {kind}",
             "moving": error_figures(degrees[self._where["moving"]]),
             "error": error_figures(degrees[steady]),

@@ -5,7 +5,6 @@ A bound has two sides, so that an error which vanishes is noticed as well as one
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import tomllib
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
+from bench.estimators import did_you_mean
 from bench.score.board import PHASES, Scoreboard, flat
 
 WRITTEN = (*PHASES, "speed", "lag")  # groups of figures that are written; the cost of a step is the machine's
@@ -64,9 +64,14 @@ def check(board: Scoreboard, bounds: Bounds) -> list[Outside]:
     figures = dict(flat(board.pooled))
     found = []
     for name, (lo, hi) in bounds.items():
+        observer = name.partition(".")[0]
+        if observer not in board.pooled:
+            raise BenchError(
+                f"--expect bounds {observer}, which is not scored (--observer); scored: {', '.join(board.pooled)}"
+            )
         if name not in figures:
-            near = difflib.get_close_matches(name, figures, 1)
-            raise BenchError(f"no figure '{name}' in this score" + (f"; did you mean {near[0]}?" if near else ""))
+            own = [figure for figure in figures if figure.startswith(f"{observer}.")]
+            raise BenchError(f"no figure '{name}' in this score{did_you_mean(name, own)}")
         value = figures[name]
         if value is None or not lo <= value <= hi:
             found.append(Outside(name, value, lo, hi))

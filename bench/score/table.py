@@ -31,9 +31,12 @@ def row(name: str, figures: Figures) -> list[str]:
     ]
 
 
-def lines(observers: dict[str, Figures]) -> list[str]:
-    """The table, aligned: names to the left, numbers to the right."""
+def lines(observers: dict[str, Figures], recordings: int = 1) -> list[str]:
+    """The table, aligned: names to the left, numbers to the right; marked who is in only some of the `recordings`."""
     rows = [list(HEADERS), *(row(name, figures) for name, figures in observers.items())]
+    for cells, figures in zip(rows[1:], observers.values(), strict=True):
+        if figures["recordings"] < recordings:
+            cells[0] += f" ({figures['recordings']} of {recordings})"
     widths = [max(len(cells[k]) for cells in rows) for k in range(len(HEADERS))]
     return [
         "  ".join([cells[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))])
@@ -42,14 +45,14 @@ def lines(observers: dict[str, Figures]) -> list[str]:
 
 
 def as_text(board: Scoreboard) -> list[str]:
-    """The whole board: pooled, then by recording where there are several, then notes."""
-    found = lines(board.pooled)
+    """The whole board: pooled, then by recording where there are several, then notes and a legend."""
+    found = lines(board.pooled, len(board.tracks))
     if len(board.by_file) > 1:
         for path, observers in board.by_file.items():
             found += ["", path, *lines(observers)]
         found = [f"{len(board.by_file)} recordings pooled", *found]
     notes = [f"note: {note}" for note in board.notes]
-    return [*found, "", *LEGEND, *notes]
+    return [*found, "", *notes, *LEGEND]
 
 
 def as_csv(board: Scoreboard) -> str:

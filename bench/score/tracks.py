@@ -5,6 +5,7 @@ The estimates are the drive's own channels, those that a replay has added, and t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.estimators import Estimate, Estimators, all_for
-from bench.replay import not_replayable, part, readable_run
+from bench.replay import ENDS_EARLY, not_replayable, part, readable_run
 from bench.rerunio.recording import Run
+from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
 from bench.score.phases import Phases, phases_of, speed_of
 from protocol.messages import DriveState
@@ -69,9 +71,14 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
     samples = run.samples
     reference = next((c.name for c in samples.config.channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
     if reference is None:
-        raise BenchError(f"{path} cannot be scored: it has no reference angle, so there must be an encoder")
-    notes: list[str] = []
+        raise BenchError(f"{path} cannot be scored: no reference angle; there must be an encoder: record theta_enc")
+    notes = [ENDS_EARLY] if ends_early(path) else []
     rate = run.info.pwm_hz / samples.config.decimation
+    if (fastest := _fastest(run)) >= math.pi * rate:
+        raise BenchError(
+            f"{path} cannot be scored: at {rate:g} samples a second an electrical speed of {fastest:.0f} rad/s is half "
+            f"a turn or more from one to the next, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
+        )
     found, kinds = _recorded(samples)
     estimators = None
     if why := not_replayable(run):
@@ -126,6 +133,18 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
         restarts={} if estimators is None else estimators.restarts,
         notes=tuple(notes),
     )
+
+
+def _fastest(run: Run) -> float:
+    """The largest electrical speed that the recording tells, rad/s: the reference's, or the largest estimate.
+
+    Without either it is what the drive permits, and 0 where it does not tell.
+    """
+    channels = [c for c in run.samples.config.channels if c.unit == Unit.RAD_PER_S]
+    for flag in (Flag.REFERENCE, Flag.ESTIMATE):
+        if told := [c.name for c in channels if c.flags & flag]:
+            return max(float(np.abs(run.samples.physical(name)).max()) for name in told)
+    return run.info.parameters.get("n_p", 1.0) * run.info.parameters.get("omega_m_max", 0.0)
 
 
 def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]]:

@@ -60,28 +60,39 @@ def record_drive(path: Path) -> None:
 
 
 def record_made_up(
-    path: Path, theta: np.ndarray, estimates: Mapping[str, tuple[np.ndarray, np.ndarray]], reference: bool = True
+    path: Path,
+    theta: np.ndarray,
+    estimates: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    reference: bool = True,
+    decimation: int = 1,
+    omega_told: bool = True,
 ) -> None:
     """A recording with an encoder at `theta` (n,) rad, unwrapped, and estimates (angle, speed) by short name, no more.
 
+    Of the speeds only the largest that the drive permits is there without `omega_told`: that of the first estimate.
     Angles are telemetered as float32, so that formulas hold to 1e-6 rad.
     """
     flags = Flag.CHANNEL | Flag.WRAPS
     channels = [Channel(1, "theta_enc", Unit.RAD, RawType.F32, 1.0, flags | (Flag.REFERENCE if reference else Flag(0)))]
     columns = [theta]
+    parameters: dict[str, float] = {"n_p": N_P}
     for k, (short, (angle, speed)) in enumerate(estimates.items()):
         channels.append(Channel(10 + 2 * k, f"theta_{short}", Unit.RAD, RawType.F32, 1.0, flags | Flag.ESTIMATE))
+        columns.append(angle)
+        if not omega_told:
+            parameters.setdefault("omega_m_max", float(np.abs(speed).max()) / N_P)
+            continue
         channels.append(
             Channel(11 + 2 * k, f"omega_{short}", Unit.RAD_PER_S, RawType.F32, 1.0, Flag.CHANNEL | Flag.ESTIMATE)
         )
-        columns += [angle, speed]
+        columns.append(speed)
     raw = np.empty(len(theta), sample_dtype(channels))
     for channel, column in zip(channels, columns, strict=True):
         wraps = channel.flags & Flag.WRAPS
         raw[channel.name] = np.mod(column + np.pi, 2 * np.pi) - np.pi if wraps else column
-    info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters={"n_p": N_P})
-    config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, tuple(channels), 25)
-    index = np.arange(len(theta), dtype=np.int64)
+    info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters=parameters)
+    config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, tuple(channels), 25)
+    index = np.arange(len(theta), dtype=np.int64) * decimation
     sink = FileSink(path, info, wait=True)
     sink.samples(SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ()))
     sink.close()

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from collect import Bench, Collector
 from virtual_run import WatchedLink, run, simulated
 
 from bench.augment import AugmentedSinks, Augmenter, host_channels
+from bench.cli import cli
 from bench.errors import BenchError
 from bench.estimators import Estimators
 from bench.rerunio.recording import read_run
@@ -21,7 +23,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 
 def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
     path = tmp_path / "a.rrd"
-    chosen = ("vector_tracking", "avg", "vt")
+    chosen = ("vector-tracking", "avg", "vt")
     ended = run(WatchedLink(simulated()), duration=0.6, estimate=chosen, host_observers=True, save=path)
     (errors,) = ended.summary.position_error_deg.values()
     assert errors["theta_vt_host"] == pytest.approx(errors["theta_vt"])
@@ -40,7 +42,6 @@ def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"estimate": ("nobody",)}, "no observer 'nobody'; there are "),
         ({"estimate": ("vt",), "rate_hz": 8000.0}, "--estimate needs every PWM period"),
         (
             {"estimate": ("vt",), "channels": ("hall", "i_a")},
@@ -54,6 +55,15 @@ def test_what_cannot_be_estimated_is_told_before_anything_turns(options: dict[st
         run(link, **options)
     assert words in str(raised.value)
     assert set(link.states) == {DriveState.IDLE}
+
+
+def test_a_wrong_name_is_refused_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("bench.live.open_link", asked.append)
+    options = ["live", "sim", "--viewer", "none", "--duration", "1", "--estimate", "vector-trackin"]
+    done = CliRunner().invoke(cli, options)
+    assert "no observer 'vector-trackin' (did you mean vector_tracking?)" in str(done.exception)
+    assert asked == []
 
 
 def test_all_else_is_handed_on_as_it_came() -> None:

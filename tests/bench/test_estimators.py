@@ -209,3 +209,21 @@ def test_collected_chunks_bring_edges_before_the_samples_that_cover_them() -> No
             assert chunk.tick[0] > covered
         else:
             covered = int(chunk.tick[-1])
+
+
+def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> None:
+    recorded = read_run(drive_run)
+    info, samples, edges = recorded.info, recorded.samples, recorded.edges
+    assert len(edges) > 200
+    last = int(np.searchsorted(samples.tick, edges.tick[100], side="right"))
+    estimators = Estimators(["avg"], info.parameters, info.tick_hz, info.pwm_hz)
+    estimators.edges(cut(edges, 0, 50))
+    estimators.edges(cut(edges, 60, 101))
+    estimators.edges(cut(edges, 190, 200))  # lost before it, and not covered by any sample before the reboot
+    estimators.samples(cut(samples, 0, last))
+    assert estimators.restarts["lost_edges"] == 1
+    start = samples.tick[0]
+    estimators.edges(replace(cut(edges, 0, 101), tick=edges.tick[:101] - start))
+    found = estimators.samples(replace(cut(samples, 0, last), tick=samples.tick[:last] - start))
+    assert len(found["average_speed"].theta) == last
+    assert estimators.restarts["lost_edges"] == 2  # the second is the new clock's first edge, whose number goes back

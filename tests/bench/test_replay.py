@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,7 +133,9 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
         ({"nonsense": 1.0}, (), "--set nonsense: it is no parameter; there are "),
         ({"i_max": 1.0}, (), "--set i_max: it changes nothing in average_speed"),
         ({"k_p": 1.0}, ("average_speed",), "--set k_p: it changes nothing in average_speed; there are hall_timeout"),
-        ({}, ("nobody",), "no observer 'nobody'; there are average_speed, vector_tracking"),
+        ({}, ("nobody",), "no observer 'nobody'; there are average_speed (avg), vector_tracking (vt)"),
+        ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
+        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "--set k_p_vt: k_p_vt is set already"),
     ],
 )
 def test_settings_and_names_are_checked(
@@ -166,12 +169,41 @@ def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0
     assert "a.replay.rrd" in done.output
     assert "vector_tracking" in done.output
+    assert re.search(r"observers began anew +1 at the start, \d+ where the drive initialised them\n", done.output)
     written = (tmp_path / "a.replay.rrd").read_bytes()
     again = CliRunner().invoke(cli, given)
     assert str(again.exception).startswith(f"{tmp_path / 'a.replay.rrd'} exists")
     assert (tmp_path / "a.replay.rrd").read_bytes() == written
     itself = CliRunner().invoke(cli, ["replay", str(link), "-o", str(drive_run), "--overwrite"])
-    assert "is the recording itself" in str(itself.exception)
+    assert f"--out {drive_run} is a file that is read" in itself.output
+    with pytest.raises(BenchError, match="is the recording itself"):
+        replay(link, out=drive_run, overwrite=True)
     twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.rrd"), "--observer", "vt"])
     assert "has theta_vt_host already" in str(twice.exception)
+    two = CliRunner().invoke(cli, ["replay", str(link), "--set", "k_i=1", "--set", "k_i=2", "--overwrite"])
+    assert "--set k_i is given 2 times" in two.output
+    assert (tmp_path / "a.replay.rrd").read_bytes() == written
     assert "3 is no" in CliRunner().invoke(cli, ["replay", str(link), "--set", "3 is no"]).output.replace("'", "")
+
+
+def test_a_replay_that_fails_leaves_the_earlier_one(
+    drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.rrd"
+    replay(drive_run, ("vt",), out=out)
+    earlier = out.read_bytes()
+    good = FileSink.event
+
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(FileSink, "event", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replay(drive_run, ("la",), out=out, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.rrd"]
+    assert out.read_bytes() == earlier
+    monkeypatch.setattr(FileSink, "event", good)
+    replay(drive_run, ("la",), out=out, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.rrd"]
+    names = read_run(out).samples.raw.dtype.names
+    assert ("theta_la_host" in names, "theta_vt_host" in names) == (True, False)

@@ -6,12 +6,15 @@ import csv
 import json
 import math
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from processes import ENVIRONMENT, LIMIT
 from recorded import N_P, PWM_HZ, record_made_up
 
 from bench.cli import cli
@@ -22,7 +25,7 @@ from bench.rerunio.sinks import FileSink
 from bench.score import expect
 from bench.score.board import Scoreboard, flat, score
 from bench.score.plots import draw_error_by_angle, draw_error_over_time
-from bench.score.table import HEADERS, as_text
+from bench.score.table import HEADERS, LEGEND, as_text
 from bench.statistics import wrap
 from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
@@ -124,7 +127,7 @@ def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
 def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) -> None:
     names = set(drive_board.pooled)
     assert names == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt")}
-    for name, short in (("average_speed", "avg"), ("vector_tracking", "vt"), ("load_angle", "la")):
+    for name, short in (("average_speed", "avg"), ("vector_tracking", "vt")):
         host, drive = drive_board.pooled[name], drive_board.pooled[f"drive_{short}"]
         assert host["start_up"]["events"] == 1
         assert host["reversal"]["events"] >= 1
@@ -165,6 +168,93 @@ def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None
     assert str(made_up) in text
 
 
+def test_who_is_in_some_recordings_only_stands_last(made_up: Path, tmp_path: Path) -> None:
+    t = np.arange(PWM_HZ) / PWM_HZ
+    theta, omega = motion(t)
+    record_made_up(tmp_path / "b.rrd", theta, {"late": (theta + 0.1, omega), "other": (theta + 0.2, omega)})
+    board = score([made_up, tmp_path / "b.rrd"])
+    assert list(board.pooled) == ["drive_late", "drive_exact", "drive_biased", "drive_other", "drive_sector"]
+    assert [figures["rank"] for figures in board.pooled.values()] == [1, 2, 3, 4, 5]
+    assert [figures["recordings"] for figures in board.as_json()["observers"].values()] == [2, 1, 1, 1, 1]
+    assert "drive_exact is in 1 of 2 recordings: it stands after those that are in all" in board.notes
+    assert not any(note.startswith("drive_late") for note in board.notes)
+    lines = as_text(board)
+    assert [line.split("  ")[0] for line in lines[2:4]] == ["drive_late", "drive_exact (1 of 2)"]
+    assert max(map(len, lines[:7])) <= 100
+
+
+def test_mixed_rates_are_noted(made_up: Path, tmp_path: Path) -> None:
+    run = read_run(made_up)
+    few = part(run.samples, 0, len(run.samples))
+    every = slice(0, None, 2)
+    config = replace(few.config, decimation=2)
+    sink = FileSink(tmp_path / "half.rrd", run.info, wait=True)
+    sink.samples(replace(few, config=config, index=few.index[every], tick=few.tick[every], raw=few.raw[every]))
+    sink.close()
+    board = score([made_up, tmp_path / "half.rrd"], ["drive_biased"])
+    assert board.notes[0].startswith("recorded at 8000, 16000 samples a second: pooled by the sample")
+    assert board.pooled["drive_biased"]["moving"]["bias"] == pytest.approx(2.0, abs=1e-3)
+    assert not any("samples a second" in note for note in score([made_up], ["drive_biased"]).notes)
+
+
+@pytest.mark.parametrize(
+    ("speed", "omega_told", "refused"),
+    [(1800.0, True, True), (1500.0, True, False), (1800.0, False, True), (1500.0, False, False)],
+)
+def test_an_angle_that_turns_too_far_between_samples_is_refused(
+    speed: float, omega_told: bool, refused: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.rrd"
+    t = np.arange(0.0, 4.0, 1 / 500)  # half a turn is 500 pi = 1571 rad/s
+    theta = speed * t
+    record_made_up(path, theta, {"x": (theta, np.full(len(t), speed))}, decimation=32, omega_told=omega_told)
+    if refused:
+        with pytest.raises(
+            BenchError, match=r"at 500 samples a second an electrical speed of 1800 rad/s is half a turn"
+        ):
+            score([path])
+    else:
+        assert score([path]).pooled["drive_x"]["moving"]["n"] > 1900
+
+
+def test_nothing_to_score_is_an_error_with_the_reasons(made_up: Path, tmp_path: Path) -> None:
+    with pytest.raises(
+        BenchError, match=r"nothing to score: .*made_up\.rrd: no observer could be run on it: it has no"
+    ):
+        score([made_up], ["vector_tracking"])
+    t = np.arange(PWM_HZ // 2) / PWM_HZ
+    for name, seconds, words in (
+        ("still", 0.5, "than 10 r/min"),
+        ("short", 0.05, "800 in stretches too short to score"),
+    ):
+        theta = 0.1 * t[: round(seconds * PWM_HZ)]
+        record_made_up(tmp_path / f"{name}.rrd", theta, {"x": (theta, theta)})
+        with pytest.raises(BenchError, match=f"nothing to score: .*{words}"):
+            score([tmp_path / f"{name}.rrd"])
+
+
+def test_a_recording_that_ends_early_is_told(made_up: Path, tmp_path: Path) -> None:
+    whole = made_up.read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(whole[: len(whole) * 3 // 4])
+    board = score([made_up, tmp_path / "cut.rrd"], ["drive_exact"])
+    assert [("the recording ends early" in " ".join(track.notes)) for track in board.tracks] == [False, True]
+
+
+def test_a_reader_that_goes_away_is_no_figure_outside(made_up: Path) -> None:
+    command = [sys.executable, "-m", "bench", "score", str(made_up)]
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT)
+    assert program.stdout is not None
+    program.stdout.close()
+    _, error = program.communicate(timeout=LIMIT)
+    assert (program.returncode, error) == (141, b"")
+
+
+def test_notes_stand_above_the_legend(made_up_board: Scoreboard) -> None:
+    lines = as_text(made_up_board)
+    assert lines[-len(LEGEND) :] == list(LEGEND)
+    assert lines[-len(LEGEND) - 1] == f"note: {made_up_board.notes[-1]}"
+
+
 def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Path, tmp_path: Path) -> None:
     run = read_run(made_up)
     sink = FileSink(tmp_path / "gaps.rrd", run.info, wait=True)
@@ -193,10 +283,17 @@ def test_without_an_encoder_it_says_so(tmp_path: Path) -> None:
 
 
 def test_names_that_are_nowhere_are_errors(made_up: Path) -> None:
-    with pytest.raises(BenchError, match="no observer 'nobody'; there are average_speed"):
+    with pytest.raises(
+        BenchError, match=r"no observer 'nobody'; there are average_speed \(avg\), .* drive_… .* short name"
+    ):
         score([made_up], ["nobody"])
-    with pytest.raises(BenchError, match="no recording has the estimate 'drive_vt'; there are drive_exact"):
+    with pytest.raises(BenchError, match=r"no observer 'vector-trackin' \(did you mean vector_tracking\?\)"):
+        score([made_up], ["vector-trackin"])
+    with pytest.raises(BenchError, match="no recording has the estimate 'drive_vt'.*; there are drive_exact"):
         score([made_up], ["drive_vt"])
+    with pytest.raises(BenchError, match=r"estimate 'drive_exac' \(did you mean drive_exact\?\)"):
+        score([made_up], ["drive-exac"])
+    assert list(score([made_up], ["drive-exact"]).pooled) == ["drive_exact"]
 
 
 def test_the_table_fits_100_columns(drive_board: Scoreboard) -> None:
@@ -279,9 +376,46 @@ def test_bad_bounds_are_errors(name: str, text: str, words: str, tmp_path: Path)
     assert "\n" not in str(raised.value)
 
 
+def test_no_output_takes_the_place_of_what_is_kept(made_up: Path, tmp_path: Path) -> None:
+    bounds, old = tmp_path / "bounds.toml", "drive_exact.moving.rms = [0, 1]\n"
+    bounds.write_text(old)
+    recording = made_up.read_bytes()
+    for arguments, words in (
+        (("--json", made_up), f"--json {made_up} is a file that is read"),
+        (("--html", made_up), f"--html {made_up} is a file that is read"),
+        (("--expect", bounds, "--write-expect", bounds, "--overwrite"), f"--write-expect {bounds} is a file that is"),
+        (("--expect", bounds, "--csv", bounds), f"--csv {bounds} is a file that is read"),
+        (("--json", tmp_path / "a", "--csv", tmp_path / "a"), "--json and --csv are the same file"),
+        (("--write-expect", bounds), f"--write-expect {bounds} exists: choose another name, or --overwrite"),
+    ):
+        done = bench_command(made_up, *arguments)
+        assert done.exit_code == 2, arguments
+        assert words in " ".join(done.output.split()), arguments
+        assert (made_up.read_bytes() == recording, bounds.read_text()) == (True, old)
+    done = bench_command(made_up, "--write-expect", bounds, "--overwrite")
+    assert done.exit_code == 0, done.output
+    assert "drive_sector" in bounds.read_text()
+
+
+@pytest.mark.parametrize(
+    ("margin", "good"), [("100%", False), ("1", False), ("20", False), ("0", False), ("99%", True)]
+)
+def test_a_margin_is_less_than_the_figure(margin: str, good: bool, made_up: Path, tmp_path: Path) -> None:
+    done = bench_command(made_up, "--write-expect", tmp_path / "b.toml", "--margin", margin)
+    assert (done.exit_code, (tmp_path / "b.toml").exists()) == ((0, True) if good else (2, False))
+
+
+def test_bounds_on_who_is_not_scored_name_it(made_up: Path) -> None:
+    board = score([made_up], ["drive_exact", "drive_late"])
+    with pytest.raises(BenchError, match=r"bounds drive_biased, which is not scored \(--observer\)"):
+        expect.check(board, {"drive_biased.error.std": (0.0, 1.0)})
+    with pytest.raises(BenchError, match=r"no figure 'drive_late\.errr\.std' .*did you mean drive_late\.error\.std"):
+        expect.check(board, {"drive_late.errr.std": (0.0, 1.0)})
+
+
 def test_an_unknown_figure_is_an_error(made_up_board: Scoreboard) -> None:
     with pytest.raises(
-        BenchError, match=r"no figure 'drive_exact\.error\.sdt' in this score; did you mean drive_exact"
+        BenchError, match=r"no figure 'drive_exact\.error\.sdt' in this score \(did you mean drive_exact"
     ):
         expect.check(made_up_board, {"drive_exact.error.sdt": (0.0, 1.0)})
 
