@@ -122,6 +122,7 @@ def test_what_comes_out_is_what_the_bench_recorded() -> None:
 
     bench = SimulatedBench(PARAMS, seed=5)
     bench._drive, bench._reset = commands
+    bench.watch(frozenset(channel.id for channel in DRIVE_CHANNELS))
     recorded = bench.advance(link.device.periods)
     raw = np.concatenate([chunk.raw for chunk in host.samples[1, 0]])
     index = np.concatenate([chunk.index for chunk in host.samples[1, 0]])

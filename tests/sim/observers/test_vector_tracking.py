@@ -271,7 +271,7 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     half = 1600
     state, _ = bank.run(params, bank.init(), *(a[:half] if a.size == s.tick.size else a for a in args))
     lost = state._replace(
-        vector=state.vector._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
+        vector_tracking=state.vector_tracking._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
     )
     rest = [a[half:] if a.size == s.tick.size else a[s.edge_tick > s.tick[half - 1]] for a in args]
     _, out = bank.run(params, lost, *rest)
