@@ -81,7 +81,9 @@ class Scoreboard:
             "files": [
                 {
                     "path": str(track.path),
-                    "samples": sum(len(s.t) for s in track.stretches),
+                    "started": track.started,
+                    "recorded_by": track.recorded_by,
+                    "samples": track.samples,
                     "rate_hz": track.rate,
                     "pole_pairs": track.pole_pairs,
                     "lost": track.lost,

@@ -6,12 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.acceptance.style import (
     BLACK,
     BLUE,
+    FONT_SIZE,
+    GREY,
     LINE_WIDTH,
     SPARE_COLOURS,
     axis_labels,
@@ -27,7 +30,9 @@ from bench.statistics import wrap
 F64 = NDArray[np.float64]
 POINTS = 3000  # of a line over time: minimum and maximum of as many stretches, so that no peak is lost
 ANGLE_BINS = 120
-DASHES = ("-", "--", ":")
+SHOWN = 99.9  # percentile of the error in motion that the axis over time covers; the peak is told in words
+COLOURS = (*SPARE_COLOURS, BLACK, GREY)
+MARKERS = "os^DvPX<>*phd"
 
 
 def draw_error_over_time(track: Track, name: str) -> Figure:
@@ -42,11 +47,28 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
             label = "" if k else words
             speed.plot(*_envelope(t, omega * rpm), color=colour, linewidth=LINE_WIDTH, label=label)
         error.plot(*_envelope(t, degrees), color=BLUE, linewidth=0.6)
+    _limit(error, track, name, begin)
     axis_labels(speed, "", "speed", unit_y="r/min")
     axis_labels(error, "t", "error", "s", "el. °")
     figure.align_ylabels([speed, error])
     legend_above(speed)
     return figure
+
+
+def _limit(ax: Axes, track: Track, name: str, begin: float) -> None:
+    """Make the axis of the error cover `SHOWN` percent of the samples in motion, and tell a peak beyond it."""
+    sizes = [np.abs(np.degrees(wrap(s.theta - s.estimates[name].theta))) for s in track.stretches]
+    moving = np.concatenate([size[s.phases.moving] for size, s in zip(sizes, track.stretches, strict=True)])
+    if not len(moving):
+        return
+    limit = max(1.15 * float(np.percentile(moving, SHOWN)), 0.1)
+    highest = max(range(len(sizes)), key=lambda k: float(sizes[k].max()))
+    at = int(sizes[highest].argmax())
+    if (peak := float(sizes[highest][at])) > limit:
+        when = float(track.stretches[highest].t[at]) - begin
+        words = f"peak {peak:.1f}° at {when:.2f} s"
+        ax.text(1.0, 1.0, words, transform=ax.transAxes, ha="right", va="bottom", fontsize=FONT_SIZE)
+    degrees_axis(ax, "error", limit)
 
 
 def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
@@ -81,22 +103,42 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
 
 
 def draw_error_by_speed(observers: Mapping[str, Figures]) -> Figure:
-    """Standard deviation and largest position error in steady running by bin of speed, a line for each observer."""
-    figure, axes = new_figure(2, height=4.6)
+    """Standard deviation and largest position error in steady running by bin of speed, a line for each observer.
+
+    Of a single bin they are bars.
+    """
     bins = sorted({bin for figures in observers.values() for bin in figures["by_speed"]}, key=_lowest)
+    if len(bins) == 1:
+        return _error_at_one_speed({name: f["by_speed"].get(bins[0]) for name, f in observers.items()}, bins[0])
+    figure, axes = new_figure(2, height=4.6)
     for k, (name, figures) in enumerate(observers.items()):
-        colour, dash = SPARE_COLOURS[k % len(SPARE_COLOURS)], DASHES[k // len(SPARE_COLOURS) % len(DASHES)]
+        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
         at = [i for i, bin in enumerate(bins) if bin in figures["by_speed"]]
         for ax, key in zip(axes, ("std", "max"), strict=True):
             values = [figures["by_speed"][bins[i]][key] for i in at]
-            ax.plot(at, values, dash, marker="o", markersize=2.5, linewidth=LINE_WIDTH, label=name, color=colour)
+            ax.plot(at, values, marker=marker, markersize=4, linewidth=0.8, label=name, color=colour)
     for ax, words in zip(axes, ("error, std", "error, max"), strict=True):
         degrees_axis(ax, words)
         ax.set_ylim(bottom=0)
-    axes[-1].set_xticks(range(len(bins)), [bin.replace("_to_", " … ") for bin in bins], rotation=30, ha="right")
+    axes[-1].set_xticks(range(len(bins)), [_words(bin) for bin in bins], rotation=30, ha="right")
     axis_labels(axes[-1], "speed", "error, max", "r/min", "el. °")
     legend_above(axes[0])
     return figure
+
+
+def _error_at_one_speed(observers: Mapping[str, Figures | None], bin: str) -> Figure:
+    known = [(name, figures) for name, figures in observers.items() if figures is not None]
+    figure, axes = new_figure(1, 2, height=0.8 + 0.18 * len(known), share_x=False)
+    for ax, key in zip(axes, ("std", "max"), strict=True):
+        ax.barh([name for name, _ in known], [figures[key] for _, figures in known], color=BLUE, height=0.7)
+        ax.invert_yaxis()
+        axis_labels(ax, f"error, {key}, at {_words(bin)} r/min", "", "el. °")
+    axes[1].tick_params(labelleft=False)
+    return figure
+
+
+def _words(bin: str) -> str:
+    return bin.replace("_to_", " … ")
 
 
 def _envelope(t: F64, values: F64) -> tuple[F64, F64]:

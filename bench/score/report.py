@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 
 from bench.acceptance.style import save
 from bench.errors import BenchError
-from bench.score.board import PHASES, Scoreboard
+from bench.score.board import PHASES, Figures, Scoreboard, partly
 from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
 from bench.score.table import HEADERS, LEGEND, row
+from bench.score.tracks import Track
 
 COLUMNS = ("n", "bias", "std", "rms", "max", "p99")
 NAMES = {
@@ -28,7 +29,6 @@ NAMES = {
 
 def write_report(board: Scoreboard, path: Path) -> None:
     """Write `path`. Raises BenchError where that fails."""
-    first = board.tracks[0]
     with TemporaryDirectory(prefix="hallbench-") as folder:
         picture = Path(folder) / "figure.png"
         observers = [
@@ -36,10 +36,14 @@ def write_report(board: Scoreboard, path: Path) -> None:
                 "name": name,
                 "figures": figures,
                 "groups": [(NAMES[key], figures[key]) for key in (*PHASES, "speed")],
-                "pictures": [
-                    *([_embedded(draw_error_over_time(first, name), picture)] if name in first.kinds else []),
-                    _embedded(draw_error_by_angle(board.tracks, name), picture),
+                "partly": partly(figures, board.tracks),
+                "costs": _costs(figures),
+                "over_time": [
+                    (track.path, _embedded(draw_error_over_time(track, name), picture))
+                    for track in board.tracks
+                    if name in track.kinds and track.stretches
                 ],
+                "by_angle": _embedded(draw_error_by_angle(board.tracks, name), picture),
             }
             for name, figures in board.pooled.items()
         ]
@@ -52,10 +56,15 @@ def write_report(board: Scoreboard, path: Path) -> None:
                 columns=COLUMNS,
                 legend=" ".join(LEGEND),
                 rows=[row(name, figures) for name, figures in board.pooled.items()],
-                files={
-                    file: [row(name, figures) for name, figures in found.items()]
-                    for file, found in board.by_file.items()
-                },
+                partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
+                files=[
+                    (
+                        track.path,
+                        _provenance(track),
+                        [row(name, f) for name, f in board.by_file[str(track.path)].items()],
+                    )
+                    for track in board.tracks
+                ],
                 by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
                 observers=observers,
             )
@@ -64,6 +73,32 @@ def write_report(board: Scoreboard, path: Path) -> None:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise BenchError(f"--html {path} cannot be written: {error.strerror}") from None
+
+
+def _provenance(track: Track) -> str:
+    """One line of where a recording comes from and what of it counts."""
+    began = sum(n for why, n in track.restarts.items() if why.startswith("lost"))
+    by = f" by hallbench {track.recorded_by}" if track.recorded_by else ""
+    return (
+        f"{track.started}{by}; {track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
+        f"{track.lost} lost, {track.dropped} left out, observers restarted {began} times"
+    )
+
+
+def _costs(figures: Figures) -> str:
+    """Lags and cost in words; what cannot be told is left out."""
+    known = (
+        ("the angle is late by {} µs", figures["lag"]["angle_us"]),
+        ("the speed is late by {} µs", figures["lag"]["speed_us"]),
+        ("a step takes {} ns on this machine", figures["step_ns"]),
+    )
+    words = "; ".join(text.format(_rounded(value)) for text, value in known if value is not None)
+    return words.capitalize() if words else ""
+
+
+def _rounded(value: float) -> str:
+    """Three digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):.10g}".replace("-", "−")
 
 
 def _embedded(figure: Figure, picture: Path) -> str:

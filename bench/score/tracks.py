@@ -55,11 +55,20 @@ class Track:
     step_ns: dict[str, float]
     """What a step of each observer run here took on this machine, beside the front end's."""
     front_ns: float | None
+    started: str
+    """Date and time of the recording, as it tells them."""
+    recorded_by: str
+    """Version of the host that recorded it; empty if it does not tell."""
     dropped: int
     """Samples in stretches too short to be of use."""
     lost: int
     restarts: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """How many are scored, those at rest included."""
+        return sum(len(stretch.t) for stretch in self.stretches)
 
 
 def load(path: Path, names: Sequence[str] | None) -> Track:
@@ -128,6 +137,8 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
         kinds=kinds,
         step_ns={} if estimators is None else {n: 1e9 * s / estimators.steps for n, s in estimators.seconds.items()},
         front_ns=None if estimators is None else 1e9 * estimators.front_seconds / estimators.steps,
+        started=run.info.started,
+        recorded_by=str(run.info.identity.get("hallbench", "")),
         dropped=dropped,
         lost=sum(gap.lost_samples for gap in samples.gaps),
         restarts={} if estimators is None else estimators.restarts,

@@ -24,7 +24,8 @@ from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
 from bench.score import expect
 from bench.score.board import Scoreboard, flat, score
-from bench.score.plots import draw_error_by_angle, draw_error_over_time
+from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
+from bench.score.report import write_report
 from bench.score.table import HEADERS, LEGEND, as_text
 from bench.statistics import wrap
 from protocol.streams import Gap
@@ -235,7 +236,7 @@ def test_nothing_to_score_is_an_error_with_the_reasons(made_up: Path, tmp_path: 
 
 def test_a_recording_that_ends_early_is_told(made_up: Path, tmp_path: Path) -> None:
     whole = made_up.read_bytes()
-    (tmp_path / "cut.rrd").write_bytes(whole[: len(whole) * 3 // 4])
+    (tmp_path / "cut.rrd").write_bytes(whole[:-20])
     board = score([made_up, tmp_path / "cut.rrd"], ["drive_exact"])
     assert [("the recording ends early" in " ".join(track.notes)) for track in board.tracks] == [False, True]
 
@@ -289,7 +290,7 @@ def test_names_that_are_nowhere_are_errors(made_up: Path) -> None:
         score([made_up], ["nobody"])
     with pytest.raises(BenchError, match=r"no observer 'vector-trackin' \(did you mean vector_tracking\?\)"):
         score([made_up], ["vector-trackin"])
-    with pytest.raises(BenchError, match="no recording has the estimate 'drive_vt'.*; there are drive_exact"):
+    with pytest.raises(BenchError, match=r"no recording has the estimate 'drive_vt'.*; there are drive_exact"):
         score([made_up], ["drive_vt"])
     with pytest.raises(BenchError, match=r"estimate 'drive_exac' \(did you mean drive_exact\?\)"):
         score([made_up], ["drive-exac"])
@@ -418,6 +419,50 @@ def test_an_unknown_figure_is_an_error(made_up_board: Scoreboard) -> None:
         BenchError, match=r"no figure 'drive_exact\.error\.sdt' in this score \(did you mean drive_exact"
     ):
         expect.check(made_up_board, {"drive_exact.error.sdt": (0.0, 1.0)})
+
+
+def test_the_page_has_a_trace_of_each_recording_and_leaves_out_what_is_not_known(made_up: Path, tmp_path: Path) -> None:
+    t = np.arange(PWM_HZ) / PWM_HZ
+    theta, omega = motion(t)
+    record_made_up(tmp_path / "b.rrd", theta, {"late": (theta + 0.1, omega)})
+    page = tmp_path / "page.html"
+    write_report(score([made_up, tmp_path / "b.rrd"], ["drive_late", "drive_exact"]), page)
+    text = page.read_text()
+    sections = dict(re.findall(r'<section class="test" id="(\w+)">(.*?)</section>', text, re.DOTALL))
+    assert {name: section.count("data:image") for name, section in sections.items()} == {
+        "drive_late": 3, "drive_exact": 2,
+    }  # fmt: skip
+    assert [name in sections["drive_exact"] for name in ("made_up.rrd", "b.rrd")] == [True, False]
+    assert "in 1 of 2 recordings" in sections["drive_exact"]
+    assert set(re.findall(r'<a href="#(\w+)">', text)) == set(sections)
+    assert re.search(r"b\.rrd: 20\S+; 16000 samples, 1\.0 s at 16000 Hz; 0 lost, 0 left out", text)
+    assert "a step takes" not in text
+    one = tmp_path / "one.html"
+    write_report(score([made_up], ["drive_late"]), one)
+    assert re.search(
+        r"The angle is late by (49\.\d|50(\.\d)?) µs; the speed is late by (49|50)(\.\d)? µs\.<", one.read_text()
+    )
+
+
+def test_the_axis_covers_motion_and_the_peak_is_told(tmp_path: Path) -> None:
+    t = np.arange(PWM_HZ) / PWM_HZ
+    theta = 200.0 * t
+    error = np.radians(np.where((t > 0.5) & (t < 0.5004), 70.0, 2.0))
+    record_made_up(tmp_path / "a.rrd", theta, {"x": (theta - error, np.full(len(t), 200.0))})
+    (track,) = score([tmp_path / "a.rrd"]).tracks
+    axes = draw_error_over_time(track, "drive_x").axes[1]
+    assert axes.get_ylim() == pytest.approx((-2.3, 2.3), abs=0.01)
+    assert [text.get_text() for text in axes.texts] == ["peak 70.0° at 0.50 s"]
+
+
+def test_errors_at_one_speed_are_bars_and_at_more_are_lines(made_up_board: Scoreboard) -> None:
+    lines = draw_error_by_speed(made_up_board.pooled).axes[0].lines
+    assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(lines) == 4
+    bin = "350_to_750"
+    one = {name: {"by_speed": {bin: figures["by_speed"][bin]}} for name, figures in made_up_board.pooled.items()}
+    std, _ = draw_error_by_speed(one).axes
+    assert [bar.get_width() for bar in std.patches] == [f["by_speed"][bin]["std"] for f in one.values()]
+    assert [label.get_text() for label in std.get_yticklabels()] == list(one)
 
 
 def test_figures_show_what_was_scored(made_up_board: Scoreboard) -> None:
