@@ -202,7 +202,7 @@ def _told(values: Mapping[str, float]) -> dict[str, str]:
 def _unknown(run: Run) -> tuple[str, ...]:
     names = {channel.name for channel in run.samples.config.channels}
     missing = [name for name in INPUTS if name not in names]
-    notes = [ENDS_EARLY] if ends_early(run.path) else []
+    notes = [f"what came after its end: {ENDS_EARLY}"] if ends_early(run.path) else []
     notes.append("parameters that were changed during the run: those of its beginning hold")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")

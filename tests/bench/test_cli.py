@@ -14,6 +14,7 @@ from virtual_run import WatchedLink, reached_by, simulated
 
 from bench import __version__
 from bench.cli import cli, main
+from bench.cli.live import OBSERVERS, Observer
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS
 
 COMMANDS = ["live", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
@@ -42,6 +43,13 @@ def test_help_has_an_example_that_parses(capsys: pytest.CaptureFixture[str], com
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert bench(capsys, "--version")[0] == f"bench, version {__version__}\n"
+
+
+def test_the_observer_of_a_run_may_be_written_either_way() -> None:
+    kind = Observer(OBSERVERS)
+    assert [kind.convert(name, None, None) for name in ("learned_edges", "learned-edges")] == ["learned-edges"] * 2
+    with pytest.raises(click.BadParameter, match="is not one of 'encoder'"):
+        kind.convert("learned", None, None)
 
 
 def test_devices_as_json(capsys: pytest.CaptureFixture[str]) -> None:
