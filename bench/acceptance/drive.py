@@ -168,7 +168,7 @@ class Drive:
         try_all([*clear, lambda: put_back(self.node, self._touched)])
 
     def not_put_back(self) -> str:
-        """Parameters that are not as they were before, as the end of a sentence; empty where all are."""
+        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
         return not_put_back(self._touched)
 
     def _set(self, name: str, value: float) -> None:

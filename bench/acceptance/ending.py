@@ -43,10 +43,10 @@ def put_back(node: Node, before: dict[str, float]) -> None:
     try_all([partial(set_one, name) for name in before])
 
 
-def not_put_back(before: Mapping[str, float]) -> str:
-    """What `put_back` has left of `before`, as the end of a sentence; empty where that is nothing."""
+def not_put_back(before: Mapping[str, float], where: str = "") -> str:
+    """What `put_back` has left of `before`, as a part of a sentence; empty where that is nothing."""
     names = ", ".join(f"{name} (was {value:g})" for name, value in before.items())
-    return f"; not put back: {names}" if names else ""
+    return f"; not put back{where}: {names}" if names else ""
 
 
 def watch_it_stop(drive: Node, last: Heartbeat | None) -> str:

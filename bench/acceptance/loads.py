@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Protocol
 
 from bench.acceptance.drive import require_announced_speed
-from bench.acceptance.ending import put_back, try_all
+from bench.acceptance.ending import not_put_back, put_back, try_all
 from bench.acceptance.marks import Envelope
 from bench.client import Client
 from bench.errors import BenchError, NodeError
@@ -87,6 +87,10 @@ class NodeLoad:
     def off(self) -> None:
         """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
         try_all([self._stop, lambda: put_back(self.node, self._changed)])
+
+    def not_put_back(self) -> str:
+        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
+        return not_put_back(self._changed, " in the load machine")
 
     def look(self) -> None:
         """Raise BenchError if it has tripped while it was on."""

@@ -157,7 +157,8 @@ class Rig:
         attempt(self._stack.close)
         if not failures:
             return trip
-        words = f"the bench could not be left as it was: {failures[0]}{seen}{self.drive.not_put_back()}"
+        left = self.drive.not_put_back() + (self.load.not_put_back() if isinstance(self.load, NodeLoad) else "")
+        words = f"the bench could not be left as it was: {failures[0]}{left}{seen}"
         failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure

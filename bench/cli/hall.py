@@ -180,7 +180,7 @@ def _show(source: str, found: Source, json_file: str | None, screen: Progress) -
     from bench.hall.trace import trace
 
     looked_at = trace(found.turned.capture)
-    health = examine(looked_at)
+    health = examine(looked_at, found.turned.further)
     screen.pause()
     if json_file is not None:
         text = json.dumps(report.as_json(health, looked_at, found.turned, source), indent=2)

@@ -223,8 +223,8 @@ def test_what_a_lost_link_leaves_changed_is_named() -> None:
 
     with reached(device, lose) as links, pytest.raises(BenchError) as ended:
         look(Options(TARGET, yes=True))
-    assert str(ended.value).startswith("the bench could not be left as it was: ")
-    assert str(ended.value).endswith("; not put back: i_max (was 8), observer (was 2)")
+    assert str(ended.value).startswith("the bench could not be left as it was: virtual: is closed; ")
+    assert "; not put back: i_max (was 8), observer (was 2); nothing was heard of the drive since" in str(ended.value)
 
 
 # -- consent, and the end of it ---------------------------------------------------------------------------------

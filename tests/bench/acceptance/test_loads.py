@@ -232,7 +232,11 @@ def test_a_parameter_that_is_refused_keeps_no_other_from_being_put_back() -> Non
             stack.enter_context(refusing(rig.drive.node, "i_max", order))
             stack.enter_context(refusing(rig.load.node, "hall_glitch", order))
 
-    with ExitStack() as stack, pytest.raises(BenchError, match=r"could not be left as it was: hall_glitch: not now$"):
+    left = r"; not put back: i_max \(was 8\); not put back in the load machine: hall_glitch \(was 0\)$"
+    with (
+        ExitStack() as stack,
+        pytest.raises(BenchError, match=r"could not be left as it was: hall_glitch: not now" + left),
+    ):
         change()
     assert order == [*names[2], *names[1]]
     changed = {name for name, value in link.left()[1].items() if value != before[name]}
