@@ -103,6 +103,18 @@ def test_a_healthy_drive_is_measured_to_what_its_configuration_says(tmp_path: Pa
         assert health.codes.illegal == health.codes.skipped == health.pulses.n == 0
 
 
+@pytest.mark.parametrize("changed", [
+    {}, {"mechanics__tau_coulomb": 0.06}, {"firmware__L_s_hat": 0.5e-3, "mechanics__tau_coulomb": 0.06},
+    {"firmware__R_s_hat": 0.25, "mechanics__tau_coulomb": 0.06}, {"firmware__dead_time__dead_time_comp": 0.0},
+], ids=["seed", "friction", "inductance", "resistance", "dead time"])  # fmt: skip
+def test_a_healthy_drive_is_healthy_whatever_its_noise_load_and_parameters(changed: dict[str, float]) -> None:
+    with reached(simulated(7, **changed)):
+        found = look(Options(TARGET, yes=True))
+    assert found.outcome is Outcome.HEALTHY
+    assert found.emf is not None
+    assert abs(math.degrees(found.emf.zero)) < 1.0
+
+
 # -- drives that cannot turn as they should ---------------------------------------------------------------------
 
 
