@@ -186,7 +186,9 @@ def test_unplug_and_replug_of_the_pty(make: Callable[..., Bench]) -> None:
     bench.run(host, 0.2)  # the stream is still running: the gap is exact
     loss = host.decoders[1, 0].counters
     assert loss.samples > before
-    assert loss.lost_by_index >= 0.2 * 16000
+    assert (
+        loss.lost_by_index >= 0.2 * 16000 - loss.samples // loss.frames
+    )  # the block that was being filled is not lost
     chunks = host.samples[1, 0]
     assert chunks[-1].index[-1] - chunks[0].index[0] + 1 == loss.samples + loss.lost_by_index
 
