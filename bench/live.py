@@ -33,12 +33,11 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError, NoReply
 from protocol.links import Link, open_link
 from protocol.messages import DriveState, HelloReply, Role
-from protocol.signals import SHORT, AngleSource
+from protocol.signals import SHORT, SOURCE_NAMES, AngleSource
 
 if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
 
-OBSERVERS = {source.name.lower().replace("_", "-"): source for source in AngleSource}
 RECONNECT = 30.0  # s that a lost link is waited for
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
@@ -171,7 +170,7 @@ class LiveRun:
         if options.speed_rpm is None and options.load_a is None:
             return ()
         source = (
-            OBSERVERS[options.observer]
+            SOURCE_NAMES[options.observer]
             if options.observer
             else AngleSource(int(self.drive.parameter("observer").value))
         )
@@ -239,7 +238,7 @@ class LiveRun:
         names = self.options.channels
         if not self.options.observer or not all(name.startswith("+") for name in names or ()):
             return names
-        short = SHORT[OBSERVERS[self.options.observer]]
+        short = SHORT[SOURCE_NAMES[self.options.observer]]
         offered = {channel.name for channel in self.drive.descriptor.channels}
         return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
 

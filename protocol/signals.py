@@ -167,6 +167,8 @@ class AngleSource(IntEnum):
     LEARNED_EDGES = 10
 
 
+SOURCE_NAMES = {source.name.lower().replace("_", "-"): source for source in AngleSource}
+"""What people call the angle sources: `encoder`, `average-speed` …"""
 SHORT = {
     AngleSource.ENCODER: "enc",
     AngleSource.AVERAGE_SPEED: "avg",

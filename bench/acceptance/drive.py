@@ -21,12 +21,10 @@ from bench.node import Node
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
-from protocol.signals import AngleSource
+from protocol.signals import SOURCE_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-SOURCES = {source.name.lower().replace("_", "-"): source for source in AngleSource}
 
 
 class DriveTripped(BenchError):
@@ -86,9 +84,9 @@ class Drive:
 
     def observe(self, observer: str) -> None:
         """Change the angle source that the control uses; also while it runs."""
-        if observer not in SOURCES:
-            raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCES)}")
-        self.set("observer", float(SOURCES[observer]))
+        if observer not in SOURCE_NAMES:
+            raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
+        self.set("observer", float(SOURCE_NAMES[observer]))
 
     def speed(self, omega_m: float) -> None:
         """Set the speed reference, mechanical rad/s (RPM times r/min)."""

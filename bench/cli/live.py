@@ -12,11 +12,7 @@ import click
 from bench.cli.files import check_outputs
 from bench.cli.number import Number
 from bench.cli.target import TARGET
-
-OBSERVERS = [
-    "encoder", "average-speed", "vector-tracking", "load-angle", "zeroth-order", "lookup-table", "hall-vector",
-    "hall-vector-decoupled", "programmable-filter", "vector-tracking-q15", "learned-edges",
-]  # fmt: skip
+from protocol.signals import SOURCE_NAMES
 
 
 class Observer(click.Choice[str]):
@@ -37,7 +33,7 @@ class Observer(click.Choice[str]):
     type=Number(),
     help="Load torque, as the q current that it takes, A; needs a load machine.",
 )
-@click.option("--observer", type=Observer(OBSERVERS), help="Angle that the drive's control uses.")
+@click.option("--observer", type=Observer(list(SOURCE_NAMES)), help="Angle that the drive's control uses.")
 @click.option(
     "--duration",
     metavar="S",

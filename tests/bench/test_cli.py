@@ -14,8 +14,8 @@ from virtual_run import WatchedLink, reached_by, simulated
 
 from bench import __version__
 from bench.cli import cli, main
-from bench.cli.live import OBSERVERS, Observer
-from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS
+from bench.cli.live import Observer
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
 
@@ -46,7 +46,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_observer_of_a_run_may_be_written_either_way() -> None:
-    kind = Observer(OBSERVERS)
+    kind = Observer(list(SOURCE_NAMES))
     assert [kind.convert(name, None, None) for name in ("learned_edges", "learned-edges")] == ["learned-edges"] * 2
     with pytest.raises(click.BadParameter, match="is not one of 'encoder'"):
         kind.convert("learned", None, None)

@@ -11,8 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from bench.acceptance.drive import SOURCES
 from bench.acceptance.results import Limits, Measurement, Verdict
+from protocol.signals import SOURCE_NAMES
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
 MOST_DECIMALS = 9
@@ -148,7 +148,9 @@ def plain(value: object) -> str:
 
 def setting(value: float, name: str) -> str:
     """The value of a drive's parameter; that of `observer` with the name of the angle source."""
-    source = {float(number): source for source, number in SOURCES.items()}.get(value) if name == "observer" else None
+    source = (
+        {float(number): source for source, number in SOURCE_NAMES.items()}.get(value) if name == "observer" else None
+    )
     return plain(value) + (f" ({source})" if source else "")
 
 
