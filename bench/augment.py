@@ -100,6 +100,11 @@ class AugmentedSinks:
         for sink in self._sinks:
             sink.event(node, event)
 
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Hand on."""
+        for sink in self._sinks:
+            sink.missing(node, samples, edges)
+
     def note(self, text: str, level: str = "INFO") -> None:
         """Hand on."""
         for sink in self._sinks:

@@ -13,9 +13,11 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from contextlib import suppress
+from dataclasses import astuple, dataclass, field
 from typing import Protocol, TypeVar
 
+from bench.words import counted
 from protocol.errors import LinkClosed, LinkError, NoReply, Refused
 from protocol.host import (
     Connected,
@@ -25,6 +27,7 @@ from protocol.host import (
     LogReceived,
     Rebooted,
     ReplyReceived,
+    ReplyUnusable,
     RequestRefused,
     RequestTimedOut,
 )
@@ -33,6 +36,7 @@ from protocol.messages import (
     Alive,
     DeviceEvent,
     ErrorReply,
+    EventCode,
     Heartbeat,
     HelloReply,
     MessageType,
@@ -41,16 +45,19 @@ from protocol.messages import (
     Setpoint,
     StreamEvent,
 )
-from protocol.streams import EdgeChunk, LossCounters, SampleChunk, StreamConfig
+from protocol.streams import Beat, EdgeChunk, LossCounters, SampleChunk, StreamConfig
 from protocol.wire import Decoder, StreamFrames
 
 R = TypeVar("R", bound=Payload)
 
 ALIVE_PERIOD = 0.05  # s
 FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: three heartbeats
+WATCHDOG = 0.2  # s: what a drive waits for ALIVE if it has no parameter that says otherwise
 POLL = 0.02  # s: how long one turn waits for bytes
 SETTLE = 0.012  # s: how long a turn goes on collecting once bytes come; a pty holds 12 KiB
 REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
+QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
+FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
 
 
 class Sink(Protocol):
@@ -67,6 +74,9 @@ class Sink(Protocol):
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Something happened in the drive."""
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """So many records of `node`, made before its streams ended, did not come after those that did."""
 
     def note(self, text: str, level: str = "INFO") -> None:
         """Something happened on the host: a line for the log."""
@@ -87,6 +97,9 @@ class SinkBase:
     def event(self, node: int, event: DeviceEvent) -> None:
         """Ignored."""
 
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Ignored."""
+
     def note(self, text: str, level: str = "INFO") -> None:
         """Ignored."""
 
@@ -97,7 +110,7 @@ class LinkHealth:
 
     outages: int = 0
     down_since: float | None = None
-    downtime: float = 0.0  # s
+    downtime: float = 0.0  # s, of the outages that are over
     reboots: int = 0
 
 
@@ -110,6 +123,28 @@ class _Watch:
     counter: int = 0
     feed: bool = False
     longest: float = 0.0  # s between two ALIVEs since feeding began
+    pause: float = 0.0  # s: the longest time in which `poll` did not get to feed it, since feeding began
+
+
+@dataclass(slots=True)
+class _Streams:
+    """The streams of one node: their decoders, and what says when they were at work."""
+
+    decoders: dict[int, Decoder] = field(default_factory=dict)
+    beats: int | None = None  # heartbeats since STREAM_START, None before it
+    first: Beat | None = None  # a heartbeat that was made after STREAM_START
+    newest: float = 0.0  # when the last frame came, s
+
+    def heard(self, heartbeat: Heartbeat) -> None:
+        """Note a heartbeat. The one that follows STREAM_START's reply may have waited since before it."""
+        if self.beats is not None and self.first is None:
+            self.beats += 1
+            if self.beats == 2:
+                self.first = _beat(heartbeat)
+
+    def missing(self, last: Beat) -> list[tuple[Decoder, int]]:
+        """Return how many records of each stream have not come up to the heartbeat `last`."""
+        return [(decoder, decoder.missing(self.first, last)) for decoder in self.decoders.values()]
 
 
 @dataclass(slots=True)
@@ -141,14 +176,23 @@ class Client:
         self.health = LinkHealth()
         self.hello: HelloReply | None = None
         self.heartbeats: dict[int, Heartbeat] = {}
+        self.rejections: dict[int, DeviceEvent] = {}
+        """By node, the last event that told why a setpoint was rejected."""
         self.bytes_in = 0
+        self.unasked = 0
+        """Stream frames of streams that were not configured from here, or no longer are."""
+        self.longest_pause = 0.0
+        """The longest time in s in which this program did not poll, since somebody set this to 0."""
+        self.beside: list[Client] = []
+        """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
-        self._decoders: dict[tuple[int, int], Decoder] = {}
+        self._streams: dict[int, _Streams] = {}
         self._closed: dict[int, Losses] = {}
         self._watches: dict[int, _Watch] = {}
         self._pending: _Pending | None = None
         self._must_open = False  # the link must be opened again
         self._next_reopen = 0.0
+        self._polled = self.now()  # when the last turn had read
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -180,10 +224,17 @@ class Client:
         return secrets.randbits(32)
 
     def connect(self, timeout: float = 3.0) -> HelloReply:
-        """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s."""
+        """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s.
+
+        DeviceDefect, VersionError and Refused are those of an answer that a host cannot work with.
+        """
         before = self.hello
-        self.session.connect(self.nonce(), self.now())
-        if not self.wait(lambda: self.hello is not before, timeout):
+        pending = self._pending = _Pending(self.session.connect(self.nonce(), self.now()))
+        found = self.wait(lambda: self.hello is not before or pending.error is not None, timeout)
+        self._pending = None
+        if pending.error is not None:
+            raise pending.error
+        if not found:
             framing = self.session.counters.framing
             advice = self.session.wire.advice(bool(self.bytes_in))
             refused = getattr(getattr(self.link, "health", None), "refused", 0)  # by an adapter
@@ -229,18 +280,38 @@ class Client:
         self._must_open = False
         self.session.connect(self.nonce(), now)  # the outage lasts until the drive answers
 
+    @property
+    def downtime(self) -> float:
+        """For how many seconds the link was down, an outage that goes on included."""
+        since = self.health.down_since
+        return self.health.downtime + (0.0 if since is None else self.now() - since)
+
     # -- the loop -----------------------------------------------------------------------------------------------
 
     def poll(self, timeout: float = POLL) -> None:
-        """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send."""
+        """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send.
+
+        The clients beside this one get theirs too, so that no watchdog of theirs runs out while this one waits; what is
+        wrong with their links is told when they are polled themselves.
+        """
+        self._turn(timeout)
+        for other in self.beside:
+            with suppress(LinkError):
+                other._turn(0.0)
+
+    def _turn(self, timeout: float) -> None:
         self._give_up_in_time()
         if self._must_open:
             self._reopen(timeout)
+            self._polled = self.now()
             return
         try:
             self._flush()
-            data = self.link.read(timeout, 0.0 if self.session.busy else min(timeout, SETTLE))
+            settle = 0.0 if self.session.busy else min(timeout, SETTLE)
+            data = self.link.read(timeout, settle)
             now = self.now()
+            self._note_pause(now - self._polled - timeout - settle)
+            self._polled = now
             if data:
                 self.bytes_in += len(data)
                 self.session.receive_data(data, now)
@@ -261,15 +332,22 @@ class Client:
         match event:
             case StreamFrames(node=node, stream=stream, frames=frames):
                 self._seen(node, now)
-                decoder = self._decoders.get((node, stream))
-                if decoder is not None:
+                streams = self._streams.get(node, _NO_STREAMS)
+                decoder = streams.decoders.get(stream)
+                if decoder is None:
+                    self.unasked += len(getattr(frames, "records", frames))
+                else:
+                    streams.newest = now
                     self._deliver(decoder.decode(frames))
             case HeartbeatReceived(node=node, heartbeat=heartbeat):
                 self._seen(node, now)
                 self.heartbeats[node] = heartbeat
+                self._streams.get(node, _NO_STREAMS).heard(heartbeat)
                 for sink in self.sinks:
                     sink.heartbeat(node, heartbeat)
             case DeviceEventReceived(node=node, event=happened):
+                if happened.code == EventCode.SETPOINT_REJECTED:
+                    self.rejections[node] = happened
                 for sink in self.sinks:
                     sink.event(node, happened)
             case LogReceived(log=log):
@@ -278,6 +356,8 @@ class Client:
                 self._settle(tid, reply=message)
             case RequestRefused(tid=tid, error=error):
                 self._settle(tid, error=_refused(error))
+            case ReplyUnusable(tid=tid, error=error):
+                self._settle(tid, error=error)
             case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
                 text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
                 self._settle(tid, error=NoReply(text))
@@ -286,6 +366,7 @@ class Client:
             case Rebooted(node=node):
                 self.health.reboots += 1
                 self._note(f"node {node} has rebooted", "WARN")
+                self._end(node, self.heartbeats.pop(node, None))  # the last one of the boot before
                 if self.on_reboot:
                     self.on_reboot(node)
 
@@ -316,19 +397,63 @@ class Client:
     def decode(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> None:
         """Decode a stream from now on, as it was just configured."""
         decoder = self.session.decoder(config, tick_hz, pwm_hz)
-        self._retire(config.node, config.stream)
-        self._decoders[config.node, config.stream] = decoder
+        streams = self._streams.setdefault(config.node, _Streams())
+        self._retire(config.node, streams.decoders.pop(config.stream, None))
+        streams.decoders[config.stream] = decoder
+
+    def streams_started(self, node: int) -> None:
+        """The streams of `node` have just been started: what it makes from now on is to come."""
+        streams = self._streams.setdefault(node, _Streams())
+        streams.beats, streams.first = 0, None
+
+    def end_streams(self, node: int, last: Heartbeat | None) -> None:
+        """The streams of `node` have been stopped: wait for what is under way, and count what does not come.
+
+        `last` is a heartbeat that came before they were told to stop: what the node had made by then is known. After it
+        nothing is. Raises LinkError; all is counted then, too.
+        """
+        streams = self._streams.get(node, _NO_STREAMS)
+        began = self.now()
+
+        def settled() -> bool:
+            lacking = [] if last is None else streams.missing(_beat(last))
+            return not any(n for _, n in lacking) or self.now() - max(streams.newest, began) > QUIET
+
+        try:
+            if self.health.down_since is None:
+                self.wait(settled, FLUSH)
+        finally:
+            self._end(node, last)
 
     def losses(self, node: int) -> Losses:
-        """Account of all that was streamed from `node`."""
-        closed = self._closed.get(node, Losses(LossCounters(), LossCounters()))
-        for (of, _), decoder in self._decoders.items():
-            if of == node:
-                closed = _added(closed, decoder)
-        return closed
+        """Account of all that was streamed from `node`; what its last frames were is known when they have ended."""
+        account = self._closed.get(node, Losses(LossCounters(), LossCounters()))
+        for decoder in self._streams.get(node, _NO_STREAMS).decoders.values():
+            account = _added(account, decoder)
+        return account
 
-    def _retire(self, node: int, stream: int) -> None:
-        decoder = self._decoders.pop((node, stream), None)
+    def _end(self, node: int, last: Heartbeat | None) -> None:
+        """Nothing more comes of these streams: what they lack up to `last` is lost."""
+        streams = self._streams.pop(node, None)
+        if streams is None:
+            return
+        self.session.wire.forget(node)
+        samples = edges = 0
+        for decoder, n in [] if last is None else streams.missing(_beat(last)):
+            decoder.counters.lost_by_index += n
+            if decoder.config.event == StreamEvent.EDGES:
+                edges += n
+            else:
+                samples += n
+        for decoder in streams.decoders.values():
+            self._retire(node, decoder)
+        if samples or edges:
+            what = " and ".join(counted(n, noun) for n, noun in ((samples, "sample"), (edges, "edge")) if n)
+            self._note(f"lost at the end of the streams of node {node}: {what}", "WARN")
+            for sink in self.sinks:
+                sink.missing(node, samples, edges)
+
+    def _retire(self, node: int, decoder: Decoder | None) -> None:
         if decoder is not None:
             self._closed[node] = _added(self._closed.get(node, Losses(LossCounters(), LossCounters())), decoder)
 
@@ -337,14 +462,27 @@ class Client:
     def feed(self, node: int, on: bool) -> None:
         """Start or stop feeding the watchdog of `node`."""
         watch = self._watches.setdefault(node, _Watch())
+        if watch.feed and not on and watch.last_alive > -1e8:
+            watch.longest = max(watch.longest, self.now() - watch.last_alive)
         watch.feed = on
         if on:
-            watch.last_alive, watch.longest = -1e9, 0.0
+            watch.last_alive, watch.longest, watch.pause = -1e9, 0.0, 0.0
             watch.last_seen = max(watch.last_seen, self.now())
 
-    def longest_unfed(self, node: int) -> float:
-        """The longest time in s between two ALIVEs to `node` since they began: nobody polled, or it was not heard."""
-        return self._watches[node].longest if node in self._watches else 0.0
+    def starved(self, node: int, watchdog: float = WATCHDOG) -> str:
+        """Why the watchdog of `node`, which waits `watchdog` s, may have run out, if the reason is here; else ''."""
+        watch = self._watches.get(node, _Watch())
+        if watch.longest < watchdog:
+            return ""
+        if watch.pause > watch.longest / 2:
+            return f"this host sent no ALIVE for {watch.longest:.2f} s (it was starved of CPU, or stopped)"
+        return f"this host sent no ALIVE for {watch.longest:.2f} s, because nothing was heard of the drive"
+
+    def _note_pause(self, seconds: float) -> None:
+        self.longest_pause = max(self.longest_pause, seconds)
+        for watch in self._watches.values():
+            if watch.feed:
+                watch.pause = max(watch.pause, seconds)
 
     def _feed_watchdogs(self, now: float) -> None:
         for node, watch in self._watches.items():
@@ -358,7 +496,7 @@ class Client:
     # -- requests -----------------------------------------------------------------------------------------------
 
     def request(self, message: Request, node: int, reply: type[R]) -> R:
-        """Send a request and poll until its reply, a `reply`. Raises Refused, NoReply or LinkError."""
+        """Send a request and poll until its reply, a `reply`. Raises Refused, NoReply, DeviceDefect or LinkError."""
         if self.health.down_since is not None:
             raise LinkClosed(f"{self.link.name} is gone: {message.TYPE.name} was not sent")
         pending = self._pending = _Pending(self.session.request(message, node, self.now()))
@@ -382,13 +520,16 @@ class Client:
             self._pending.reply, self._pending.error = reply, error
 
 
+_NO_STREAMS = _Streams()
 _LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
 
 
 def _refused(error: ErrorReply) -> Refused:
-    names = MessageType._value2member_map_
-    kind = names[error.request].name if error.request in names else f"type {error.request}"
-    return Refused(f"{kind} was refused: {error}", error.code, error.detail)
+    return Refused(f"{MessageType(error.request).name} was refused: {error}", error.code, error.detail)
+
+
+def _beat(heartbeat: Heartbeat) -> Beat:
+    return Beat(heartbeat.tick, heartbeat.edges)
 
 
 def _added(losses: Losses, decoder: Decoder) -> Losses:

@@ -1,7 +1,8 @@
 """The simulated drive as a child process behind loopback TCP: what `bench live` plays with when it is given no target.
 
 The bench reaches it only over that link, as it would reach hardware. The child ends when its standard input does, so it
-cannot outlive the bench, however the bench ends.
+cannot outlive the bench, however the bench ends. It is in a session of its own: Ctrl-C in a terminal reaches the bench
+alone, which still needs the drive for its STOP.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ class EmbeddedDrive:
             [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             text=True,
+            start_new_session=True,
         )
 
     def __enter__(self) -> Self:
@@ -55,21 +57,22 @@ class EmbeddedDrive:
 
     def _await_target(self) -> str:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if line.startswith("target: "):
-                return line.removeprefix("target: ").strip()
-            self._note(line.strip())
-        words = self._process.communicate()[1].strip().splitlines()
-        raise BenchError(words[-1].removeprefix("sim: ") if words else "the simulated drive did not start")
+        words = "the simulated drive did not start"
+        with self._process.stdout as lines:  # nobody reads what it says later: closed, it cannot block the child
+            for line in lines:
+                words = line.strip()
+                if words.startswith("target: "):
+                    return words.removeprefix("target: ")
+                if not words.startswith("sim: "):
+                    self._note(words)
+        raise BenchError(words.removeprefix("sim: "))
 
     def _end(self) -> None:
         if self._process.stdin:
             self._process.stdin.close()
+        self._process.terminate()  # while it compiles it does not look at its standard input
         try:
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        for pipe in (self._process.stdout, self._process.stderr):
-            if pipe:
-                pipe.close()

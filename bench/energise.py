@@ -6,7 +6,7 @@ Nothing here sends a command. A simulated drive needs no act; everything else ne
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from bench.errors import BenchError, UnsafeError
@@ -15,6 +15,12 @@ from protocol.messages import Feature
 
 RPM = math.tau / 60  # mechanical rad/s of one r/min
 FLOAT32 = 1e-7  # to which a drive rounds its parameters, as a share
+
+
+def pole_pairs(parameters: Mapping[str, float]) -> int | None:
+    """Pole pairs by the drive's parameter `n_p`; None where it has none that a motor can have."""
+    n_p = parameters.get("n_p", math.nan)
+    return int(n_p) if math.isfinite(n_p) and n_p >= 1 and n_p == int(n_p) else None
 
 
 @dataclass(frozen=True, slots=True)

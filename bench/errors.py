@@ -22,12 +22,30 @@ class DoesNotFit(NodeError):
         self.decimation = decimation
 
 
+class DriveFailed(NodeError):
+    """A device did not do what the protocol promises: it is the drive that failed, not the bench."""
+
+    exit_code = 1
+
+
+class OutputsMayBeOn(NodeError):
+    """A power stage was not seen to be off at the end. Its exit code goes before all others."""
+
+    exit_code = 5
+
+
+class RecordingError(BenchError):
+    """The recording cannot be written."""
+
+    exit_code = 3
+
+
 class UnsafeError(BenchError):
     """Refused because it would energise a drive without an explicit act."""
 
 
 class Interrupted(BaseException):
-    """SIGTERM or SIGHUP arrived. Like KeyboardInterrupt it passes through `except Exception`."""
+    """SIGTERM, SIGHUP or SIGQUIT arrived. Like KeyboardInterrupt it passes through `except Exception`."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(signum)

@@ -20,6 +20,7 @@ from bench.errors import BenchError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from sim.interrupts import Held
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, Entry, chosen, missing
 
@@ -163,14 +164,16 @@ class _Kernels:
     def run(self, arguments: Arguments) -> dict[str, Any]:
         """The observers' estimates by name, from what `_Inputs.take` gives."""
         reset = arguments[-1]
-        begun = time.thread_time()
-        self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
-        self.front_seconds += time.thread_time() - begun
         found = {}
-        for entry, params in self._observers:
-            begun = time.thread_time()
-            self._states[entry.name], found[entry.name] = entry.run(params, self._states[entry.name], samples, reset)
-            self.seconds[entry.name] += time.thread_time() - begun
+        begun = time.thread_time()
+        with Held():  # kernels that return a NamedTuple
+            self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
+            self.front_seconds += time.thread_time() - begun
+            for entry, params in self._observers:
+                begun = time.thread_time()
+                state = self._states[entry.name]
+                self._states[entry.name], found[entry.name] = entry.run(params, state, samples, reset)
+                self.seconds[entry.name] += time.thread_time() - begun
         self.steps += len(reset)
         return found
 

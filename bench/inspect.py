@@ -8,12 +8,14 @@ import numpy as np
 
 from bench.bus import BusMeter
 from bench.client import Client
+from bench.errors import NodeError
 from bench.node import Node
 from bench.scan import scan
-from bench.summary import describe
+from bench.summary import describe, finite
 from protocol.canmap.host import CanWire
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
+from protocol.errors import NoReply, Refused, RemoteProtocolError
 from protocol.links import open_link
 from protocol.messages import Heartbeat
 from protocol.signals import Flag
@@ -23,7 +25,11 @@ BUS_SECONDS = 1.0  # for which a bus is watched
 
 
 def inspect_link(target: str) -> dict[str, Any]:
-    """All nodes on the link of `target` and, on CAN, the bus. Raises LinkError, NoReply or TargetError."""
+    """All nodes on the link of `target` and, on CAN, the bus, as plain data without numbers that are not finite.
+
+    `unread` says why nodes that should be there could not be read, by their number. Raises LinkError, NoReply,
+    DeviceDefect (of the first node) or TargetError.
+    """
     link = open_link(target)
     try:
         client = Client(link)
@@ -31,12 +37,19 @@ def inspect_link(target: str) -> dict[str, Any]:
         on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)} if shared else set()
         hello = client.connect()
         numbers = {hello.node, *range(1, hello.nodes + 1), *on_bus}
-        nodes = [Node(client, number) for number in sorted(numbers)]
-        return {
-            "target": target,
-            "nodes": [inspect_node(node) for node in nodes],
-            "bus": inspect_bus(client, next(node for node in nodes if node.number == hello.node)),
-        }
+        first = Node(client, hello.node)
+        nodes, unread = [], {}
+        for number in sorted(numbers):
+            try:
+                nodes.append(inspect_node(first if number == hello.node else Node(client, number)))
+            except (NoReply, Refused, RemoteProtocolError, NodeError) as error:
+                if number == hello.node:
+                    raise
+                unread[number] = str(error)
+        bus = inspect_bus(client, first)
+        found = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
+        assert isinstance(found, dict)
+        return found
     finally:
         link.close()
 
@@ -49,7 +62,8 @@ def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
     meter = BusMeter(client)
     client.run_for(BUS_SECONDS)
     plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
-    widths = [np.dtype(channel.raw.dtype).itemsize for channel in drive.channels(None)]
+    streamed = drive.channels(None) if drive.descriptor.channels else ()
+    widths = [np.dtype(channel.raw.dtype).itemsize for channel in streamed]
     fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
     return (meter.report() or {}) | {"fits": fits, "fits_node": drive.number}
 
@@ -82,8 +96,7 @@ def inspect_node(node: Node) -> dict[str, Any]:
                 "hi": reply.hi,
                 "flags": _flags(record.flags),
             }
-            for record in node.descriptor.parameters
-            for reply in (node.parameter(record.name),)
+            for record, reply in zip(node.descriptor.parameters, node.parameter_replies().values(), strict=True)
         ],
     }
 

@@ -16,24 +16,27 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from bench import __version__
 from bench.bus import BusMeter
-from bench.client import POLL, Client, Sink, SinkBase
+from bench.client import POLL, WATCHDOG, Client, Sink, SinkBase
 from bench.embedded import EmbeddedDrive
-from bench.energise import RPM, Plan, check_limits, require_consent
-from bench.errors import BenchError, DoesNotFit, Interrupted, NodeError
+from bench.energise import RPM, Plan, check_limits, pole_pairs, require_consent
+from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, NodeError, OutputsMayBeOn, RecordingError
+from bench.files import check_output
 from bench.interrupts import signals_as_exceptions, undisturbed
-from bench.node import LOAD, Node
+from bench.needs import NEEDS, require
+from bench.node import LOAD, ClockFit, Node
 from bench.outputs import Outputs
+from bench.plausible import Plausibility
 from bench.rate import decimation_of
 from bench.rerunio.schema import RunInfo
 from bench.show import SHOW, Act, timed
 from bench.summary import CpuMeter, RunStatistics, Summary, as_markdown, describe, summarise
 from protocol.canmap.host import CanWire
-from protocol.codes import fault_names
+from protocol.codes import Fault, fault_names
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError, NoReply
 from protocol.links import Link, open_link
 from protocol.messages import DriveState, HelloReply, Role
-from protocol.signals import SHORT, SOURCE_NAMES, AngleSource
+from protocol.signals import SHORT, SOURCE_NAMES
 
 if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
@@ -42,6 +45,7 @@ RECONNECT = 30.0  # s that a lost link is waited for
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 PROGRESS_PERIOD = 0.5  # s
 SILENCE = 2.0  # s without samples after which a note says so
+IMPLAUSIBLE = "implausible"
 WATCHING = Act("watching", math.inf, 0.0, 0.0, None)
 
 
@@ -120,13 +124,18 @@ class LiveRun:
         self.drive = Node(self.client, 0)
         self.load: Node | None = None
         self.tripped = ""  # why the motor was let go, if it was
+        self.unsafe = ""  # why outputs may still be on, if they may
         self._energised: list[Node] = []
+        self._clock: ClockFit | None = None  # of this boot of the drive
+        self._outputs: Outputs | None = None
         self._next_clock = 0.0
         self._next_progress = 0.0
         self._last_samples = (0, 0.0)
         self._silent = False
         self._rebooted: set[int] = set()
-        self._pole_pairs = 1.0
+        self._pole_pairs: int | None = None
+        self._watchdog = WATCHDOG  # s
+        self._judge: Plausibility | None = None  # of a run that turns the motor
         self._bus: dict[str, Any] | None = None
         self._signal = 0  # the first that came
 
@@ -169,11 +178,7 @@ class LiveRun:
             return SHOW
         if options.speed_rpm is None and options.load_a is None:
             return ()
-        source = (
-            SOURCE_NAMES[options.observer]
-            if options.observer
-            else AngleSource(int(self.drive.parameter("observer").value))
-        )
+        source = SOURCE_NAMES[options.observer] if options.observer else None
         title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"
         return (Act(title, math.inf, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
 
@@ -181,11 +186,22 @@ class LiveRun:
         """Limits and consent: raises before anything is energised."""
         if not acts:
             return
+        self._require()
         plan = Plan(max(abs(act.speed_rpm) for act in acts), max(abs(act.load_a) for act in acts))
         check_limits(self.drive, plan)
         require_consent(self.drive, self.target, plan, self.options.yes, confirm)
         if self.options.clear_faults:
             self.drive.clear_faults()
+
+    def _require(self) -> None:
+        """What was asked for must be possible with this drive: NodeError names what it lacks."""
+        options = self.options
+        if options.show:
+            require(self.drive, "the show", NEEDS["the show"])
+        if options.load_a is not None:
+            require(self.drive, "--load", NEEDS["--load"])
+        if options.observer:
+            require(self.drive, "--observer", [f"observer:{options.observer}"])
 
     # -- streaming ----------------------------------------------------------------------------------------------
 
@@ -203,7 +219,10 @@ class LiveRun:
                     f"{self._on_host} needs every PWM period"
                     + (f" and the channels {', '.join(missing)}" if missing else "")
                 )
-        self.drive.set_edges()
+        if self.drive.offers_edges:
+            self.drive.set_edges()
+        else:
+            self.screen.note("no Hall edges: the drive does not offer them (feature EDGES)")
         try:
             self.drive.set_samples(channels, decimation)
         except DoesNotFit as error:
@@ -248,7 +267,11 @@ class LiveRun:
         """Stream, perform the acts, switch off, sum up."""
         options, identity = self.options, self.drive.identity
         parameters = self.drive.parameters()
-        self._pole_pairs = parameters.get("n_p", 1.0)
+        self._pole_pairs = pole_pairs(parameters)
+        self._watchdog = parameters.get("watchdog", WATCHDOG)
+        if acts:
+            offers = self.drive.offers_edges
+            self._judge = Plausibility(self.drive.number, identity.pwm_hz, channels, offers, parameters)
         observers = None
         if options.host_observers:
             from bench.estimators import HostObservers
@@ -272,33 +295,35 @@ class LiveRun:
             node=identity.node,
         )
         self._clock = self.drive.clock_fit()
-        outputs = Outputs(
+        outputs = self._outputs = Outputs(
             info,
             options.save,
             options.overwrite,
             options.viewer,
             options.web_port,
-            lambda tick: self._clock.host_time(tick),
+            lambda tick: None if self._clock is None else self._clock.host_time(tick),
         )
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
-            sinks: list[Sink] = [stats, *outputs.sinks]
+            sinks: list[Sink] = [stats, *([self._judge] if self._judge else []), *outputs.sinks]
             if augmenter is not None:
                 sinks = [AugmentedSinks(augmenter, identity.node, sinks)]
             self.client.sinks = [self._notes, *sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
-            summary.result = result
+            summary.result, ended = self._with_recording(result, exit_code)
             summary.live_view = outputs.viewed()
             if self._interrupted(lambda: outputs.end_recording(as_markdown(summary))):
-                exit_code = exit_code or 128 + self._signal
+                ended = ended or 128 + self._signal
+            if outputs.failure is not None:  # at the latest now
+                summary.result, ended = self._with_recording(result, exit_code)
             summary.recording = outputs.recorded()
             report(summary)
-            if hold and exit_code == 0 and outputs.view is not None:
+            if hold and ended == 0 and outputs.view is not None:
                 self._hold(outputs.view)
-            return Ended(summary, exit_code)
+            return Ended(summary, ended)
         finally:
             with undisturbed():
                 outputs.close()
@@ -307,6 +332,7 @@ class LiveRun:
         """All between start and stop of the streams. Returns result, exit code, duration in s, CPU in percent."""
         options = self.options
         cpu, started = CpuMeter(), self.client.now()
+        self.client.longest_pause = 0.0
         meter = BusMeter(self.client)
         result, exit_code = "ok", 0
         try:
@@ -321,25 +347,63 @@ class LiveRun:
             self._remember(interrupt)
         except LinkError as error:
             result, exit_code = f"link lost: {error}", 1
+        except DriveFailed as error:
+            self._trip(str(error))
+        except RecordingError as error:
+            self.note(str(error), "ERROR")  # the result: see `_with_recording`
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
             self._interrupted(self.make_safe)
         self._interrupted(self._stop_streams)
-        if self._signal and exit_code == 0:
-            result = f"ended by {signal.Signals(self._signal).name}"
-            asked_for = self._signal == signal.SIGINT and options.duration is None and not options.show
-            exit_code = 0 if asked_for else 128 + self._signal
         if acts and stats.faults and not self.tripped:  # in the last moment
-            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}"
+            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{self._starved(self.drive)}"
         if self.tripped and exit_code == 0:
             result, exit_code = self.tripped, 1
+        if exit_code == 0:
+            result, exit_code = self._judged(stats)
+            if self._signal:
+                ended = f"ended by {signal.Signals(self._signal).name}"
+                result = f"{result} ({ended})" if result.startswith(IMPLAUSIBLE) else ended
+                exit_code = 128 + self._signal
+        if self.unsafe:
+            result = self.unsafe if result == "ok" else f"{self.unsafe} ({result})"
+            exit_code = OutputsMayBeOn.exit_code
         return result, exit_code, duration, percent
+
+    def _judged(self, stats: RunStatistics) -> tuple[str, int]:
+        """Result and exit code of a run that came to its end: nothing that was not seen is called ok."""
+        if not stats.samples_seen:
+            return "no samples came", 1
+        if self._judge is None:
+            return "ok", 0
+        if implausible := self._judge.implausible(stats.errors):
+            again = self.target
+            if self.options.embedded:  # that address is of a child of this command
+                again = "sim" + (f" --config {self.options.config}" if self.options.config else "")
+            return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. `bench hall check {again}` looks for the cause", 1
+        unseen = self._judge.unverified()
+        return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
+
+    def _starved(self, node: Node) -> str:
+        """Why the watchdog of `node` has tripped, if it has and the reason is here, as the end of a sentence."""
+        heartbeat = self.client.heartbeats.get(node.number)
+        if heartbeat is None or not heartbeat.faults & Fault.WATCHDOG:
+            return ""
+        watchdog = self._watchdog if node is self.drive else WATCHDOG
+        return f": {why}" if (why := self.client.starved(node.number, watchdog)) else ""
 
     def _stop_streams(self) -> None:
         with suppress(HbpError):
-            self.drive.next_heartbeat()  # the drive's own drop count, up to date
             self.drive.stop_streams()
+
+    def _with_recording(self, result: str, exit_code: int) -> tuple[str, int]:
+        """Result and exit code of the run, or those of a recording that failed; a run that failed itself says both."""
+        failure = None if self._outputs is None else self._outputs.failure
+        if failure is None:
+            return result, exit_code
+        words = f"recording failed: {str(failure).removeprefix('recording ')}"
+        return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
 
     def _interrupted(self, action: Callable[[], None]) -> bool:
         """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""
@@ -381,6 +445,8 @@ class LiveRun:
                     self.load.torque(self._torque_constant() * act.load_a)
                 if self._energised:
                     self.drive.speed(act.speed_rpm * RPM)
+                    if self._judge is not None:
+                        self._judge.ask(act.speed_rpm)
             except (HbpError, NodeError) as error:
                 self._trip(str(error))
         self.watch(end, stats)
@@ -396,7 +462,7 @@ class LiveRun:
             self._look(stats)
 
     def make_safe(self) -> None:
-        """Outputs off on every node that was energised; says so where STOP could not be confirmed.
+        """Outputs off, and seen to be off, on every node that was energised; `unsafe` says where that was not seen.
 
         Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
         """
@@ -405,12 +471,14 @@ class LiveRun:
             node = self._energised[-1]
             try:
                 node.stop()
-            except HbpError as error:
-                self.note(f"STOP not confirmed ({error}); the drive's watchdog switches its outputs off", "ERROR")
-            except Exception as error:
-                if failure is None:
-                    failure, self.client.sinks = error, [self._notes]
-                    continue  # again, without the sinks
+            except OutputsMayBeOn as error:
+                self.unsafe = self.unsafe or str(error)
+                self.note(str(error), "CRITICAL")
+            except DriveFailed as error:
+                self.tripped = self.tripped or str(error)
+                self.note(str(error), "ERROR")
+            except Exception as error:  # of a sink: the outputs were seen to be off all the same
+                failure, self.client.sinks = failure or error, [self._notes]
             self._energised.pop()
         if failure is not None:
             raise failure
@@ -419,10 +487,13 @@ class LiveRun:
 
     def _look(self, stats: RunStatistics) -> None:
         now = self.client.now()
+        if self._outputs is not None and self._outputs.failure is not None:
+            raise self._outputs.failure
         if self.client.health.down_since is None:
             while self._rebooted:
                 node = self._rebooted.pop()
                 if node == self.drive.number:
+                    self._clock, self._next_clock = None, now
                     self._trip("the drive has rebooted")
                     self.drive.resume_streams()
                 elif self.load is not None and node == self.load.number:
@@ -431,7 +502,10 @@ class LiveRun:
             faulty = next((node for node in self._energised if node.state == DriveState.FAULT), None)
             if faulty is not None and not self.tripped:
                 what = "the drive" if faulty is self.drive else "the load machine"
-                self._trip(f"{what} tripped: {faulty.fault_text()}")
+                self._trip(f"{what} tripped: {faulty.fault_text()}{self._starved(faulty)}")
+            for energised in tuple(self._energised):
+                if why := energised.astray():
+                    self._trip(f"{'the drive' if energised is self.drive else 'the load machine'}: {why}")
             if now >= self._next_clock and not self.client.session.busy:
                 self._next_clock = now + CLOCK_PERIOD
                 try:
@@ -455,10 +529,14 @@ class LiveRun:
         if self.client.health.down_since is not None:
             return f"{self.client.link.name} is gone, waiting for it to come back"
         losses = self.client.losses(self.drive.number).samples
-        speed = stats.mean.get("omega_enc", math.nan) / RPM / self._pole_pairs
+        motor = [self.drive.state.name]
+        if (omega := stats.mean.get("omega_enc")) is not None:
+            n_p = self._pole_pairs
+            motor.append(f"{omega / RPM / n_p:.0f} r/min" if n_p else f"{omega:.0f} rad/s (electrical)")
+        if (i_q := stats.mean.get("i_q")) is not None:
+            motor.append(f"i_q {i_q:.2f} A")
         return (
-            f"{stats.segment} | {self.drive.state.name} {speed:.0f} r/min, "
-            f"i_q {stats.mean.get('i_q', math.nan):.2f} A | "
+            f"{stats.segment} | {', '.join(motor)} | "
             f"{stats.samples_seen} samples, {stats.edges_seen} edges, {losses.lost_by_index} lost"
         )
 
@@ -471,11 +549,6 @@ class LiveRun:
         """Tell the screen and every sink."""
         for sink in self.client.sinks:
             sink.note(text, level)
-
-
-def _undisturbed_call(action: Callable[[], None]) -> None:
-    with undisturbed():
-        action()
 
 
 def run(
@@ -491,8 +564,8 @@ def run(
     the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
     was sent, or could not be sent and the note says so.
     """
-    if options.save is not None and options.save.exists() and not options.overwrite:
-        raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
+    if options.save is not None:
+        check_output(options.save, str(options.save), options.overwrite, recording=True)
     if options.estimate:
         from bench.estimators import entry_of
 
@@ -508,8 +581,14 @@ def run(
         if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say
             target = link.name
         live = LiveRun(options, link, target, screen)
-        stack.callback(_undisturbed_call, live.make_safe)  # in case a second signal came before STOP
-        live.connect()
-        channels, acts = live.configure(), live.acts()
-        live.check(acts, confirm)
-        return live.go(channels, acts, report, hold)
+        try:
+            live.connect()
+            channels, acts = live.configure(), live.acts()
+            live.check(acts, confirm)
+            return live.go(channels, acts, report, hold)
+        except BaseException as error:
+            with undisturbed():
+                live.make_safe()  # in case a second signal came before STOP
+            if live.unsafe:
+                raise OutputsMayBeOn(f"{live.unsafe} ({error or type(error).__name__})") from error
+            raise

@@ -7,20 +7,23 @@ energises a drive by itself: `arm` and `start` are the explicit acts, and whoeve
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
 
 from bench.client import Client
-from bench.errors import DoesNotFit, NodeError
+from bench.errors import DoesNotFit, DriveFailed, NodeError
+from bench.safety import HEARTBEATS, Vigil, heard, says, switch_off, without_watchdog
+from bench.words import counted
 from protocol.canmap.host import CanWire
 from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
 from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import NoReply, Refused
+from protocol.framing import MAX_PAYLOAD
 from protocol.messages import (
     BlobRead,
     BlobReply,
@@ -28,6 +31,7 @@ from protocol.messages import (
     DriveState,
     Empty,
     ErrorCode,
+    Feature,
     Heartbeat,
     Hello,
     HelloReply,
@@ -49,8 +53,10 @@ from protocol.messages import (
     TimeSync,
     TimeSyncReply,
 )
+from protocol.payload import whole_from_wire
 from protocol.signals import Flag
-from protocol.streams import MAX_STREAMS, StreamConfig
+from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
+from protocol.validity import check_parameter
 
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
@@ -81,6 +87,7 @@ class Node:
         self._identity: HelloReply | None = None
         self._descriptor: Descriptor | None = None
         self._streams: dict[int, StreamSet] = {}
+        self._vigil: Vigil | None = None  # while it should run
         self.load = 0.0
         """Share of the link that its streams take at most, by the device; 0 = unknown."""
 
@@ -111,7 +118,7 @@ class Node:
         while len(blob) < total:
             reply = self.client.request(BlobRead(id=0, length=_BLOB_PART, offset=len(blob)), self.number, BlobReply)
             total = reply.total
-            if not reply.data:
+            if not reply.data and total:
                 raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
             blob += reply.data
         if (crc := crc32(blob)) != self.identity.schema_crc:
@@ -119,18 +126,30 @@ class Node:
                 f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
                 f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
             )
-        return Descriptor.unpack(blob)
+        return Descriptor.unpack(blob, f"node {self.number}")
 
     def parameter(self, name: str) -> ParamReply:
-        """Value, range and default of a parameter, in its unit."""
-        return self.client.request(ParamGet(self._parameter_id(name)), self.number, ParamReply)
+        """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""
+        reply = self.client.request(ParamGet(self._parameter_id(name)), self.number, ParamReply)
+        check_parameter(name, reply, f"node {self.number}")
+        return reply
+
+    def parameter_replies(self) -> dict[str, ParamReply]:
+        """All parameters by name, as the device tells them: to be shown, not to be used."""
+        records = self.descriptor.parameters
+        return {r.name: self.client.request(ParamGet(r.id), self.number, ParamReply) for r in records}
 
     def has_parameter(self, name: str) -> bool:
         """Whether it has a parameter of that name."""
         return any(record.name == name for record in self.descriptor.parameters)
 
+    @property
+    def offers_edges(self) -> bool:
+        """Whether it can stream Hall edges."""
+        return bool(self.identity.features & Feature.EDGES)
+
     def parameters(self) -> dict[str, float]:
-        """All parameters by name."""
+        """All parameters by name. Raises DeviceDefect if one of the values cannot be."""
         return {record.name: self.parameter(record.name).value for record in self.descriptor.parameters}
 
     def set(self, name: str, value: float) -> float:
@@ -152,6 +171,8 @@ class Node:
         Where all names begin with a +, they come on top of these.
         """
         known = self.descriptor.channels
+        if not known:
+            raise NodeError(f"node {self.number} has no channels: there is nothing to stream")
         names = tuple(names or ())
         chosen = set()
         if all(name.startswith("+") for name in names):
@@ -181,10 +202,14 @@ class Node:
         return self.client.request(StateCommand(command, argument), self.number, StateReply).state
 
     def arm(self) -> None:
-        """IDLE to ARMED, and start to feed the watchdog. A latched fault is named, not cleared."""
+        """IDLE to ARMED, and start to feed the watchdog. A latched fault is named, not cleared.
+
+        Raises NodeError if it is refused, and DriveFailed, with the node stopped, unless a heartbeat shows it ARMED
+        with its watchdog at work.
+        """
         self.client.feed(self.number, on=True)
         try:
-            self.command(Command.ARM, self.identity.boot_id)
+            state = self.command(Command.ARM, self.identity.boot_id)
         except Refused as refusal:
             self.client.feed(self.number, on=False)
             if refusal.code == ErrorCode.WRONG_STATE and refusal.detail == DriveState.FAULT:
@@ -193,17 +218,32 @@ class Node:
                     "then clear it with --clear-faults"
                 ) from None
             raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
+        armed = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
+        if armed is None:
+            why = f"it answered ARM with {state.name}, but {says(self.client.heartbeats.get(self.number))}"
+        elif not (why := without_watchdog(armed)):
+            return
+        self.stop()
+        raise DriveFailed(f"refusing to energise node {self.number}: {why}")
 
     def start(self) -> None:
-        """ARMED to RUNNING: the outputs go on."""
-        self.command(Command.START)
+        """ARMED to RUNNING: the outputs go on. Raises NodeError if it is refused, DriveFailed if it did not start."""
+        try:
+            state = self.command(Command.START)
+        except Refused as refusal:
+            raise NodeError(f"node {self.number} refused to start: {refusal}") from None
+        if state != DriveState.RUNNING:
+            raise DriveFailed(f"node {self.number} did not start: it answered START with {state.name}")
+        self._vigil = Vigil(self)
+
+    def astray(self) -> str:
+        """Why a node that was started does not run as it should, by its heartbeats; see `bench.safety.Vigil`."""
+        return "" if self._vigil is None else self._vigil.astray()
 
     def stop(self) -> DriveState:
-        """Outputs off, from any state."""
-        try:
-            return self.command(Command.STOP)
-        finally:
-            self.client.feed(self.number, on=False)
+        """Outputs off, from any state, and seen to be off: see `bench.safety.switch_off` for what it raises."""
+        self._vigil = None
+        return switch_off(self)
 
     def clear_faults(self) -> None:
         """Clear exactly the faults that the last heartbeat showed; refused if there are others by now."""
@@ -231,31 +271,48 @@ class Node:
         self.client.wait(lambda: self.client.heartbeats.get(self.number) is not before, 0.5)
         return self.client.heartbeats.get(self.number)
 
-    def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
-        """Send a setpoint until a heartbeat confirms it; NodeError if it is rejected, NoReply if not confirmed."""
+    def setpoint(
+        self, mode: SetpointMode, value: float, value2: float = 0.0, unless: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Send a setpoint until a heartbeat confirms it, or `unless()` holds, which is asked meanwhile.
+
+        NodeError if it is rejected, NoReply if it is not confirmed.
+        """
         for _ in range(3):
             heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
             counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
+            self.client.rejections.pop(self.number, None)
             self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
 
             def answered(counter: int = counter, rejected: int = rejected) -> bool:
                 now = self.client.heartbeats.get(self.number)
                 return now is not None and (now.setpoint_counter == counter or now.setpoints_rejected != rejected)
 
-            if self.client.wait(answered, 0.35):
+            if self.client.wait(lambda: unless() or answered(), 0.35):
+                if not answered():
+                    return
                 confirmed = self.client.heartbeats[self.number]
                 if confirmed.setpoint_counter == counter:
                     return
+                if self._vigil is not None and (why := self._vigil.not_running(confirmed)):
+                    raise DriveFailed(f"node {self.number} {why}")
                 raise NodeError(
-                    f"node {self.number} rejected the setpoint {mode.name} {value:g} (state {confirmed.state.name}, "
-                    f"faults: {self.fault_text()})"
+                    f"node {self.number} rejected the setpoint {mode.name} {value:g}: {self._why_rejected()} "
+                    f"(state {confirmed.state.name}, faults: {self.fault_text()})"
                 )
         raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in 3 tries")
 
-    def speed(self, omega_m: float) -> None:
-        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s."""
-        self.setpoint(SetpointMode.SPEED, omega_m)
+    def _why_rejected(self) -> str:
+        event = self.client.rejections.get(self.number)
+        if event is None:
+            return "no reason came"
+        code = "no code" if event.number is None else ErrorCode(event.number).name
+        return f"{code} ({event.detail:g})"
+
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
+        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s. See `setpoint`."""
+        self.setpoint(SetpointMode.SPEED, omega_m, unless=unless)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Current references in A."""
@@ -279,9 +336,15 @@ class Node:
         return min(fits, key=lambda fit: fit.round_trip)
 
     def stop_streams(self) -> None:
-        """Stop every stream, those of an earlier host too."""
-        self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
-        self._streams.clear()
+        """Stop every stream, those of an earlier host too; what had not come by then is counted as lost."""
+        last = self.client.heartbeats.get(self.number)
+        try:
+            if self._streams:
+                last = self.next_heartbeat()  # it tells what is to come
+            self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
+        finally:
+            self._streams.clear()
+            self.client.end_streams(self.number, last)
 
     def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
         """Configure the sample stream. Raises DoesNotFit, with what would fit, when the link cannot carry it."""
@@ -302,6 +365,8 @@ class Node:
                 if refusal.code != ErrorCode.UNKNOWN_ID:
                     raise
                 continue
+            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES):
+                continue  # of a later version
             request = StreamSet(number, info.event, info.decimation, info.max_latency_ms, info.channels)
             reply = StreamReply(number, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
             configs.append(StreamConfig.of(self.number, request, reply, self.descriptor))
@@ -310,6 +375,7 @@ class Node:
     def start_streams(self) -> None:
         """Start the streams that were configured."""
         self.client.request(StreamStart(sum(1 << stream for stream in self._streams)), self.number, Empty)
+        self.client.streams_started(self.number)
 
     def resume_streams(self) -> None:
         """After a reboot: configure and start again what the device has forgotten."""
@@ -319,6 +385,11 @@ class Node:
         self.start_streams()
 
     def _configure(self, request: StreamSet) -> StreamConfig:
+        most = (self.identity.rx_max - StreamSet.FIXED_BYTES) // 2
+        if len(request.channels) > most:
+            asked = counted(len(request.channels), "channel")
+            takes = f"node {self.number} takes {counted(most, 'channel')} in a stream at most"
+            raise DoesNotFit(f"{takes}, not {asked}: choose with --channels", 0)
         try:
             reply = self.client.request(request, self.number, StreamReply)
         except Refused as refusal:
@@ -333,13 +404,17 @@ class Node:
         if refusal.code != ErrorCode.DOES_NOT_FIT:
             return NodeError(f"node {self.number} refused to stream: {refusal}")
         pwm_hz, link = self.identity.pwm_hz, self.client.link.name
-        asked = f"{_channels(len(request.channels))} at {pwm_hz / request.decimation:g} Hz"
-        decimation = int(refusal.detail) if request.channels else 0
+        asked = f"{counted(len(request.channels), 'channel')} at {pwm_hz / request.decimation:g} Hz"
+        by_id = {channel.id: channel for channel in self.descriptor.channels}
+        widths = [np.dtype(by_id[number].raw.dtype).itemsize for number in request.channels]
+        room = min(self.identity.tx_max, MAX_PAYLOAD) - STREAM_HEADER.size
         wire = self.client.session.wire
+        if sum(widths) > room and not isinstance(wire, CanWire):
+            why = f"a sample of {sum(widths)} bytes is too long: node {self.number} sends {room} at most"
+            return DoesNotFit(f"{why}; choose fewer channels with --channels", 0)
+        decimation = (whole_from_wire(refusal.detail) or 0) if widths else 0
         if isinstance(wire, CanWire):
             plan = BusPlan(wire.rates, wire.extended, pwm_hz, request.max_latency_ms)
-            by_id = {channel.id: channel for channel in self.descriptor.channels}
-            widths = [np.dtype(by_id[number].raw.dtype).itemsize for number in request.channels]
             if not widths:
                 alone = edge_load(wire.rates, wire.extended)
                 return DoesNotFit(
@@ -348,7 +423,7 @@ class Node:
                     0,
                 )
             fits = ", ".join(
-                f"{_channels(fit.channels)} at {fit.rate:g} Hz ({fit.load:.0%})"
+                f"{counted(fit.channels, 'channel')} at {fit.rate:g} Hz ({fit.load:.0%})"
                 for fit in plan.choices(widths, request.decimation)
             )
             why = (
@@ -360,7 +435,3 @@ class Node:
             fits = slower if decimation else "nor do they slower:"
             why = f"{asked} do not fit {link}; {fits} choose fewer with --channels"
         return DoesNotFit(why, decimation)
-
-
-def _channels(n: int) -> str:
-    return "1 channel" if n == 1 else f"{n} channels"

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.client import Sink
-from bench.errors import BenchError
+from bench.errors import BenchError, RecordingError
 from bench.rerunio.schema import RunInfo
 from bench.statistics import Percentiles
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
     from bench.rerunio.sinks import FileSink
@@ -27,8 +29,50 @@ def has_display() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
+class _Recording:
+    """A recording that keeps its failure to itself: nothing is raised into the loop that stops a motor."""
+
+    def __init__(self, file: FileSink) -> None:
+        self.file = file
+        self.failure: RecordingError | None = None
+
+    def attempt(self, action: Callable[[], None]) -> None:
+        """Do it; keep the error."""
+        try:
+            action()
+        except RecordingError as error:
+            self.failure = error
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Record."""
+        self.attempt(lambda: self.file.samples(chunk))
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Record."""
+        self.attempt(lambda: self.file.edges(chunk))
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Record."""
+        self.attempt(lambda: self.file.heartbeat(node, heartbeat))
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Record."""
+        self.attempt(lambda: self.file.event(node, event))
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Record."""
+        self.attempt(lambda: self.file.missing(node, samples, edges))
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Record."""
+        self.attempt(lambda: self.file.note(text, level))
+
+
 class Outputs:
-    """Recording and live view of one run. Raises RecordingError or ViewerError when one cannot be had."""
+    """Recording and live view of one run. Raises RecordingError or ViewerError when one cannot be had.
+
+    A recording that fails later raises nothing: `failure` holds the error, and the run should end.
+    """
 
     def __init__(
         self,
@@ -37,16 +81,18 @@ class Outputs:
         overwrite: bool,
         viewer: str,
         web_port: int | None,
-        host_time: Callable[[float], float],
+        host_time: Callable[[float], float | None],
     ) -> None:
         self.file: FileSink | None = None
         self.view: LiveView | None = None
+        self._recording: _Recording | None = None
         if viewer == "auto":
             viewer = "native" if has_display() else "web"
         if save is not None:
             from bench.rerunio.sinks import FileSink
 
             self.file = FileSink(save, run, overwrite=overwrite, live_drops=self.live_drops)
+            self._recording = _Recording(self.file)
         if viewer != "none":
             from bench.rerunio.viewer import LiveView
 
@@ -65,7 +111,13 @@ class Outputs:
     @property
     def sinks(self) -> list[Sink]:
         """The sinks to hand to the client."""
-        return list(self._block_sinks())
+        view = None if self.view is None else self.view.sink
+        return [sink for sink in (self._recording, view) if sink is not None]
+
+    @property
+    def failure(self) -> RecordingError | None:
+        """Why the recording has failed, None as long as it has not."""
+        return None if self._recording is None else self._recording.failure
 
     def live_drops(self) -> int:
         """Blocks that the live view has lost."""
@@ -78,11 +130,13 @@ class Outputs:
         return sinks[0].latency if sinks else None
 
     def end_recording(self, summary: str) -> None:
-        """Put `summary` (markdown) into recording and view, and finish the file. Raises RecordingError."""
-        for sink in self._block_sinks():
-            sink.summary(summary)
-        if self.file is not None:
-            self.file.close()
+        """Put `summary` (markdown) into recording and view, and finish the file."""
+        if self.view is not None:
+            self.view.sink.summary(summary)
+        if self._recording is not None:
+            file = self._recording.file
+            self._recording.attempt(lambda: file.summary(summary))
+            self._recording.attempt(file.close)
 
     def recorded(self) -> dict[str, Any]:
         """What the recording holds, as plain data."""

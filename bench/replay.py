@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 from uuid import uuid4
 
 import numpy as np
 
-from bench import __version__
+from bench import __version__, markdown
 from bench.augment import AugmentedSinks, Augmenter
 from bench.errors import BenchError
 from bench.estimators import INPUTS, Estimators, all_for, entry_of, unfit
+from bench.files import check_output, part_of
 from bench.rerunio import schema
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.salvage import ends_early
@@ -60,11 +61,6 @@ class Replayed:
     """What is not known of the run, and what was done about it."""
 
 
-def default_output(path: Path) -> Path:
-    """RUN.replay.rrd beside RUN.rrd."""
-    return path.with_suffix(".replay.rrd")
-
-
 def replay(
     path: Path,
     observers: Sequence[str] = (),
@@ -76,13 +72,12 @@ def replay(
 
     `settings` are drive parameters for the observers, by name and in their units, `k_p` and `k_i` those of the vector
     tracking. Raises BenchError for a recording that cannot be replayed, for an observer or a setting that does not
-    exist or is out of range, and RecordingError where `out` exists or cannot be written.
+    exist or is out of range, where `out` exists (unless `overwrite`), and RecordingError where it cannot be written.
     """
-    out = out or default_output(path)
+    out = out or path.with_suffix(".replay.rrd")
+    check_output(out, str(out), overwrite, recording=True)
     if out.exists() and out.samefile(path):
         raise BenchError(f"{out} is the recording itself: choose another name")
-    if out.exists() and not overwrite:
-        raise BenchError(f"{out} exists: choose another name, or --overwrite to replace it")
     if out.exists() and not out.is_file():
         raise BenchError(f"{out} is no file that can be replaced: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
@@ -108,7 +103,7 @@ def replay(
         recording_id=uuid4().hex,
     )
     whole = out.resolve()
-    part_file = whole.with_name(f"{whole.name}.{info.recording_id[:8]}.part")
+    part_file = part_of(whole)
     sink = FileSink(part_file, info, wait=True)
     try:
         _feed(run, AugmentedSinks(augmenter, run.info.node, [sink]), sink)
@@ -190,9 +185,14 @@ def rows(result: Replayed) -> list[list[str]]:
     ]
 
 
+def as_json(result: Replayed) -> dict[str, Any]:
+    """The same as plain data."""
+    return asdict(result) | {"path": str(result.path)}
+
+
 def as_markdown(result: Replayed) -> str:
     """The same as a markdown document."""
-    return "\n".join(["# Replay", "", "| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows(result))])
+    return f"# Replay\n\n{markdown.table(('', ''), rows(result))}"
 
 
 def _told(values: Mapping[str, float]) -> dict[str, str]:

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import Heartbeat
-from protocol.signals import Flag, Unit
+from protocol.signals import STATUS_STATE_MASK, Flag, Unit
 from protocol.streams import SampleChunk
 
 
 def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`angle` in rad, any shape, wrapped to [-pi, pi)."""
-    wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
+    """`angle` in rad, any shape, wrapped to [-pi, pi); what is not finite comes out as NaN."""
+    with np.errstate(invalid="ignore"):
+        wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
     return wrapped
 
 
@@ -37,6 +38,14 @@ def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
         for channel in channels
         if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD
     }
+
+
+def states(chunk: SampleChunk) -> NDArray[np.int64] | None:
+    """The drive's state at each sample by the channel status, shape (n,); None where no whole numbers tell it."""
+    if "status" not in (chunk.raw.dtype.names or ()) or chunk.raw["status"].dtype.kind not in "iu":
+        return None
+    told: NDArray[np.int64] = chunk.raw["status"].astype(np.int64) & STATUS_STATE_MASK
+    return told
 
 
 @dataclass(slots=True)

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from bench import markdown
 from bench.bus import bus_rows
-from bench.client import Client, SinkBase
+from bench.client import WATCHDOG, Client, SinkBase
 from bench.rerunio.schema import label
-from bench.statistics import DeviceCounters, ErrorTable, Moments, Percentiles, position_errors
+from bench.statistics import DeviceCounters, ErrorTable, Moments, Percentiles, position_errors, states
+from bench.words import counted
 from protocol.codes import fault_names
-from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Feature, Heartbeat, HelloReply
-from protocol.signals import STATUS_STATE_MASK
+from protocol.messages import DeviceEvent, DriveState, Fault, Feature, Heartbeat, HelloReply
 from protocol.streams import EdgeChunk, SampleChunk
+
+PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary says so
 
 
 class RunStatistics(SinkBase):
@@ -45,10 +47,8 @@ class RunStatistics(SinkBase):
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
-        names = chunk.raw.dtype.names or ()
-        if errors and "status" in names:
-            running = (chunk.raw["status"] & STATUS_STATE_MASK) == DriveState.RUNNING
-            errors = {name: values[running] for name, values in errors.items()}
+        if errors and (told := states(chunk)) is not None:
+            errors = {name: values[told == DriveState.RUNNING] for name, values in errors.items()}
         if errors:
             self.errors.add(self.segment, errors)
         if self._observers is not None:
@@ -56,7 +56,7 @@ class RunStatistics(SinkBase):
             self.host_compared += compared
             self.host_differ += differ
         for name in ("omega_enc", "i_q"):
-            if n and name in names:
+            if n and name in (chunk.raw.dtype.names or ()):
                 self.mean[name] = float(chunk.physical(name).mean())
 
     def edges(self, chunk: EdgeChunk) -> None:
@@ -74,8 +74,8 @@ class RunStatistics(SinkBase):
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Remember faults."""
-        if event.code == EventCode.FAULT:
-            self.faults |= Fault(int(event.arg))
+        if node == self.drive:
+            self.faults |= event.faults
 
 
 class CpuMeter:
@@ -117,6 +117,7 @@ class Summary:
     lost: Lost
     position_error_deg: dict[str, dict[str, dict[str, float]]]
     cpu_percent: float
+    longest_pause_s: float
     latency_ms: dict[str, float]
     link: dict[str, Any]
     first_sample_unix_s: float | None = None
@@ -129,7 +130,7 @@ class Summary:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data; numbers that do not exist are null."""
-        plain = _finite(asdict(self))
+        plain = finite(asdict(self))
         assert isinstance(plain, dict)
         return plain
 
@@ -166,10 +167,11 @@ def summarise(
             if any(moments.n for moments in row.values())
         },
         cpu_percent=cpu_percent,
+        longest_pause_s=client.longest_pause,
         latency_ms={} if latency is None else {f"p{p}": 1e3 * latency.at(p) for p in (50, 95, 99, 100)},
         link={
             "outages": client.health.outages,
-            "downtime_s": client.health.downtime,
+            "downtime_s": client.downtime,
             "reboots": client.health.reboots,
             "bytes": client.bytes_in,
             "frames": counters.framing.frames,
@@ -179,6 +181,7 @@ def summarise(
             "late": samples.late + edges.late,
             "malformed": counters.malformed + samples.malformed + edges.malformed,
             "unknown": counters.unknown_types + counters.other_versions,
+            "of_no_stream": client.unasked,
             "unexpected_replies": counters.unexpected_replies,
             "retries": counters.retries,
             "damaged_at_drive": stats.device.risen["rx_bad"],
@@ -214,28 +217,37 @@ def error_rows(summary: Summary) -> list[list[str]]:
 def run_rows(summary: Summary) -> list[list[str]]:
     """The figures of a run but for the position errors, as pairs of name and text."""
     lost, link, latency = summary.lost, summary.link, summary.latency_ms
+    paused = summary.longest_pause_s >= PAUSE
     rows = [
         ["duration", f"{summary.duration_s:.1f} s"],
         ["samples", f"{summary.samples}"],
         ["edges", f"{summary.edges}"],
-        ["lost by index", f"{lost.samples_by_index} samples, {lost.edges_by_index} edges"],
-        ["lost by sequence", f"{lost.frames_by_sequence} frames"],
-        ["dropped by the drive", f"{lost.frames_by_device} frames"],
+        ["lost by index", f"{counted(lost.samples_by_index, 'sample')}, {counted(lost.edges_by_index, 'edge')}"],
+        ["lost by sequence", counted(lost.frames_by_sequence, "frame")],
+        ["dropped by the drive", counted(lost.frames_by_device, "frame")],
         [
             "damaged, stale, out of order",
             f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
-            + (f"; {link['late']} edges too late" if link["late"] else ""),
+            + (f"; {counted(link['late'], 'edge')} too late" if link["late"] else ""),
         ],
         [
             "malformed, unknown, unexpected",
-            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames; {link['retries']} retries",
+            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames"
+            + (f"; {link['of_no_stream']} of no stream" if link["of_no_stream"] else ""),
         ],
+        ["requests", f"{link['retries']} repeated"],
         [
             "at the drive",
-            f"{link['damaged_at_drive']} frames damaged, {link['setpoints_rejected']} setpoints rejected",
+            f"{counted(link['damaged_at_drive'], 'frame')} damaged, "
+            f"{counted(link['setpoints_rejected'], 'setpoint')} rejected",
         ],
-        ["link", f"{link['outages']} outages, {link['downtime_s']:.1f} s down, {link['reboots']} reboots"],
+        [
+            "link",
+            f"{counted(link['outages'], 'outage')}, {link['downtime_s']:.1f} s down, "
+            f"{counted(link['reboots'], 'reboot')}",
+        ],
         ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],
+        *([["longest pause of this program", f"{summary.longest_pause_s:.2f} s"]] if paused else []),
         *([] if summary.bus is None else bus_rows(summary.bus)),
     ]
     if latency:
@@ -246,7 +258,9 @@ def run_rows(summary: Summary) -> list[list[str]]:
             ]
         )
     if summary.live_view:
-        rows.append(["dropped by the live view", f"{summary.live_view['blocks_dropped']} blocks"])
+        rows.append(["dropped by the live view", counted(summary.live_view["blocks_dropped"], "block")])
+        if summary.live_view["error"]:
+            rows.append(["live view", f"failed: {summary.live_view['error']}"])
     if summary.recording:
         kept = summary.recording
         rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {kept['path']}"])
@@ -268,14 +282,10 @@ def as_markdown(summary: Summary) -> str:
     return "\n\n".join(
         [
             "# Summary",
-            *([_markdown_table(ERROR_HEADERS, errors)] if errors else []),
-            _markdown_table(("run", ""), run_rows(summary)),
+            *([markdown.table(ERROR_HEADERS, errors)] if errors else []),
+            markdown.table(("run", ""), run_rows(summary)),
         ]
     )
-
-
-def _markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join("| " + " | ".join(row) + " |" for row in (headers, ["---"] * len(headers), *rows))
 
 
 def describe(identity: HelloReply) -> dict[str, Any]:
@@ -304,9 +314,10 @@ def _degrees(moments: Moments) -> dict[str, float]:
     }
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Plain data with None in the place of every number that is not finite, as JSON needs it."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -14,6 +14,7 @@ class Verdict(StrEnum):
     """How a measurement, a test or a run ended."""
 
     PASS = "PASS"
+    INCOMPLETE = "INCOMPLETE"  # of a run: all that was tested passed, and not all was tested
     FAIL = "FAIL"  # the drive is not as it should be
     INVALID = "INVALID"  # the data cannot tell: samples were lost, the clock jumped, a sensor was saturated
     ERROR = "ERROR"  # the bench is not as it should be
@@ -22,7 +23,15 @@ class Verdict(StrEnum):
 
 
 # The worst first; a failing drive stays a failing drive whatever else went wrong.
-_ORDER = (Verdict.ABORTED, Verdict.FAIL, Verdict.ERROR, Verdict.INVALID, Verdict.PASS, Verdict.SKIPPED)
+_ORDER = (
+    Verdict.ABORTED,
+    Verdict.FAIL,
+    Verdict.ERROR,
+    Verdict.INVALID,
+    Verdict.INCOMPLETE,
+    Verdict.PASS,
+    Verdict.SKIPPED,
+)
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:

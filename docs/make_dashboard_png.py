@@ -13,9 +13,9 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from bench.rerunio.viewer import free_port
+from bench.rerunio.viewer import binary, free_port
 
-MOMENT = 15.8  # s of device time: 500 r/min and 4 A, controlled by the vector-tracking observer
+MOMENT = 14.0  # s after the first sample: 500 r/min and 4 A, controlled by the vector-tracking observer
 
 
 def main() -> None:
@@ -28,11 +28,13 @@ def main() -> None:
             check=True,
         )
         port = free_port(9990)
-        with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, memory_limit="2GB") as viewer:
+        options = {"hide_welcome_screen": True, "memory_limit": "2GB", "executable_path": str(binary())}
+        with ViewerClient.spawn(headless=True, port=port, **options) as viewer:
             viewer.open(str(recording))
             while (state := viewer.get_state()).loading or not (state.recordings and state.recordings[0].timelines):
                 time.sleep(0.1)
-            viewer.set_time("device_time", duration=MOMENT, play_state="paused")
+            first = state.recordings[0].timelines[0].start / 1e9
+            viewer.set_time("device_time", duration=first + MOMENT, play_state="paused")
             time.sleep(2.0)  # for the views to follow
             viewer.save_screenshot(str(Path(__file__).with_name("dashboard.png")))
 

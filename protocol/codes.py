@@ -6,9 +6,29 @@ This module holds no layout and no behaviour.
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
+from typing import Self
 
 
-class MessageType(IntEnum):
+class OpenEnum(IntEnum):
+    """Numbers of which a later version may have more: one without a name is kept, and called `word` and its number."""
+
+    _word: str
+
+    def __init_subclass__(cls, word: str, **others: object) -> None:
+        super().__init_subclass__(**others)
+        cls._word = word
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if not isinstance(value, int):
+            return None
+        member = int.__new__(cls, value)
+        member._name_ = f"{cls._word} {value}"
+        member._value_ = value
+        return member
+
+
+class MessageType(OpenEnum, word="type"):
     """Byte 0 of a frame."""
 
     HELLO = 0x01
@@ -31,7 +51,7 @@ class MessageType(IntEnum):
     LOG = 0x43
 
 
-class DriveState(IntEnum):
+class DriveState(OpenEnum, word="state"):
     """State of a device; the outputs are on in RUNNING only."""
 
     BOOT = 0
@@ -68,7 +88,7 @@ class Command(IntEnum):
     FAULT_CLEAR = 4
 
 
-class SetpointMode(IntEnum):
+class SetpointMode(OpenEnum, word="mode"):
     """What the values of a SETPOINT mean."""
 
     SPEED = 1  # value: mechanical rad/s
@@ -76,7 +96,7 @@ class SetpointMode(IntEnum):
     TORQUE = 3  # value: N·m (a load machine)
 
 
-class StreamEvent(IntEnum):
+class StreamEvent(OpenEnum, word="event"):
     """What makes a stream take a record."""
 
     PWM = 0  # a sample of the chosen channels every `decimation` PWM periods
@@ -84,7 +104,7 @@ class StreamEvent(IntEnum):
     EDGES = 2  # every Hall edge
 
 
-class Role(IntEnum):
+class Role(OpenEnum, word="role"):
     """What a node is on the bench."""
 
     DRIVE = 1
@@ -99,7 +119,7 @@ class Feature(IntFlag):
     SIMULATED = 4  # no hardware moves
 
 
-class ErrorCode(IntEnum):
+class ErrorCode(OpenEnum, word="error"):
     """Why a request was refused; `detail` is the number that goes with it."""
 
     UNKNOWN_TYPE = 1  # detail: the type
@@ -120,7 +140,7 @@ class ErrorCode(IntEnum):
     STORE_FAILED = 16  # detail: the device's own
 
 
-class EventCode(IntEnum):
+class EventCode(OpenEnum, word="event"):
     """What an EVENT reports."""
 
     STATE_CHANGED = 1  # arg: the new DriveState

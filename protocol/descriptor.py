@@ -7,7 +7,6 @@ parameters are not in it: they come with PARAM_GET. This module never does I/O.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,11 +17,10 @@ from zlib import crc32
 import numpy as np
 
 from protocol.errors import LocalProtocolError
-from protocol.messages import PayloadError
 from protocol.payload import text_from_wire
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
+from protocol.validity import check_channel, check_descriptor_size, check_names
 
-RECORD_BYTES = 32
 NAME_BYTES = 16
 
 _RECORD = struct.Struct("<HBBHHff16s")
@@ -57,12 +55,12 @@ class Descriptor:
         )
 
     def pack(self) -> bytes:
-        """Return the blob; LocalProtocolError if a name is longer than 16 bytes or a number does not fit."""
+        """Return the blob; LocalProtocolError if a name has not 1 to 16 bytes or a number does not fit."""
         blob = bytearray()
         for record in (*self.channels, *self.parameters):
             name = record.name.encode()
-            if len(name) > NAME_BYTES:
-                raise LocalProtocolError(f"name {record.name!r}: {len(name)} bytes, at most {NAME_BYTES} fit")
+            if not 1 <= len(name) <= NAME_BYTES:
+                raise LocalProtocolError(f"name {record.name!r}: {len(name)} bytes, 1 to {NAME_BYTES} fit")
             try:
                 blob += _RECORD.pack(
                     record.id, record.raw, record.unit, record.flags, 0, record.scale, record.offset, name
@@ -72,32 +70,24 @@ class Descriptor:
         return bytes(blob)
 
     @classmethod
-    def unpack(cls, blob: bytes) -> Self:
-        """Return the descriptor in a blob.
+    def unpack(cls, blob: bytes, whose: str = "the device") -> Self:
+        """Return the descriptor in a blob; `whose` names the device in errors.
 
-        A unit unknown here reads as a pure number. PayloadError if the blob is no whole number of records, a
-        type is unknown, or an id or name comes twice among the channels or among the parameters.
+        Records of neither kind, and flags and units that are unknown here, are no error. DeviceDefect if a host cannot
+        work with the descriptor: see `protocol.validity`.
         """
-        if len(blob) % RECORD_BYTES:
-            raise PayloadError(f"descriptor of {len(blob)} bytes: not in {RECORD_BYTES}-byte records")
+        check_descriptor_size(len(blob), whose)
         channels: list[Channel] = []
         parameters: list[Channel] = []
         for number, raw_type, unit, bits, _, scale, offset, raw_name in _RECORD.iter_unpack(blob):
-            name = text_from_wire(raw_name)
-            try:
-                kind = RawType(raw_type)
-            except ValueError:
-                raise PayloadError(f"descriptor: {name!r} has the unknown type {raw_type}") from None
-            if bits & Flag.CHANNEL and not (math.isfinite(offset) and math.isfinite(scale) and scale):
-                raise PayloadError(f"descriptor: {name!r} has scale {scale:g} and offset {offset:g}")
-            known = Unit(unit) if unit in Unit._value2member_map_ else Unit.NONE
-            record = Channel(number, name, known, kind, scale, Flag(bits), offset)
-            if record.flags & Flag.CHANNEL:
-                channels.append(record)
-            if record.flags & Flag.PARAMETER:
-                parameters.append(record)
-        for kind_name, records in (("channel", channels), ("parameter", parameters)):
-            _require_unique(kind_name, records)
+            name, flags = text_from_wire(raw_name), Flag(bits)
+            if flags & Flag.CHANNEL:
+                check_channel(raw_type, scale, offset, name, whose)
+                channels.append(Channel(number, name, Unit(unit), RawType(raw_type), scale, flags, offset))
+            if flags & Flag.PARAMETER:
+                parameters.append(Channel(number, name, Unit(unit), RawType.F32, 1.0, flags))
+        check_names("channel", channels, whose)
+        check_names("parameter", parameters, whose)
         return cls(tuple(channels), tuple(parameters))
 
     @cached_property
@@ -129,15 +119,6 @@ def _by_name(kind: str, records: tuple[Channel, ...], name: str) -> Channel:
         if record.name == name:
             return record
     raise KeyError(f"no {kind} {name!r}; there are: {', '.join(record.name for record in records)}")
-
-
-def _require_unique(kind: str, records: list[Channel]) -> None:
-    seen: set[int | str] = set()
-    for record in records:
-        for key in (record.id, record.name):
-            if key in seen:
-                raise PayloadError(f"descriptor: {kind} {key!r} comes twice")
-            seen.add(key)
 
 
 def _f32(value: float) -> float:

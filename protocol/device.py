@@ -72,14 +72,12 @@ from protocol.messages import (
     TimeSyncReply,
 )
 from protocol.signals import Flag, Parameter
+from protocol.validity import MIN_RX_MAX
 
 __all__ = ["DeviceApp", "DeviceLink", "DeviceSession", "Identity", "TxQueue"]
 
 HEARTBEATS_PER_SECOND = 10
 REPLIES_KEPT = 4
-MIN_RX_MAX = 128  # a host takes at least this payload
-
-_ALWAYS_FRESH = (MessageType.HELLO, MessageType.TIME_SYNC)  # change nothing, and an old answer would mislead
 
 
 @dataclass(slots=True)
@@ -172,9 +170,9 @@ class DeviceSession:
         """Latch faults: outputs off, state FAULT."""
         self.machine.fault(bits)
 
-    def event(self, code: EventCode, arg: float = 0.0) -> None:
+    def event(self, code: EventCode, arg: float = 0.0, detail: float = 0.0) -> None:
         """Send an EVENT."""
-        self._send(DeviceEvent(self._tick, code, self.identity.node, arg))
+        self._send(DeviceEvent(self._tick, code, self.identity.node, arg, detail))
 
     def log(self, level: int, text: str) -> None:
         """Send a LOG."""
@@ -226,7 +224,7 @@ class DeviceSession:
             self.refuse(frame, ErrorCode.UNKNOWN_TYPE, frame.type)
         elif (frame.tid == 0) != (frame.type in UNACKNOWLEDGED):
             self.refuse(frame, ErrorCode.BAD_VALUE, frame.tid)
-        elif frame.tid == 0 or frame.type in _ALWAYS_FRESH:
+        elif frame.tid == 0 or _always_executed(frame):
             self._execute(kind, frame)
         else:
             for seen, wire in self._peer.replies:
@@ -239,11 +237,12 @@ class DeviceSession:
         try:
             reply = self._handlers[kind](kind.unpack(frame.payload))
         except PayloadError as error:
-            if kind is Setpoint:
-                self._reject_setpoint(ErrorCode.BAD_LENGTH if error.bad_length else ErrorCode.BAD_VALUE)
+            code, detail = ErrorCode.BAD_VALUE, error.value
             if error.bad_length:
-                return self.refuse(frame, ErrorCode.BAD_LENGTH, len(frame.payload))
-            return self.refuse(frame, ErrorCode.BAD_VALUE, error.value)
+                code, detail = ErrorCode.BAD_LENGTH, len(frame.payload)
+            if kind is Setpoint:
+                self._reject_setpoint(code, detail)
+            return self.refuse(frame, code, detail)
         except Refused as refusal:
             return self.refuse(frame, ErrorCode(refusal.code), refusal.detail)
         if reply is None:
@@ -299,18 +298,19 @@ class DeviceSession:
         try:
             if self.state is not DriveState.RUNNING:
                 raise Refused("not RUNNING", ErrorCode.WRONG_STATE, self.state)
-            if not (math.isfinite(request.value) and math.isfinite(request.value2)):
-                raise Refused("not a number", ErrorCode.BAD_VALUE, request.value)
+            for value in (request.value, request.value2):
+                if not math.isfinite(value):
+                    raise Refused(f"setpoint {value}", ErrorCode.BAD_VALUE, value)
             self.app.setpoint(request.mode, request.value, request.value2)
         except Refused as refusal:
-            self._reject_setpoint(ErrorCode(refusal.code))
+            self._reject_setpoint(ErrorCode(refusal.code), refusal.detail)
             return
         self._setpoint_counter = request.counter
         self.machine.feed(self._tick)
 
-    def _reject_setpoint(self, code: ErrorCode) -> None:
+    def _reject_setpoint(self, code: ErrorCode, detail: float) -> None:
         self.setpoints_rejected += 1
-        self.event(EventCode.SETPOINT_REJECTED, float(code))
+        self.event(EventCode.SETPOINT_REJECTED, float(code), detail)
 
     def _state_command(self, request: StateCommand) -> StateReply:
         return StateReply(self.machine.command(request.command, request.argument, self._tick))
@@ -369,6 +369,16 @@ class DeviceSession:
     def _stream_stop(self, request: StreamStop) -> Empty:
         self.streams.stop(request.mask)
         return Empty()
+
+
+def _always_executed(frame: Frame) -> bool:
+    """Whether a request is no repetition even where an equal one was answered before.
+
+    An old answer to HELLO or TIME_SYNC would mislead, and a STOP must stop whatever was said before.
+    """
+    if frame.type in (MessageType.HELLO, MessageType.TIME_SYNC):
+        return True
+    return frame.type == MessageType.STATE_CMD and frame.payload[:1] == bytes((Command.STOP,))
 
 
 class DeviceLink:

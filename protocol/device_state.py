@@ -71,10 +71,12 @@ class StateMachine:
         self._emit(EventCode.FAULT, float(new))
 
     def command(self, command: Command, argument: int, tick: int) -> DriveState:
-        """Carry out a STATE_CMD and return the state after it; Refused if it is not allowed now."""
+        """Carry out a STATE_CMD and return the state after it; Refused if it is not allowed now. STOP always is."""
         if command is Command.ARM:
             self._arm(argument, tick)
         elif command is Command.START:
+            if argument:
+                raise Refused(f"START has the argument {argument}", ErrorCode.BAD_VALUE, float(argument))
             if self.state not in _LIVE:
                 raise self._wrong_state("START needs ARMED")
             if self.state is DriveState.ARMED:

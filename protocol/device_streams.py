@@ -98,6 +98,7 @@ class StreamTable:
 
     def describe(self, number: int) -> StreamInfo:
         """Carry out STREAM_GET; Refused if the stream is not configured."""
+        _check_number(number)
         if number not in self._configured:
             raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
         request, reply = self._configured[number]
@@ -185,19 +186,20 @@ class StreamTable:
             del self._tx.rates[self._identity.node, number]
 
     def _check(self, request: StreamSet) -> None:
-        if request.stream >= MAX_STREAMS:
-            raise Refused(f"stream {request.stream}", ErrorCode.OUT_OF_RANGE, MAX_STREAMS - 1)
+        """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""
+        _check_number(request.stream)
+        self._check_event(request)
         stream = self._all.get(request.stream)
         if stream is not None and stream.running:
             raise Refused(f"stream {request.stream} is running", ErrorCode.BUSY, request.stream)
-        if request.event == StreamEvent.EDGES:
-            if not self._identity.features & Feature.EDGES:
-                raise Refused("no edges", ErrorCode.NOT_SUPPORTED, request.event)
+
+    def _check_event(self, request: StreamSet) -> None:
+        if request.event == StreamEvent.EDGES and self._identity.features & Feature.EDGES:
             if request.channels:
                 raise Refused("an edge stream has no channels", ErrorCode.BAD_VALUE, len(request.channels))
             return
         if request.event != StreamEvent.PWM:
-            raise Refused(f"event {request.event}", ErrorCode.NOT_SUPPORTED, request.event)
+            raise Refused(f"no stream of {request.event.name}", ErrorCode.NOT_SUPPORTED, request.event)
         if not request.decimation:
             raise Refused("decimation 0", ErrorCode.BAD_VALUE, 0)
         if not request.channels:
@@ -236,6 +238,11 @@ class StreamTable:
         slower = range(request.decimation + 1, MAX_DECIMATION + 1)
         first = bisect_left(slower, True, key=lambda n: self._load(request, shape_at(n).rate) <= MAX_LOAD)
         return slower[first] if first < len(slower) else 0
+
+
+def _check_number(stream: int) -> None:
+    if stream >= MAX_STREAMS:
+        raise Refused(f"stream {stream}", ErrorCode.OUT_OF_RANGE, MAX_STREAMS - 1)
 
 
 def _bits(mask: int) -> list[int]:

@@ -3,7 +3,8 @@
     HbpError                  all of the below
     ├─ LocalProtocolError     this side broke the rules: a bug of ours or a value that cannot be sent
     ├─ RemoteProtocolError    the other side broke the rules in a way that ends the conversation
-    │  └─ VersionError        no protocol major in common
+    │  ├─ VersionError        no protocol major in common
+    │  └─ DeviceDefect        what the device says of itself cannot be: its firmware must be mended
     ├─ Refused                the device understood and said no; carries its code and number
     ├─ NoReply                a request stayed unanswered after every retry
     ├─ TargetError            a target string that cannot be read
@@ -31,6 +32,13 @@ class RemoteProtocolError(HbpError):
 
 class VersionError(RemoteProtocolError):
     """The two sides have no protocol major version in common."""
+
+
+class DeviceDefect(RemoteProtocolError):
+    """The device says something of itself that a host cannot work with. `what` names it, and the number."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"{what}: the firmware must be mended")
 
 
 class Refused(HbpError):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from protocol.errors import LocalProtocolError
+from protocol.errors import DeviceDefect, HbpError, LocalProtocolError
 from protocol.framing import MAJOR, Frame, parse_frame
 from protocol.messages import (
     REPLIES,
@@ -31,6 +31,7 @@ from protocol.messages import (
     TimeSyncReply,
 )
 from protocol.streams import StreamConfig, TickReference
+from protocol.validity import check_reply
 from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames, WireCounters
 
 TRIES = 3
@@ -77,6 +78,15 @@ class RequestTimedOut:
 
 
 @dataclass(frozen=True, slots=True)
+class ReplyUnusable:
+    """Request `tid` was answered with what a host cannot work with. It is not repeated: nothing would change."""
+
+    tid: int
+    node: int
+    error: HbpError
+
+
+@dataclass(frozen=True, slots=True)
 class HeartbeatReceived:
     """A device's health."""
 
@@ -114,6 +124,7 @@ Event = (
     | ReplyReceived
     | RequestRefused
     | RequestTimedOut
+    | ReplyUnusable
     | HeartbeatReceived
     | DeviceEventReceived
     | LogReceived
@@ -249,6 +260,8 @@ class HostSession:
         counters = self.counters
         if frame.major != MAJOR and frame.type != MessageType.HELLO:
             counters.other_versions += 1
+        elif frame.is_error and not frame.is_reply:
+            counters.malformed += 1
         elif frame.is_reply:
             self._receive_reply(frame, now)
         elif frame.type in UNSOLICITED:
@@ -280,8 +293,9 @@ class HostSession:
             return
         try:
             message = (ErrorReply if frame.is_error else REPLIES[frame.type]).unpack(frame.payload)
-        except PayloadError:
-            self.counters.malformed += 1
+        except PayloadError as error:
+            name = pending.message.TYPE.name
+            self._unusable(frame, DeviceDefect(f"the reply of node {frame.node} to {name} cannot be read: {error}"))
             return
         other_node = pending.frame.node not in (0, frame.node)
         if isinstance(message, ErrorReply):
@@ -294,6 +308,11 @@ class HostSession:
         echoed = ((getattr(pending.message, name, None), getattr(message, name, None)) for name in _ECHOED)
         if other_node or any(asked != answered and None not in (asked, answered) for asked, answered in echoed):
             self.counters.unexpected_replies += 1  # meant for another host
+            return
+        try:
+            check_reply(message, frame.node)
+        except HbpError as error:
+            self._unusable(frame, error)
             return
         self._pending = None
         round_trip = now - pending.sent
@@ -309,6 +328,11 @@ class HostSession:
             self._events.append(Connected(message))
         else:
             self._events.append(ReplyReceived(frame.tid, frame.node, message, round_trip))
+
+    def _unusable(self, frame: Frame, error: HbpError) -> None:
+        self.counters.malformed += 1
+        self._pending = None
+        self._events.append(ReplyUnusable(frame.tid, frame.node, error))
 
     def _note_boot(self, node: int, boot_id: int) -> None:
         old = self._boot_ids.setdefault(node, boot_id)

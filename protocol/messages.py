@@ -8,6 +8,7 @@ imported from here. This module knows no framing, no session and no time.
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import astuple, dataclass
 from typing import Self
@@ -25,7 +26,8 @@ from protocol.codes import (
     StreamEvent,
 )
 from protocol.errors import LocalProtocolError
-from protocol.payload import Message, Payload, PayloadError, Request, text_from_wire, text_to_wire
+from protocol.payload import Message, Payload, PayloadError, Request, text_from_wire, text_to_wire, whole_from_wire
+from protocol.text import printable
 
 __all__ = [
     "Alive", "BlobRead", "BlobReply", "Command", "DeviceEvent", "DriveState", "Empty", "ErrorCode",
@@ -44,6 +46,10 @@ def _tick(value: int) -> int:
     if value >= MAX_TICK:
         raise ValueError(f"tick {value} is not below 2^62")
     return value
+
+
+def _load(value: float) -> float:
+    return value if 0.0 <= value < math.inf else 0.0  # unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,6 +286,7 @@ class StreamSet(Request):
 
     TYPE = MessageType.STREAM_SET
     _LAYOUT = struct.Struct("<BBHHH")
+    FIXED_BYTES = _LAYOUT.size  # before the ids
     stream: int
     event: StreamEvent
     decimation: int
@@ -323,6 +330,7 @@ class StreamReply(Message):
     load: float
     slot: int = 0
     tick0: int = 0
+    _CONVERT = {"load": _load, "tick0": _tick}  # noqa: RUF012
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +377,7 @@ class StreamInfo(Message):
     block: int
     tick0: int
     channels: tuple[int, ...] = ()
-    _CONVERT = {"running": bool, "event": StreamEvent}  # noqa: RUF012
+    _CONVERT = {"running": bool, "event": StreamEvent, "tick0": _tick}  # noqa: RUF012
 
     def pack(self) -> bytes:
         """Return the payload."""
@@ -403,23 +411,31 @@ class ErrorReply(Payload):
 
     def __str__(self) -> str:
         """One line for people."""
-        try:
-            name = ErrorCode(self.code).name
-        except ValueError:
-            name = f"error {self.code}"
-        return f"{name} ({self.detail:g})"
+        return f"{ErrorCode(self.code).name} ({self.detail:g})"
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceEvent(Message):
-    """Something happened at `tick`. An unknown code stays a plain number."""
+    """Something happened at `tick`; `arg` and `detail` go with the code. An unknown code stays a plain number."""
 
     TYPE = MessageType.EVENT
-    _LAYOUT = struct.Struct("<QHBxf")
+    _LAYOUT = struct.Struct("<QHBxff")
     tick: int
     code: int
     node: int
     arg: float
+    detail: float = 0.0
+    _CONVERT = {"tick": _tick}  # noqa: RUF012
+
+    @property
+    def number(self) -> int | None:
+        """`arg` where it stands for a whole number (a state, fault bits, a code); None if it is none."""
+        return whole_from_wire(self.arg)
+
+    @property
+    def faults(self) -> Fault:
+        """The bits that a FAULT adds, else none. A FAULT whose bits cannot be read is INTERNAL: a fault it is."""
+        return Fault(0) if self.code != EventCode.FAULT else Fault(self.number or Fault.INTERNAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,7 +454,7 @@ class Log(Message):
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         """Return the message."""
-        return cls(**cls._unpack_fixed(payload), text=payload[1:].decode("utf-8", "replace"))
+        return cls(**cls._unpack_fixed(payload), text=printable(payload[1:].decode("utf-8", "replace")))
 
 
 REQUESTS: dict[int, type[Request]] = {

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 
 from protocol.codes import MessageType
 from protocol.errors import LocalProtocolError, RemoteProtocolError
+from protocol.text import printable
 
 
 class PayloadError(RemoteProtocolError, ValueError):
@@ -90,6 +91,11 @@ def text_to_wire(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
+def whole_from_wire(value: float) -> int | None:
+    """Return the whole number from 0 to 2^32 - 1 that an f32 stands for, None if it is none."""
+    return int(value) if 0 <= value < 1 << 32 and value == int(value) else None
+
+
 def text_from_wire(raw: bytes) -> str:
-    """Return the text before the padding; what is no UTF-8 is replaced."""
-    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")
+    """Return the text before the padding, printable; what is no UTF-8 is replaced."""
+    return printable(raw.split(b"\0", 1)[0].decode("utf-8", "replace"))

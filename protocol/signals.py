@@ -14,6 +14,8 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
+from protocol.codes import OpenEnum
+
 
 class RawType(IntEnum):
     """Type of a value on the wire, little-endian."""
@@ -43,7 +45,7 @@ _DTYPES = {
 }
 
 
-class Unit(IntEnum):
+class Unit(OpenEnum, word="unit"):
     """SI units, by their number on the wire."""
 
     NONE = 0
@@ -65,11 +67,13 @@ class Unit(IntEnum):
     RAD_PER_AS = 16
     A_S_PER_RAD = 17
     A_PER_RAD = 18
+    DEG_C = 19
+    W = 20
 
     @property
     def symbol(self) -> str:
-        """How the unit is written for people; empty for a pure number."""
-        return _SYMBOLS[self]
+        """How the unit is written for people; empty for a pure number, `unit 40` for one that is not known here."""
+        return _SYMBOLS.get(self, self.name)
 
 
 _SYMBOLS = {
@@ -92,6 +96,8 @@ _SYMBOLS = {
     Unit.RAD_PER_AS: "rad/(A·s)",
     Unit.A_S_PER_RAD: "A·s/rad",
     Unit.A_PER_RAD: "A/rad",
+    Unit.DEG_C: "°C",
+    Unit.W: "W",
 }
 
 

@@ -3,8 +3,8 @@
 A decoder takes the frames of one stream as they came and gives one chunk: samples (or edges) with their
 unwrapped index and tick, and a `Gap` wherever something is missing. Loss is counted by index (records), by
 seq (frames) and by the device's overrun flag, so that the three can be reconciled. A frame that does not
-fit the stream, or that goes back in time, is counted and never delivered. This module knows no link, no
-session and no observers.
+fit the stream, or that goes back in time, is counted and never delivered. What was lost after the last frame
+that came, heartbeats tell (`missing`). This module knows no link, no session and no observers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,13 @@ EDGE_ILLEGAL = 0x40  # bit of `codes`: old and new are not neighbours, or new is
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
+
+
+class Beat(NamedTuple):
+    """A heartbeat's device time and count of edges."""
+
+    tick: int
+    edges: int
 
 
 @dataclass(slots=True)
@@ -211,6 +218,11 @@ class _Sequence:
         self._next_index: int | None = None
         self._next_seq = 0
 
+    @property
+    def next_index(self) -> int | None:
+        """Unwrapped index of the record that comes next, None before the first frame."""
+        return self._next_index
+
     def accept(self, frames: Sequence[bytes]) -> _Accepted | None:
         """Return what is delivered of `frames` (header + payload each), or None."""
         config, counters, step, ticks = self.config, self.counters, self._step, self._ticks
@@ -293,11 +305,18 @@ class SampleDecoder:
         self._ticks_per_sample = ticks_per_period * config.decimation
         self._sequence = _Sequence(config, config.decimation, self._ticks_per_sample)
         self._reference = reference
+        self._next_tick: int | None = None
 
     @property
     def counters(self) -> LossCounters:
         """The stream's account."""
         return self._sequence.counters
+
+    def missing(self, first: Beat | None, last: Beat) -> int:
+        """See `Decoder.missing`: a sample is taken at its tick."""
+        if self._next_tick is not None:
+            return max(0, (last.tick - self._next_tick) // self._ticks_per_sample + 1)
+        return 0 if first is None else max(0, (last.tick - first.tick) // self._ticks_per_sample)
 
     def decode(self, frames: Sequence[bytes]) -> SampleChunk | None:
         """Return the samples of `frames` (header + payload each, in order), or None if there are none."""
@@ -307,6 +326,7 @@ class SampleDecoder:
         starts = [(self._reference.unwrap_one(tick), n) for _, tick, n in accepted.runs]
         tick = _progressions(starts, self._ticks_per_sample)
         self._reference.tick = int(tick[-1])
+        self._next_tick = int(tick[-1]) + self._ticks_per_sample
         index = accepted.index(self.config.decimation)
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
@@ -324,6 +344,10 @@ class EdgeDecoder:
         """The stream's account; its samples are edges."""
         return self._sequence.counters
 
+    def missing(self, first: Beat | None, last: Beat) -> int:
+        """See `Decoder.missing`."""
+        return missing_edges(self._sequence.next_index, first, last)
+
     def decode(self, frames: Sequence[bytes]) -> EdgeChunk | None:
         """Return the edges of `frames` (header + payload each, in order), or None if there are none."""
         accepted = self._sequence.accept(frames)
@@ -332,6 +356,13 @@ class EdgeDecoder:
         tick = self._reference.unwrap(accepted.records["tick"])
         self._reference.tick = max(self._reference.tick, int(tick[-1]))
         return unpack_edges(self.config, accepted.records, tick, accepted.index(1), accepted.gaps)
+
+
+def missing_edges(expected: int | None, first: Beat | None, last: Beat) -> int:
+    """Return the edges up to the heartbeat `last` from number `expected` on, or from `first` on if none has come."""
+    if expected is None:
+        expected = last.edges if first is None else first.edges
+    return max(0, _signed32(last.edges - expected))
 
 
 def unpack_edges(

@@ -14,6 +14,7 @@ from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, FramingCo
 from protocol.messages import MessageType, StreamEvent
 from protocol.streams import (
     STREAM_OFFSET,
+    Beat,
     EdgeChunk,
     EdgeDecoder,
     LossCounters,
@@ -48,6 +49,13 @@ class Decoder(Protocol):
 
     def decode(self, frames: Any) -> SampleChunk | EdgeChunk | None:
         """Return the records in `StreamFrames.frames`, or None if there are none."""
+
+    def missing(self, first: Beat | None, last: Beat) -> int:
+        """Return how many records the device made up to the heartbeat `last`, after those that have come.
+
+        If none has come, they count from `first` on, a heartbeat after STREAM_START; None: not at all. Both are of the
+        boot that the stream was configured in.
+        """
 
 
 class WireCounters(Protocol):
@@ -121,7 +129,7 @@ class ByteWire:
         groups: dict[tuple[int, int, int], list[bytes]] = {}
         for raw in self._deframer.feed(data):
             kind = raw[0]
-            if (kind == 0x40 or kind == 0x41) and raw[1] == MAJOR and len(raw) >= STREAM_OFFSET:
+            if (kind == 0x40 or kind == 0x41) and raw[1] & 0x3F == MAJOR and len(raw) >= STREAM_OFFSET:
                 key = (kind, raw[6], raw[8])
                 if key in groups:
                     groups[key].append(raw)

@@ -7,6 +7,12 @@ pruned.
 
 `$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory. Other packages' numba caches are
 never touched. Importing this module does not import numba; its decorators do.
+
+Signals: numba is not made for handlers that raise, such as Python's own of Ctrl-C. A handler runs between any two
+steps of Python code, and numba runs Python code where no exception may come out of it. Compiled code that returns a
+NamedTuple calls the class and uses the result unchecked: NULL, and the process ends in a segmentation fault. Where LLVM
+calls back while it compiles or loads, the exception is printed and lost. So signals wait (`sim.interrupts`): while a
+function compiles until the next pass, and while one runs that returns a NamedTuple to Python until it has returned.
 """
 
 from __future__ import annotations
@@ -15,11 +21,14 @@ import hashlib
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+from sim.interrupts import Held
 
 __all__ = ["cache_dir", "is_warm", "jit", "kernel", "settled", "source_hash"]
 
@@ -29,7 +38,7 @@ KEPT = 6  # cache directories of other source states that are left alone: branch
 _HERE = Path(__file__).parent
 
 # Of `sim/drive` only the control tick and the lengths of CAN frames are kernels; links, servers and parameters are not.
-_PLAIN = ("drive", "params.py", "sections.py", "ranges.py", "__main__.py")
+_PLAIN = ("drive", "params.py", "sections.py", "ranges.py", "interrupts.py", "__main__.py")
 _KERNELS_IN_DRIVE = ("drive/tick*.py", "drive/can_bits.py")
 _IN_PROTOCOL = (
     "codes.py",
@@ -132,19 +141,20 @@ def kernel(function: F) -> F:
 def settled(function: F) -> F:
     """A compiled function that is always called with the same types: they are resolved at the first call only.
 
-    For nested tuples numba takes 30 us a call to find their types.
+    For nested tuples numba takes 30 us a call to find their types. No handler of a signal runs before it has returned.
     """
     entry: Callable[..., Any] | None = None
 
     def call(*arguments: Any) -> Any:
         nonlocal entry
-        if entry is not None:
-            return entry(*arguments)
-        result = function(*arguments)
-        overloads = list(getattr(function, "overloads", {}).values())  # none with NUMBA_DISABLE_JIT
-        if len(overloads) == 1:
-            entry = overloads[0].entry_point
-        return result
+        with Held():
+            if entry is not None:
+                return entry(*arguments)
+            result = function(*arguments)
+            overloads = list(getattr(function, "overloads", {}).values())  # none with NUMBA_DISABLE_JIT
+            if len(overloads) == 1:
+                entry = overloads[0].entry_point
+            return result
 
     return cast("F", call)
 
@@ -164,4 +174,27 @@ def _compile(function: F, **options: bool) -> F:
         compiled = njit(nogil=True, fastmath=False, **options)(function)
     finally:
         config.CACHE_DIR = before
+    if hasattr(compiled, "_compile_for_args"):  # not with NUMBA_DISABLE_JIT
+        compiled._compile_for_args = _between_passes(compiled._compile_for_args)
     return cast("F", compiled)
+
+
+def _between_passes(compile_: Callable[..., Any]) -> Callable[..., Any]:
+    """`compile_`, with handlers of signals that run between two of its passes only: that may raise."""
+
+    def call(*arguments: Any, **more: Any) -> Any:
+        from numba.core import event
+
+        class Between(event.Listener):
+            def on_start(self, event: object) -> None:
+                held = Held.active
+                if held is not None and not held.undisturbed and threading.current_thread() is threading.main_thread():
+                    held.deliver()
+
+            def on_end(self, event: object) -> None:
+                pass
+
+        with Held(), event.install_listener("numba:run_pass", Between()):
+            return compile_(*arguments, **more)
+
+    return call

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import pytest
 
 from bench.acceptance import plugin
-from bench.acceptance.results import Measurement, RunResult, Verdict, tightest
+from bench.acceptance.results import Limits, Measurement, RunResult, Verdict, tightest, untested
 from bench.acceptance.running import value_text
 from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
 from bench.acceptance.settings import read_settings
@@ -28,7 +28,7 @@ from bench.errors import BenchError
 SUITE = Path(__file__).with_name("suite")
 WORDS = {
     Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",
-    Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
+    Verdict.INCOMPLETE: "incomplete", Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
 }  # fmt: skip
 FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
 MOST_BAD = 8  # measurements of a test that are told one by one
@@ -49,6 +49,7 @@ class AcceptOptions:
     config: Path | None = None
     jobs: int = 1
     yes: bool = False
+    allow_skipped: bool = False
     list_only: bool = False
 
 
@@ -60,6 +61,9 @@ class Screen(Protocol):
 
     def progress(self, text: str) -> None:
         """The line that tells what is going on now."""
+
+    def listed(self, name: str, limits: Limits) -> None:
+        """A measurement and its limits, where only those were asked for."""
 
     def pause(self) -> None:
         """Somebody is about to be asked something."""
@@ -76,7 +80,7 @@ class _Teller:
         self.run: RunResult | None = None
         self.problems: list[str] = []
         """What kept pytest from running tests, in one line each."""
-        self.listed = 0
+        self.listed = False
         self._list_only = list_only
         self._total = 0
         self._done = 0
@@ -100,8 +104,8 @@ class _Teller:
         if self._list_only and items:
             try:
                 for name, limits in plugin.session_of(session.config).declared(items):
-                    self.screen.note(f"{name}: {limits}")
-                    self.listed += 1
+                    self.screen.listed(name, limits)
+                    self.listed = True
                 plugin.session_of(session.config).check_names()
             except BenchError as error:
                 self.problems.append(str(error))
@@ -191,7 +195,20 @@ def _arguments(options: AcceptOptions) -> list[str]:
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
     root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
     # no terminal reporter: the teller speaks; no capture: a person may be asked; no settings of another project
-    arguments = ["-p", "no:terminal", "-p", "no:cacheprovider", "-s", "-c", os.devnull, "--rootdir", root]
+    # and no hook of its own where Python drops an exception, which may be a Ctrl-C
+    arguments = [
+        "-p",
+        "no:terminal",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:unraisableexception",
+        "-s",
+        "-c",
+        os.devnull,
+        "--rootdir",
+        root,
+    ]
     arguments += map(str, paths)
     given: tuple[tuple[str, object], ...] = (
         ("--bench-target", options.target),
@@ -208,6 +225,8 @@ def _arguments(options: AcceptOptions) -> list[str]:
             arguments += [name, str(value)]
     if options.yes:
         arguments.append("--bench-yes")
+    if options.allow_skipped:
+        arguments.append("--bench-allow-skipped")
     if options.list_only:
         arguments.append("--collect-only")
     return arguments
@@ -221,15 +240,19 @@ def _tightest(measurements: tuple[Measurement, ...]) -> str:
 
 
 def closing_lines(run: RunResult) -> list[str]:
-    """How the run ended, in a few lines."""
+    """How the run ended, in a few lines; what was not tested, and unsafe outputs, come before all else."""
     tests = _counted([test.verdict for test in run.tests], "test")
     if all(test.verdict is Verdict.PASS for test in run.tests):
         tests += " passed"
     measured = _counted([m.verdict for m in run.measurements], "measurement")
-    lines = [f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}"]
+    lines = [run.unsafe] if run.unsafe else []
+    lines += [f"not tested: {words}" for words in untested(run)]
+    lines.append(f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}")
+    if run.verdict is Verdict.INCOMPLETE:
+        lines.append("all that was tested passed; --allow-skipped makes that a PASS")
     if LIMITS_ELSEWHERE in run.rig:
         lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
-    if run.error:
+    if run.error and run.error != run.unsafe:
         lines.append(f"error: {run.error}")
     return lines
 

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
+from bench.needs import flagged, speed_channel
 from bench.statistics import wrap
+from protocol.messages import StreamEvent
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
@@ -92,10 +94,16 @@ class Capture:
     @cached_property
     def reference(self) -> str:
         """Name of the channel that position estimates are compared with. BenchError without an encoder."""
-        for channel in self.samples.config.channels:
-            if channel.flags & Flag.REFERENCE and channel.unit == Unit.RAD:
-                return channel.name
+        if name := flagged(self.samples.config.channels, Unit.RAD, Flag.REFERENCE):
+            return name
         raise BenchError("the drive streams no reference position: the test needs an encoder")
+
+    @cached_property
+    def speed(self) -> str:
+        """See `bench.needs.speed_channel`. BenchError without one."""
+        if name := speed_channel(self.samples.config.channels, self.parameters):
+            return name
+        raise BenchError("the drive streams no speed: a channel in rad/s with the flag REFERENCE or ESTIMATE")
 
     @cached_property
     def theta(self) -> F64:
@@ -132,7 +140,7 @@ class Capture:
 
         A change may show one sample after its edge, which may lie just before the capture.
         """
-        if "hall" not in self or len(self) < 2:
+        if "hall" not in self or len(self) < 2 or self.edges.config == no_edge_stream(self.edges.config.node):
             return []
         tick = self.samples.tick
         last = int(self.edges.tick[-1]) if len(self.edges) else int(tick[0])
@@ -177,6 +185,11 @@ def part_of_samples(chunk: SampleChunk, first: int, last: int) -> SampleChunk:
     """Samples with ticks from `first` to `last`, both included; gaps belong to `Capture.dropped`."""
     a, b = np.searchsorted(chunk.tick, first, "left"), np.searchsorted(chunk.tick, last, "right")
     return SampleChunk(chunk.config, chunk.index[a:b], chunk.tick[a:b], chunk.raw[a:b], ())
+
+
+def no_edge_stream(node: int) -> StreamConfig:
+    """What stands for the edges of a drive that streams none."""
+    return StreamConfig(node, 0, 0, StreamEvent.EDGES, 1, (), 1)
 
 
 def no_edges(config: StreamConfig) -> EdgeChunk:

@@ -8,15 +8,16 @@ looks at samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from bench.acceptance.ending import not_put_back, put_back, try_all
 from bench.acceptance.marks import Envelope
 from bench.acceptance.recorder import Recorder
-from bench.energise import RPM
-from bench.errors import BenchError
+from bench.client import WATCHDOG
+from bench.energise import RPM, pole_pairs
+from bench.errors import BenchError, DriveFailed
 from bench.node import Node
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
@@ -49,13 +50,17 @@ class Drive:
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
         self._told = Fault(0)  # faults that a DriveTripped was raised for
+        self._left = Fault(0)  # faults that stay latched
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
     @property
     def n_p(self) -> int:
-        """Pole pairs."""
-        return int(self.parameters["n_p"])
+        """Pole pairs. BenchError if the drive does not tell them."""
+        n_p = pole_pairs(self.parameters)
+        if n_p is None:
+            raise BenchError("the drive has no parameter n_p that a motor can have: pole pairs are not known")
+        return n_p
 
     @property
     def torque_constant(self) -> float:
@@ -88,11 +93,11 @@ class Drive:
             raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
         self.set("observer", float(SOURCE_NAMES[observer]))
 
-    def speed(self, omega_m: float) -> None:
-        """Set the speed reference, mechanical rad/s (RPM times r/min)."""
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
+        """Set the speed reference, mechanical rad/s (RPM times r/min); its confirmation is awaited unless `unless`."""
         require_announced_speed("speed", omega_m, self._envelope)
         with self._trips_first():
-            self.node.speed(omega_m)
+            self.node.speed(omega_m, unless)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Set current references, A, peak-valued."""
@@ -101,8 +106,12 @@ class Drive:
             self.node.current(i_q, i_d)
 
     def stop(self) -> None:
-        """Outputs off, from any state."""
-        self.node.stop()
+        """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
+        try:
+            self.node.stop()
+        except DriveFailed:
+            self._expected |= self._recorder.faults  # what its watchdog did is no news of its own
+            raise
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; the test's end puts back what it was."""
@@ -132,6 +141,11 @@ class Drive:
             self.node.next_heartbeat()
             self._recorder.faults = self._expected = self._told = Fault(0)
 
+    def leave_faults(self) -> None:
+        """What is latched stays, because its cause persists: no news any more, and not for the rig to clear."""
+        self._left = self._recorder.faults
+        self._expected |= self._left
+
     # -- for the rig --------------------------------------------------------------------------------------------
 
     def limit_current(self) -> None:
@@ -140,10 +154,12 @@ class Drive:
             self._set("i_max", self._envelope.current)
 
     def look(self) -> None:
-        """Raise DriveTripped if the drive has tripped against expectation."""
+        """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
         if self._recorder.faults & ~self._expected and not self._may_trip:
             self._told |= self._recorder.faults
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
+        if why := self.node.astray():
+            raise DriveTripped(f"the drive: {why}")
 
     def look_at_the_end(self) -> None:
         """Raise DriveTripped for a trip against expectation that none was raised for yet."""
@@ -152,17 +168,17 @@ class Drive:
 
     def _starved(self) -> str:
         """Why the watchdog may have run out, if it was starved from here."""
-        longest = self.node.client.longest_unfed(self.node.number)
-        if not self._recorder.faults & Fault.WATCHDOG or longest < self.parameters.get("watchdog", math.inf):
+        if not self._recorder.faults & Fault.WATCHDOG:
             return ""
-        return f" (no ALIVE for {longest:.2f} s: let a test compute after drive.stop(), not while the drive runs)"
+        why = self.node.client.starved(self.node.number, self.parameters.get("watchdog", WATCHDOG))
+        return f": {why}; let a test compute after drive.stop(), not while the drive runs" if why else ""
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before.
 
         All of it is tried; the first error is raised at the end.
         """
-        clear = [self.node.clear_faults] if clear_faults and self._recorder.faults else []
+        clear = [self.node.clear_faults] if clear_faults and self._recorder.faults & ~self._left else []
         try_all([*clear, lambda: put_back(self.node, self._touched)])
 
     def not_put_back(self) -> str:

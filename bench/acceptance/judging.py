@@ -13,7 +13,7 @@ import pytest
 from bench.acceptance.drive import DriveTripped
 from bench.acceptance.results import Verdict, worst
 from bench.acceptance.running import NotPassed
-from bench.errors import BenchError
+from bench.errors import BenchError, DriveFailed
 from protocol.errors import HbpError
 
 
@@ -65,7 +65,7 @@ def _raised(error: BaseException, traceback: str) -> Phase:
     match error:
         case NotPassed():
             return Phase(error.verdict, words, expected=True)
-        case DriveTripped():
+        case DriveTripped() | DriveFailed():
             return Phase(Verdict.FAIL, words, expected=True)
         case BenchError() | HbpError():
             return Phase(Verdict.ERROR, words, expected=True)

@@ -93,10 +93,12 @@ class NodeLoad:
         return not_put_back(self._changed, " in the load machine")
 
     def look(self) -> None:
-        """Raise BenchError if it has tripped while it was on."""
+        """Raise BenchError if it has tripped while it was on, or does not run as it should."""
         if self._on and self.node.state == DriveState.FAULT:
             self._told = True
             raise self._tripped()
+        if self._on and (why := self.node.astray()):
+            raise BenchError(f"the load machine: {why}")
 
     def _stop(self) -> None:
         if not self._on:

@@ -54,7 +54,9 @@ def needs(*what: str) -> pytest.MarkDecorator:
     """Name what a rig must have; without it the test is skipped, and the reason says which.
 
     `encoder`, `load`, `load.speed` (one that forces a speed), `hall-faults` (fault insertion),
-    `hall-placement` (a rig that moves the sensors), `rate:HZ` (samples a second), `channel:NAME`, `parameter:NAME`.
+    `hall-placement` (a rig that moves the sensors), `rate:HZ` (samples a second), `channel:NAME`, `parameter:NAME`,
+    `feature:NAME` (of HELLO), `observer:NAME` (an angle source that the drive offers), `speed` (by encoder or
+    estimate), `currents` (of three phases, or d and q).
     """
     return pytest.mark.bench_needs(*what)
 

@@ -6,6 +6,9 @@ from bench.acceptance import faults
 from bench.acceptance.loads import SPEED
 from bench.acceptance.rig import Rig
 from bench.errors import BenchError
+from bench.needs import lacks
+
+PHASES, DQ = ("i_a", "i_b", "i_c"), ("i_d", "i_q")
 
 
 def missing(what: str, rig: Rig) -> str | None:
@@ -27,9 +30,17 @@ def missing(what: str, rig: Rig) -> str | None:
         case "rate":
             enough = rig.rate >= float(value)
             return None if enough else f"needs {value} samples a second; the link carries {rig.rate:g}"
+        case "currents":
+            streamed = {c.name for c in rig.channels}
+            has = streamed.issuperset(PHASES) or streamed.issuperset(DQ)
+            return None if has else f"needs the currents {', '.join(PHASES)} or {', '.join(DQ)}"
         case "channel":
             return None if value in {c.name for c in rig.channels} else f"needs the channel {value}"
-        case "parameter":
-            return None if rig.drive.node.has_parameter(value) else f"needs the drive's parameter {value}"
-    known = "encoder, load, load.speed, hall-faults, hall-placement, rate:HZ, channel:NAME, parameter:NAME"
+        case "parameter" | "feature" | "observer" | "speed":
+            words = lacks(rig.drive.node, what)
+            return f"needs {words}" if words else None
+    known = (
+        "encoder, speed, currents, load, load.speed, hall-faults, hall-placement, rate:HZ, channel:NAME, "
+        "parameter:NAME, feature:NAME, observer:NAME"
+    )
     raise BenchError(f"@needs('{what}'): there are {known}")

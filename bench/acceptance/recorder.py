@@ -13,9 +13,12 @@ from bench.client import SinkBase
 from bench.errors import BenchError
 from bench.rerunio.blocks import join_edges, join_samples
 from bench.statistics import DeviceCounters
-from protocol.codes import EventCode, Fault
+from bench.words import counted
+from protocol.codes import Fault
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+
+MAX_TICK = 1 << 62  # that no device reaches
 
 
 class Recorder(SinkBase):
@@ -61,8 +64,14 @@ class Recorder(SinkBase):
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Remember faults."""
-        if node == self._drive and event.code == EventCode.FAULT:
-            self.faults |= Fault(int(event.arg))
+        if node == self._drive:
+            self.faults |= event.faults
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Remember what was lost at the end of the streams."""
+        for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
+            if node == self._drive and n:
+                self.lost(since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost")
 
     # -- for the rig --------------------------------------------------------------------------------------------
 

@@ -11,11 +11,12 @@ from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
 from typing import Any
 
+from bench.errors import OutputsMayBeOn
 from bench.verdict import Verdict, worst
 
 __all__ = [
     "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
-    "result_from_json", "run_from_json", "to_json", "worst",
+    "result_from_json", "run_from_json", "to_json", "untested", "worst",
 ]  # fmt: skip
 
 
@@ -178,6 +179,8 @@ class RunResult:
     wall_seconds: float = 0.0
     error: str = ""
     """What kept the run from starting or from going on."""
+    unsafe: str = ""
+    """Why outputs may still be on, where they were not seen to be off."""
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
@@ -186,10 +189,10 @@ class RunResult:
 
     @property
     def exit_code(self) -> int:
-        """0 passed, 1 the drive failed, 2 the bench did (or there was nothing to pass), 130 aborted."""
-        if self.verdict is Verdict.PASS:
-            return 0
-        return {Verdict.FAIL: 1, Verdict.ABORTED: 130}.get(self.verdict, 2)
+        """0 passed, 1 the drive failed, 2 the bench did, 6 incomplete, 130 aborted; 5 outputs may still be on."""
+        if self.unsafe:
+            return OutputsMayBeOn.exit_code
+        return {Verdict.PASS: 0, Verdict.FAIL: 1, Verdict.INCOMPLETE: 6, Verdict.ABORTED: 130}.get(self.verdict, 2)
 
 
 def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
@@ -205,6 +208,20 @@ def tightest(measurements: Iterable[Measurement]) -> Measurement | None:
                 share = math.copysign(math.inf, margin)
             judged.append((-math.inf if math.isnan(margin) else share, measurement))
     return min(judged, key=lambda pair: pair[0], default=(0.0, None))[1]
+
+
+def untested(run: RunResult) -> list[str]:
+    """What was not tested, in a line for each reason: how many measurements, and of which tests."""
+    reasons: dict[str, list[TestResult]] = {}
+    for test in run.tests:
+        if test.verdict is Verdict.SKIPPED:
+            reasons.setdefault(test.why, []).append(test)
+    lines = []
+    for why, tests in sorted(reasons.items(), key=lambda pair: -sum(len(test.measurements) for test in pair[1])):
+        count = sum(len(test.measurements) for test in tests)
+        names = ", ".join(test.name for test in tests)
+        lines.append(f"{count} measurement{'s' * (count != 1)}: {why} ({names})")
+    return lines
 
 
 def to_json(result: TestResult | RunResult) -> dict[str, Any]:

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.acceptance.capture import Capture
+from bench.acceptance.capture import Capture, no_edge_stream
 from bench.acceptance.drive import Drive, DriveTripped
-from bench.acceptance.ending import ENERGISED, watch_it_stop
 from bench.acceptance.loads import Load, NodeLoad, OwnLoads, PersonLoad, open_load_machine
 from bench.acceptance.marks import Envelope
 from bench.acceptance.person import Ask
@@ -24,10 +23,12 @@ from bench.acceptance.recorder import Recorder
 from bench.acceptance.results import Measurement, ParameterValue, Quality, Verdict
 from bench.acceptance.settings import Settings
 from bench.client import POLL, Client, Sink
-from bench.errors import BenchError, DoesNotFit, Interrupted
+from bench.errors import BenchError, DoesNotFit, Interrupted, OutputsMayBeOn
 from bench.interrupts import undisturbed
+from bench.needs import NEEDS, flagged, require, speed_channel
 from bench.node import LOAD, Node
 from bench.rerunio.schema import RunInfo
+from bench.safety import is_off, says
 from bench.summary import describe
 from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
@@ -41,10 +42,8 @@ if TYPE_CHECKING:
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 LATE = 1.0  # s that samples of a stretch may come after its end
-CORE = (
-    "hall", "status", "theta_enc", "omega_enc", "i_a", "i_d", "i_q", "theta_avg", "theta_vt", "omega_avg", "omega_vt",
-)  # fmt: skip
-"""What is streamed where a link cannot carry everything."""
+CORE = ("hall", "status", "i_a", "i_d", "i_q")
+"""What is streamed, beside reference and estimates, where a link cannot carry everything."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,8 @@ class Plan:
     title: str = ""
     channels: frozenset[str] = frozenset()
     """Channels that the test needs, also such as a drive streams on request only."""
+    needs: tuple[str, ...] = ()
+    """Applications of `bench.needs`, without whose needs the rig is not made."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
 
@@ -84,7 +85,8 @@ class Rig:
             if hello.role != Role.DRIVE:
                 raise BenchError(f"{plan.target} answers as {hello.role.name}, not as a drive")
             node = Node(self.client, hello.node)
-            self._clients = [self.client]
+            for what in plan.needs:
+                require(node, what, NEEDS[what])
             self._require_rest(node)
             self.before = tuple(_parameters(node))
             """The drive's parameters before the test."""
@@ -122,7 +124,8 @@ class Rig:
     def close(self) -> None:
         """Everything off and put back. Raises the first thing that could not be done, when all was tried.
 
-        It is DriveTripped, which tells both, where the drive had tripped and nothing had said so yet. A signal that
+        It is OutputsMayBeOn where something was not seen to be off, and DriveTripped, which tells both, where the drive
+        had tripped and nothing had said so yet. A signal that
         came meanwhile takes effect afterwards; that first thing is then its cause.
         """
         failure: BenchError | None = None
@@ -148,17 +151,17 @@ class Rig:
 
         stopped = attempt(self.drive.stop)
         trip = self._late_trip() if stopped else None
-        last = self.client.heartbeats.get(self.drive.node.number)
         for step in self.at_end:
             attempt(step)
-        seen = "" if stopped else f"; {watch_it_stop(self.drive.node, last)}"
         attempt(lambda: self.drive.restore(clear_faults=stopped))
         attempt(self.drive.node.stop_streams)
         attempt(self._stack.close)
         if not failures:
             return trip
         left = self.drive.not_put_back() + (self.load.not_put_back() if isinstance(self.load, NodeLoad) else "")
-        words = f"the bench could not be left as it was: {failures[0]}{left}{seen}"
+        if unsafe := [str(failure) for failure in failures if isinstance(failure, OutputsMayBeOn)]:
+            return OutputsMayBeOn(f"{unsafe[0]}{left}")
+        words = f"the bench could not be left as it was: {failures[0]}{left}"
         failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure
@@ -239,8 +242,8 @@ class Rig:
         return fit is not None and (fit.tick - newest) / self.recorder.tick_hz > SILENCE
 
     def _turn(self, timeout: float) -> None:
-        self._clients[0].poll(timeout)
-        for other in self._clients[1:]:
+        self.client.poll(timeout)
+        for other in self.client.beside:
             other.poll(0.0)
 
     def _poll(self, timeout: float) -> None:
@@ -256,7 +259,12 @@ class Rig:
     @property
     def has_encoder(self) -> bool:
         """Whether the drive streams a reference position."""
-        return any(c.flags & Flag.REFERENCE and c.unit == Unit.RAD for c in self.channels)
+        return bool(flagged(self.channels, Unit.RAD, Flag.REFERENCE))
+
+    @property
+    def speed_channel(self) -> str:
+        """See `bench.needs.speed_channel`."""
+        return speed_channel(self.channels, self.drive.parameters)
 
     def describe(self) -> dict[str, str]:
         """The rig for the report, in words."""
@@ -342,8 +350,10 @@ class Rig:
                 f"{self.plan.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
                 "(bench live --clear-faults)"
             )
-        if heartbeat is not None and heartbeat.state in ENERGISED:
-            raise BenchError(f"{self.plan.target} is {heartbeat.state.name}: another host is using it")
+        if heartbeat is None:
+            raise BenchError(f"{self.plan.target} sends no heartbeat: whether its outputs are off is not known")
+        if not is_off(heartbeat):
+            raise BenchError(f"{self.plan.target} is not at rest ({says(heartbeat)}): another host is using it")
         node.stop_streams()
 
     def _find_load(self, stack: ExitStack) -> Load | None:
@@ -359,7 +369,8 @@ class Rig:
             directory = settings.path.parent if settings.path else Path()
             return self.plan.own_loads.get(kind, directory, self.plan.envelope)
         node = open_load_machine(kind, stack)
-        self._clients.append(node.client)
+        self.client.beside.append(node.client)
+        node.client.beside.append(self.client)
         return NodeLoad(node, self.plan.envelope)
 
     def _answers(self, node: Node) -> bool:
@@ -374,11 +385,12 @@ class Rig:
 
     def _stream(self, node: Node) -> tuple[tuple[Channel, ...], float]:
         """Configure edges and the most channels that fit; returns them and their rate in Hz."""
-        self.recorder.expect(node.set_edges())
+        self.recorder.expect(node.set_edges() if node.offers_edges else no_edge_stream(node.number))
         needed = self.plan.channels
         unasked = Flag.TRUTH | Flag.ON_REQUEST
         channels = tuple(c for c in node.descriptor.channels if c.name in needed or not c.flags & unasked)
-        core = tuple(c for c in channels if c.name in needed or c.name in CORE)
+        wanted = needed.union(CORE)
+        core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
         decimation = 1
         try:
             node.set_samples(channels, 1)

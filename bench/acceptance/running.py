@@ -88,13 +88,16 @@ class Running:
         to_draw, self._to_draw = self._to_draw, {}
         if self.figures is None:
             return
+        from bench.acceptance.report_files import claim
         from bench.acceptance.style import save
 
         folder = self.figures / file_name(self.name)
         for file, (caption, draw) in to_draw.items():
+            name = f"{self.figures.name}/{folder.name}/{file}"
             folder.mkdir(parents=True, exist_ok=True)
+            claim(self.figures.parent, name)
             save(draw(), folder / file)
-            self.pictures.append(Figure(f"{self.figures.name}/{folder.name}/{file}", caption))
+            self.pictures.append(Figure(name, caption))
 
     def end(self) -> None:
         """Raise NotPassed, with a line for each thing, unless all that was declared was measured and passed."""

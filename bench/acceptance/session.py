@@ -25,6 +25,7 @@ from bench.acceptance.judging import NOT_BEGUN, Phase, judge
 from bench.acceptance.loads import OwnLoads
 from bench.acceptance.marks import announced, declared_limits, needed
 from bench.acceptance.needed import missing
+from bench.acceptance.report_files import claim
 from bench.acceptance.results import (
     Limits,
     ParameterValue,
@@ -40,8 +41,10 @@ from bench.acceptance.rig import Plan, Rig
 from bench.acceptance.running import Running, file_name, require_apart, value_text
 from bench.acceptance.settings import Settings, read_settings
 from bench.acceptance.targets import SIM, alone_on, load_target, open_target, require_agreement, target_of
-from bench.errors import BenchError
+from bench.errors import BenchError, OutputsMayBeOn
+from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
 from bench.interrupts import signals_as_exceptions
+from bench.markdown import escaped
 from protocol.errors import HbpError
 
 LIMITS_ELSEWHERE = "limits of other tests"
@@ -66,6 +69,7 @@ class BenchSession:
         self.order: list[str] = []
         """Node ids of the tests, where they run in other processes."""
         self.error = ""
+        self.unsafe = ""
         self.run: RunResult | None = None
         self._interrupted = False
         self._known: list[pytest.Item] = []
@@ -147,15 +151,15 @@ class BenchSession:
         self._elsewhere = self.settings.check_names(measured)
 
     def _require_places(self) -> None:
-        file = self.config.option.bench_json
-        try:
-            if self.directory is not None:
+        if self.directory is not None:
+            try:
                 self.directory.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BenchError(f"cannot write the report to {self.directory}: {error.strerror}") from None
-        for place in (self.directory, Path(file).parent if file else None):
-            if place is not None and not os.access(place, os.W_OK):
-                raise BenchError(f"cannot write to {place}: {'no permission' if place.is_dir() else 'no directory'}")
+            except OSError as error:
+                raise BenchError(f"report {self.directory} cannot be written: {error.strerror}") from None
+            check_directory(self.directory, f"report {self.directory}")
+        file = self.config.option.bench_json
+        if file and Path(file) != STANDARD_OUTPUT:
+            check_output(Path(file), f"results {file}", overwrite=True)
 
     def _confirm(self) -> Any:
         if not person.at_terminal():
@@ -233,8 +237,9 @@ class BenchSession:
         if plan.recording is not None:
             running.recording = plan.recording
             plan.recording.parent.mkdir(parents=True, exist_ok=True)
+            claim(plan.recording.parent.parent, f"{plan.recording.parent.name}/{plan.recording.name}")
             plan.recording.unlink(missing_ok=True)  # an earlier run's
-        with Rig(plan) as rig:
+        with self._unless_unsafe(), Rig(plan) as rig:
             if not self.about:
                 self.about = {
                     "identity": rig.identity(),
@@ -243,6 +248,17 @@ class BenchSession:
                 }
             yield rig
             rig.summary(_words(running, rig.drive.changed))
+
+    @contextmanager
+    def _unless_unsafe(self) -> Iterator[None]:
+        """Remember that outputs may still be on; no further test energises anything then."""
+        try:
+            yield
+        except BaseException as error:
+            for what in (error, error.__cause__):
+                if isinstance(what, OutputsMayBeOn):
+                    self.unsafe = self.error = str(what)
+            raise
 
     def _limits_elsewhere(self) -> dict[str, str]:
         names = self._elsewhere
@@ -253,9 +269,8 @@ class BenchSession:
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""
-        for what in needed(item):
-            if (why := missing(what, rig)) is not None:
-                pytest.skip(why)
+        if lacking := [why for what in needed(item) if (why := missing(what, rig)) is not None]:
+            pytest.skip("; ".join(dict.fromkeys(lacking)))
 
     def note_phase(self, item: pytest.Item, call: pytest.CallInfo[None], report: Any) -> None:
         """After setup, call and teardown: the worst of them is the test's verdict, made at the last."""
@@ -338,13 +353,24 @@ class BenchSession:
         if not self._collects:
             return
         self.run = self._run()
-        file = self.config.option.bench_json
-        if file and Path(file).parent.is_dir():  # if not, that is the run's error
-            _write(Path(file), json.dumps(to_json(self.run), indent=1) + "\n")
-        if self.directory is not None and self.directory.is_dir():
+        problems = []
+        for write_output in (self._write_results, self._write_report):
+            try:
+                write_output(self.run)
+            except BenchError as error:
+                problems.append(str(error))
+        if problems and not self.error:
+            raise pytest.UsageError("; ".join(problems))
+
+    def _write_results(self, run: RunResult) -> None:
+        if file := self.config.option.bench_json:
+            write(Path(file), json.dumps(to_json(run), indent=1) + "\n", f"results {file}")
+
+    def _write_report(self, run: RunResult) -> None:
+        if self.directory is not None and os.path.isdir(self.directory):
             from bench.acceptance.report import write_report
 
-            write_report(self.run, self.directory)
+            write_report(run, self.directory)
 
     def _run(self) -> RunResult:
         ended = Phase(Verdict.ABORTED, "the run was ended")
@@ -359,6 +385,8 @@ class BenchSession:
         verdict = worst(test.verdict for test in tests)
         if self.error or not tests:
             verdict = worst((Verdict.ERROR, verdict))
+        if self._incomplete(tests, verdict):
+            verdict = Verdict.INCOMPLETE
         if self._interrupted:
             verdict = Verdict.ABORTED
         return RunResult(
@@ -378,7 +406,15 @@ class BenchSession:
             },
             wall_seconds=(datetime.now().astimezone() - self.began).total_seconds(),
             error=self.error,
+            unsafe=self.unsafe,
         )
+
+    def _incomplete(self, tests: list[TestResult], verdict: Verdict) -> bool:
+        """Whether nothing went wrong, and not all was tested: what is allowed to be skipped must leave something."""
+        if verdict is Verdict.SKIPPED:
+            return True
+        verdicts = {test.verdict for test in tests} | {m.verdict for test in tests for m in test.measurements}
+        return verdict is Verdict.PASS and Verdict.SKIPPED in verdicts and not self.config.option.bench_allow_skipped
 
 
 def carried_result(report: pytest.TestReport) -> TestResult | None:
@@ -393,14 +429,7 @@ def _attach(report: Any, result: TestResult, about: dict[str, Any]) -> None:
 
 
 def _words(running: Running, changed: dict[str, float]) -> str:
-    lines = [f"# {running.name}", ""]
-    lines += [f"- {m.name} = {value_text(m)}" for m in running.measurements if m.value is not None]
-    lines += [f"- set {name} = {value:g}" for name, value in changed.items()]
+    lines = [f"# {escaped(running.name)}", ""]
+    lines += [f"- {escaped(m.name)} = {escaped(value_text(m))}" for m in running.measurements if m.value is not None]
+    lines += [f"- set {escaped(name)} = {value:g}" for name, value in changed.items()]
     return "\n".join(lines)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text)
-    except OSError as error:
-        raise pytest.UsageError(f"cannot write {path}: {error.strerror}") from None

@@ -94,6 +94,8 @@ def read_settings(path: Path | None) -> Settings:
         raise BenchError(f"no file {path}") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise BenchError(f"cannot read {file}: {error}") from None
+    except RecursionError:
+        raise BenchError(f"cannot read {file}: it is nested too deeply") from None
     _check(data, _TOP, "", file)
     rig = data.get("rig", {})
     _check(rig, _RIG, "rig.", file)

@@ -12,7 +12,7 @@ import hashlib
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from zlib import crc32
@@ -23,6 +23,7 @@ from bench.acceptance.settings import LOADS, Settings
 from bench.client import Client
 from bench.energise import RPM, Plan, require_consent
 from bench.errors import BenchError
+from bench.needs import NEEDS, require
 from bench.node import Node
 from protocol.links import Link, open_link
 
@@ -59,12 +60,18 @@ def load_target(settings: Settings) -> str:
 
 
 def require_agreement(
-    target: str, settings: Settings, envelope: Envelope, yes: bool, confirm: Callable[[str], bool] | None
+    target: str,
+    settings: Settings,
+    envelope: Envelope,
+    yes: bool,
+    confirm: Callable[[str], bool] | None,
+    needs: Collection[str] = (),
 ) -> None:
     """Raise UnsafeError unless what turns is simulated or somebody agrees to the most that the tests ask of it.
 
     A load machine on a link of its own is a question of its own. `confirm` asks a person, None where there is nobody.
-    BenchError and HbpError where no such machine answers.
+    `needs`: applications of `bench.needs`, whose needs come first. BenchError and HbpError where there is no such
+    machine.
     """
     if target == SIM:
         return
@@ -73,6 +80,8 @@ def require_agreement(
         stack.callback(link.close)
         client = Client(link)
         drive = Node(client, client.connect().node)
+        for what in needs:
+            require(drive, what, NEEDS[what])
         plan = Plan(_fastest(drive, envelope), current_a=envelope.current)
         require_consent(drive, target, plan, yes, confirm)
         if machine := load_target(settings):
@@ -109,6 +118,9 @@ def _held(target: str) -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout:
         raise BenchError(f"{target} is in use by another acceptance run: wait for its end") from None
+    except OSError as error:  # a symbolic link in its place is not followed
+        why = error.strerror or error
+        raise BenchError(f"cannot lock {target} for this run: {lock.lock_file}: {why}; remove that file") from None
     try:
         yield
     finally:

@@ -9,12 +9,16 @@ import importlib
 import os
 import signal
 import sys
+import traceback
 from typing import Any, NoReturn
 
 import click
 
 from bench import __version__
+from bench.cli.streams import OutputClosed, note, standard_streams
 from bench.errors import BenchError, Interrupted
+from bench.interrupts import none_dropped
+from protocol.text import printable
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
@@ -41,14 +45,6 @@ class _LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         return command
 
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; exit code 141, as of SIGPIPE, where the reader of its output has gone (click's is 1)."""
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
-            sys.exit(141)
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl(list(_COMMANDS.items()))
@@ -69,33 +65,38 @@ def cli() -> None:
 
 def fail(message: str, code: int) -> NoReturn:
     """Print one line `error: …` on standard error and exit with `code`."""
-    click.echo(f"error: {message}", err=True)
+    note(f"error: {printable(message)}")
     sys.exit(code)
 
 
 def main(args: list[str] | None = None) -> Any:
-    """Entry point: runs the command; every foreseen error becomes one line and an exit code that is not 0.
+    """Entry point: runs the command; every error becomes one line and an exit code that is not 0.
 
-    Exit codes: 0 done, 1 the run ended with a fault or a lost link, 2 a wrong argument or an error, 128 + n a signal.
+    Exit codes: 0 done; 1 the drive failed, or its link was lost; 2 a wrong argument, or an error of this program too;
+    3 the recording failed; 4 no viewer; 5 outputs may still be on; 6 acceptance incomplete; 128 + n a signal; 141
+    standard output was closed. With BENCH_TRACEBACK=1 an error that is not foreseen shows its traceback.
     """
-    try:
-        return cli.main(args=args, prog_name="bench", standalone_mode=False)
-    except click.exceptions.Exit as exit_:
-        sys.exit(exit_.exit_code)
-    except click.Abort:
-        fail("aborted", 130)
-    except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
-        sys.exit(error.exit_code)
-    except click.UsageError as error:
-        hint = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
-        fail(error.format_message().rstrip(".") + hint, error.exit_code)
-    except click.ClickException as error:
-        fail(error.format_message(), 2)
-    except Interrupted as interrupt:
-        fail(f"interrupted by {signal.Signals(interrupt.signum).name}", 128 + interrupt.signum)
-    except Exception as error:
-        _explain(error)
+    with standard_streams(), none_dropped():
+        try:
+            return cli.main(args=args, prog_name="bench", standalone_mode=False)
+        except click.exceptions.Exit as exit_:
+            sys.exit(exit_.exit_code)
+        except click.Abort:
+            fail("aborted", 130)
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(error.exit_code)
+        except click.UsageError as error:
+            hint = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
+            fail(error.format_message().rstrip(".") + hint, error.exit_code)
+        except click.ClickException as error:
+            fail(error.format_message(), 2)
+        except Interrupted as interrupt:
+            fail(f"interrupted by {signal.Signals(interrupt.signum).name}", 128 + interrupt.signum)
+        except OutputClosed as error:
+            sys.exit(error.exit_code)
+        except Exception as error:
+            _explain(error)
 
 
 def _explain(error: Exception) -> NoReturn:
@@ -105,4 +106,9 @@ def _explain(error: Exception) -> NoReturn:
         fail(str(error), getattr(error, "exit_code", 2))
     if type(error).__module__.startswith("sim.") and type(error).__name__ == "ConfigError":
         fail(str(error), 2)
-    raise error
+    if os.environ.get("BENCH_TRACEBACK"):
+        traceback.print_exception(error)
+    if isinstance(error, OSError) and error.strerror:
+        fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2)
+    words = f"{type(error).__name__}: {error}".rstrip(": ")
+    fail(f"unexpected {words}; this is a defect of hallbench, and BENCH_TRACEBACK=1 shows where it is", 2)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
+from pathlib import Path
 from typing import Any
 
 import click
 
+from bench.cli.files import check_files, json_option, overwrite_option, write_json
+from bench.cli.streams import echo
 from bench.cli.target import TARGET
 
 _NO_ADAPTERS = {"virtual", "udp_multicast", "serial", "slcan", "socketcand"}
@@ -17,8 +19,9 @@ _DETECTION = 2.0  # s
 
 @click.command("devices")
 @click.argument("target", type=TARGET, required=False)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-def command(target: str | None, as_json: bool) -> None:
+@json_option("the list")
+@overwrite_option
+def command(target: str | None, json_file: Path | None, overwrite: bool) -> None:
     """List serial ports and CAN interfaces with the target string of each; with TARGET, the nodes on that link or bus.
 
     \b
@@ -26,6 +29,7 @@ def command(target: str | None, as_json: bool) -> None:
       bench devices
       bench devices can:socketcan/can0
     """
+    check_files({"--json": json_file}, overwrite)
     if target is None:
         rows: list[dict[str, Any]] = [*_serial_ports(), *_can_interfaces()]
         headers, keys = ["target", "description", "USB id", "serial number"], list(_PORT)
@@ -37,10 +41,10 @@ def command(target: str | None, as_json: bool) -> None:
         rows, advice = _nodes(target)
         headers, keys = ["node", "role", "name", "firmware", "state", "boot"], list(_NODE)
         nothing = f"nobody who speaks HBP answered on {target}: {advice}"
-    if as_json:
-        click.echo(json.dumps(rows, indent=2))
+    if json_file is not None:
+        write_json(json_file, rows)
     elif not rows and target is None:
-        click.echo(nothing)
+        echo(nothing)
     elif rows:
         from bench.cli.output import table
 

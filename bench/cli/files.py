@@ -1,23 +1,98 @@
-"""Output files of a command: none may be what the command reads, and no two may be the same."""
+"""Output files of a command: the options that name them, the check before it runs, and JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
+from bench.files import STANDARD_OUTPUT, check_output, write
 
-def check_outputs(outputs: Mapping[str, Path | str | None], inputs: Iterable[Path | str | None] = ()) -> None:
-    """`outputs` by option, such as {"--json": path}; None and "-" are no files. UsageError where one would be lost."""
-    read = {Path(path).resolve() for path in inputs if path is not None}
-    written: dict[Path, str] = {}
-    for option, path in outputs.items():
-        if path is None or str(path) == "-":
-            continue
-        file = Path(path).resolve()
+FILE = click.Path(dir_okay=False, path_type=Path)
+"""A file that may not be there yet."""
+DIRECTORY = click.Path(file_okay=False, path_type=Path)
+OR_STANDARD_OUTPUT = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
+
+_ARGUMENT = re.compile(r"sim$|(serial|tcp|can):|.*\.rrd$")
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class _JsonFile(click.Path):
+    """A file or -; what is plainly an argument of the command is not taken for it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read it, or say why not."""
+        if _ARGUMENT.match(str(value)):
+            raise click.UsageError(f"--json takes {value} as the file to write: put it last, or give --json=-", ctx)
+        return super().convert(value, param, ctx)
+
+
+def json_option(what: str) -> Callable[[Command], Command]:
+    """`--json [FILE]`, as `json_file`, "-" where no FILE is given; `what`: what is written, for the help."""
+    return click.option(
+        "--json", "json_file", metavar="[FILE]", is_flag=False, flag_value="-",
+        type=_JsonFile(dir_okay=False, allow_dash=True, path_type=Path),
+        help=f"Write {what} as JSON to FILE; without FILE, or for -, to standard output.",
+    )  # fmt: skip
+
+
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace output files that exist.")
+"""`--overwrite`, the same for every command that writes files."""
+
+
+def check_files(
+    outputs: Mapping[str, Path | None],
+    overwrite: bool,
+    inputs: Iterable[Path | str | None] = (),
+    recordings: Iterable[str] = (),
+) -> None:
+    """Find out before the run whether `inputs` are there and `outputs`, by option, can be written. Changes nothing.
+
+    None is no file, - is standard output. UsageError for a file that would be lost, and for an input that cannot be
+    reached; BenchError as `check_output`, RecordingError for the options that are `recordings`.
+    """
+    read = {_real(source): source for source in inputs if source is not None}
+    for source in read.values():
+        try:
+            os.stat(source)
+        except FileNotFoundError:
+            raise click.UsageError(f"{source}: no such file") from None
+        except OSError as error:
+            raise click.UsageError(f"{source} cannot be read: {error.strerror}") from None
+    paths = {option: path for option, path in outputs.items() if path is not None}
+    written: dict[str, str] = {}
+    for option, path in paths.items():
+        file = _real(path)
         if file in read:
             raise click.UsageError(f"{option} {path} is a file that is read: choose another name")
         if file in written:
             raise click.UsageError(f"{written[file]} and {option} are the same file, {path}: choose another name")
         written[file] = option
+    for option, path in paths.items():
+        if path == STANDARD_OUTPUT and option in recordings:
+            raise click.UsageError(f"{option} -: a recording needs a file")
+        if path != STANDARD_OUTPUT:
+            check_output(path, f"{option} {path}", overwrite, option in recordings)
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write plain data to a file of `--json`; numbers that JSON has not are null. Raises BenchError."""
+    write(path, json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", f"--json {path}")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _real(path: Path | str) -> str:
+    return str(path) if str(path) == "-" else os.path.realpath(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import json
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -15,21 +14,25 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.cli import fail
-from bench.cli.files import check_outputs
+from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
+from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
-from bench.errors import Interrupted
+from bench.errors import Interrupted, OutputsMayBeOn
+from bench.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
     from bench.hall.health import Health
     from bench.hall.source import Options, Source
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
-
 
 class _SourceType(TargetType):
     """A target or a recording."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The string as it is."""
+        return str(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Targets, and the recordings that are there."""
@@ -50,12 +53,11 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
                      help="With --passive: watch for S seconds at most."),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
-        click.option("--save", metavar="FILE", type=_FILE, help="Record to this .rrd."),
-        click.option("--overwrite", is_flag=True, help="Replace output files that exist."),
+        click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd."),
+        overwrite_option,
         click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      help="Figures of the simulated drive (TOML)."),
-        click.option("--json", "json_file", metavar="FILE", type=click.Path(dir_okay=False, allow_dash=True),
-                     help="Write everything as JSON; - is standard output."),
+        json_option("everything"),
     )):  # fmt: skip
         function = decorate(function)
     return function
@@ -68,20 +70,20 @@ def command() -> None:
     \b
     Examples:
       bench hall check sim
-      bench hall learn sim --write
+      bench hall learn sim --out edges.toml
     """
 
 
 @command.command("check")
 @_looking
-def check(source: str, json_file: str | None, **given: Any) -> None:
+def check(source: str, json_file: Path | None, **given: Any) -> None:
     """Find out whether the Hall sensors, their wires and the encoder are healthy, and what is wrong.
 
     TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time. Its
     motor turns slowly both ways, by the encoder where there is one, at no more than --speed and --current; a drive that
     trips meanwhile is recorded all the same. RUN: a recording (.rrd) in which the shaft turned both ways.
 
-    Exit codes: 0 healthy, 1 a fault was found, 2 cannot tell, or an error.
+    Exit codes: 0 healthy, 1 a fault was found, 2 cannot tell, or an error, 5 outputs may still be on.
 
     \b
     Examples:
@@ -100,8 +102,8 @@ def check(source: str, json_file: str | None, **given: Any) -> None:
 @command.command("learn")
 @_looking
 @click.option("--write", is_flag=True, help="Set the drive's parameters edge_up_1 … edge_down_6, and read them back.")
-@click.option("--out", metavar="FILE", type=_FILE, help="Write the edges to this .toml or .json, for a firmware.")
-def learn(source: str, json_file: str | None, write: bool, out: Path | None, **given: Any) -> None:
+@click.option("--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for a firmware.")
+def learn(source: str, json_file: Path | None, write: bool, out: Path | None, **given: Any) -> None:
     """Measure where the Hall edges lie, for observers that know them; refused where a check finds a fault.
 
     TARGET and RUN are those of bench hall check. Without --write and --out the edges are only shown. A drive keeps what
@@ -115,29 +117,34 @@ def learn(source: str, json_file: str | None, write: bool, out: Path | None, **g
     from bench.cli.output import Progress
     from bench.hall import learn as learning
 
-    options = _options(source, given, {"--json": json_file, "--out": out})
     if out is not None:
-        learning.check_out(out, options.overwrite)
+        learning.check_out(out)
+    options = _options(source, given | {"write": write}, {"--json": json_file, "--out": out})
+    if write and source == "sim":
+        raise click.UsageError(
+            "--write: the simulated drive ends with this command, and forgets what was written: give --out FILE, "
+            "for the --config of another run"
+        )
     if write and options.recorded:
         raise click.UsageError(f"--write needs a drive, and {source} is a recording: give --out FILE")
+    say = note if json_file == STANDARD_OUTPUT else echo
     with Progress() as screen, _opened(options, screen) as found:
         edges = learning.learnt(_show(source, found, json_file, screen))
         if out is not None:
             learning.save(out, edges)
-            click.echo(f"edges: {out}")
+            say(f"edges: {out}")
         if write and found.drive is not None:
             learning.write(found.drive, edges)
-            click.echo(f"{len(edges.parameters())} parameters written to node {found.drive.number} and read back")
-            if source == "sim" and out is None:
-                click.echo("the simulated drive ends now and forgets them: --out FILE keeps them, for its --config")
+            say(f"{len(edges.parameters())} parameters written to node {found.drive.number} and read back")
 
 
-def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | str | None]) -> Options:
+def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]) -> Options:
     """Checked as far as that can be done before anything is opened."""
     from bench.hall.source import Options
 
     options = Options(source, **given)
-    check_outputs({"--save": options.save, **outputs}, [source if options.recorded else None, options.config])
+    inputs = [source if options.recorded else None, options.config]
+    check_files({"--save": options.save, **outputs}, options.overwrite, inputs, recordings=["--save"])
     if options.config is not None and source != "sim":
         raise click.UsageError(f"--config is for the simulated drive, not for {source}")
     if options.recorded and (options.save is not None or options.passive):
@@ -150,29 +157,26 @@ def _opened(options: Options, screen: Progress) -> Iterator[Source]:
     """What `opened` gives; a signal ends the command in a line that says how the drive was left."""
     from bench.hall.source import opened
 
-    def ask(question: str) -> bool:
-        screen.pause()
-        sure = click.confirm(question, err=True)
-        screen.resume()
-        return sure
-
     try:
-        with opened(options, screen, ask if sys.stdin.isatty() else None) as found:
+        with opened(options, screen, screen.confirm if sys.stdin.isatty() else None) as found:
             yield found
     except (KeyboardInterrupt, Interrupted) as interrupt:
         screen.pause()
         number = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
+        code = 128 + number
         words = f"interrupted by {signal.Signals(number).name}"
+        if isinstance(interrupt.__cause__, OutputsMayBeOn):
+            code = interrupt.__cause__.exit_code
         if interrupt.__cause__ is not None:
             words += f"; {interrupt.__cause__}"
         elif not options.recorded and not options.passive:
             words += "; outputs off"
         if options.save is not None and options.save.is_file():
             words += f"; recording: {options.save}"
-        fail(words, 128 + number)
+        fail(words, code)
 
 
-def _show(source: str, found: Source, json_file: str | None, screen: Progress) -> Health:
+def _show(source: str, found: Source, json_file: Path | None, screen: Progress) -> Health:
     """Examine what was recorded; print it, or write it as JSON."""
     from bench.cli.output import pairs, table
     from bench.hall import report
@@ -183,16 +187,11 @@ def _show(source: str, found: Source, json_file: str | None, screen: Progress) -
     health = examine(looked_at, found.turned.further)
     screen.pause()
     if json_file is not None:
-        text = json.dumps(report.as_json(health, looked_at, found.turned, source), indent=2)
-        if json_file == "-":
-            click.echo(text)
+        write_json(json_file, report.as_json(health, looked_at, found.turned, source))
+        if json_file == STANDARD_OUTPUT:
             return health
-        try:
-            Path(json_file).write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise click.ClickException(f"--json {json_file} cannot be written: {error.strerror}") from None
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))
-    click.echo()
+    echo()
     for headers, rows, title in (
         (report.EDGE_HEADERS, report.edge_rows(health), report.EDGE_TITLE),
         (report.SENSOR_HEADERS, report.sensor_rows(health, looked_at.seconds), ()),
@@ -200,9 +199,9 @@ def _show(source: str, found: Source, json_file: str | None, screen: Progress) -
     ):
         if rows:
             for line in title:
-                click.echo(line)
+                echo(line)
             table(headers, rows)
-            click.echo()
+            echo()
     for line in report.verdict_lines(health, found.turned.remarks):
-        click.echo(line)
+        echo(line)
     return health

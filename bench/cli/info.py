@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import click
 
+from bench.cli.files import check_files, json_option, overwrite_option, write_json
+from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
+from bench.words import counted
 
 
 @click.command("info")
 @click.argument("target", type=TARGET)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-def command(target: str, as_json: bool) -> None:
+@json_option("all of it")
+@overwrite_option
+def command(target: str, json_file: Path | None, overwrite: bool) -> None:
     """Show identity, channels, parameters and health of every node on TARGET. Changes nothing in the drive.
 
     \b
@@ -22,7 +26,8 @@ def command(target: str, as_json: bool) -> None:
       bench info serial:/dev/ttyACM0?baud=3000000
       bench info sim --json
     """
-    from bench.cli.output import note
+    check_files({"--json": json_file}, overwrite)
+    from bench.errors import NodeError
     from bench.inspect import inspect_link
 
     with ExitStack() as stack:
@@ -31,13 +36,15 @@ def command(target: str, as_json: bool) -> None:
 
             target = stack.enter_context(EmbeddedDrive(note=note)).target
         found = inspect_link(target)
-    if as_json:
-        click.echo(json.dumps(found, indent=2))
-        return
-    for node in found["nodes"]:
-        _show(target, node)
-    if found["bus"] is not None:
-        _show_bus(target, found["bus"])
+    if json_file is not None:
+        write_json(json_file, found)
+    else:
+        for node in found["nodes"]:
+            _show(target, node)
+        if found["bus"] is not None:
+            _show_bus(target, found["bus"])
+    if found["unread"]:
+        raise NodeError("; ".join(found["unread"].values()))
 
 
 def _show(target: str, node: dict[str, Any]) -> None:
@@ -46,20 +53,20 @@ def _show(target: str, node: dict[str, Any]) -> None:
     identity, health = node["identity"], node["health"]
     title = f"node {identity['node']}: {identity['name']} ({identity['role']}) on {target}"
     pairs(title, [[key.replace("_", " "), _text(value)] for key, value in (identity | health).items()])
-    click.echo()
+    echo()
     table(
         ["channel", "id", "unit", "type", "scale", "flags"],
         [[c["name"], str(c["id"]), c["unit"], c["type"], f"{c['scale']:.6g}", c["flags"]] for c in node["channels"]],
     )
-    click.echo()
+    echo()
     table(
         ["parameter", "value", "default", "lowest", "highest", "unit"],
         [
-            [p["name"], *(f"{p[key]:.6g}" for key in ("value", "default", "lo", "hi")), p["unit"]]
+            [p["name"], *(_number(p[key]) for key in ("value", "default", "lo", "hi")), p["unit"]]
             for p in node["parameters"]
         ],
     )
-    click.echo()
+    echo()
 
 
 def _show_bus(target: str, bus: dict[str, Any]) -> None:
@@ -67,19 +74,19 @@ def _show_bus(target: str, bus: dict[str, Any]) -> None:
     from bench.cli.output import pairs, table
 
     pairs(f"the bus of {target}, watched for a second", bus_rows(bus))
-    click.echo()
+    echo()
     if not bus["fits"]:
-        click.echo(f"no stream of node {bus['fits_node']} fits on it beside its Hall edges: it is too slow")
+        echo(f"no stream of node {bus['fits_node']} fits on it beside its Hall edges: it is too slow")
         return
     table(
         [f"what fits on it of node {bus['fits_node']}", "rate, Hz", "load at most"],
-        [[_channels(fit["channels"]), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
+        [[counted(fit["channels"], "channel"), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
     )
-    click.echo()
+    echo()
 
 
-def _channels(n: int) -> str:
-    return "1 channel" if n == 1 else f"{n} channels"
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.6g}"
 
 
 def _text(value: object) -> str:

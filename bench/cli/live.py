@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bench.cli.files import check_outputs
+from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
+from bench.cli.streams import note
 from bench.cli.target import TARGET
+from bench.errors import BenchError
+from bench.files import STANDARD_OUTPUT
 from protocol.signals import SOURCE_NAMES
 
 
@@ -40,8 +42,8 @@ class Observer(click.Choice[str]):
     type=Number(above=0),
     help="End by itself after S seconds; the show is cut short or played again.",
 )
-@click.option("--save", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="Record to this .rrd.")
-@click.option("--overwrite", is_flag=True, help="Let --save replace a file that exists.")
+@click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd.")
+@overwrite_option
 @click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto",
               help="auto: native on a display, else web.")  # fmt: skip
 @click.option(
@@ -76,19 +78,15 @@ class Observer(click.Choice[str]):
     help="Run this observer on the host and show it beside the drive's; see bench replay --list; repeatable.",
 )
 @click.option("--config", type=click.Path(exists=True, dir_okay=False), help="Figures of the simulated drive (TOML).")
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(dir_okay=False, allow_dash=True),
-    help="Write the summary as JSON; - is standard output.",
-)
-def command(target: str | None, json_file: str | None, channels: str | None, config: str | None, **given: Any) -> None:
+@json_option("the summary")
+def command(target: str | None, json_file: Path | None, channels: str | None, config: str | None, **given: Any) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim. Without TARGET the simulated
     drive plays a short show: start-up, speed step and load step with the average-speed estimator, then with the
     vector-tracking observer.
+
+    Ctrl-C ends a run with the outputs off and everything recorded; the exit code is then 130, whatever the options.
 
     \b
     Examples:
@@ -106,47 +104,29 @@ def command(target: str | None, json_file: str | None, channels: str | None, con
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
         raise click.UsageError("--channels names none: give names separated by commas")
-    check_outputs({"--save": given["save"], "--json": json_file}, [config])
-    if json_file not in (None, "-"):
-        _claim(Path(json_file))
+    files = {"--save": given["save"], "--json": json_file}
+    check_files(files, given["overwrite"], [config], recordings=["--save"])
     options = live.LiveOptions(target=target, channels=names, config=config, **given)
     from bench.cli.output import Progress, print_summary
     from bench.summary import Summary
 
-    def ask(question: str) -> bool:
-        screen.pause()
-        sure = click.confirm(question, err=True)
-        screen.resume()
-        return sure
-
-    confirm = ask if sys.stdin.isatty() else None
+    unwritten: list[BenchError] = []
 
     def report(summary: Summary) -> None:
         screen.pause()
-        text = json.dumps(summary.as_json(), indent=2)
-        if json_file == "-":
-            click.echo(text)
-            return
-        print_summary(summary)
-        if json_file:
-            _write(Path(json_file), text + "\n")
+        try:
+            if json_file is not None:
+                write_json(json_file, summary.as_json())
+            if json_file != STANDARD_OUTPUT:
+                print_summary(summary)
+        except BenchError as error:  # how the run ended matters more
+            unwritten.append(error)
 
     with Progress() as screen:
+        confirm = screen.confirm if sys.stdin.isatty() else None
         ended = live.run(options, screen, confirm, report, hold=sys.stdin.isatty() and sys.stderr.isatty())
+    if unwritten and ended.exit_code == 0:
+        raise unwritten[0]
+    for error in unwritten:
+        note(f"error: {error}")
     sys.exit(ended.exit_code)
-
-
-def _claim(path: Path) -> None:
-    """Find out now, not after the run, that the summary cannot be written."""
-    new = not path.exists()
-    _write(path, "", "a")
-    if new:
-        path.unlink()
-
-
-def _write(path: Path, text: str, mode: str = "w") -> None:
-    try:
-        with path.open(mode) as file:
-            file.write(text)
-    except OSError as error:
-        raise click.ClickException(f"--json {path} cannot be written: {error.strerror}") from None

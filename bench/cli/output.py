@@ -1,4 +1,7 @@
-"""Tables and notes for people: rich on a terminal, plain tab-free lines when piped."""
+"""Tables and progress for people: rich on a terminal, plain tab-free lines when piped.
+
+What stands in them is text, never markup, and without control characters.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,13 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from bench.summary import ERROR_HEADERS, Summary, error_rows, run_rows
+from bench.cli.streams import echo, lines, note
+from protocol.text import printable
 
 if TYPE_CHECKING:
     from rich.status import Status
+
+    from bench.summary import Summary
 
 
 NARROW = 11
@@ -24,41 +30,43 @@ NARROW = 11
 
 def table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print `rows` under `headers`; the first column is left-aligned, numbers to the right."""
+    headers, rows = _cells(headers), [_cells(row) for row in rows]
     if sys.stdout.isatty():
         _rich_table(headers, rows, title)
         return
     widths = [max(len(str(row[column])) for row in [headers, *rows]) for column in range(len(headers))]
     if title:
-        click.echo(title)
+        echo(title)
     for row in [headers, *rows]:
         cells = [
             cell.rjust(width) if column and _is_number(cell) else cell.ljust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
-        click.echo("  ".join(cells).rstrip())
+        echo("  ".join(cells).rstrip())
 
 
 def pairs(title: str, rows: Sequence[Sequence[str]]) -> None:
     """Print names and values under a title, both to the left."""
+    rows = [_cells(row) for row in rows]
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
-        shown = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 1))
+        heading = Text(printable(title))
+        shown = Table(title=heading, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 1))
         for name, value in rows:
             shown.add_row(Text(name, style="dim"), Text(value))
         Console().print(shown)
         return
     width = max(len(name) for name, _ in rows)
-    click.echo(title)
+    echo(title)
     for name, value in rows:
-        click.echo(f"  {name.ljust(width)}  {value}".rstrip())
+        echo(f"  {name.ljust(width)}  {value}".rstrip())
 
 
-def note(text: str) -> None:
-    """One line of progress on standard error."""
-    click.echo(text, err=True)
+def _cells(row: Sequence[str]) -> list[str]:
+    return [printable(cell) for cell in row]
 
 
 def _is_number(cell: str) -> bool:
@@ -73,11 +81,11 @@ def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: st
     from rich.text import Text
 
     console = Console()
-    shown = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD)
+    shown = Table(title=Text(printable(title)) if title else None, title_justify="left", box=SIMPLE_HEAD)
     needed = 0  # for numbers, which must not fold, and some words
     for column, header in enumerate(headers):
         numeric = column > 0 and any(_is_number(row[column]) for row in rows)
-        shown.add_column(header, justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
+        shown.add_column(Text(header), justify="right" if numeric else "left", overflow="fold", no_wrap=numeric)
         width = max(len(row[column]) for row in [headers, *rows])
         needed += (width if numeric else min(width, NARROW)) + 1
     for row in rows:
@@ -122,10 +130,19 @@ class Progress:
         if self._status is not None:
             self._status.start()
 
+    def confirm(self, question: str) -> bool:
+        """Ask a person; click.Abort for Ctrl-C and the end of the input."""
+        self.pause()
+        sure = click.confirm(printable(question), err=True)
+        self.resume()
+        return sure
+
     def note(self, text: str) -> None:
         """A line that stays."""
         if self._status is not None:
-            self._status.console.print(text, markup=False, soft_wrap=True)
+            from rich.text import Text
+
+            self._status.console.print(Text(lines(text)), soft_wrap=True)
         else:
             note(text)
 
@@ -134,7 +151,7 @@ class Progress:
         if self._status is not None:
             from rich.text import Text
 
-            self._status.update(Text(text))
+            self._status.update(Text(printable(text)))
         elif (now := time.monotonic()) - self._last_plain >= self.PLAIN_PERIOD:
             self._last_plain = now
             note(text)
@@ -142,8 +159,10 @@ class Progress:
 
 def print_summary(summary: Summary) -> None:
     """Print the figures of a run as tables."""
+    from bench.summary import ERROR_HEADERS, error_rows, run_rows
+
     errors = error_rows(summary)
     if errors:
         table(ERROR_HEADERS, errors)
-        click.echo()
+        echo()
     pairs(f"run on {summary.target}", run_rows(summary))

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from bench.cli.files import OR_STANDARD_OUTPUT, check_files, overwrite_option
 from bench.cli.number import Number
 from bench.cli.target import TARGET
-
-STANDARD_OUTPUT = Path("-")
+from bench.files import STANDARD_OUTPUT, write
 
 
 @click.group("protocol")
@@ -28,11 +28,11 @@ def command() -> None:
     "-o",
     "--output",
     metavar="FILE",
-    type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
+    type=OR_STANDARD_OUTPUT,
     default=STANDARD_OUTPUT,
     help="Write to this file; - is standard output (the default).",
 )
-@click.option("--overwrite", is_flag=True, help="Let -o replace a file that exists.")
+@overwrite_option
 @click.option(
     "--channels", metavar="A,B,…", help="Without TARGET: only these channels (default: all but those on request)."
 )
@@ -75,16 +75,8 @@ def dbc(
         raise click.UsageError(
             "--channels, --rate, --fd and --ext go without TARGET: the devices there say what they send"
         )
-    if output != STANDARD_OUTPUT and output.exists() and not overwrite:
-        raise click.ClickException(f"{output} exists: choose another name, or --overwrite to replace it")
+    check_files({"-o": output}, overwrite)
     from bench.dbc import ENCODING, simulated_dbc, target_dbc
 
     text = target_dbc(target) if target else simulated_dbc(names, rate_hz, fd, ext)
-    data = text.encode(ENCODING)
-    if output == STANDARD_OUTPUT:
-        click.echo(data, nl=False)
-        return
-    try:
-        output.write_bytes(data)
-    except OSError as error:
-        raise click.ClickException(f"-o {output} cannot be written: {error.strerror}") from None
+    write(output, text.encode(ENCODING), f"-o {output}")

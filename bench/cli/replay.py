@@ -7,10 +7,8 @@ from typing import Any
 
 import click
 
-from bench.cli.files import check_outputs
+from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class Setting(click.ParamType[tuple[str, float]]):
@@ -29,18 +27,24 @@ class Setting(click.ParamType[tuple[str, float]]):
 
 
 @click.command("replay")
-@click.argument("run", metavar="RUN.rrd", type=_FILE)
+@click.argument("run", metavar="RUN.rrd", type=FILE, required=False)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="An observer to run, by its name or short name; repeatable (default: all).")  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=Setting(),
               help="A drive parameter for the observers, as k_p=900; repeatable.")  # fmt: skip
-@click.option("-o", "--out", metavar="FILE", type=_FILE, help="The new recording (default: RUN.replay.rrd).")
-@click.option("--overwrite", is_flag=True, help="Replace the new recording where it exists.")
-@click.option("--list", "list_only", is_flag=True, is_eager=True, expose_value=False,
-              callback=lambda ctx, param, value: _list(ctx) if value else None,
+@click.option("-o", "--out", metavar="FILE", type=FILE, help="The new recording (default: RUN.replay.rrd).")
+@json_option("the counts")
+@overwrite_option
+@click.option("--list", "list_only", is_flag=True,
               help="Show the observers and where they come from; replay nothing.")  # fmt: skip
 def command(
-    run: Path, observers: tuple[str, ...], settings: tuple[tuple[str, float], ...], out: Path | None, overwrite: bool
+    run: Path | None,
+    observers: tuple[str, ...],
+    settings: tuple[tuple[str, float], ...],
+    out: Path | None,
+    json_file: Path | None,
+    overwrite: bool,
+    list_only: bool,
 ) -> None:
     """Run observers again on what a drive measured, and overlay them with its own estimates and the encoder.
 
@@ -52,20 +56,33 @@ def command(
       bench replay a.rrd
       bench replay a.rrd --observer vector_tracking --set k_p=900 -o slow.rrd
     """
-    check_outputs({"--out": out}, [run])
+    if list_only:
+        check_files({"--json": json_file}, overwrite)
+        _list(json_file)
+        return
+    if run is None:
+        raise click.UsageError("Missing argument 'RUN.rrd'.")
+    check_files({"--out": out, "--json": json_file}, overwrite, [run], recordings=["--out"])
     given = [name for name, _ in settings]
     if twice := [name for name in dict.fromkeys(given) if given.count(name) > 1]:
         raise click.UsageError(f"--set {twice[0]} is given {given.count(twice[0])} times: give it once")
     from bench.cli.output import pairs
-    from bench.replay import replay, rows
+    from bench.replay import as_json, replay, rows
 
     result = replay(run, observers, dict(settings), out, overwrite)
+    if json_file is not None:
+        write_json(json_file, as_json(result))
+        return
     pairs(f"{run} replayed to {result.path}", rows(result))
 
 
-def _list(ctx: click.Context) -> None:
+def _list(json_file: Path | None) -> None:
     from bench.cli.output import table
     from sim.observers.catalogue import CATALOGUE
 
-    table(["observer", "short", "source"], [[entry.name, entry.short, entry.source] for entry in CATALOGUE.values()])
-    ctx.exit()
+    headers = ("observer", "short", "source")
+    rows = [[entry.name, entry.short, entry.source] for entry in CATALOGUE.values()]
+    if json_file is not None:
+        write_json(json_file, [dict(zip(headers, row, strict=True)) for row in rows])
+        return
+    table(headers, rows)

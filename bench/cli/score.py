@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bench.cli.files import check_outputs
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
+from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.streams import echo, note
+from bench.files import STANDARD_OUTPUT, write
 
 
 class Share(click.ParamType[float]):
@@ -33,15 +31,15 @@ class Share(click.ParamType[float]):
 
 
 @click.command("score")
-@click.argument("runs", metavar="RUN.rrd…", nargs=-1, required=True, type=_FILE)
+@click.argument("runs", metavar="RUN.rrd…", nargs=-1, required=True, type=FILE)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Score only these: a name of `bench replay --list`, or drive_vt, …; repeatable.")  # fmt: skip
-@click.option("--html", metavar="FILE", type=_FILE, help="Write all figures and plots as one HTML file.")
-@click.option("--json", "json_file", metavar="FILE", type=_FILE, help="Write all figures as JSON.")
-@click.option("--csv", "csv_file", metavar="FILE", type=_FILE, help="Write all figures as CSV, one a row.")
-@click.option("--expect", metavar="FILE", type=_FILE, help="Bounds on figures (TOML or JSON); outside: exit code 1.")
-@click.option("--write-expect", metavar="FILE", type=_FILE, help="Write bounds around this run's figures (TOML).")
-@click.option("--overwrite", is_flag=True, help="Let --write-expect replace a file that exists.")
+@click.option("--html", metavar="FILE", type=FILE, help="Write all figures and plots as one HTML file.")
+@json_option("all figures")
+@click.option("--csv", "csv_file", metavar="FILE", type=FILE, help="Write all figures as CSV, one a row.")
+@click.option("--expect", metavar="FILE", type=FILE, help="Bounds on figures (TOML or JSON); outside: exit code 1.")
+@click.option("--write-expect", metavar="FILE", type=FILE, help="Write bounds around this run's figures (TOML).")
+@overwrite_option
 @click.option("--margin", type=Share(), default="20%", show_default=True, help="Of --write-expect, on both sides.")
 def command(
     runs: tuple[Path, ...],
@@ -68,42 +66,30 @@ def command(
       bench score a.rrd --expect bounds.toml
     """
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
-    check_outputs(outputs, [*runs, expect])
-    for option, path in outputs.items():
-        if path is not None and not path.parent.is_dir():
-            raise click.UsageError(f"{option} {path}: there is no directory {path.parent}")
-    if write_expect is not None and write_expect.exists() and not overwrite:
-        raise click.UsageError(
-            f"--write-expect {write_expect} exists: choose another name, or --overwrite to replace it"
-        )
+    check_files(outputs, overwrite, [*runs, expect])
     from bench.score import expect as bounds
     from bench.score.board import score
     from bench.score.table import as_csv, as_text
 
     expected = None if expect is None else bounds.read(expect)
     board = score(runs, observers)
+    say = note if STANDARD_OUTPUT in outputs.values() else echo
     for line in as_text(board):
-        click.echo(line)
+        say(line)
     if html is not None:
-        from bench.score.report import write_report
+        from bench.score.report import as_html
 
-        write_report(board, html)
-    _write("--json", json_file, lambda: json.dumps(board.as_json(), indent=2) + "\n")
-    _write("--csv", csv_file, lambda: as_csv(board))
-    _write("--write-expect", write_expect, lambda: bounds.as_toml(board, margin))
+        write(html, as_html(board), f"--html {html}")
+    if json_file is not None:
+        write_json(json_file, board.as_json())
+    if csv_file is not None:
+        write(csv_file, as_csv(board), f"--csv {csv_file}")
+    if write_expect is not None:
+        write(write_expect, bounds.as_toml(board, margin), f"--write-expect {write_expect}")
     if expected is None:
         return
     outside = bounds.check(board, expected)
-    click.echo(f"{len(expected) - len(outside)} of {len(expected)} figures within {expect}")
+    say(f"{len(expected) - len(outside)} of {len(expected)} figures within {expect}")
     for figure in outside:
-        click.echo(f"OUTSIDE  {figure}")
+        say(f"OUTSIDE  {figure}")
     sys.exit(1 if outside else 0)
-
-
-def _write(option: str, path: Path | None, text: Callable[[], str]) -> None:
-    if path is None:
-        return
-    try:
-        path.write_text(text(), encoding="utf-8")
-    except OSError as error:
-        raise click.ClickException(f"{option} {path} cannot be written: {error.strerror}") from None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -12,6 +14,18 @@ class TargetType(click.ParamType[str]):
     """A target string; read by `protocol.links`, completed with the serial ports and CAN interfaces of this machine."""
 
     name = "target"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The string as it is; for a file, what to do with that."""
+        target = str(value)
+        if target.endswith(".rrd"):
+            self.fail(
+                f"{target} is a recording, not a target: look at it with `rerun {target}`, or see `bench score "
+                f"{target}`, `bench replay {target}` and `bench hall check {target}`"
+            )
+        if target != "sim" and os.path.isfile(target):
+            self.fail(f"{target} is a file, not a target: write serial:PORT, tcp:HOST:PORT, can:INTERFACE/CHANNEL")
+        return target
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """`sim`, the form of a TCP target, and the ports that are there, serial ones also as slcan adapters."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bench import files
 from bench.acceptance.ending import not_put_back, put_back
 from bench.acceptance.waveforms.sectors import SECTORS
 from bench.errors import BenchError, NodeError
@@ -66,13 +66,9 @@ def learnt(health: Health) -> Learnt:
 def write(drive: Node, found: Learnt) -> None:
     """Set the drive's parameters and read them back; where one is refused, all are put back as they were.
 
-    BenchError for a drive without them, for a refusal, and for a value that is not what was written.
+    BenchError for a refusal, and for a value that is not what was written.
     """
     values = found.parameters()
-    if absent := [name for name in values if not drive.has_parameter(name)]:
-        raise BenchError(
-            f"node {drive.number} has no parameter {absent[0]}: write the edges to a file (--out) for its firmware"
-        )
     before = {name: drive.parameter(name).value for name in values}
     try:
         for name, value in values.items():
@@ -96,19 +92,10 @@ def save(path: Path, found: Learnt) -> None:
         rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in vars(found).items()]
         about = f"# ideal minus actual angle of the {SECTORS} Hall edges, rad, opening sectors I to VI"
         text = "\n".join(["[firmware.hall_edges]", about, *rows, ""])
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BenchError(f"cannot write {path}: {error.strerror}") from None
+    files.write(path, text, f"--out {path}")
 
 
-def check_out(path: Path, overwrite: bool) -> None:
-    """BenchError unless the edges can be written to a file of that name; one that is there only with `overwrite`."""
+def check_out(path: Path) -> None:
+    """BenchError unless the name says in which form the edges are to be written."""
     if path.suffix not in (".toml", ".json"):
         raise BenchError(f"--out {path}: the name must end in .toml or .json")
-    if path.exists() and not overwrite:
-        raise BenchError(f"--out {path} exists: choose another name, or --overwrite to replace it")
-    if not path.parent.is_dir():
-        raise BenchError(f"--out {path}: there is no directory {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise BenchError(f"--out {path} cannot be written: permission denied")

@@ -25,6 +25,7 @@ from bench.acceptance.recorder import Recorder
 from bench.acceptance.rig import Rig
 from bench.energise import RPM
 from bench.errors import BenchError
+from bench.needs import offers
 from protocol.errors import HbpError
 from protocol.messages import Fault
 
@@ -39,6 +40,7 @@ RUNAWAY = 1.6  # of the highest speed that was asked for so far, at which a moto
 GROWS = 1.2  # of the speed that was there when it was told to stand, at which a motor is stopped
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
+SETTLES = 0.35  # s in which a shaft that stands may still creep to a Hall code that trips the drive again
 FURTHER = "with more current (--current), faster (--speed), by a load machine, or by hand (--passive)"
 LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a count
 
@@ -110,9 +112,13 @@ class Turner:
     # -- ways ---------------------------------------------------------------------------------------------------
 
     def _ways(self) -> Iterator[tuple[str, Callable[[], None]]]:
-        if self._rig.has_encoder:
+        drive = self._rig.drive.node
+        if self._rig.has_encoder and offers(drive, "encoder"):
             yield "the drive by its encoder", lambda: self._by_drive("encoder", "encoder", SHARES)
-        yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
+        if offers(drive, "average-speed"):
+            yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
+        else:
+            yield "the drive by its own angle", lambda: self._by_drive("own angle", None, SHARES[1:])
         load = self._rig.load
         if load is not None and SPEED in load.abilities:
             yield "the load machine", self._by_load
@@ -125,7 +131,7 @@ class Turner:
         turns_per_second = self._rig.drive.n_p * abs(omega_m) / math.tau
         return min(max(DWELL_TURNS / turns_per_second, DWELL[0]), DWELL[1])
 
-    def _by_drive(self, source: str, observer: str, shares: tuple[float, ...]) -> None:
+    def _by_drive(self, source: str, observer: str | None, shares: tuple[float, ...]) -> None:
         drive = self._rig.drive
         for omega_m in self._speeds(shares):
             self._progress(f"the drive by its {source}: {omega_m / RPM:+.0f} r/min")
@@ -138,7 +144,7 @@ class Turner:
                 if not self._running:
                     self._running = True
                     drive.start(observer)
-                drive.speed(omega_m)
+                drive.speed(omega_m, partial(self._let_go, limit))
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
@@ -154,7 +160,7 @@ class Turner:
         before = self._speed()
         limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
-            self._rig.drive.speed(0.0)
+            self._rig.drive.speed(0.0, partial(self._let_go, limit))
         self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
         if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
             was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
@@ -181,7 +187,7 @@ class Turner:
         recorder = self._rig.recorder
         if recorder.newest < 0:
             return 0.0
-        return recorder.latest("omega_enc" if self._rig.has_encoder else "omega_avg")
+        return recorder.latest(self._rig.speed_channel)
 
     def _after_trip(self, source: str, omega_m: float) -> None:
         """Record what coasts, and make the drive ready again."""
@@ -208,11 +214,12 @@ class Turner:
     def _leave_clear(self) -> None:
         """Clear what the drive has latched; one that sees an illegal code where the shaft stands keeps its fault."""
         drive = self._rig.drive
-        try:
+        with suppress(BenchError, HbpError):
             drive.forget_faults()
-        except (BenchError, HbpError):
+            self._rig.wait(SETTLES)
+        if drive.faults:
             self._remarks.append(f"the drive is off and keeps its fault {', '.join(drive.faults)}: its cause persists")
-            self._rig.recorder.faults = Fault(0)  # the rig need not try again
+            drive.leave_faults()
 
     def _require_following(self, first: int, omega_m: float) -> None:
         if not self._rig.has_encoder:

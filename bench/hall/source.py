@@ -6,6 +6,7 @@ the link is closed, with every parameter as it was, on leaving. Nothing here mea
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from bench.acceptance.settings import Settings
 from bench.acceptance.targets import SIM, alone_on, open_target, require_agreement
 from bench.energise import Plan as Spin
 from bench.energise import check_limits
-from bench.errors import BenchError
+from bench.files import check_output
 from bench.hall.live import Turned, Turner
 from bench.hall.reference import EMF_CHANNELS
 from bench.hall.trace import capture_of
@@ -43,11 +44,19 @@ class Options:
     """Figures of the simulated drive."""
     save: Path | None = None
     overwrite: bool = False
+    write: bool = False
+    """The drive is to be told where its edges lie."""
 
     @property
     def recorded(self) -> bool:
         """Whether the source is a recording."""
-        return self.source != SIM and (self.source.endswith(".rrd") or Path(self.source).is_file())
+        return self.source != SIM and (self.source.endswith(".rrd") or os.path.isfile(self.source))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Applications of `bench.needs` that this is."""
+        check = "bench hall check --passive" if self.passive else "bench hall check"
+        return (check, "bench hall learn --write") if self.write else (check,)
 
 
 class Screen(Protocol):
@@ -79,14 +88,14 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
 
         yield Source(Turned(capture_of(read_run(options.source)), "recorded"), None)
         return
-    if options.save is not None and options.save.exists() and not options.overwrite:
-        raise BenchError(f"{options.save} exists: choose another name, or --overwrite to replace it")
+    if options.save is not None:
+        check_output(options.save, str(options.save), options.overwrite, recording=True)
     settings = Settings(config=options.config)
     if options.passive:
         with signals_as_exceptions(), alone_on(options.source):
             link = open_target(options.source, settings, "hall")
             try:
-                yield Source(*watch(link, options.source, options.duration, options.save, screen.progress))
+                yield Source(*watch(link, options, screen.progress))
             finally:
                 link.close()
         return
@@ -99,9 +108,10 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
         virtual=options.source == SIM,
         title="hall",
         channels=frozenset(EMF_CHANNELS),
+        needs=options.needs,
     )
     with signals_as_exceptions(), alone_on(options.source):
-        require_agreement(options.source, settings, plan.envelope, options.yes, confirm)
+        require_agreement(options.source, settings, plan.envelope, options.yes, confirm, options.needs)
         with Rig(plan) as rig:
             check_limits(rig.drive.node, Spin(options.speed_rpm, current_a=options.current_a))
             turner = Turner(rig, options.speed_rpm, screen.progress)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from bench.acceptance.capture import Capture
 from bench.acceptance.recorder import Recorder
 from bench.errors import BenchError
+from bench.statistics import states
 from protocol.codes import DriveState
-from protocol.signals import STATUS_STATE_MASK
 
 if TYPE_CHECKING:
     from bench.rerunio.recording import Run
@@ -134,8 +134,8 @@ def trace(capture: Capture) -> Trace:
     )
     edges, unplaced, slow = _placed(capture, theta, omega, period, tick[~paired], old[~paired], new[~paired])
     on = np.ones(len(hall), bool)
-    if "status" in capture:
-        on = (capture.samples.raw["status"].astype(np.int64) & STATUS_STATE_MASK) == DriveState.RUNNING
+    if (told := states(capture.samples)) is not None:
+        on = told == DriveState.RUNNING
     return Trace(hall, theta, omega, current, on, period / capture.tick_hz, edges, pulses, unplaced, slow, capture)
 
 

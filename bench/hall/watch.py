@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.acceptance.recorder import Recorder
 from bench.client import Client, Sink
 from bench.errors import BenchError, DoesNotFit
 from bench.hall.live import ENOUGH, Turned, electrical_turns
+from bench.needs import NEEDS, require
 from bench.node import Node
 from bench.rerunio.schema import RunInfo
 from bench.summary import describe
@@ -22,23 +24,29 @@ from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import Role
 
+if TYPE_CHECKING:
+    from bench.hall.source import Options
+
 WATCHED = ("hall", "status", "theta_enc", "omega_enc", "i_a", "i_b")
 FURTHER = "once round at least, and take longer (--duration)"
 LOOK = 0.5  # s between looks at how far it turned
 
 
-def watch(
-    link: Link, target: str, seconds: float, save: Path | None, progress: Callable[[str], None]
-) -> tuple[Turned, Node]:
-    """Record for `seconds`, or until the shaft was turned far enough both ways, or Ctrl-C; the caller closes `link`.
+def watch(link: Link, options: Options, progress: Callable[[str], None]) -> tuple[Turned, Node]:
+    """Record for `options.duration`, or until the shaft was turned far enough both ways, or Ctrl-C.
+
+    The caller closes `link`.
 
     Returns what was recorded, and the drive. Raises BenchError for what is no drive, and without samples; HbpError.
     """
+    target, seconds, save = options.source, options.duration, options.save
     client = Client(link)
     hello = client.connect()
     if hello.role != Role.DRIVE:
         raise BenchError(f"{target} answers as {hello.role.name}, not as a drive")
     node = Node(client, hello.node)
+    for what in options.needs:
+        require(node, what, NEEDS[what])
     node.stop_streams()
     recorder = Recorder(node.number, hello.tick_hz)
     recorder.expect(node.set_edges())

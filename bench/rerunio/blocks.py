@@ -28,8 +28,8 @@ Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 class Block:
     """What arrived during one period.
 
-    `arrivals`: host time of each chunk of samples. `losses`: counters of the run so far. `notes`: device tick, text,
-    level.
+    `arrivals`: host time of each chunk of samples; `taken`: that of its first sample, None where it is not known.
+    `losses`: counters of the run so far. `notes`: device tick, text, level.
     """
 
     samples: list[SampleChunk] = field(default_factory=list)
@@ -38,6 +38,7 @@ class Block:
     events: list[tuple[int, DeviceEvent]] = field(default_factory=list)
     notes: list[tuple[int, str, str]] = field(default_factory=list)
     arrivals: list[float] = field(default_factory=list)
+    taken: list[float | None] = field(default_factory=list)
     losses: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -84,6 +85,11 @@ class LossAccount:
                 self.counters[frames] += gap.lost_frames
         return chunk
 
+    def missing(self, samples: int, edges: int) -> None:
+        """Count what was lost after the last chunk of a stream."""
+        self.counters["lost:samples"] += samples
+        self.counters["lost:edges"] += edges
+
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
         """Take over what the device of `node` had to drop itself since its first heartbeat."""
         self._devices.setdefault(node, DeviceCounters()).add(heartbeat)
@@ -104,13 +110,14 @@ class BlockBuilder:
         self._last_tick = 0
         self._newest = 0  # tick
 
-    def samples(self, chunk: SampleChunk, now: float) -> None:
-        """Add samples that arrived at `now`, in s of the host's clock."""
+    def samples(self, chunk: SampleChunk, now: float, taken: float | None = None) -> None:
+        """Add samples that arrived at `now`, the first one of which was `taken` then, in s of the host's clock."""
         if len(chunk) == 0:
             return
         self._touch(now)
         self._block.samples.append(self.account.chunk(chunk))
         self._block.arrivals.append(now)
+        self._block.taken.append(taken)
         if self._first_tick is None:
             self._first_tick = int(chunk.tick[0])
         self._last_tick = int(chunk.tick[-1])
@@ -121,6 +128,11 @@ class BlockBuilder:
         if len(chunk):
             self._touch(now)
             self._block.edges.append(self.account.chunk(chunk))
+
+    def missing(self, samples: int, edges: int, now: float) -> None:
+        """Add what was lost at the end of the streams."""
+        self._touch(now)
+        self.account.missing(samples, edges)
 
     def heartbeat(self, node: int, heartbeat: Heartbeat, now: float) -> None:
         """Add a heartbeat."""

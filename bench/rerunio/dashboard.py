@@ -1,100 +1,35 @@
 """The views of a run, as a rerun blueprint.
 
 Left, the last half minute (bands from minima and maxima); in the middle, every sample of the last moments; right, the
-stator plane, the state of drive and telemetry, losses and logs. The same blueprint serves the live view and the file.
-Views exist only for channels that are streamed. Nothing here logs data.
+stator plane, losses and logs. The same blueprint serves the live view and the file. A view that the run's channels
+cannot fill is left out. Nothing here logs data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from bench.rerunio import plane, schema
+from bench.rerunio import schema
+from bench.rerunio.plane import X_RANGE, Y_RANGE, Plane
+from bench.rerunio.plots import TREND, Plot, plots
 
-TREND, WAVE, HALL = 25.0, 0.2, 0.1  # seconds that the views show
-ERROR_RANGE = (-32.0, 32.0)  # degrees: the start from an unknown position in a sector errs by up to 30
+HALL = 0.1  # seconds that the Hall view shows
+HALL_QUERIED = 0.3  # of which it is told, for the code that its first moments begin with
 DARK = (14, 16, 17)  # what the colours are made for, also in a light theme
 LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
-
-
-@dataclass(frozen=True)
-class Line:
-    """One line of a plot: where its numbers are, what it is called, its colour."""
-
-    component: str
-    name: str
-    colour: tuple[int, int, int]
-    width: float = 1.5
-
-
-@dataclass(frozen=True)
-class Plot:
-    """A time series plot of lines of one entity."""
-
-    name: str
-    entity: str
-    lines: tuple[Line, ...]
-    seconds: float
-    y_range: tuple[float, float] | None = None
-
-
-def plots(run: schema.RunInfo) -> dict[str, Plot]:
-    """The plots that the run's channels allow, by key, with what each of them shows."""
-    estimates = run.position_estimates if run.position_reference else ()
-    errors = tuple(Line(schema.error_component(n), f"{schema.label(n)} [°]", schema.colour(n)) for n in estimates)
-    mechanical = run.n_p is not None
-    speeds = [
-        Line(schema.speed_component(n, mechanical), f"{schema.label(n)} [r/min]", schema.colour(n)) for n in run.speeds
-    ]
-    if run.has(schema.SPEED_REFERENCE):
-        component = schema.mean_component(schema.speed_component(schema.SPEED_REFERENCE, mechanical))
-        speeds.append(Line(component, "reference, mean [r/min]", schema.colour(schema.SPEED_REFERENCE)))
-    currents = [Line(schema.value_component(n), f"{n} [A]", schema.colour(n)) for n in schema.DQ_CURRENTS if run.has(n)]
-    currents += [
-        Line(schema.mean_component(schema.value_component(n)), f"{schema.label(n)}, mean [A]", schema.colour(n))
-        for n in schema.DQ_REFERENCES
-        if run.has(n)
-    ]
-    angles = [n for n in (run.position_reference, *run.position_estimates) if n]
-    amperes = 1.08 * plane.nice_ceiling(run.i_max)
-    kind = "mechanical" if mechanical else "electrical"
-    last, now = f"last {TREND:g} s", f"last {WAVE:g} s"
-    found = {
-        "error_trend": Plot(
-            f"Position error, electrical [°], min/max, {last}", schema.TREND, errors, TREND, ERROR_RANGE
-        ),
-        "speed": Plot(f"Speed, {kind} [r/min], min/max, {last}", schema.TREND, tuple(speeds), TREND),
-        "dq": Plot(f"d/q currents [A], min/max, {last}", schema.TREND, tuple(currents), TREND),
-        "position": Plot(
-            f"Rotor position, electrical [rad], {now}",
-            schema.FAST,
-            _values(run, angles, "rad"),
-            WAVE,
-            (-3.3, 3.3),
-        ),
-        "error": Plot(f"Position error, electrical [°], {now}", schema.FAST, errors, WAVE, ERROR_RANGE),
-        "phases": Plot(
-            f"Phase currents [A], {now}",
-            schema.FAST,
-            _values(run, ("i_a", "i_b", "i_c"), "A"),
-            WAVE,
-            (-amperes, amperes),
-        ),
-    }
-    return {key: plot for key, plot in found.items() if plot.lines}
+ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
+WIDTH = 1.5  # of a line, in points
 
 
 def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest."""
-    found = {key: _view(plot) for key, plot in plots(run).items()}
-    last = f"last {TREND:g} s"
+    found = plots(run)
     states = rrb.StateTimelineView(
-        name=f"Drive, {last}",
+        name=f"Drive, last {TREND:g} s",
         origin="/",
         contents=[f"/{schema.DRIVE}"],
         time_ranges=_queried(TREND),
@@ -103,35 +38,17 @@ def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blu
     hall = rrb.StateTimelineView(
         name=f"Hall sensors a, b, c and sector, last {HALL:g} s",
         origin="/",
-        contents=[f"/{schema.HALL}"],
-        time_ranges=_queried(HALL),
+        contents=[f"/{schema.HALL_LANES}"],
+        time_ranges=_queried(HALL_QUERIED),
         time_view=_shown(HALL, legend=False),
     )
-    stator = rrb.Spatial2DView(
-        name="Stator plane: rotor axes, current [A], voltage and back-EMF [V]",
-        origin="/stator",
-        contents=["/stator/**"],
-        background=DARK,
-        visual_bounds=rrb.VisualBounds2D(x_range=plane.X_RANGE, y_range=plane.Y_RANGE),
-    )
-    losses = rrb.TextDocumentView(name="Losses [counts]", origin=f"/{schema.HEALTH_TEXT}")
-    texts = rrb.Tabs(
-        rrb.TextLogView(
-            name="Log",
-            origin="/log",
-            contents=["/log/**"],
-            columns=rrb.TextLogColumns(timeline_columns=[schema.TIMELINE], text_log_columns=["loglevel", "body"]),
-        ),
-        rrb.TextDocumentView(name="Run and summary", origin=f"/{schema.SUMMARY}"),
-        name="Texts",
-    )
-    left = [found[key] for key in ("error_trend", "speed", "dq") if key in found]
-    middle = [found[key] for key in ("position", "error", "phases") if key in found]
+    trends = _rows([plot for plot in found.values() if plot.entity == schema.TREND])
+    waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST])
+    columns = [_column(trends, [states]), _column(waves, [hall] if run.hall else []), _texts(Plane(run).contents)]
+    shares = [5, 5, 4.4]
     views: rrb.Container = rrb.Horizontal(
-        rrb.Vertical(*left, states, row_shares=[3] * len(left) + [2.5]),
-        rrb.Vertical(*middle, hall, row_shares=[3] * len(middle) + [2.5]),
-        rrb.Vertical(stator, losses, texts, row_shares=[5, 2.6, 3.9]),
-        column_shares=[5, 5, 4.4],
+        *(column for column in columns if column),
+        column_shares=[share for share, column in zip(shares, columns, strict=True) if column],
     )
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1])
@@ -142,6 +59,42 @@ def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blu
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, play_state="following"),
     )
+
+
+def _rows(found: Sequence[Plot]) -> list[rrb.View | rrb.Container]:
+    """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
+    known = sum(not plot.by_unit for plot in found)
+    room = max(ROWS, MOST_ROWS - known)
+    views: list[rrb.View | rrb.Container] = [_view(plot) for plot in found]
+    return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
+
+
+def _column(rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View]) -> rrb.Container | None:
+    """Plots, and below them timelines of states; None without either."""
+    shares = [3.0] * len(rows) + [2.5] * len(lanes)
+    return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None
+
+
+def _texts(stator: str) -> rrb.Container:
+    """The column of the stator plane, left out where `stator`, what it shows, is empty, and of the texts."""
+    losses = rrb.TextDocumentView(name="Losses [counts]", origin=f"/{schema.HEALTH_TEXT}")
+    log = rrb.TextLogView(
+        name="Log",
+        origin="/log",
+        contents=["/log/**"],
+        columns=rrb.TextLogColumns(timeline_columns=[schema.TIMELINE], text_log_columns=["loglevel", "body"]),
+    )
+    summary = rrb.TextDocumentView(name="Run and summary", origin=f"/{schema.SUMMARY}")
+    if not stator:
+        return rrb.Vertical(losses, log, summary, row_shares=[2.6, 3.9, 5])
+    plane = rrb.Spatial2DView(
+        name=f"Stator plane: {stator}",
+        origin="/stator",
+        contents=["/stator/**"],
+        background=DARK,
+        visual_bounds=rrb.VisualBounds2D(x_range=X_RANGE, y_range=Y_RANGE),
+    )
+    return rrb.Vertical(plane, losses, rrb.Tabs(log, summary, name="Texts"), row_shares=[5, 2.6, 3.9])
 
 
 def _marked(run: schema.RunInfo, marks: Sequence[schema.Mark]) -> rrb.StateTimelineView:
@@ -158,17 +111,9 @@ def _marked(run: schema.RunInfo, marks: Sequence[schema.Mark]) -> rrb.StateTimel
     )
 
 
-def _values(run: schema.RunInfo, names: Iterable[str], unit: str) -> tuple[Line, ...]:
-    return tuple(
-        Line(schema.value_component(name), f"{schema.label(name)} [{unit}]", schema.colour(name))
-        for name in names
-        if run.has(name)
-    )
-
-
 def _view(plot: Plot) -> rrb.TimeSeriesView:
     lines = [
-        rr.SeriesLines(names=line.name, colors=line.colour, widths=line.width, aggregation_policy="MinMax").visualizer(
+        rr.SeriesLines(names=line.name, colors=line.colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
             mappings=[
                 VisualizerComponentMapping(
                     target="Scalars:scalars",

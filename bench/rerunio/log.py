@@ -18,14 +18,18 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
+from bench import markdown
 from bench.rerunio import schema, states
 from bench.rerunio.blocks import Block, Chunk, StreamKey, index_step, join_edges, join_samples, stream_key
+from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.plane import Plane
+from bench.rerunio.plots import left_out, trend_lines
 from bench.rerunio.trend import Rows, TrendBinner
 from bench.statistics import DeviceCounters, wrap
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import printable
 
 REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
@@ -34,11 +38,13 @@ RESTART_NS = 10_000_000_000  # device time that goes back by more (than within a
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
 Values = NDArray[Any]
-Term = tuple[str, str, float]  # channel, whether its value or its error, factor
-_STATE_METADATA = {
-    "rerun:archetype": "rerun.archetypes.StateChange",
-    "rerun:component": "StateChange:state",
-    "rerun:component_type": "rerun.components.Text",
+_STATE = "StateChange:state"
+_METADATA = {  # of columns that are no numbers of ours
+    _STATE: {
+        "rerun:archetype": "rerun.archetypes.StateChange",
+        "rerun:component": _STATE,
+        "rerun:component_type": "rerun.components.Text",
+    }
 }
 
 
@@ -52,15 +58,16 @@ class RunLog:
         self._streams: dict[StreamKey, _Stream] = {}
         self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
         self._layouts: dict[tuple[str, ...], pa.Schema] = {}
-        self._lanes: dict[str, str] = dict.fromkeys(states.LANES, states.UNKNOWN)
+        self._lanes: dict[str, str] = dict.fromkeys(states.lanes(run), states.UNKNOWN)
         self._lanes_ns = 0
+        self._hall = HallLanes(run)
         self.marks: list[schema.Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
         self._status: int | None = None  # last value of the status channel
         self._next_health_ns = self._next_plane_ns = 0
-        bands, means = trend_terms(run)
-        self._trend_terms = {**bands, **means}
+        bands, means = trend_lines(run)
+        self._trend_lines = [*bands, *means]
         self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands))
         self._plane = Plane(run)
 
@@ -83,19 +90,24 @@ class RunLog:
     # -- blocks -------------------------------------------------------------------------------------------------
 
     def block(self, block: Block) -> None:
-        """Log everything in `block`."""
+        """Log everything in `block`. A float channel may hold anything: infinite and NaN are no reason to warn."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            self._block(block)
+
+    def _block(self, block: Block) -> None:
         self._losses |= block.losses
         for stream, edges in self._by_stream(block.edges):
             self._edges(stream, join_edges(edges))
         for stream, samples in self._by_stream(block.samples):
             self._samples(stream, join_samples(samples))
+        self._hall_lanes()
         for node, event in block.events:
             self._event(node, event)
         for node, heartbeat in block.heartbeats:
             self._heartbeat(node, heartbeat)
         for tick, text, level in block.notes:
             self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
-            self._stream.log(schema.NOTES, rr.TextLog(text, level=level))
+            self._stream.log(schema.NOTES, _line(text, level))
         self._repeat_lanes()
         self._health()
 
@@ -106,7 +118,7 @@ class RunLog:
         raw = (mark.name, np.int64(mark.first_tick), np.int64(mark.last_tick), mark.verdict.value)
         self._at(int(schema.ns_from_tick(mark.first_tick, self.run.tick_hz)))
         level = states.MARK_LEVELS.get(mark.verdict, "INFO")
-        self._stream.log(schema.NOTES, rr.TextLog(f"{mark.verdict} {mark.name}, {seconds}", level=level))
+        self._stream.log(schema.NOTES, _line(f"{mark.verdict} {mark.name}, {seconds}", level))
         self._stream.log(schema.ACCEPTANCE, _any(dict(zip(schema.MARK_FIELDS, raw, strict=True))))
 
     def touch(self) -> None:
@@ -131,6 +143,7 @@ class RunLog:
         if t_ns + RESTART_NS < self._now_ns:
             self._send_trend(self._trend.rest())
             self._next_plane_ns = self._next_health_ns = self._lanes_ns = self._now_ns = t_ns
+            self._hall.restart()
         self._now_ns = max(self._now_ns, t_ns)
 
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
@@ -146,6 +159,7 @@ class RunLog:
         self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
+        self._hall.samples(t_ns, chunk.raw)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
@@ -163,8 +177,14 @@ class RunLog:
         }
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
-        lanes = states.HALL_LANES.take(pa.array(chunk.hall_new & 7))
-        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk), lanes)
+        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+        if stream.entity == schema.HALL:
+            self._hall.edges(t_ns, chunk.hall_new)
+
+    def _hall_lanes(self) -> None:
+        t_ns, codes = self._hall.take()
+        if len(t_ns):
+            self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_LANES.take(pa.array(codes))})
 
     def _by_stream(self, chunks: Sequence[Chunk]) -> list[tuple[_Stream, list[Chunk]]]:
         groups: dict[str, tuple[_Stream, list[Chunk]]] = {}
@@ -198,23 +218,13 @@ class RunLog:
     def _at(self, t_ns: int) -> None:
         self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
 
-    def _send(
-        self,
-        entity: str,
-        t_ns: NDArray[np.int64],
-        columns: Mapping[str, pa.Array],
-        lanes: pa.Array | None = None,
-    ) -> None:
+    def _send(self, entity: str, t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]) -> None:
         arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
-        if lanes is not None:
-            arrays.append(lanes)
         shape = (entity, *columns)
         layout = self._layouts.get(shape)
         if layout is None:
-            names = [schema.TIMELINE, *columns]
-            fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=False)]
-            if lanes is not None:
-                fields.append(pa.field("StateChange:state", lanes.type, metadata=_STATE_METADATA))
+            names = (schema.TIMELINE, *columns)
+            fields = [pa.field(n, a.type, metadata=_METADATA.get(n)) for n, a in zip(names, arrays, strict=True)]
             layout = self._layouts[shape] = pa.schema(fields)
         batch = pa.RecordBatch.from_arrays(arrays, schema=layout)
         self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
@@ -230,26 +240,26 @@ class RunLog:
         }
 
     def _add_trend(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
-        if self._trend_terms:
+        if self._trend_lines:
             found = [
-                errors[name] if kind == "error" else values[name] * np.float32(factor)
-                for name, kind, factor in self._trend_terms.values()
+                errors[line.channel] if line.error else values[line.channel] * np.float32(line.factor)
+                for line in self._trend_lines
             ]
             self._send_trend(self._trend.add(t_ns, np.stack(found).astype(np.float32, copy=False)))
 
     def _send_trend(self, rows: Rows | None) -> None:
         if rows is not None:
             t_ns, values = rows
-            columns = {name: pa.array(row) for name, row in zip(self._trend_terms, values, strict=True)}
+            columns = {line.component: pa.array(row) for line, row in zip(self._trend_lines, values, strict=True)}
             self._send(schema.TREND, t_ns, columns)
 
     # -- states, events, health ---------------------------------------------------------------------------------
 
     def _lane(self, t_ns: int, **words: str) -> None:
-        """Log the drive's lanes if one of them changes."""
+        """Log the drive's lanes if one of them changes; never before what was logged of them: a heartbeat is older."""
         if any(self._lanes[lane] != word for lane, word in words.items()):
             self._lanes |= words
-            self._log_lanes(t_ns)
+            self._log_lanes(max(t_ns, self._lanes_ns))
 
     def _log_lanes(self, t_ns: int) -> None:
         self._lanes_ns = t_ns
@@ -279,7 +289,7 @@ class RunLog:
         self._lane(int(t_ns[0]), telemetry=states.COMPLETE)
 
     def _status_lanes(self, chunk: SampleChunk, t_ns: NDArray[np.int64]) -> None:
-        if not self.run.has("status"):
+        if "status" not in self.run.words:
             return
         words = chunk.raw["status"] & _SHOWN_STATUS
         rows = (np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()
@@ -302,11 +312,12 @@ class RunLog:
         raw = (np.int64(event.tick), np.int32(event.code), np.int32(node), np.float64(event.arg))
         self._stream.log(
             schema.EVENTS,
-            rr.TextLog(states.event_text(node, event), level=states.EVENT_LEVELS.get(event.code, "INFO")),
+            _line(states.event_text(node, event), states.EVENT_LEVELS.get(event.code, "INFO")),
             _any(dict(zip(schema.EVENT_FIELDS, raw, strict=True))),
         )
-        if event.code == EventCode.STATE_CHANGED and node == self.run.node and self._status is None:
-            self._lane(t_ns, state=states.state_name(int(event.arg)))
+        state = event.number if event.code == EventCode.STATE_CHANGED else None
+        if state is not None and node == self.run.node and self._status is None:
+            self._lane(t_ns, state=states.state_name(state))
 
     def _heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
         if node != self.run.node:
@@ -356,33 +367,16 @@ class _Stream:
     configs: list[StreamConfig] = field(default_factory=list)
 
 
-def trend_terms(run: schema.RunInfo) -> tuple[dict[str, Term], dict[str, Term]]:
-    """What the long plots show, by component: errors, speeds, d and q currents as bands; references as means."""
-    mechanical, rpm = run.n_p is not None, run.rpm_per_rad_s
-    errors = run.position_estimates if run.position_reference else ()
-    bands: dict[str, Term] = {schema.error_component(name): (name, "error", 1.0) for name in errors}
-    bands |= {schema.speed_component(name, mechanical): (name, "value", rpm) for name in run.speeds}
-    bands |= {schema.value_component(name): (name, "value", 1.0) for name in schema.DQ_CURRENTS if run.has(name)}
-    means: dict[str, Term] = {
-        schema.mean_component(schema.value_component(name)): (name, "value", 1.0)
-        for name in schema.DQ_REFERENCES
-        if run.has(name)
-    }
-    if run.has(schema.SPEED_REFERENCE):
-        component = schema.speed_component(schema.SPEED_REFERENCE, mechanical)
-        means[schema.mean_component(component)] = (schema.SPEED_REFERENCE, "value", rpm)
-    return bands, means
-
-
 def identity_text(run: schema.RunInfo) -> str:
     """The summary document before there is a summary: what is running."""
     rows: list[tuple[str, object]] = [
         ("started", run.started),
         ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
         ("PWM", f"{run.pwm_hz / 1e3:g} kHz"),
-        *run.identity.items(),
     ]
-    return "\n".join(["### Run in progress", "", "| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows)])
+    rows += [(key, ", ".join(map(str, v)) if isinstance(v, list) else v) for key, v in run.identity.items()]
+    rows += [("not shown", why) for why in left_out(run)]
+    return f"### Run in progress\n\n{markdown.table(('', ''), rows)}"
 
 
 def health_text(values: Mapping[str, int]) -> str:
@@ -402,7 +396,12 @@ def health_text(values: Mapping[str, int]) -> str:
 
 
 def _markdown(text: str) -> rr.TextDocument:
-    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+    whole = text.encode(errors="backslashreplace").decode()  # a file's name may hold halves of characters
+    return rr.TextDocument(whole, media_type=rr.MediaType.MARKDOWN)
+
+
+def _line(text: str, level: str) -> rr.TextLog:
+    return rr.TextLog(printable(text), level=level, color=states.LEVEL_COLOURS.get(level, states.LINE_COLOUR))
 
 
 def _any(components: Mapping[str, Any]) -> rr.AnyValues:

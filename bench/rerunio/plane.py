@@ -44,18 +44,25 @@ class Plane:
         self._back_emf = run.has("e_alpha", "e_beta")
         self._reference = run.position_reference
         self._peak_i = self._peak_u = 0.0
-        inputs = ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "e_alpha", "e_beta", self._reference or "")
-        self._used = [name for name in (*inputs, *run.position_estimates) if run.has(name)]
+        inputs = ("i_a", "i_b", "i_c", "u_alpha", "u_beta", "e_alpha", "e_beta")
+        angles = (self._reference, *run.position_estimates)
+        self._used = [name for name in inputs if run.has(name)] + [name for name in angles if name]
 
     @property
-    def empty(self) -> bool:
-        """Whether there is nothing to draw."""
-        return not (
-            self._currents or self._voltages or self._back_emf or self._reference or self._run.position_estimates
+    def contents(self) -> str:
+        """What is drawn, with units; empty if the run has nothing to draw."""
+        volts = [name for name, there in (("voltage", self._voltages), ("back-EMF", self._back_emf)) if there]
+        parts = (
+            "rotor axes" if self._reference or self._run.position_estimates else "",
+            "current [A]" if self._currents else "",
+            f"{' and '.join(volts)} [V]" if volts else "",
         )
+        return ", ".join(part for part in parts if part)
 
     def frame(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity and static content: circle, sector borders and names, phase axes."""
+        if not self.contents:
+            return
         angles = np.linspace(0, 2 * math.pi, 121)
         circle = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
         rays = [[(0.0, 0.0), _xy(k * math.pi / 3)] for k in range(6)]
@@ -86,7 +93,7 @@ class Plane:
         self, newest: Mapping[str, float], errors_deg: Mapping[str, float]
     ) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity and content for the newest values of all channels and the position errors in degrees."""
-        if self.empty or not all(math.isfinite(newest[name]) for name in self._used):
+        if not self.contents or not all(math.isfinite(newest[name]) for name in self._used):
             return  # a float channel of a physical drive can hold anything
         arrows = [*self._axes(newest, errors_deg), *self._vectors(newest)]
         yield (
@@ -111,12 +118,13 @@ class Plane:
 
     def _axes(self, newest: Mapping[str, float], errors_deg: Mapping[str, float]) -> Iterator[_Arrow]:
         estimates = self._run.position_estimates
-        angles = [(self._reference, "rotor axis, encoder", 1.0, 2.6)] if self._reference else []
+        reference = self._reference
+        angles = [(reference, f"rotor axis, {schema.label(reference)}", 1.0, 2.6)] if reference else []
         angles += [(name, schema.label(name), 0.92 - 0.1 * k, 1.7) for k, name in enumerate(estimates)]
         for name, text, length, radius in angles:
             x, y = length * math.cos(newest[name]), length * math.sin(newest[name])
             suffix = f"  {errors_deg[name]:+.1f}°" if name in errors_deg else ""
-            yield _Arrow(name, schema.colour(name), x, y, text + suffix, radius)
+            yield _Arrow(name, self._run.colours[name], x, y, text + suffix, radius)
 
     def _vectors(self, newest: Mapping[str, float]) -> Iterator[_Arrow]:
         pairs: list[tuple[str, str, str, float, float]] = []
@@ -130,23 +138,17 @@ class Plane:
         sizes = {unit: max((math.hypot(a, b) for *_, u, a, b in pairs if u == unit), default=0.0) for unit in "AV"}
         self._peak_i = max(self._peak_i * _HOLD, sizes["A"])
         self._peak_u = max(self._peak_u * _HOLD, sizes["V"])
-        full = {"A": nice_ceiling(self._peak_i), "V": nice_ceiling(self._peak_u)}
+        full = {"A": schema.nice_ceiling(self._peak_i), "V": schema.nice_ceiling(self._peak_u)}
         for name, text, unit, alpha, beta in pairs:
             size = math.hypot(alpha, beta)
             yield _Arrow(
                 name,
-                schema.colour(name),
+                schema.COLOURS[name],
                 alpha / full[unit],
                 beta / full[unit],
                 f"{text}  {size:.2f} {unit}  (circle {full[unit]:g} {unit})",
                 2.2,
             )
-
-
-def nice_ceiling(value: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten, from 0.1 up, that is not below `value`."""
-    power = 10.0 ** math.floor(math.log10(max(value, 0.1)))
-    return next(step * power for step in (1, 2, 5, 10) if step * power >= value - 1e-12)
 
 
 def _xy(angle: float, radius: float = 1.0) -> tuple[float, float]:

@@ -27,7 +27,8 @@ from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 I64 = NDArray[np.int64]
 SLICE = 1 << 14  # rows that are converted at a time: they stay in the processor's cache
-_NOT_READ = [f"/{entity}/**" for entity in (schema.TREND, schema.DRIVE, schema.HEALTH, "stator")]  # only to look at
+_TO_LOOK_AT = (schema.TREND, schema.DRIVE, schema.HALL_LANES, schema.HEALTH, "stator")
+_NOT_READ = [f"/{entity}/**" for entity in _TO_LOOK_AT]  # only to look at
 
 
 class NotARecordingError(BenchError):

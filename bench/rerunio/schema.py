@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ from numpy.typing import NDArray
 from bench.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
-from protocol.signals import Flag, RawType, Signal, Unit
+from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit
 from protocol.streams import StreamConfig
 
 APPLICATION = "hallbench"
@@ -36,6 +38,7 @@ STREAMS = "meta/streams"  # static: one description a stream, as META/<entity>
 FAST = "fast"  # the drive's samples at full rate, and the position errors
 TREND = "trend"  # minima and maxima over 10 ms of what the long plots show
 HALL = "hall"  # Hall edges, tick-exact
+HALL_LANES = "hall/lanes"  # the Hall code at each edge, and again in between, to look at
 EVENTS = "log/drive"
 NOTES = "log/host"
 HEALTH = "health"  # loss and error counters, once a second
@@ -64,6 +67,8 @@ LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_devi
 
 HOST_SUFFIX = "_host"  # of channels that the host has estimated itself
 
+UNITS = {signal.name: signal.unit for signal in DRIVE_CHANNELS}
+"""Units of the vocabulary's channels: under the same name, a channel in another unit is something else."""
 DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
 SPEED_REFERENCE = "omega_ref"
 
@@ -82,9 +87,9 @@ def error_component(channel: str) -> str:
     return f"error_deg:{channel}"
 
 
-def speed_component(channel: str, mechanical: bool) -> str:
-    """Component of a speed in r/min, mechanical where the pole pairs are known, else electrical."""
-    return f"{'mech' if mechanical else 'elec'}_rpm:{channel}"
+def speed_component(channel: str) -> str:
+    """Component of a mechanical speed in r/min: for runs whose pole pairs are known."""
+    return f"mech_rpm:{channel}"
 
 
 def mean_component(component: str) -> str:
@@ -143,7 +148,7 @@ COLOURS: dict[str, tuple[int, int, int]] = {
     "voltage": YELLOW,
     "back_emf": GREEN,
 }
-SPARE_COLOURS = (VERMILION, LILAC, PURPLE, GREEN)
+SPARE_COLOURS = (VERMILION, LILAC, GREEN, PURPLE, TEAL, LIME, BROWN)  # of names that are not known
 LABELS = {
     "theta_enc": "encoder",
     "omega_enc": "encoder",
@@ -194,11 +199,6 @@ class Mark:
             raise ValueError(f"mark {self.name}: it ends at tick {self.last_tick}, before its first, {self.first_tick}")
 
 
-def colour(name: str) -> tuple[int, int, int]:
-    """Colour of a quantity: fixed for the known ones, steady for a name that is not known."""
-    return COLOURS.get(name) or SPARE_COLOURS[sum(name.encode()) % len(SPARE_COLOURS)]
-
-
 def label(name: str) -> str:
     """What a plot calls a channel; one that the host has estimated says so."""
     drives = name.removesuffix(HOST_SUFFIX)
@@ -224,21 +224,43 @@ class RunInfo:
 
     @cached_property
     def n_p(self) -> int | None:
-        """Pole pairs, if the drive says."""
-        return int(self.parameters["n_p"]) if "n_p" in self.parameters else None
+        """Pole pairs, if the drive says, and says a whole number from 1 up."""
+        n_p = self.parameters.get("n_p", math.nan)
+        return int(n_p) if n_p >= 1 and n_p % 1 == 0 else None
 
     @property
-    def i_max(self) -> float:
-        """Largest current reference in A, 10 if the drive does not say."""
-        return self.parameters.get("i_max", 0.0) or 10.0
+    def i_max(self) -> float | None:
+        """Largest current reference in A, if the drive says one above 0."""
+        i_max = self.parameters.get("i_max", math.nan)
+        return i_max if 0 < i_max < math.inf else None
+
+    @property
+    def hall(self) -> bool:
+        """Whether Hall codes are to be expected: from the channel `hall`, or from a drive that streams edges."""
+        return "hall" in self.words or "edges" in self.identity.get("features", ("edges",))
+
+    @cached_property
+    def words(self) -> frozenset[str]:
+        """`hall` and `status` where they are streamed as whole numbers: their bits are shown, not their values."""
+        whole = {channel.name for channel in self.channels if channel.raw != RawType.F32}
+        return frozenset(name for name in ("hall", "status") if self.has(name) and name in whole)
+
+    @cached_property
+    def colours(self) -> Mapping[str, tuple[int, int, int]]:
+        """Colour of every channel: fixed for the known names, one after the other within a unit for all others."""
+        found: dict[str, tuple[int, int, int]] = {}
+        spare = defaultdict[Unit, Iterator[tuple[int, int, int]]](lambda: cycle(SPARE_COLOURS))
+        for channel in self.channels:
+            found[channel.name] = COLOURS.get(channel.name) or next(spare[channel.unit])
+        return found
 
     def has(self, *names: str) -> bool:
-        """Whether all these channels are streamed."""
+        """Whether all these channels of the vocabulary are streamed, in the units that it gives them."""
         return self._names.issuperset(names)
 
     @cached_property
     def _names(self) -> frozenset[str]:
-        return frozenset(channel.name for channel in self.channels)
+        return frozenset(channel.name for channel in self.channels if UNITS.get(channel.name) == channel.unit)
 
     @cached_property
     def position_estimates(self) -> tuple[str, ...]:
@@ -261,10 +283,15 @@ class RunInfo:
     def _flagged(self, flag: Flag, unit: Unit) -> tuple[str, ...]:
         return tuple(c.name for c in self.channels if c.flags & flag and c.unit == unit)
 
-    @cached_property
-    def rpm_per_rad_s(self) -> float:
-        """Factor from electrical rad/s to the r/min that are shown."""
-        return RPM / (self.n_p or 1)
+    @property
+    def speed_unit(self) -> str:
+        """Unit in which speeds are shown: mechanical r/min where the pole pairs are known, else electrical rad/s."""
+        return "r/min" if self.n_p else "rad/s"
+
+    @property
+    def speed_factor(self) -> float:
+        """Factor from electrical rad/s to `speed_unit`."""
+        return RPM / self.n_p if self.n_p else 1.0
 
     def to_json(self) -> dict[str, Any]:
         """All of it as plain JSON, for the recording."""
@@ -367,6 +394,12 @@ def raw_from_physical(channel: AnyChannel, values: NDArray[Any]) -> NDArray[Any]
         return values.astype(np.float32)
     counts = (values.astype(np.float64) - channel.offset) / channel.scale
     return (counts if channel.raw == RawType.F32 else np.rint(counts)).astype(channel.raw.dtype)
+
+
+def nice_ceiling(value: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten, from 0.1 up, that is not below `value`."""
+    power = 10.0 ** math.floor(math.log10(max(value, 0.1)))
+    return next(step * power for step in (1, 2, 5, 10) if step * power >= value - 1e-12)
 
 
 def ns_from_tick(tick: NDArray[np.int64] | int, tick_hz: int) -> NDArray[np.int64]:

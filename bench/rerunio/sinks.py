@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.errors import BenchError
+from bench.errors import RecordingError
 from bench.rerunio import schema
 from bench.rerunio.blocks import Block, BlockBuilder
 from bench.rerunio.salvage import mend
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
     from bench.rerunio.log import RunLog
 
-BLOCK_PERIOD = 0.055  # s of signal a message to rerun
+BLOCK_PERIOD = 0.055  # s of signal a message to a live view
+FILE_PERIOD = 0.045  # s of signal a message to a file: with what is under way it lacks 0.1 s at most after kill -9
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
@@ -50,21 +51,16 @@ Now = Callable[[], float]
 _Item = Block | schema.Mark | str | None  # a block, a mark, the text of the summary, or the end
 
 
-class RecordingError(BenchError):
-    """The recording cannot be written."""
-
-    exit_code = 3
-
-
 class _BlockSink:
     """Sink of `bench.client`: collects blocks and passes them on to `_put`, which must not wait.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
-    What is held back on purpose counts until it came here.
+    `host_time` is asked as a chunk comes, and gives None while the drive's clock is not known: such samples are left
+    out. What is held back on purpose counts until it came here.
     """
 
-    host_time: Callable[[float], float] | None = None
+    host_time: Callable[[float], float | None] | None = None
     _hold = False
 
     _thread: threading.Thread
@@ -81,7 +77,10 @@ class _BlockSink:
     def samples(self, chunk: SampleChunk) -> None:
         """Take samples."""
         now = self._now()
-        self._builder.samples(chunk, now)
+        taken: float | None = now
+        if self.host_time is not None and len(chunk):
+            taken = self.host_time(float(chunk.tick[0]))
+        self._builder.samples(chunk, now, taken)
         self._pass_on(now)
 
     def edges(self, chunk: EdgeChunk) -> None:
@@ -97,6 +96,10 @@ class _BlockSink:
     def event(self, node: int, event: DeviceEvent) -> None:
         """Take an event of the drive."""
         self._builder.event(node, event, self._now())
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Take what was lost at the end of the streams into the account of losses."""
+        self._builder.missing(samples, edges, self._now())
 
     def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
         """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR.
@@ -127,10 +130,10 @@ class _BlockSink:
             log.mark(item)
             return
         log.block(item)
-        now, host_time = self._now(), self.host_time
-        for chunk, arrived in zip(item.samples, item.arrivals, strict=True):
-            there = arrived if self._hold else now
-            self.latency.add(there - (host_time(float(chunk.tick[0])) if host_time else arrived), len(chunk))
+        now = self._now()
+        for chunk, arrived, taken in zip(item.samples, item.arrivals, item.taken, strict=True):
+            if taken is not None:
+                self.latency.add((arrived if self._hold else now) - taken, len(chunk))
         self.logged_samples += item.n_samples
         self.logged_edges += item.n_edges
 
@@ -155,7 +158,7 @@ class FileSink(_BlockSink):
         live_drops: Callable[[], int] = lambda: 0,
         now: Now = time.monotonic,
     ) -> None:
-        super().__init__(run, BLOCK_PERIOD, now)
+        super().__init__(run, FILE_PERIOD, now)
         self.path = Path(path)
         self.error: RecordingError | None = None
         self._raised = False

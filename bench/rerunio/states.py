@@ -11,12 +11,13 @@ import rerun as rr
 from bench.rerunio import schema
 from bench.verdict import Verdict, worst
 from protocol.codes import fault_names
-from protocol.messages import DeviceEvent, DriveState, EventCode, Fault
+from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fault
 from protocol.signals import OTHER_SOURCE, AngleSource
 
 SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)  # sector 0..5 by Hall code, SPEC.md's Hall bit order
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
 ILLEGAL = "illegal"
+NO_EDGE = "no edge yet"
 
 Colour = tuple[int, int, int]
 _DARK, _DIM, _RED = (52, 52, 52), (84, 84, 84), (230, 40, 40)
@@ -26,12 +27,15 @@ HALL_COLOURS: dict[str, Colour] = {
     **{f"{sensor}=0": _DARK for sensor in "abc"},
     **{f"{sensor}=1": schema.COLOURS[f"i_{sensor}"] for sensor in "abc"},
     **{sector: (_DIM, (110, 110, 110))[i % 2] for i, sector in enumerate(SECTORS)},
+    **{f"{sensor}=?": _DARK for sensor in "abc"},
     ILLEGAL: _RED,
+    NO_EDGE: _DARK,
 }
-_HALL_LABELS = {"a=0": "0", "b=0": "0", "c=0": "0", "a=1": "a", "b=1": "b", "c=1": "c"}
+_HALL_LABELS = {f"{sensor}={bit}": label for sensor in "abc" for bit, label in (("0", "0"), ("1", sensor), ("?", "?"))}
 
 # Lanes of the drive: every word tells by itself which lane it stands in.
-LANES = ("state", "faults", "source", "correction", "telemetry")
+_LANES = ("state", "faults", "source", "correction", "telemetry")
+_STATUS_LANES = frozenset(("source", "correction"))  # that the channel `status` alone can fill
 UNKNOWN = "unknown"
 NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
 CORRECTION = ("back-EMF correction off", "back-EMF correction on")
@@ -69,7 +73,7 @@ _VERDICT_COLOURS: dict[Verdict, Colour] = {
 }
 UNMARKED = "unmarked"
 _NAMED = 2  # marks that a stretch of the lane names; the log has them all
-STATE_COLOURS: dict[str, dict[str, Colour]] = {schema.HALL: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
+STATE_COLOURS: dict[str, dict[str, Colour]] = {schema.HALL_LANES: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
 
 
 def _hall_lanes() -> pa.Array:
@@ -78,10 +82,16 @@ def _hall_lanes() -> pa.Array:
         sector = SECTOR_OF_CODE[code]
         sensors = [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")]
         lanes.append([*sensors, SECTORS[sector] if sector >= 0 else ILLEGAL])
+    lanes.append([*(f"{sensor}=?" for sensor in "abc"), NO_EDGE])
     return pa.array(lanes, pa.list_(pa.string()))
 
 
-HALL_LANES = _hall_lanes()  # by Hall code: states of the lanes a, b, c and sector
+HALL_LANES = _hall_lanes()  # by Hall code, and for UNKNOWN_CODE: states of the lanes a, b, c and sector
+
+
+def lanes(run: schema.RunInfo) -> tuple[str, ...]:
+    """The lanes of the drive that the run can fill."""
+    return tuple(lane for lane in _LANES if lane not in _STATUS_LANES or "status" in run.words)
 
 
 def configuration(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
@@ -94,7 +104,7 @@ def configuration(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
 
 def state_name(value: int) -> str:
     """Name of a DriveState; an unknown one keeps its number."""
-    return DriveState(value).name if value in DriveState._value2member_map_ else f"state {value}"
+    return DriveState(value).name
 
 
 def source_name(value: int) -> str:
@@ -128,6 +138,9 @@ def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict
 
 
 MARK_LEVELS: dict[Verdict, str] = {Verdict.FAIL: "ERROR", Verdict.ERROR: "ERROR", Verdict.INVALID: "WARN"}
+LEVEL_COLOURS: dict[str, Colour] = {"CRITICAL": (255, 90, 90), "ERROR": (255, 90, 90), "WARN": (240, 180, 60)}
+"""Colours of the log's lines, by level; all other levels have LINE_COLOUR: without one, the last colour would stay."""
+LINE_COLOUR: Colour = (205, 205, 205)
 EVENT_LEVELS: dict[int, str] = {
     EventCode.FAULT: "ERROR",
     EventCode.SETPOINT_REJECTED: "WARN",
@@ -139,11 +152,12 @@ def event_text(node: int, event: DeviceEvent) -> str:
     """One line for an event of node `node`."""
     match event.code:
         case EventCode.STATE_CHANGED:
-            text = f"state {state_name(int(event.arg))}"
+            text = f"state {event.arg:g}" if event.number is None else state_name(event.number)
+            text = f"state {text.removeprefix('state ')}"
         case EventCode.FAULT:
-            text = f"FAULT {fault_text(int(event.arg))}"
+            text = f"FAULT {fault_text(event.faults)}"
         case EventCode.SETPOINT_REJECTED:
-            text = f"setpoint rejected (error {event.arg:g})"
+            text = f"setpoint rejected: {ErrorCode(event.number or 0).name} ({event.detail:g})"
         case EventCode.ARM_LAPSED:
             text = f"ARMED lapsed after {event.arg:g} s without START"
         case _:

@@ -1,4 +1,4 @@
-"""Writes the scoreboard as one HTML file with its figures in it. Nothing is fetched when it is read."""
+"""The scoreboard as one HTML file with its figures in it. Nothing is fetched when it is read."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bench.acceptance.style import save
-from bench.errors import BenchError
 from bench.score.board import PHASES, Figures, Scoreboard, partly
 from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
 from bench.score.table import HEADERS, LEGEND, row
@@ -27,9 +27,10 @@ NAMES = {
 }
 
 
-def write_report(board: Scoreboard, path: Path) -> None:
-    """Write `path`. Raises BenchError where that fails."""
-    with TemporaryDirectory(prefix="hallbench-") as folder:
+def as_html(board: Scoreboard) -> str:
+    """The page."""
+    # a $ in the name of an observer is no mathematics
+    with TemporaryDirectory(prefix="hallbench-") as folder, rc_context({"text.parse_math": False}):
         picture = Path(folder) / "figure.png"
         observers = [
             {
@@ -47,7 +48,7 @@ def write_report(board: Scoreboard, path: Path) -> None:
             }
             for name, figures in board.pooled.items()
         ]
-        page = (
+        return (
             _environment()
             .get_template("report.html.j2")
             .render(
@@ -69,10 +70,6 @@ def write_report(board: Scoreboard, path: Path) -> None:
                 observers=observers,
             )
         )
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise BenchError(f"--html {path} cannot be written: {error.strerror}") from None
 
 
 def _provenance(track: Track) -> str:

@@ -21,8 +21,9 @@ from bench.rerunio.recording import Run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
 from bench.score.phases import Phases, phases_of, speed_of
+from bench.statistics import states
 from protocol.messages import DriveState
-from protocol.signals import STATUS_STATE_MASK, Flag, Unit
+from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk
 
 F64 = NDArray[np.float64]
@@ -103,8 +104,8 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
     if not found:
         raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
     usable = np.ones(len(samples), bool)
-    if "status" in (samples.raw.dtype.names or ()):
-        running = (samples.raw["status"] & STATUS_STATE_MASK) == DriveState.RUNNING
+    if (told := states(samples)) is not None:
+        running = told == DriveState.RUNNING
         if running.any():
             usable = running
         else:
@@ -155,7 +156,7 @@ def _fastest(run: Run) -> float:
     for flag in (Flag.REFERENCE, Flag.ESTIMATE):
         if told := [c.name for c in channels if c.flags & flag]:
             return max(float(np.abs(run.samples.physical(name)).max()) for name in told)
-    return run.info.parameters.get("n_p", 1.0) * run.info.parameters.get("omega_m_max", 0.0)
+    return (run.info.n_p or 1) * run.info.parameters.get("omega_m_max", 0.0)
 
 
 def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]]:

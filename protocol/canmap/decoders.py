@@ -19,12 +19,14 @@ from protocol.canmap.layout import EDGE_BYTES, StreamLayout
 from protocol.streams import (
     EDGE_RECORD,
     I64,
+    Beat,
     EdgeChunk,
     Gap,
     LossCounters,
     SampleChunk,
     StreamConfig,
     TickReference,
+    missing_edges,
     unpack_edges,
 )
 
@@ -34,13 +36,6 @@ FRESH = 0.11  # s before and after a heartbeat for which its count of edges alon
 EDGE_RANGE = 256  # of the counter in a frame of an edge
 
 Bools = NDArray[np.bool_]
-
-
-class Beat(NamedTuple):
-    """A heartbeat's device time and count of edges."""
-
-    tick: int
-    edges: int
 
 
 class CanFrames(NamedTuple):
@@ -117,6 +112,19 @@ class CanSampleDecoder:
             if len(part):
                 self._take(group, part, near)
         return self._deliver()
+
+    def missing(self, first: Beat | None, last: Beat) -> int:
+        """See `Decoder.missing`: of whole frames only, because STREAM_STOP sends no others."""
+        if self._next is not None:
+            start = self._next
+        elif first is not None:
+            start = self._number(first.tick) + 1
+        else:
+            return 0
+        came = [order.expected // self._unit for order in self._orders if order.expected is not None]
+        reached = max(came, default=start)  # of the group that got furthest: what waits for the others is lost
+        frames = max(0, (self._number(last.tick) + 1 - reached) // self._layout.samples)
+        return max(0, reached + frames * self._layout.samples - start)
 
     def _number(self, tick: int) -> int:
         """Number of the sample that is taken at a tick."""
@@ -252,6 +260,10 @@ class CanEdgeDecoder:
             Gap(int(at), int(missing[at]), int(missing[at]), False) for at in np.flatnonzero((missing > 0) | late)
         )
         return unpack_edges(self.config, records, tick, numbers, gaps)
+
+    def missing(self, first: Beat | None, last: Beat) -> int:
+        """See `Decoder.missing`."""
+        return missing_edges(self._order.expected, first, last)
 
     def _place(self, low: I64, tick: I64, beats: tuple[Beat, ...]) -> tuple[I64, Bools]:
         """Return the edges' numbers, and where they are sure.

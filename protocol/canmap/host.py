@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.canmap.decoders import Beat, CanEdgeDecoder, CanFrames, CanSampleDecoder
+from protocol.canmap.decoders import CanEdgeDecoder, CanFrames, CanSampleDecoder
 from protocol.canmap.frame import CAN_RECORD, ERROR, FDF, STANDARD_MASK, BusRates
 from protocol.canmap.ids import BROADCAST, MAX_NODE, SLOTS, STATUS_SLOTS, STREAM_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.layout import sample_layout
@@ -22,7 +22,7 @@ from protocol.codes import Command
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import HEADER_BYTES, Frame
 from protocol.messages import Heartbeat, MessageType, PayloadError, StreamEvent
-from protocol.streams import StreamConfig, TickReference
+from protocol.streams import Beat, StreamConfig, TickReference
 from protocol.wire import Decoder, StreamFrames
 
 OVERDUE = 0.35  # s without a heartbeat after which a node's stream frames are held back: three of them, and some

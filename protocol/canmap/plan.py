@@ -57,6 +57,8 @@ class BusPlan:
 
     def choices(self, widths: Sequence[int], decimation: int = 1) -> list[Fit]:
         """Return what there is to choose: all channels as quick as can be, and fewer, up to this decimation's rate."""
+        if not widths:
+            return []
         found: dict[int, Fit] = {}
         counts = {len(widths), *(n for n in (1, 3, 7, 14) if n < len(widths))}
         for fit in [*(self.fastest(widths[:n]) for n in counts), self.most(widths, decimation)]:

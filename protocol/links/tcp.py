@@ -24,6 +24,7 @@ class TcpLink(DescriptorLink):
         super().__init__(str(target))
         self.target = target
         self._socket: socket.socket | None = None
+        self._heard = False
         self._open()
 
     def _open(self) -> None:
@@ -45,6 +46,7 @@ class TcpLink(DescriptorLink):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
         self._socket = connection
+        self._heard = False
 
     def reopen(self) -> None:
         """See `Link.reopen`."""
@@ -62,7 +64,9 @@ class TcpLink(DescriptorLink):
         return -1 if self._socket is None else self._socket.fileno()
 
     def _receive(self, limit: int) -> bytes:
-        return self._opened.recv(limit)
+        data = self._opened.recv(limit)
+        self._heard |= bool(data)
+        return data
 
     def _send(self, data: memoryview) -> int:
         return self._opened.send(data)
@@ -75,9 +79,11 @@ class TcpLink(DescriptorLink):
 
     def _gone(self, cause: OSError | None) -> LinkClosed:
         self.close()
-        if cause is None:
+        if not self._heard:
             return LinkClosed(
-                f"{self.name} was closed by the other end: "
+                f"{self.name} closed the connection without a word: "
                 "is another program connected? (a drive takes one client at a time)"
             )
+        if cause is None:
+            return LinkClosed(f"{self.name} was closed by the other end")
         return LinkClosed(f"{self.name} was lost: {cause.strerror or cause}")

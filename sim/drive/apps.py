@@ -89,7 +89,7 @@ class DriveApp:
         elif mode is SetpointMode.CURRENT:
             _limit("current", math.hypot(value, value2), self.get_param("i_max"))
         else:
-            raise Refused(f"a drive has no setpoint {mode.name}", ErrorCode.BAD_VALUE, mode)
+            raise Refused(f"a drive has no setpoint {mode.name}", ErrorCode.NOT_SUPPORTED, mode)
         self._bench.setpoint(mode, value, value2)
 
     def get_param(self, name: str) -> float:
@@ -157,7 +157,7 @@ class LoadApp:
         elif mode is SetpointMode.SPEED:
             _limit("speed", abs(value), self.get_param("omega_m_max"))
         else:
-            raise Refused(f"a load machine has no setpoint {mode.name}", ErrorCode.BAD_VALUE, mode)
+            raise Refused(f"a load machine has no setpoint {mode.name}", ErrorCode.NOT_SUPPORTED, mode)
         self._bench.load_setpoint(mode, value)
 
     def get_param(self, name: str) -> float:

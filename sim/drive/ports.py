@@ -8,7 +8,9 @@ step.
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import os
+import re
 import socket
 import tty
 from pathlib import Path
@@ -21,6 +23,8 @@ from sim.drive.uart import misread, same_rate
 
 _CHUNK = 65536
 _SEND_BUFFER = 262144  # bytes that the kernel may hold for a slow TCP client
+_PTY = re.compile(r"/dev/(pts/|ttys)\d+")
+_TURNED_AWAY = 8  # clients that are given time to read that there is another
 
 
 class Port(Protocol):
@@ -67,7 +71,8 @@ class PtyPort:
     listening: the port stays, and what the line does not take is dropped by the device.
 
     Args:
-        link: path of a symbolic link to make; an existing link there is replaced, anything else refused.
+        link: path of a symbolic link to make; a link to a pty, as an earlier run leaves it, is replaced, anything else
+            refused.
         baud: rate of the simulated UART; a host that sets another reads and writes rubbish. None: like a
             microcontroller's USB port, which ignores the rate.
 
@@ -101,12 +106,15 @@ class PtyPort:
         self._name = os.ttyname(self._slave)
         if self._link is not None:
             try:
-                if self._link.is_symlink():
+                if self._link.is_symlink() and _PTY.fullmatch(os.readlink(self._link)):
                     self._link.unlink()
                 self._link.symlink_to(self._name)
             except OSError as error:
                 self.unplug()
-                raise LinkError(f"cannot make the link {self._link}: {error.strerror}") from None
+                why = str(error.strerror)
+                if self._link.is_symlink():
+                    why = "another link is there, not to a pty; remove it or name another path"
+                raise LinkError(f"cannot make the link {self._link}: {why}") from None
 
     def unplug(self) -> None:
         """See `Port.unplug`."""
@@ -166,7 +174,7 @@ class PtyPort:
 class TcpPort:
     """A listening TCP port that serves one client at a time.
 
-    A second client is accepted and closed at once, so that it sees an end of file instead of waiting.
+    A second client is accepted and gets an end of file at once, instead of waiting.
 
     Raises:
         LinkError: the address cannot be listened on.
@@ -176,6 +184,7 @@ class TcpPort:
         self._address = (host, port)
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
+        self._turned_away: list[socket.socket] = []
         self.refused = 0
         """Clients sent away because another was there."""
         self.plug()
@@ -184,6 +193,13 @@ class TcpPort:
     def target(self) -> str:
         """See `Port.target`."""
         return str(TcpTarget(*self._address))
+
+    @property
+    def exposed(self) -> bool:
+        """Whether other machines reach it."""
+        if self._listener is None:
+            return False
+        return not ipaddress.ip_address(self._listener.getsockname()[0].partition("%")[0]).is_loopback
 
     def plug(self) -> None:
         """See `Port.plug`."""
@@ -202,6 +218,8 @@ class TcpPort:
     def unplug(self) -> None:
         """See `Port.unplug`."""
         self._drop_client()
+        while self._turned_away:
+            self._turned_away.pop().close()
         if self._listener is not None:
             self._listener.close()
             self._listener = None
@@ -230,6 +248,7 @@ class TcpPort:
                 pass
             except OSError:
                 self._drop_client()
+        self._turned_away = [client for client in self._turned_away if _drained(client)]
         self._accept()  # last: a client that has gone makes room for the next
         return data
 
@@ -253,7 +272,7 @@ class TcpPort:
                 return
             if self._client is not None:
                 self.refused += 1
-                client.close()
+                self._turn_away(client)
                 continue
             client.setblocking(False)
             try:
@@ -265,7 +284,29 @@ class TcpPort:
                 continue
             self._client = client
 
+    def _turn_away(self, client: socket.socket) -> None:
+        """Give it an end of file. It is closed when it has closed: before that, what it says would be a reset."""
+        client.setblocking(False)
+        with contextlib.suppress(OSError):
+            client.shutdown(socket.SHUT_WR)
+            self._turned_away.append(client)
+            if len(self._turned_away) > _TURNED_AWAY:
+                self._turned_away.pop(0).close()
+
     def _drop_client(self) -> None:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+def _drained(client: socket.socket) -> bool:
+    """Throw away what a client has said; False, and it is closed, once it has nothing more to say."""
+    try:
+        while client.recv(_CHUNK):
+            pass
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    client.close()
+    return False

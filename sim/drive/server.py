@@ -7,6 +7,7 @@ and counts, while the device's own ticks go on without a gap.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     from sim.drive.networks import Network
 
 STEP = 0.005  # s between portions
+LATE = 0.05  # s of delay that is worth a word
+LATE_PERIOD = 5.0  # s between such words
+WARNING = 4  # level of a LOG
 MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
 TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
 MIN_TX_BYTES = 1 << 13
@@ -51,6 +55,11 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 CONTROLS = """test aids:
   kill -USR1 PID   pull the cable: the pty vanishes, or the TCP connection and its port
   kill -USR2 PID   put it back, under the same --link or port"""
+
+EXPOSED = (
+    "{} is open to other machines, and HBP has no authentication: whoever reaches it can spin the motor. "
+    "Better listen on 127.0.0.1 and let others in by ssh -L"
+)
 
 Say = Callable[[str], None]
 
@@ -118,9 +127,13 @@ class Schedule:
         self.skipped = 0.0
         """Seconds of clock time that were left out then."""
 
+    def behind(self, now: float) -> float:
+        """Seconds from the last period that was run to `now`."""
+        return now - self._start - self._done / self._pwm_hz
+
     def due(self, now: float) -> int:
         """Periods to run now."""
-        excess = now - self._start - self._done / self._pwm_hz - MAX_BEHIND
+        excess = self.behind(now) - MAX_BEHIND
         if excess > 0.0:
             self.late += 1
             self.skipped += excess
@@ -131,18 +144,26 @@ class Schedule:
 
 
 class Server:
-    """One device, one port, one clock: `step` does everything that is due."""
+    """One device, one port, one clock: `step` does everything that is due.
 
-    def __init__(self, device: SimulatedDevice, port: Port, now: float, baud: int | None = None) -> None:
+    `tell` gets a line, and the host a LOG, when it was kept from its work for more than `LATE`.
+    """
+
+    def __init__(
+        self, device: SimulatedDevice, port: Port, now: float, baud: int | None = None, tell: Say | None = None
+    ) -> None:
         self.device = device
         self.port = port
         self.schedule = Schedule(device.pwm_hz, now)
         self._pacer = None if baud is None else Pacer(baud)
         self._portion = max(1, round(STEP * device.pwm_hz))
         self._pending = b""
+        self._tell = _say_nothing if tell is None else tell
+        self._told_late = -math.inf
 
     def step(self, now: float) -> None:
         """Run the periods that are due at `now`, take what has arrived, send what the port takes."""
+        self._look_for_delay(now)
         due = self.schedule.due(now)
         while due > 0:
             n = min(due, self._portion)
@@ -152,6 +173,14 @@ class Server:
                 self._receive()
         self._receive()
         self._send(now)
+
+    def _look_for_delay(self, now: float) -> None:
+        behind = self.schedule.behind(now)
+        if behind > LATE and now - self._told_late >= LATE_PERIOD:
+            self._told_late = now
+            text = f"the simulated drive stood still for {behind * 1000:.0f} ms: this machine is too busy"
+            self._tell(text)
+            self.device.drive.log(WARNING, text)
 
     def _receive(self) -> None:
         data = self.port.read()
@@ -199,6 +228,8 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
     try:
         if not numba_cache.is_warm():
             tell("compiling the simulation (once, some ten seconds) ...")
+        if isinstance(port, TcpPort) and port.exposed:
+            print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
         with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
             device = _make_device(params, options, tell)
         received: set[int] = set()
@@ -208,7 +239,7 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
                 f"simulated drive (node 1) and load machine (node 2): {len(device.drive.app.channels)} channels at "
                 f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
             )
-            server = Server(device, port, time.monotonic(), options.baud)
+            server = Server(device, port, time.monotonic(), options.baud, tell)
             _run(server, received, options.exit_with_parent, tell)
         tell(server.summary())
     finally:

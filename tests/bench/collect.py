@@ -11,7 +11,7 @@ from bench.client import Client, SinkBase
 from bench.errors import DoesNotFit
 from bench.node import DRIVE, LOAD, Node
 from protocol.links import Link
-from protocol.messages import DeviceEvent, Heartbeat
+from protocol.messages import DeviceEvent, DriveState, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ class Collector(SinkBase):
         self.events: list[tuple[int, DeviceEvent]] = []
         self.heartbeats: list[tuple[int, Heartbeat]] = []
         self.notes: list[str] = []
+        self.lost = (0, 0)  # samples and edges, at the end of the streams
 
     def samples(self, chunk: SampleChunk) -> None:
         self.chunks.append(chunk)
@@ -38,6 +39,9 @@ class Collector(SinkBase):
 
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
         self.heartbeats.append((node, heartbeat))
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        self.lost = (self.lost[0] + samples, self.lost[1] + edges)
 
     def note(self, text: str, level: str = "INFO") -> None:
         self.notes.append(text)
@@ -104,7 +108,8 @@ class Bench:
     def rest(self) -> None:
         """Leave both machines as the next host expects to find them."""
         for node in (self.drive, self.load):
-            node.stop()
+            if node.state in (DriveState.ARMED, DriveState.RUNNING):
+                node.stop()
             node.clear_faults()
         self.drive.stop_streams()
 

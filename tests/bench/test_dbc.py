@@ -415,7 +415,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (("--rate", "1e-9"), "the lowest is 0.244144 Hz"),
         (("--rate", "0"), "must be above 0"),
         (("--rate", "8000"), "26 channels at 8000 Hz do not fit CAN at 1 Mbit/s; they would at --rate "),
-        (("-o", "/nowhere/x.dbc"), "-o /nowhere/x.dbc cannot be written: No such file or directory"),
+        (("-o", "/nowhere/x.dbc"), "-o /nowhere/x.dbc cannot be written: there is no directory /nowhere"),
     ],
 )
 def test_refusals(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], says: str) -> None:

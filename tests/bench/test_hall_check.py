@@ -20,7 +20,7 @@ from click.shell_completion import ShellComplete
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
 
 from bench.cli import cli, main
-from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.errors import BenchError, Interrupted, OutputsMayBeOn, UnsafeError
 from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
@@ -235,8 +235,9 @@ def test_what_a_lost_link_leaves_changed_is_named() -> None:
 
     with reached(device, lose) as links, pytest.raises(BenchError) as ended:
         look(Options(TARGET, yes=True))
-    assert str(ended.value).startswith("the bench could not be left as it was: virtual: is closed; ")
-    assert "; not put back: i_max (was 8), observer (was 2); nothing was heard of the drive since" in str(ended.value)
+    assert isinstance(ended.value, OutputsMayBeOn)
+    assert str(ended.value).startswith("OUTPUTS MAY STILL BE ON: cut the power. STOP was not sent, ")
+    assert str(ended.value).endswith("; not put back: i_max (was 8), observer (was 2)")
 
 
 # -- consent, and the end of it ---------------------------------------------------------------------------------
@@ -400,13 +401,13 @@ def test_no_output_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     Path("rig.toml").write_text("")
     Path("old.toml").write_text("precious")
     for arguments, words in (
-        (("check", "run.rrd", "--json", "run.rrd"), "--json run.rrd is a file that is read"),
+        (("check", "run.rrd", "--json", "run.rrd"), "--json takes run.rrd as the file to write"),
         (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is a file that is read"),
         (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json are the same file"),
         (("learn", "run.rrd", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
         (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is a file that is read"),
         (("learn", "sim", "--out", "old.toml"), "--out old.toml exists: choose another name, or --overwrite"),
-        (("learn", "sim", "--out", "nowhere/edges.toml"), "there is no directory nowhere"),
+        (("learn", "sim", "--out", "nowhere/edges.toml"), "cannot be written: there is no directory"),
     ):
         code, out, err = bench(capsys, *arguments)
         assert (code, out) == (2, "")
@@ -428,14 +429,21 @@ def test_completion_knows_targets_and_recordings(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "words"), [
     (("check", "nowhere.rrd"), "nowhere.rrd: no such file"),
-    (("check", "tcp:127.0.0.1:1", "--config", "pyproject.toml"), "--config is for the simulated drive"),
+    (("check", "tcp:127.0.0.1:1", "--config", "x.toml"), "--config is for the simulated drive"),
     (("check", "x.rrd", "--passive"), "x.rrd is a recording: --save and --passive are for a drive"),
     (("learn", "x.rrd", "--write"), "--write needs a drive, and x.rrd is a recording"),
     (("learn", "sim", "--out", "edges.yaml"), "--out edges.yaml: the name must end in .toml or .json"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_refused_in_a_line(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    words: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("x.rrd").touch()
+    Path("x.toml").touch()
     code, _, err = bench(capsys, *arguments)
     assert code == 2
     assert err.startswith("error: ")

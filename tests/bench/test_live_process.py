@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 import signal
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,7 @@ RUNS = {
     "CAN FD": (("--slcan", "--fd", "--data-bitrate", "8000000"), ("--host-observers", "--channels", OBSERVED)),
 }
 PTYS = {"serial": ("--pty",), "CAN": ("--slcan",), "CAN FD": ("--slcan", "--fd")}
-TURNING = r"RUNNING \d{3,} r/min"
+TURNING = r"RUNNING, \d{3,} r/min"
 
 
 @pytest.mark.parametrize(("where", "options"), RUNS.values(), ids=RUNS)
@@ -96,7 +98,8 @@ def test_a_killed_host_ends_in_outputs_off_by_the_watchdog(
     [
         (signal.SIGTERM, (), 143),
         (signal.SIGHUP, (), 129),
-        (signal.SIGINT, (), 0),
+        (signal.SIGQUIT, (), 131),
+        (signal.SIGINT, (), 130),
         (signal.SIGINT, ("--duration", "60"), 130),
     ],
 )
@@ -115,19 +118,45 @@ def test_a_signal_ends_in_stop(
     assert not any("Traceback" in line for line in live.err)
 
 
-def test_a_full_disk_ends_in_stop_and_one_line(start: Start, start_sim: StartSim, tmp_path: Path) -> None:
-    sim = start_sim("--pty")
+@pytest.fixture(params=["a limit on files", "a full disk"])
+def small_place(
+    request: pytest.FixtureRequest, tmp_path: Path
+) -> Iterator[tuple[Path, Callable[[], None] | None, str]]:
+    """A directory in which a file grows to a megabyte at most, what a child does for it, and what a writer is told."""
+    size = 1 << 20
+    if request.param == "a limit on files":
+        yield tmp_path, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), "cannot be written"
+        return
+    mount = shutil.which("mount")
+    mounted = mount and subprocess.run(
+        [mount, "-t", "tmpfs", "-o", f"size={size}", "none", str(tmp_path)], capture_output=True, text=True
+    )
+    if not mounted or mounted.returncode:
+        pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip() if mounted else 'no mount'}")
+    yield tmp_path, None, "the disk is full"
+    subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def test_a_full_disk_ends_in_stop_and_a_summary(
+    start: Start, start_sim: StartSim, small_place: tuple[Path, Callable[[], None] | None, str]
+) -> None:
+    directory, limit, says = small_place
+    recording = directory / "a.rrd"
+    sim = start_sim("--pty", *PATIENT)
     live = start(
-        "live", sim.target, "--speed", "500", "--viewer", "none", "--save", str(tmp_path / "a.rrd"),
-        limit_resources=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 19, 1 << 19)),
+        "live", sim.target, "--speed", "500", "--viewer", "none", "--json", "-", "--save", str(recording),
+        limit_resources=limit,
     )  # fmt: skip
     sim.line(r"outputs on \(node 1")
     sim.line(r"outputs off: STOP \(node 1")
     assert live.end() == 3
-    assert "a.rrd" in live.err[-1]
-    assert [line for line in live.err if line.startswith("error: ")] == [live.err[-1]]
+    summary = json.loads("\n".join(live.out))
+    assert summary["result"].startswith(f"recording failed: {recording}: {says}")
+    assert summary["samples"] > summary["recording"]["samples"] > 1000
+    assert summary["faults"] == []
+    assert sum(says in line for line in live.err) == 1
     assert not any("Traceback" in line or "re_sdk" in line or "\x1b" in line for line in live.err)
-    assert len(read_run(tmp_path / "a.rrd").samples) > 1000  # what fitted is there
+    assert len(read_run(recording).samples) > 1000  # what fitted is there
 
 
 @pytest.mark.parametrize("where", PTYS.values(), ids=PTYS)
@@ -144,11 +173,11 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     live.line("(is gone|was lost).*; waiting up to 30 s")
     sim.send(signal.SIGUSR2)
     live.line("the drive tripped: WATCHDOG")
-    live.line(r"FAULT \d+ r/min")  # it goes on watching
+    live.line(r"FAULT, \d+ r/min")  # it goes on watching
     live.send(signal.SIGINT)
     assert live.end() == 1
     summary = json.loads("\n".join(live.out))
-    assert summary["result"] == "the drive tripped: WATCHDOG"
+    assert summary["result"].startswith("the drive tripped: WATCHDOG: this host sent no ALIVE for 0.")
     assert summary["link"]["outages"] == 1
     assert summary["link"]["downtime_s"] > 0.05  # from when it was noticed
     assert summary["link"]["reboots"] == 0

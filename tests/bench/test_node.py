@@ -22,7 +22,7 @@ from protocol.canmap.frame import BusRates
 from protocol.errors import LinkClosed, NoReply, Refused
 from protocol.links import open_link
 from protocol.messages import DriveState, EventCode, Fault, Feature, Role
-from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, Unit
+from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
 from protocol.streams import SampleChunk
 from sim.drive.device import SimulatedDevice
 from sim.drive.server import ServeOptions, serving
@@ -128,7 +128,7 @@ def test_a_whole_session_over_each_link(bench: Bench) -> None:
 
 
 def test_setpoints_are_confirmed_or_the_rejection_is_raised(bench: Bench) -> None:
-    with pytest.raises(NodeError, match=r"rejected the setpoint SPEED 10 \(state IDLE"):
+    with pytest.raises(NodeError, match=r"rejected the setpoint SPEED 10: WRONG_STATE \(1\) \(state IDLE"):
         bench.drive.speed(10.0)
     bench.turn(50.0)
     bench.drive.current(2.0, -1.0)
@@ -196,7 +196,8 @@ def test_the_load_machine_forces_a_speed_and_brakes_with_a_torque(network: str) 
 
 
 @pytest.mark.parametrize("decimation", [4, 16, 1000])
-def test_decimated_streams_keep_every_nth_sample(bench: Bench, decimation: int) -> None:
+def test_decimated_streams_keep_every_nth_sample(network: str, decimation: int) -> None:
+    bench = virtual(network)
     bench.stream(("hall", "i_a"), decimation)
     bench.client.run_for(1.0)
     samples = bench.collector.all_samples()
@@ -207,7 +208,8 @@ def test_decimated_streams_keep_every_nth_sample(bench: Bench, decimation: int) 
     assert bench.client.losses(1).samples.lost_by_index == 0
 
 
-def test_channels_come_in_the_drives_order_and_unknown_ones_are_named(bench: Bench) -> None:
+def test_channels_come_in_the_drives_order_and_unknown_ones_are_named() -> None:
+    bench = virtual()
     assert [c.name for c in bench.drive.channels(["i_b", "hall", "i_b"])] == ["hall", "i_b"]
     with pytest.raises(NodeError, match="node 1 has no channel 'theta_ecn': did you mean theta_enc"):
         bench.drive.channels(["theta_ecn"])
@@ -340,4 +342,4 @@ def test_a_unit_of_a_later_version_does_not_spoil_the_descriptor() -> None:
     session._blob = bytes(blob)
     with patch.object(type(session.descriptor), "crc", crc32(blob)):
         bench = Bench(WatchedLink(drive))
-        assert bench.drive.descriptor.channels[0].unit is Unit.NONE
+        assert bench.drive.descriptor.channels[0].unit.symbol == "unit 200"

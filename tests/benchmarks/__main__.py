@@ -12,6 +12,7 @@ from tests.benchmarks import (
     bench_can,
     bench_decode,
     bench_fixed_point,
+    bench_kills,
     bench_learned_edges,
     bench_live,
     bench_replay,
@@ -41,6 +42,7 @@ PARTS = {
     "slcan": ("slcan: text, and reading 5000 CAN FD frames of 64 bytes a second", bench_slcan.rows),
     "replay": ("Replay and score of a recorded minute, all channels at 16 kHz", lambda seconds: bench_replay.rows()),
     "accept": ("Acceptance: the whole suite in virtual time", lambda seconds: bench_accept.rows()),
+    "kills": ("Killed, stopped or told to end at a random moment", lambda seconds: bench_kills.rows()),
     "start": ("Start-up, caches warm", lambda seconds: bench_start.rows()),
 }
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from protocol.signals import DRIVE_CHANNELS
 from sim.observers import sample, vector_tracking, vector_tracking_q15
-from sim.observers.bank import FRONT_PARAMETERS, PARAMETERS
+from sim.observers.bank import FRONT_PARAMETERS
+from sim.observers.catalogue import CATALOGUE
 from tests.benchmarks.table import Row
 from tests.sim.observers import q15_harness
 from tests.sim.test_accuracy import PWM_HZ, VECTOR, column, forced, running
@@ -28,7 +29,6 @@ from tests.sim.test_accuracy import PWM_HZ, VECTOR, column, forced, running
 SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
 LOADS = (1.0, 4.0, 8.0)  # A
 TICK_HZ = 20_000_000
-OWN = ("R_s_hat", "L_s_hat", "psi_f_hat", "k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off", "bw_omega_lpf")
 GOAL = 125.0  # ns a step
 SETTLE = 1.0  # s of a recording until both observers are settled
 MEASURED = 2.0
@@ -73,9 +73,10 @@ def _recorded(rpm: int, i_q: float) -> tuple[dict[str, float], sample.Samples, N
 
 
 def _params(drive: dict[str, float]) -> tuple[vector_tracking.Params, vector_tracking_q15.Params]:
-    every = {name: drive[name] for name in PARAMETERS if name not in FRONT_PARAMETERS}
-    own = {name: drive[name] for name in OWN}
-    return vector_tracking.make_params(PWM_HZ, **every), vector_tracking_q15.make_params(PWM_HZ, **own)
+    floating, fixed = (
+        CATALOGUE[name].make_params(PWM_HZ, drive) for name in ("vector_tracking", "vector_tracking_q15")
+    )
+    return floating, fixed
 
 
 def run(rpm: int, i_q: float) -> Run:

@@ -260,8 +260,8 @@ def messages() -> list[dict[str, object]]:
     add(
         "DeviceEvent",
         (0x42, req, 0, 1),
-        {"tick": 0x1000000000, "code": 2, "node": 1, "arg": 2.0},
-        F(("u64", 0x1000000000), ("u16", 2), ("u8", 1), ("pad", 1), ("f32", 2.0)),
+        {"tick": 0x1000000000, "code": 3, "node": 1, "arg": 4.0, "detail": 300.0},
+        F(("u64", 0x1000000000), ("u16", 3), ("u8", 1), ("pad", 1), ("f32", 4.0), ("f32", 300.0)),
     )
     add(
         "Log",
@@ -272,13 +272,31 @@ def messages() -> list[dict[str, object]]:
     return cases
 
 
+def refusal(code: int, frame: tuple[int, int, int, int], payload: bytes, detail: float) -> tuple[str, str]:
+    """Return a request, given as type, flags, tid, node and payload, and its refusal by node 1, on the wire."""
+    error = F(("u16", code), ("u8", frame[0]), ("pad", 1), ("f32", detail))
+    return wire(body(*frame, payload)).hex(), wire(body(frame[0], 0x31, frame[2], 1, error)).hex()
+
+
+def stream_set(stream: int, event: int, decimation: int, *ids: int, n: int | None = None) -> bytes:
+    """Payload of STREAM_SET; `n`: another number of ids than there are."""
+    head = F(("u8", stream), ("u8", event), ("u16", decimation), ("u16", 20), ("u16", len(ids) if n is None else n))
+    return head + F(*(("u16", number) for number in ids))
+
+
+def command(number: int, argument: int = 0) -> bytes:
+    """Payload of STATE_CMD."""
+    return F(("u8", number), ("pad", 3), ("u32", argument))
+
+
 def exchanges() -> list[dict[str, object]]:
     """Requests that any device answers the same way, whatever its state. The device is node 1 and alone."""
 
-    def refusal(code: int, frame: tuple[int, int, int, int], payload: bytes, detail: float) -> tuple[str, str]:
-        error = F(("u16", code), ("u8", frame[0]), ("pad", 1), ("f32", detail))
-        return wire(body(*frame, payload)).hex(), wire(body(frame[0], 0x31, frame[2], 1, error)).hex()
+    def ignored(frame: tuple[int, int, int, int], payload: bytes) -> tuple[str, str]:
+        return wire(body(*frame, payload)).hex(), ""
 
+    nan = float("nan")
+    speed = F(("u8", 1), ("pad", 1), ("u16", 9), ("f32", 1.0), ("f32", 0.0))
     cases = {
         "unknown type": refusal(1, (0x7E, 1, 5, 0), b"", 0x7E),
         "a reserved type": refusal(1, (0x06, 1, 5, 1), b"\1\2\3\4", 0x06),
@@ -290,37 +308,152 @@ def exchanges() -> list[dict[str, object]]:
         "HELLO with a receiver that is too small": refusal(
             4, (0x01, 1, 8, 0), F(("u32", 1), ("u8", 1), ("u8", 1), ("u16", 127)), 128
         ),
+        "HELLO with both errors: the major first": refusal(
+            13, (0x01, 1, 8, 0), F(("u32", 1), ("u8", 2), ("u8", 3), ("u16", 127)), 1
+        ),
         "request too short": refusal(2, (0x11, 1, 9, 1), b"\x65\0", 2),
         "request too long": refusal(2, (0x11, 1, 10, 1), b"\x65\0\0\0\0", 5),
-        "channel ids disagree with the length": refusal(
-            2, (0x30, 1, 11, 1), F(("u8", 0), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 3), ("u16", 1)), 10
-        ),
-        "unknown command": refusal(3, (0x20, 1, 12, 1), F(("u8", 9), ("pad", 3), ("u32", 0)), 9),
-        "unknown stream event": refusal(
-            3, (0x30, 1, 13, 1), F(("u8", 0), ("u8", 7), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 1)), 7
-        ),
+        "channel ids disagree with the length": refusal(2, (0x30, 1, 11, 1), stream_set(0, 0, 1, 1, n=3), 10),
+        "unknown command": refusal(3, (0x20, 1, 12, 1), command(9), 9),
+        "START with an argument": refusal(3, (0x20, 1, 12, 1), command(2, 7), 7),
+        "unknown stream event": refusal(15, (0x30, 1, 13, 1), stream_set(0, 7, 1, 1), 7),
+        "the reserved stream event SLOW": refusal(15, (0x30, 1, 13, 1), stream_set(0, 1, 1, 1), 1),
         "request with tid 0": refusal(3, (0x02, 1, 0, 1), b"", 0),
         "unacknowledged message with a tid": refusal(3, (0x05, 1, 14, 1), F(("u32", 1)), 14),
+        "setpoint with a tid": refusal(3, (0x21, 1, 14, 1), speed, 14),
         "unknown node": refusal(14, (0x02, 1, 15, 9), b"", 9),
         "unknown parameter": refusal(7, (0x11, 1, 16, 1), F(("u16", 0xFFFF), ("pad", 2)), 0xFFFF),
-        "unknown blob": refusal(7, (0x10, 1, 17, 1), F(("u8", 200), ("pad", 1), ("u16", 4), ("u32", 0)), 200),
-        "unknown channel": refusal(
-            7, (0x30, 1, 18, 1),
-            F(("u8", 0), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 0xFFFF)), 0xFFFF,
+        "unknown parameter and no number": refusal(
+            7, (0x12, 1, 16, 1), F(("u16", 0xFFFF), ("pad", 2), ("f32", nan)), 0xFFFF
         ),
-        "stream number too high": refusal(
-            4, (0x30, 1, 19, 1), F(("u8", 4), ("u8", 0), ("u16", 1), ("u16", 20), ("u16", 1), ("u16", 1)), 3
-        ),
+        **{
+            f"blob {k}": refusal(7, (0x10, 1, 17, 1), F(("u8", k), ("pad", 1), ("u16", 4), ("u32", 0)), k)
+            for k in (1, 2, 200)
+        },
+        "unknown channel": refusal(7, (0x30, 1, 18, 1), stream_set(0, 0, 1, 0xFFFF), 0xFFFF),
+        "no channels": refusal(3, (0x30, 1, 18, 1), stream_set(0, 0, 1), 0),
+        "stream number too high": refusal(4, (0x30, 1, 19, 1), stream_set(4, 0, 1, 1), 3),
+        "how a stream is configured, number too high": refusal(4, (0x33, 1, 19, 1), F(("u8", 4), ("pad", 3)), 3),
+        "how a stream is configured that is not": refusal(7, (0x33, 1, 19, 1), F(("u8", 2), ("pad", 3)), 2),
         "start of a stream that is not configured": refusal(7, (0x31, 1, 20, 1), F(("u32", 4)), 2),
-        "token that is not boot_id": refusal(6, (0x20, 1, 21, 1), F(("u8", 1), ("pad", 3), ("u32", 1)), 0),
+        "start of several: the lowest is named": refusal(7, (0x31, 1, 20, 1), F(("u32", 0x8000000C)), 2),
+        "start of a stream that no device has": refusal(7, (0x31, 1, 20, 1), F(("u32", 0x80000000)), 31),
+        "token that is not boot_id": refusal(6, (0x20, 1, 21, 1), command(1, 1), 0),
+        "flag reply": ignored((0x20, 0x11, 22, 1), command(2, 7)),
+        "flags reply and error": ignored((0x20, 0x31, 22, 1), command(2, 7)),
+        "flag error without reply": ignored((0x20, 0x21, 22, 1), command(2, 7)),
+        "flag error without reply, unknown node": ignored((0x20, 0x21, 22, 9), command(2, 7)),
+        "bits 6 and 7 of the flags are ignored": refusal(3, (0x20, 0xC1, 23, 1), command(9), 9),
+        "order: node before major": refusal(14, (0x02, 2, 24, 9), b"", 9),
+        "order: major before type": refusal(13, (0x7E, 2, 25, 1), b"", 1),
+        "order: type before tid": refusal(1, (0x7E, 1, 0, 1), b"", 0x7E),
+        "order: tid before length": refusal(3, (0x11, 1, 0, 1), b"\x65", 0),
+        "order: length before values": refusal(2, (0x20, 1, 26, 1), command(9)[:-1], 7),
+        "order: length of the ids before values": refusal(2, (0x30, 1, 27, 1), stream_set(9, 7, 0, 1, n=2), 10),
+        "order: stream before event": refusal(4, (0x30, 1, 28, 1), stream_set(9, 7, 0), 3),
+        "order: event before decimation": refusal(15, (0x30, 1, 29, 1), stream_set(0, 7, 0), 7),
+        "order: decimation before channels": refusal(3, (0x30, 1, 30, 1), stream_set(0, 0, 0, 0xFFFF), 0),
     }  # fmt: skip
     return [{"name": name, "request_hex": pair[0], "reply_hex": pair[1]} for name, pair in cases.items()]
+
+
+def sequences() -> list[dict[str, object]]:
+    """Requests one after the other, and what comes of each, for the device that SPEC.md describes beside them."""
+    cases: list[dict[str, object]] = []
+    boot_id, nan, inf = 0x00B0071D, float("nan"), float("inf")
+    idle, armed, running = 1, 2, 3
+
+    def add(name: str, *steps: tuple[str, str | None, str], features: int = 1) -> None:
+        keys = ("request_hex", "reply_hex", "rejected_hex")
+        cases.append(
+            {"name": name, "features": features, "steps": [dict(zip(keys, step, strict=True)) for step in steps]}
+        )
+
+    def ask(kind: int, tid: int, payload: bytes, reply: bytes | None) -> tuple[str, str | None, str]:
+        answer = None if reply is None else wire(body(kind, 0x11, tid, 1, reply)).hex()
+        return wire(body(kind, 1, tid, 1, payload)).hex(), answer, ""
+
+    def no(kind: int, tid: int, payload: bytes, code: int, detail: float) -> tuple[str, str | None, str]:
+        return *refusal(code, (kind, 1, tid, 1), payload, detail), ""
+
+    def do(tid: int, number: int, argument: int, state: int) -> tuple[str, str | None, str]:
+        return ask(0x20, tid, command(number, argument), F(("u8", state), ("pad", 3)))
+
+    def setpoint(
+        mode: int, value: float, value2: float, code: int = 0, detail: float = 0.0
+    ) -> tuple[str, str | None, str]:
+        payload = F(("u8", mode), ("pad", 1), ("u16", 9), ("f32", value), ("f32", value2))
+        return wire(body(0x21, 1, 0, 1, payload)).hex(), "", rejected(code, detail)
+
+    def rejected(code: int, detail: float) -> str:
+        event = F(("u16", 3), ("u8", 1), ("pad", 1), ("f32", code), ("f32", detail))
+        return event.hex() if code else ""
+
+    run = (do(1, 1, boot_id, armed), do(2, 2, 0, running))
+    add(
+        "STOP in IDLE, ARMED and RUNNING, with any argument",
+        do(1, 3, 0, idle), do(2, 3, 7, idle), do(3, 1, boot_id, armed), do(4, 3, 0xFFFFFFFF, idle),
+        do(5, 1, boot_id, armed), do(6, 2, 0, running), do(7, 3, boot_id, idle),
+    )  # fmt: skip
+    add(
+        "the same STOP again is obeyed again",
+        do(5, 3, 0, idle), do(6, 1, boot_id, armed), do(7, 2, 0, running), do(5, 3, 0, idle),
+        no(0x20, 8, command(2), 5, idle),
+    )  # fmt: skip
+    add(
+        "START: its argument before the state; twice",
+        no(0x20, 1, command(2, 1), 3, 1), no(0x20, 2, command(2), 5, idle), do(3, 1, boot_id, armed),
+        no(0x20, 4, command(2, 1), 3, 1), do(5, 2, 0, running), do(6, 2, 0, running), no(0x20, 7, command(2, 1), 3, 1),
+        do(8, 3, 0, idle),
+    )  # fmt: skip
+    add(
+        "ARM: its token before the state; twice",
+        do(1, 1, boot_id, armed), do(2, 1, boot_id, armed), do(3, 2, 0, running), no(0x20, 4, command(1, 5), 6, 0),
+        no(0x20, 5, command(1, boot_id), 5, running), do(6, 3, 0, idle),
+    )  # fmt: skip
+    add("FAULT_CLEAR: the state before the bits", no(0x20, 1, command(4, 1), 5, idle))
+    add(
+        "setpoints that are rejected",
+        setpoint(1, 1.0, 0.0, 5, idle), setpoint(9, nan, 0.0, 5, idle), *run,
+        setpoint(1, 1.0, 0.0), setpoint(1, 301.0, 0.0, 4, 300.0), setpoint(1, -301.0, 0.0, 4, 300.0),
+        setpoint(1, inf, 0.0, 3, inf), setpoint(1, 1.0, nan, 3, nan), setpoint(3, 0.1, 0.0, 15, 3),
+        setpoint(9, 0.1, 0.0, 15, 9), setpoint(9, inf, nan, 3, inf),
+        (*refusal(2, (0x21, 1, 0, 1), b"\1", 1), rejected(2, 1)), do(3, 3, 0, idle),
+    )  # fmt: skip
+    start, stop = F(("u32", 1)), F(("u32", 0xFFFFFFFF))
+    add(
+        "a kept refusal, until there is another host",
+        no(0x31, 9, start, 7, 0), ask(0x30, 10, stream_set(0, 0, 1, 3, 1), None), no(0x31, 9, start, 7, 0),
+        ask(0x01, 1, F(("u32", 77), ("u8", 1), ("u8", 1), ("u16", 1024), ("u32", 5)), None), ask(0x31, 9, start, b""),
+        ask(0x32, 11, stop, b""),
+    )  # fmt: skip
+    add(
+        "a stream: what is started, started again, configured while it runs",
+        ask(0x30, 1, stream_set(0, 0, 1, 3, 1), None), ask(0x30, 2, stream_set(0, 0, 4, 1), None),
+        ask(0x33, 3, F(("u8", 0), ("pad", 3)), None), ask(0x31, 4, start, b""), ask(0x31, 5, start, b""),
+        no(0x30, 6, stream_set(0, 0, 0, 1), 3, 0), no(0x30, 7, stream_set(0, 0, 1, 1), 12, 0),
+        no(0x31, 8, F(("u32", 3)), 7, 1), ask(0x31, 9, F(("u32", 0)), b""), ask(0x32, 10, F(("u32", 0)), b""),
+        no(0x30, 11, stream_set(0, 0, 1, 1), 12, 0), ask(0x32, 12, stop, b""), ask(0x32, 13, stop, b""),
+        no(0x31, 14, start, 7, 0),
+    )  # fmt: skip
+    add(
+        "a stream's channels, id by id",
+        no(0x30, 1, stream_set(0, 0, 1, 1, 0xFFFF, 1), 7, 0xFFFF), no(0x30, 2, stream_set(0, 0, 1, 1, 1, 0xFFFF), 3, 1),
+        no(0x30, 3, stream_set(0, 0, 1, 1, 3, 1, 3), 3, 1),
+    )  # fmt: skip
+    add(
+        "Hall edges",
+        no(0x30, 1, stream_set(1, 2, 0, 1, 3), 3, 2), ask(0x30, 2, stream_set(1, 2, 0), None), ask(0x32, 3, stop, b""),
+    )  # fmt: skip
+    add("Hall edges of a device that has none", no(0x30, 1, stream_set(1, 2, 1, 1), 15, 2), features=0)
+    return cases
 
 
 def streams() -> list[dict[str, object]]:
     """DATA and EDGES: frames in, records and account out; wrap-around of seq, index and tick.
 
-    A sample is {count u16, half i8 (as u8 here)}; `gaps` are [position, lost_samples, lost_frames, overrun].
+    Channel 1 is count, u16, and channel 2 half, i8 (as u8 here), half of it. `gaps` are
+    [position, lost_samples, lost_frames, overrun].
     """
     cases: list[dict[str, object]] = []
     data, edges = 0x40, 0x41
@@ -341,12 +474,14 @@ def streams() -> list[dict[str, object]]:
     def add(
         name: str, frames: list[bytes], index: list[int], tick: list[int], gaps: list[list[object]],
         account: dict[str, int], reference: int = 0, decimation: int = 1, kind: str = "samples",
+        ids: tuple[int, ...] = (1, 2),
     ) -> None:  # fmt: skip
         cases.append(
             {
                 "name": name,
                 "kind": kind,
                 "config": {
+                    "ids": [] if kind == "edges" else list(ids),
                     "stream": 2,
                     "cfg_id": 7,
                     "decimation": decimation,
@@ -430,6 +565,15 @@ def streams() -> list[dict[str, object]]:
         [[2, 5, 0, False]],
         {"samples": 4, "frames": 2, "lost_by_index": 5},
     )
+    add(
+        "channels named as 2, 1",
+        [frame(data, 0, 0, 0, [each[2:] + each[:2] for each in run(300, 2)])],
+        [0, 1],
+        [0, 1250],
+        [],
+        {"samples": 2, "frames": 1},
+        ids=(2, 1),
+    )
     first, second = frame(data, 0, 0, 0, run(0, 2)), frame(data, 1, 2, 2500, run(2, 2))
     third = frame(data, 2, 4, 5000, run(4, 2))
     add(
@@ -503,6 +647,7 @@ def can_messages() -> list[dict[str, object]]:
         cases.append(
             {
                 "name": name,
+                "host": 0,
                 "fd": fd,
                 "extended": extended,
                 "frames": [[number, data.hex()] for number, data in frames],
@@ -664,6 +809,7 @@ ALL = {
     "framing": framing,
     "messages": messages,
     "exchanges": exchanges,
+    "sequences": sequences,
     "streams": streams,
     "can_messages": can_messages,
     "can_streams": can_streams,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_drive import samples, small_link
 
-from protocol.errors import LocalProtocolError
+from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
 from protocol.host import (
     Connected,
@@ -19,12 +20,16 @@ from protocol.host import (
     LogReceived,
     Rebooted,
     ReplyReceived,
+    ReplyUnusable,
     RequestRefused,
     RequestTimedOut,
 )
 from protocol.messages import (
     Alive,
+    BlobRead,
+    BlobReply,
     DeviceEvent,
+    DriveState,
     Empty,
     ErrorCode,
     ErrorReply,
@@ -37,6 +42,7 @@ from protocol.messages import (
     ParamGet,
     ParamReply,
     ParamSet,
+    Role,
     StreamEvent,
     StreamSet,
     StreamStart,
@@ -192,9 +198,9 @@ def test_strangers_are_counted_and_dropped(host: HostSession) -> None:
     for wire in strangers:
         host.receive_data(wire, 1.01)
     assert host.counters.unexpected_replies == 4
-    host.receive_data(reply(MessageType.PARAM_GET, tid, good[:-1]), 1.02)
     host.receive_data(encode_frame(Frame(MessageType.HEARTBEAT, MAJOR, 0, 1, bytes(7))), 1.02)
     host.receive_data(encode_frame(Frame(MessageType.DATA, MAJOR, 0, 1, bytes(15))), 1.02)
+    host.receive_data(reply(MessageType.PARAM_GET, tid, good, flags=ERROR), 1.02)
     assert host.counters.malformed == 3
     host.receive_data(encode_frame(Frame(0x7E, MAJOR, 0, 1, b"")), 1.02)
     host.receive_data(encode_frame(Frame(MessageType.PARAM_GET, MAJOR, tid, 1, good)), 1.02)  # no reply flag
@@ -210,6 +216,64 @@ def test_a_refusal_is_an_event(host: HostSession) -> None:
     error = ErrorReply(ErrorCode.UNKNOWN_ID, MessageType.PARAM_GET, 5.0)
     host.receive_data(reply(MessageType.PARAM_GET, tid, error.pack(), flags=REPLY | ERROR), 1.01)
     assert events(host) == [RequestRefused(tid, 1, error)]
+
+
+def unusable(host: HostSession) -> str:
+    """What is wrong with the reply that the host has just had: nothing else happened, and it does not ask again."""
+    (event,) = events(host)
+    assert isinstance(event, ReplyUnusable)
+    assert not host.busy
+    assert host.counters.malformed == 1
+    assert isinstance(event.error, RemoteProtocolError)
+    return str(event.error)
+
+
+def test_a_reply_that_cannot_be_read_is_an_event(host: HostSession) -> None:
+    tid = host.request(ParamGet(5), 1, 1.0)
+    host.receive_data(reply(MessageType.PARAM_GET, tid, ParamReply(5, 1, 0, 2, 1).pack()[:-1]), 1.01)
+    text = unusable(host)
+    assert text.startswith("the reply of node 1 to PARAM_GET cannot be read: ParamReply of 19 bytes, expected 20")
+
+
+@pytest.mark.parametrize("total", [131_104, 0xFFFFFFFF, 33])
+def test_a_descriptor_that_cannot_be_is_refused_at_once(host: HostSession, total: int) -> None:
+    tid = host.request(BlobRead(0, 512, 0), 1, 1.0)
+    host.receive_data(reply(MessageType.BLOB_READ, tid, BlobReply(0, 4, 0, total, b"abcd").pack()), 1.01)
+    assert f"the descriptor of node 1 has {total} bytes" in unusable(host)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"major": 2}, "the device speaks HBP 2.0, this host 1"),
+        ({"node": 0}, "node is 0"),
+        ({"node": 2}, "node is 2, must be the frame's"),
+        ({"rx_max": 127}, "rx_max is 127, must be at least 128"),
+        ({"pwm_hz": 0}, "pwm_hz is 0"),
+        ({"tick_hz": 0}, "tick_hz is 0, must be a multiple of pwm_hz = 16000"),
+        ({"tick_hz": 20_000_001}, "tick_hz is 20000001, must be a multiple of pwm_hz = 16000"),
+        ({"name": ""}, "name is empty"),
+    ],
+)
+def test_a_hello_that_cannot_be_is_refused(changes: dict[str, object], words: str) -> None:
+    host = HostSession()
+    host.connect(5, 0.0)
+    answer = replace(HelloReply.unpack(hello_reply(5)), **changes)
+    host.receive_data(b"\0" + reply(1, 1, answer.pack()), 0.01)
+    text = unusable(host)
+    assert text.startswith("HELLO of node 1: ")
+    assert words in text
+    assert not host.hellos
+
+
+def test_a_hello_that_is_only_odd_connects() -> None:
+    host = HostSession()
+    host.connect(5, 0.0)
+    odd = replace(HelloReply.unpack(hello_reply(5)), role=Role(7), state=DriveState(9), nodes=0, firmware="", tx_max=0)
+    host.receive_data(b"\0" + reply(1, 1, odd.pack()), 0.01)
+    (event,) = events(host)
+    assert isinstance(event, Connected)
+    assert (event.hello.role.name, event.hello.state.name) == ("role 7", "state 9")
 
 
 def test_node_zero_takes_the_answer_of_whoever_is_there(host: HostSession) -> None:

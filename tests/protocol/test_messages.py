@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 
 from protocol import messages as m
 from protocol.errors import LocalProtocolError
+from protocol.text import printable
 
-u8, u16, u32, u64 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32, 64))
+u8, u16, u32, tick = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32, 62))
 f32 = st.floats(width=32, allow_nan=False)
 
 some_message = st.one_of(
     st.builds(m.Hello, u32, u8, u8, u16),
-    st.builds(m.TimeSyncReply, u64, u64),
+    st.builds(m.TimeSyncReply, tick, tick),
     st.builds(m.Alive, u32),
     st.builds(m.BlobRead, u8, u16, u32),
     st.builds(lambda *a: m.BlobReply(a[0], len(a[3]), *a[1:]), u8, u32, u32, st.binary(max_size=100)),
@@ -25,10 +26,10 @@ some_message = st.one_of(
     st.builds(m.StateCommand, st.sampled_from(m.Command), u32),
     st.builds(m.Setpoint, st.sampled_from(m.SetpointMode), u16, f32, f32),
     st.builds(m.StreamSet, u8, st.sampled_from(m.StreamEvent), u16, u16, st.lists(u16).map(tuple)),
-    st.builds(m.StreamReply, u8, u16, u16, u16, f32),
+    st.builds(m.StreamReply, u8, u16, u16, u16, st.floats(0, 2, width=32)),
     st.builds(m.ErrorReply, u16, u8, f32),
-    st.builds(m.DeviceEvent, u64, u16, u8, f32),
-    st.builds(m.Log, u8, st.text(max_size=50)),
+    st.builds(m.DeviceEvent, tick, u16, u8, f32, f32),
+    st.builds(m.Log, u8, st.text(max_size=50).map(printable)),
 )  # fmt: skip
 
 
@@ -49,7 +50,8 @@ def test_any_bytes_unpack_or_are_refused(kind: type[m.Payload], payload: bytes) 
     except m.PayloadError:
         pass
     else:
-        assert len(message.pack()) <= max(len(payload), 1) + 64 * isinstance(message, m.Log)
+        escaped = 4 if isinstance(message, m.Log) else 1  # bytes of \\x1b
+        assert len(message.pack()) <= escaped * max(len(payload), 1)
 
 
 def test_a_request_has_its_exact_length_and_a_reply_may_grow() -> None:
@@ -66,11 +68,41 @@ def test_hello_may_grow_in_a_later_major() -> None:
     assert m.Hello.unpack(m.Hello(5).pack() + b"more") == m.Hello(5)
 
 
-def test_unknown_values_are_named() -> None:
-    with pytest.raises(m.PayloadError, match=r"StateReply.state: 9 is not a valid DriveState"):
-        m.StateReply.unpack(bytes((9, 0, 0, 0)))
+def test_unknown_values_keep_their_numbers() -> None:
+    assert m.StateReply.unpack(bytes((9, 0, 0, 0))).state.name == "state 9"
+    assert m.Setpoint.unpack(bytes((9, *bytes(11)))).mode == 9
+    with pytest.raises(m.PayloadError, match=r"StateCommand.command: 9 is not a valid Command"):
+        m.StateCommand.unpack(bytes((9, *bytes(7))))
     assert m.ErrorReply.unpack(m.ErrorReply(999, 1, 0).pack()).code == 999  # a later minor's code is no damage
     assert m.Heartbeat.unpack(bytes(16) + b"\0\0\0\x80" + bytes(24)).first_fault == 0x80000000
+
+
+@pytest.mark.parametrize("code", [*m.EventCode, 9])
+@pytest.mark.parametrize("arg", [0.0, 0.5, -1.0, 1.0, 48.0, 2.0**31, 2.0**32, 3e38, math.inf, -math.inf, math.nan])
+def test_the_number_of_an_event_is_whole_or_none(code: int, arg: float) -> None:
+    event = m.DeviceEvent.unpack(m.DeviceEvent(1, code, 1, arg).pack())
+    whole = arg in (0.0, 1.0, 48.0, 2.0**31)
+    assert event.number == (arg if whole else None)
+    if code != m.EventCode.FAULT:
+        assert not event.faults
+    else:  # that there is a fault is never lost
+        assert event.faults == (int(arg) if whole and arg else m.Fault.INTERNAL)
+
+
+def test_a_load_that_is_none_is_unknown() -> None:
+    for load in (math.nan, math.inf, -math.inf, -0.5):
+        assert m.StreamReply.unpack(m.StreamReply(0, 1, 2, 3, load).pack()).load == 0.0
+
+
+def test_ticks_stay_below_2_to_the_62() -> None:
+    assert m.DeviceEvent.unpack(m.DeviceEvent((1 << 62) - 1, 1, 1, 1.0).pack()).tick == (1 << 62) - 1
+    for message in (
+        m.DeviceEvent(1 << 62, 1, 1, 1.0),
+        m.TimeSyncReply(0, 1 << 63),
+        m.StreamReply(0, 1, 2, 3, 0, 0, 1 << 62),
+    ):
+        with pytest.raises(m.PayloadError, match="is not below 2\\^62"):
+            type(message).unpack(message.pack())
 
 
 def test_values_that_do_not_fit_are_refused() -> None:

@@ -10,10 +10,10 @@ import make_spec
 import pytest
 
 from protocol import messages
-from protocol.descriptor import RECORD_BYTES
 from protocol.framing import Frame, encode_frame
 from protocol.messages import Hello, MessageType, Payload
 from protocol.streams import EDGE_RECORD, STREAM_HEADER
+from protocol.validity import RECORD_BYTES
 
 TEXT = make_spec.SPEC.read_text(encoding="utf-8")
 TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "StreamInfo": "u16 each", "Log": "text"}

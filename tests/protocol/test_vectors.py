@@ -17,7 +17,7 @@ from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass, CanId
 from protocol.canmap.transport import TransferEncoder
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
-from protocol.messages import Fault, StreamEvent
+from protocol.messages import Fault, Feature, StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
 from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
 
@@ -124,6 +124,27 @@ def test_refusals(case: dict, fault: bool) -> None:
     assert (app.values, app.states) == before
 
 
+@pytest.mark.parametrize("case", cases("sequences"))
+def test_sequences(case: dict) -> None:
+    link, _, app = small_link(features=Feature(case["features"]))
+    link.data_to_send()
+    for step in case["steps"]:
+        request = bytes.fromhex(step["request_hex"])
+        link.receive(request)
+        sent = link.data_to_send()
+        frames = [parse_frame(raw) for raw in Deframer().feed(b"\0" + sent)]
+        replies = [frame for frame in frames if frame.is_reply]
+        if step["reply_hex"] is None:
+            (asked,) = (parse_frame(raw) for raw in Deframer().feed(request))
+            assert [(f.type, f.tid, f.node, f.is_error) for f in replies] == [(asked.type, asked.tid, 1, False)]
+        else:
+            assert b"".join(map(encode_frame, replies)).hex() == step["reply_hex"]
+        events = [frame.payload for frame in frames if frame.type == messages.MessageType.EVENT]
+        rejected = [event for event in events if event[8] == messages.EventCode.SETPOINT_REJECTED]
+        assert b"".join(event[8:] for event in rejected).hex() == step["rejected_hex"]
+    assert not app.outputs_on
+
+
 SAMPLE = (
     Signal(1, "count", Unit.COUNT, RawType.U16, 1.0, Flag.CHANNEL, ""),
     Signal(2, "half", Unit.NONE, RawType.I8, 0.5, Flag.CHANNEL, ""),
@@ -135,7 +156,7 @@ SAMPLE = (
 def test_streams(case: dict, feed: str) -> None:
     c, edges = case["config"], case["kind"] == "edges"
     event = StreamEvent.EDGES if edges else StreamEvent.PWM
-    channels = () if edges else SAMPLE
+    channels = tuple(SAMPLE[number - 1] for number in c["ids"])
     config = StreamConfig(1, c["stream"], c["cfg_id"], event, c["decimation"], channels, c["block"])
     reference = TickReference(case["reference_tick"])
     decoder = EdgeDecoder(config, reference) if edges else SampleDecoder(config, c["ticks_per_period"], reference)
@@ -203,7 +224,7 @@ def rates(fd: bool) -> BusRates:
 @pytest.mark.parametrize("feed", ["at once", "one by one"])
 @pytest.mark.parametrize("case", cases("can_messages"))
 def test_can_messages(case: dict, feed: str) -> None:
-    wire = CanWire(rates(case["fd"]), 1, case["extended"])
+    wire = CanWire(rates(case["fd"]), 1, case["extended"], case["host"])
     records = can_records(case["frames"])
     parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]
     bodies = [item.hex() for part in parts for item in wire.feed(part.tobytes(), 0.0)]

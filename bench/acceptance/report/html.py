@@ -16,8 +16,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bench.acceptance.report import words
-from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
+from bench.acceptance.report_files import keep_only
+from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest, untested
 from bench.errors import BenchError
+from bench.files import write
+from bench.words import counted
 
 NAME = "report.html"
 MOST_ROWS = 12  # a test of more measurements shows those that did not pass and folds the others
@@ -44,10 +47,10 @@ class _Test:
     def folding(self) -> str:
         """What the rows that are folded are."""
         if self.unmade:
-            return f"{words.counted(len(self.folded), 'measurement')}, none made"
+            return f"{counted(len(self.folded), 'measurement')}, none made"
         if self.shown:
             return f"{len(self.folded)} more that passed"
-        return f"{words.counted(len(self.folded), 'measurement')}, all of which passed"
+        return f"{counted(len(self.folded), 'measurement')}, all of which passed"
 
     @property
     def recording(self) -> str:
@@ -74,7 +77,8 @@ class _Finding:
 def write_report(run: RunResult, directory: Path) -> Path:
     """Write `directory`/report.html and return its path; figures are read from `directory`/<their path>.
 
-    Raises ReportError for a figure that is not there, and where the file cannot be written.
+    What an earlier report left there is deleted. Raises ReportError for a figure that is not there, and BenchError
+    where the file cannot be written.
     """
     tests = [_test(number, result, directory) for number, result in enumerate(run.tests, 1)]
     page = (
@@ -90,10 +94,12 @@ def write_report(run: RunResult, directory: Path) -> Path:
         )
     )
     path = directory / NAME
+    write(path, page, f"report {path}")
+    made = {name for test in run.tests for name in (test.recording, *(f.path for f in test.figures)) if name}
     try:
-        path.write_text(page, encoding="utf-8")
+        keep_only(directory, {NAME, *made})
     except OSError as error:
-        raise ReportError(f"report {path} cannot be written: {error.strerror}") from None
+        raise ReportError(f"report {directory}: what an earlier one left cannot be deleted: {error}") from None
     return path
 
 
@@ -154,7 +160,7 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "breakable": _breakable,
-        "counted": words.counted,
+        "counted": counted,
         "duration": words.duration,
         "labelled": words.labelled,
         "made": words.made,
@@ -166,6 +172,7 @@ def _environment() -> Environment:
         "setting": words.setting,
         "span": words.span_text,
         "tally": words.tally,
+        "untested": untested,
         "tightest": tightest,
         "value": words.value_text,
         "zone": words.zone,

@@ -95,11 +95,6 @@ def tally(verdicts: Iterable[Verdict]) -> list[tuple[Verdict, int]]:
     return [(verdict, counts[verdict]) for verdict in Verdict if counts[verdict]]
 
 
-def counted(number: int, noun: str) -> str:
-    """So many of a thing."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def made(measurements: Sequence[Measurement]) -> str:
     """How many there are and, where some were not made, of how many."""
     number = sum(measurement.value is not None for measurement in measurements)

@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 import numpy as np
 
 from bench.acceptance.capture import F64, Capture
+from bench.acceptance.drive import Drive, DriveTripped
 from bench.acceptance.plots.transients import Transient
-from bench.acceptance.waveforms import thd_by_angle
+from bench.acceptance.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
+from bench.acceptance.wiring import AS_SPECIFIED, diagnose
 from bench.energise import RPM
+from bench.needs import offers
 
 if TYPE_CHECKING:
     from bench.acceptance.fixtures import Record
@@ -29,6 +32,29 @@ WORDS = {AVERAGE: "average", PROPOSED: "proposed", LEARNED: "learned"}
 """The same in names of measurements."""
 THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt", LEARNED: "theta_le"}
 OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt", LEARNED: "omega_le"}
+
+
+TURNS = ("parameter:n_p", "channel:status", "speed")
+"""What a test needs that asks for r/min and looks at states."""
+AVERAGED = ("channel:theta_avg", "channel:omega_avg", "observer:average-speed")
+VECTOR = ("channel:theta_vt", "channel:omega_vt", "observer:vector-tracking")
+PAPER = (
+    *TURNS,
+    *AVERAGED,
+    *VECTOR,
+    "encoder",
+    "feature:EDGES",
+    "channel:hall",
+    "channel:i_a",
+    "channel:i_d",
+    "channel:i_q",
+)
+"""What the paper's experiments need, which compare its two approaches with the encoder."""
+
+
+def own_angle(drive: Drive) -> str | None:
+    """The angle source of tests that are about the drive: the proposed one, or what a drive without it uses."""
+    return PROPOSED if offers(drive.node, PROPOSED) else None
 
 
 Arguments = ParamSpec("Arguments")
@@ -48,9 +74,9 @@ def ratio(value: float, to: float) -> float:
     return value / to if to else math.nan
 
 
-def rpm(capture: Capture, channel: str = "omega_enc") -> F64:
-    """A speed as mechanical r/min, shape (n,)."""
-    return capture[channel] / (capture.parameters["n_p"] * RPM)
+def rpm(capture: Capture, channel: str = "") -> F64:
+    """A speed as mechanical r/min, shape (n,); by the encoder, else by the drive's estimate, unless named."""
+    return capture[channel or capture.speed] / (capture.parameters["n_p"] * RPM)
 
 
 def error_deg(capture: Capture, observer: str) -> F64:
@@ -120,6 +146,39 @@ def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: floa
         if good == 2:
             return True
     return False
+
+
+def turn_both_ways(drive: Drive, record: Record, measure: Measure) -> tuple[list[Capture], EdgeOffsets]:
+    """Turn at 300 r/min on the encoder, forwards and backwards; where the Hall edges lie by it.
+
+    Measures `wiring_as_specified` first. Raises DriveTripped.
+    """
+    drive.start("encoder")
+    with drive.may_trip(), record.stretch() as started:  # a drive may well trip over wrong wiring: name that first
+        drive.speed(300 * RPM)
+        record.wait(0.8)
+    measure("wiring_as_specified", or_nan(lambda: _wiring_as_specified(started.capture, record)), started.capture)
+    if drive.faults:
+        raise DriveTripped(f"the drive tripped: {', '.join(drive.faults)}")
+    turning = []
+    for direction in (1, -1):
+        drive.speed(direction * 300 * RPM)
+        assert settle(record, direction * 300), "300 r/min were not reached"
+        turning.append(record(1.0))
+    edges = [capture.edges for capture in turning]
+    return turning, edge_offsets(
+        np.concatenate([capture.theta_at_edges() for capture in turning]),
+        np.concatenate([chunk.hall_old for chunk in edges]),
+        np.concatenate([chunk.hall_new for chunk in edges]),
+    )
+
+
+def _wiring_as_specified(capture: Capture, record: Record) -> float:
+    found = diagnose(capture.theta, capture["hall"].astype(np.int64))
+    record.note(
+        f"Hall wiring: {found.best} (explains {found.share:.1%}), then {found.runner_up} ({found.runner_up_share:.1%})"
+    )
+    return float(found.best == AS_SPECIFIED)
 
 
 def thd_of_current(capture: Capture) -> float:

@@ -42,7 +42,7 @@ def current(capture: Capture) -> F64:
 
 def speed(capture: Capture) -> F64:
     """Speed by the encoder, by the drive's estimate where there is none; mechanical r/min, shape (n,)."""
-    return rpm(capture, "omega_enc" if "omega_enc" in capture else "omega_vt")
+    return rpm(capture)
 
 
 def largest(values: F64, where: NDArray[np.bool_]) -> float:

@@ -6,6 +6,7 @@ Faults of the wiring are put in by the rig. The default limits are those of the 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
-from bench.acceptance.suite.common import PROPOSED, Figure, Measure, error_deg, rpm
+from bench.acceptance.suite.common import PROPOSED, TURNS, VECTOR, Figure, Measure, error_deg, own_angle, rpm
 from bench.acceptance.suite.events import (
     GONE,
     PHASES,
@@ -33,6 +34,7 @@ from bench.acceptance.suite.events import (
 from bench.acceptance.wiring import AS_SPECIFIED, diagnose
 from protocol.codes import DriveState
 
+WATCHDOG = 0.2  # s, of a drive without a parameter for it, by the specification
 OPEN = {f"open_{wire}": f"sensor {wire} open (always 1)" for wire in WIRES}
 EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pair in PAIRS}
 
@@ -42,7 +44,7 @@ EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pa
 @limit("current_max", "A", hi=9.6, about="largest phase current from the break on")
 @limit("current_after", "A", hi=GONE, about="largest phase current 5 ms after the trip and later")
 @limit("speed_again", "r/min", lo=298.5, hi=301.5, about="mean once the wire is whole and the fault is cleared")
-@needs("hall-faults")
+@needs(*TURNS, "currents", "channel:hall", "hall-faults")
 @energises(speed_rpm=300, current=8)
 @pytest.mark.parametrize("wire", WIRES)
 def test_hall_wire_broken(
@@ -52,7 +54,7 @@ def test_hall_wire_broken(
 
     How far it may run away follows from the time and the current.
     """
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(300 * RPM)
     record.wait(0.4)
     with drive.may_trip():
@@ -71,7 +73,7 @@ def test_hall_wire_broken(
     measure("named", named)
     measure("current_max", current(run).max(), run)
     measure("current_after", largest(current(run), run.t >= fault + 5e-3), run)
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(300 * RPM)
     record.wait(0.4)
     again = record(0.2)
@@ -89,7 +91,7 @@ def test_hall_wire_broken(
     Limits("as_specified_again", "", 1, 1, "1: nothing is wrong once all is put back"),
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
-@needs("encoder", "load.speed", "hall-faults")
+@needs(*TURNS, "encoder", "channel:hall", "load.speed", "hall-faults")
 @energises(speed_rpm=60, current=0)
 def test_hall_wiring_is_named(
     drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
@@ -126,7 +128,7 @@ def test_hall_wiring_is_named(
 @limit("speed_max", "r/min", hi=450, about="largest speed, either way")
 @limit("only_hall", "", lo=1, hi=1, about="1: it tripped with HALL or not at all")
 @limit("current_after", "A", hi=GONE, about="largest phase current from 5 ms after STOP on")
-@needs("encoder", "load.speed", "hall-faults")
+@needs(*TURNS, "encoder", "currents", "load.speed", "hall-faults")
 @energises(speed_rpm=100, current=8)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_hall_wires_exchanged(
@@ -142,7 +144,7 @@ def test_hall_wires_exchanged(
     record.wait(0.3)
     hall_faults.swap(pair)
     with drive.may_trip():
-        drive.start(PROPOSED)
+        drive.start(own_angle(drive))
         with record.stretch() as stretch:
             drive.speed(100 * RPM)
             record.until(lambda: bool(drive.faults), 0.9)
@@ -174,7 +176,7 @@ class Burst(NamedTuple):
 @limit("implausible_edges", "", lo=4, hi=200, about="edges that skip a sector or lead to 000 or 111: the burst came")
 @limit("current_max", "A", lo=0.2, hi=6, about="largest phase current from the burst on")
 @limit("speed_after", "r/min", lo=497, hi=503, about="mean 0.2 s later")
-@needs("hall-faults")
+@needs(*TURNS, "currents", "feature:EDGES", "channel:hall", "hall-faults")
 @energises(speed_rpm=500, current=8)
 def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure) -> None:
     """A thousand false pulses a second for 50 ms at 500 r/min: the drive must not trip, and goes on.
@@ -194,7 +196,7 @@ def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, me
 @limit("speed_deviation", "r/min", lo=0.5, hi=110, about="largest from 500 r/min, in the same time")
 @limit("error_std_after", "deg", lo=1, hi=4, about="position error 0.2 s later")
 @limit("error_max_after", "deg", lo=2, hi=8, about="largest position error 0.2 s later")
-@needs("encoder", "hall-faults")
+@needs(*TURNS, *VECTOR, "encoder", "channel:hall", "hall-faults")
 @energises(speed_rpm=500, current=8)
 def test_hall_glitches_error(
     drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
@@ -214,44 +216,55 @@ def test_hall_glitches_error(
     )
 
 
-@limit(
-    "current_before", "A", lo=1, hi=5, about="largest phase current before the trip: there was a torque to take away"
-)
+class Silence(NamedTuple):
+    """A host that fell silent at 200 r/min."""
+
+    run: Capture
+    last: float
+    """Device time in s of the last that the drive heard."""
+    fault: float
+    """Device time in s of FAULT; NaN if it never came."""
+    watchdog: float
+    """s that the drive waits, as it says."""
+    faults: tuple[str, ...]
+    off: bool
+    """Whether its heartbeat then said that the outputs are off."""
+
+
 @limit("trip_time", "s", lo=0.19, hi=0.26, about="from the last set point to FAULT")
-@limit("lateness", "ms", lo=-5, hi=60, about="the same, less the drive's parameter watchdog")
-@limit(
-    "off_time", "s", lo=0.19, hi=0.26, about=f"from the last set point until all currents are below {GONE} A for good"
-)
+@limit("lateness", "ms", lo=-5, hi=60, about="the same, less the drive's watchdog time")
 @limit("named", "", lo=1, hi=1, about="1: WATCHDOG is the fault, and the only one")
-@needs("load", "parameter:watchdog")
+@limit("outputs_off", "", lo=1, hi=1, about="1: the heartbeats after that say so")
+@needs(*TURNS)
 @energises(speed_rpm=220, current=8)
-def test_watchdog(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+def test_watchdog(drive: Drive, record: Record, measure: Measure) -> None:
     """The host falls silent at 200 r/min: the drive switches itself off.
 
     The last that it hears is a set point, whose effect shows in the data when that was.
     """
-    drive.start(PROPOSED)
-    drive.speed(200 * RPM)
-    load.torque(2.0 * drive.torque_constant)
-    record.wait(0.3)
-    with drive.may_trip():
-        with record.stretch() as stretch:
-            record.wait(0.03)
-            drive.node.client.feed(drive.node.number, on=False)
-            drive.speed(220 * RPM)
-            record.until(lambda: bool(drive.faults), 3.0 * drive.parameters["watchdog"])
-            load.off()
-            record.wait(0.05)
-        run = stretch.capture
-        named = drive.faults == ("WATCHDOG",)
-        drive.forget_faults()
-    last = stepped(run, "omega_ref") if "omega_ref" in run else run.span[0]
-    fault = tripped(run)
+    silence = _silence(drive, record, lambda: None)
+    measure("trip_time", silence.fault - silence.last, silence.run)
+    measure("lateness", 1e3 * (silence.fault - silence.last - silence.watchdog), silence.run)
+    measure("named", silence.faults == ("WATCHDOG",))
+    measure("outputs_off", silence.off)
+
+
+@limit(
+    "current_before", "A", lo=1, hi=5, about="largest phase current before the trip: there was a torque to take away"
+)
+@limit(
+    "off_time", "s", lo=0.19, hi=0.26, about=f"from the last set point until all currents are below {GONE} A for good"
+)
+@needs(*TURNS, "currents", "load", "parameter:psi_f_hat")
+@energises(speed_rpm=220, current=8)
+def test_watchdog_under_load(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+    """The same under a load torque of 2 A: the currents that held it are gone."""
+    torque = 2.0 * drive.torque_constant
+    load.torque(torque)
+    silence = _silence(drive, record, load.off)
+    run, last, fault = silence.run, silence.last, silence.fault
     measure("current_before", largest(current(run), run.t < fault), run)
-    measure("trip_time", fault - last, run)
-    measure("lateness", 1e3 * (fault - last - drive.parameters["watchdog"]), run)
     measure("off_time", currents_gone(run) - last if not math.isnan(fault) else math.nan, run)
-    measure("named", named)
     figure(
         "drive_watchdog",
         "The host falls silent after a set point of 220 r/min, load torque of 2 A; dashed: the current limit",
@@ -259,8 +272,29 @@ def test_watchdog(drive: Drive, load: Load, record: Record, measure: Measure, fi
     )
 
 
+def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> Silence:
+    """Fall silent at 200 r/min; `let_go` takes the load off once the drive has tripped."""
+    watchdog = drive.parameters.get("watchdog", WATCHDOG)
+    drive.start(own_angle(drive))
+    drive.speed(200 * RPM)
+    record.wait(0.3)
+    with drive.may_trip():
+        with record.stretch() as stretch:
+            record.wait(0.03)
+            drive.node.client.feed(drive.node.number, on=False)
+            drive.speed(220 * RPM)
+            record.until(lambda: bool(drive.faults), 3.0 * watchdog)
+            let_go()
+            record.wait(0.05)
+        run, faults = stretch.capture, drive.faults
+        heartbeat = drive.node.next_heartbeat()
+        drive.forget_faults()
+    last = stepped(run, "omega_ref") if "omega_ref" in run else run.span[0]
+    return Silence(run, last, tripped(run), watchdog, faults, heartbeat is not None and not heartbeat.outputs_on)
+
+
 def _glitches(drive: Drive, record: Record, hall_faults: HallFaults) -> Burst:
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(500 * RPM)
     record.wait(0.5)
     with record.stretch() as stretch:

@@ -12,9 +12,25 @@ import numpy as np
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load
-from bench.acceptance.suite.common import PROPOSED, Measure, error_deg, settle, whole_turns
+from bench.acceptance.plots.hall import SECTORS
+from bench.acceptance.suite.common import (
+    PROPOSED,
+    TURNS,
+    VECTOR,
+    Measure,
+    error_deg,
+    own_angle,
+    rpm,
+    settle,
+    turn_both_ways,
+    whole_turns,
+)
 from bench.acceptance.suite.events import current
-from bench.acceptance.waveforms import FORWARDS, edge_offsets
+from bench.acceptance.waveforms import BACKWARDS, FORWARDS, edge_offsets
+
+PHASES = ("channel:i_a", "channel:i_b", "channel:i_c")
+REST = 0.01  # electrical rad/s below which the shaft is at rest, by what the drive says
+PLACED_WITHIN = 15.0  # deg
 
 # Angle by which wrong values turn the mean error, deg. An inductance that is dL too large adds w dL i to a back-EMF of
 # w psi_f at right angles: atan(dL i / psi_f), 1.29 deg for 20 % at 4.18 A. A resistance only changes its size.
@@ -43,7 +59,7 @@ MISMATCHES = {
     )
 )
 @limit("current_max", "A", lo=3.5, hi=6, about="largest phase current of all")
-@needs("encoder", "load", "parameter:R_s_hat", "parameter:L_s_hat", "parameter:psi_f_hat")
+@needs(*TURNS, *VECTOR, "encoder", "currents", "load", "parameter:R_s_hat", "parameter:L_s_hat", "parameter:psi_f_hat")
 @energises(speed_rpm=500, current=8)
 def test_parameter_mismatch(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
     """Resistance 30 %, inductance 20 % and flux linkage 10 % off, either way, at 500 r/min and 4 A."""
@@ -73,21 +89,45 @@ def test_parameter_mismatch(drive: Drive, load: Load, record: Record, measure: M
     measure("current_max", max(current(run).max() for run in runs), *runs)
 
 
+@limits(
+    *(
+        Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
+        for sector in SECTORS
+    ),
+    Limits("hysteresis", "deg", 0, 2, "between an edge met backwards and forwards, mean of the six"),
+    Limits("edges_dropped", "", None, 0, "edges between sectors that are no neighbours"),
+    Limits("wiring_as_specified", "", 1, 1, "1: Hall codes and encoder agree on the specified wiring"),
+)
+@needs(*TURNS, "encoder", "observer:encoder", "channel:hall", "feature:EDGES")
+@energises(speed_rpm=300, current=4)
+def test_hall_edges(drive: Drive, record: Record, measure: Measure) -> None:
+    """Where the Hall edges lie by the encoder, ideal minus actual: near enough for the drive to start.
+
+    They stand where they were mounted, and jitter with the magnet; a Hall sector is 60 deg wide.
+    """
+    turning, offsets = turn_both_ways(drive, record, measure)
+    delta = np.degrees(offsets.mean)
+    for s, sector in enumerate(SECTORS):
+        measure(f"delta_{sector}", delta[s].mean(), *turning)
+    measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
+    measure("edges_dropped", offsets.dropped, *turning)
+
+
 @limit("psi_f", "mV·s", about="back-EMF over electrical speed")
 @limit("psi_f_deviation", "%", lo=-4, hi=4, about="of it from the drive's parameter psi_f_hat")
 @limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical turns by the encoder for one by the Hall sensors")
 @limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are no neighbours")
 @limit("u_dc", "V", lo=22.8, hi=25.2, about="mean voltage of the DC link")
 @limit("u_dc_ripple", "V", hi=0.5, about="peak to peak")
-@needs("encoder", "channel:e_alpha", "channel:e_beta", "channel:u_dc", "parameter:psi_f_hat")
+@needs(*TURNS, "encoder", "feature:EDGES", "channel:e_alpha", "channel:e_beta", "channel:u_dc", "parameter:psi_f_hat")
 @energises(speed_rpm=1000, current=8)
 def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) -> None:
     """The flux linkage from the back-EMF at 1000 r/min, light load; direction and pole pairs of the encoder."""
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(1000 * RPM)
     record.wait(0.6)
     run = record(0.4)
-    omega = float(np.abs(run["omega_enc"]).mean())
+    omega = float(np.abs(run[run.speed]).mean())
     psi_f = np.hypot(run["e_alpha"], run["e_beta"]).mean() / omega if omega else math.nan
     measure("psi_f", 1e3 * psi_f, run)
     measure("psi_f_deviation", 100.0 * (psi_f / drive.parameters["psi_f_hat"] - 1.0), run)
@@ -102,12 +142,12 @@ def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) ->
 @limit("i_q_step", "A", lo=3.6, hi=4.4, about="what the load torque of 4 A adds to it")
 @limit("torque_deviation", "%", lo=-10, hi=10, about="of i_q_step from torque / (1.5 n_p psi_f_hat)")
 @limit("current_sum", "A", hi=0.05, about="mean of i_a + i_b + i_c under load, its size")
-@needs("encoder", "load", "channel:i_b", "channel:i_c")
+@needs(*TURNS, "encoder", "load", *PHASES, "channel:i_q", "parameter:psi_f_hat")
 @energises(speed_rpm=500, current=8)
 def test_torque_constant(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
     """The q current that a known load torque takes at 500 r/min, above that of the friction."""
     amperes = 4.0
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(500 * RPM)
     record.wait(0.4)
     light = whole_turns(record(0.25))
@@ -127,15 +167,15 @@ def test_torque_constant(drive: Drive, load: Load, record: Record, measure: Meas
 @limit("noise", "A", lo=0.001, hi=0.06, about="largest standard deviation of the three")
 @limit("sum_offset", "A", lo=-0.1, hi=0.1, about="mean of i_a + i_b + i_c")
 @limit("speed", "r/min", hi=1, about="largest by the drive's estimate: the shaft is at rest")
-@needs("channel:i_b", "channel:i_c")
+@needs(*TURNS, *PHASES)
 @energises(speed_rpm=100, current=8)
 def test_current_offsets(drive: Drive, record: Record, measure: Measure) -> None:
     """What the current sensors say where there is no current, after the drive has run."""
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(100 * RPM)
     record.wait(0.2)
     drive.stop()
-    record.until(lambda: record.latest("omega_vt") == 0.0, 5.0)
+    record.until(lambda: abs(record.latest(record.rig.speed_channel)) < REST, 5.0)
     record.wait(0.2)
     rest = record(0.2)
     phases = [rest["i_a"], rest["i_b"], rest["i_c"]]
@@ -143,7 +183,7 @@ def test_current_offsets(drive: Drive, record: Record, measure: Measure) -> None
         measure(f"offset_{phase}", values.mean(), rest)
     measure("noise", max(values.std() for values in phases), rest)
     measure("sum_offset", np.sum(phases, axis=0).mean(), rest)
-    measure("speed", np.abs(rest["omega_vt"]).max() / (drive.n_p * RPM), rest)
+    measure("speed", np.abs(rpm(rest)).max(), rest)
 
 
 def _encoder_turns(run: Capture) -> tuple[float, int]:

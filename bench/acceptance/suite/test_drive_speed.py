@@ -15,7 +15,18 @@ from bench.acceptance import RPM, Capture, Drive, energises, limit, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
-from bench.acceptance.suite.common import PROPOSED, Figure, Measure, error_deg, or_nan, rpm, settle
+from bench.acceptance.suite.common import (
+    PROPOSED,
+    TURNS,
+    VECTOR,
+    Figure,
+    Measure,
+    error_deg,
+    or_nan,
+    own_angle,
+    rpm,
+    settle,
+)
 from bench.acceptance.suite.events import GONE, current, currents_gone, first, largest, speed, states, stepped
 from bench.acceptance.waveforms import settled
 from protocol.codes import DriveState
@@ -27,7 +38,7 @@ from protocol.codes import DriveState
 @limit("error_max", "deg", lo=5, hi=30, about="largest position error from the step on")
 @limit("error_std_after", "deg", lo=0.5, hi=3, about="position error once it has settled")
 @limit("current_max", "A", lo=2, hi=8.8, about="largest phase current")
-@needs("encoder", "channel:omega_ref")
+@needs(*TURNS, *VECTOR, "encoder", "currents", "channel:omega_ref")
 @energises(speed_rpm=300, current=8)
 def test_reversal_300_rpm(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
     """Reversal from 300 to -300 r/min.
@@ -68,7 +79,7 @@ def test_reversal_300_rpm(drive: Drive, record: Record, measure: Measure, figure
 @limit("error_std", "deg", lo=0.5, hi=32, about="below the speed at which the correction works: a Hall sector's width")
 @limit("error_max", "deg", lo=2, hi=100, about="largest position error")
 @limit("current_max", "A", hi=7.0, about="largest phase current")
-@needs("encoder", "load")
+@needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
 @energises(speed_rpm=20, current=8)
 @pytest.mark.parametrize("amperes", [0, 2])
 def test_low_speed_20_rpm(
@@ -107,6 +118,7 @@ def test_low_speed_20_rpm(
     about="standard deviation of the drive's estimate, which has Hall ripple in it",
 )
 @limit("current_max", "A", lo=0.3, hi=3.5, about="largest phase current")
+@needs(*TURNS, *VECTOR, "currents", "feature:EDGES")
 @energises(speed_rpm=3000, current=8)
 def test_full_speed_3000_rpm(drive: Drive, record: Record, measure: Measure) -> None:
     """The drive's rated speed, light load; the Hall edges tell how fast the shaft is."""
@@ -119,7 +131,7 @@ def test_full_speed_3000_rpm(drive: Drive, record: Record, measure: Measure) -> 
 @limit("error_mean", "deg", lo=-0.8, hi=0.4, about="mean position error")
 @limit("error_std", "deg", lo=2, hi=5, about="position error")
 @limit("error_max", "deg", lo=4, hi=12, about="largest position error")
-@needs("encoder")
+@needs(*TURNS, *VECTOR, "encoder")
 @energises(speed_rpm=3000, current=8)
 def test_full_speed_3000_rpm_error(drive: Drive, record: Record, measure: Measure) -> None:
     """The position error at the drive's rated speed, light load."""
@@ -132,7 +144,7 @@ def test_full_speed_3000_rpm_error(drive: Drive, record: Record, measure: Measur
 @limit("error_std", "deg", lo=2, hi=5.5, about="position error")
 @limit("error_max", "deg", lo=4, hi=14, about="largest position error")
 @limit("current_max", "A", lo=6.5, hi=9, about="largest phase current")
-@needs("encoder", "load")
+@needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
 @energises(speed_rpm=2500, current=8)
 def test_high_power_2500_rpm_6_A(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
     """Much load at 2500 r/min: 6 A, and about 0.6 A of friction.
@@ -160,7 +172,7 @@ def test_high_power_2500_rpm_6_A(drive: Drive, load: Load, record: Record, measu
 @limit("overshoot", "%", lo=5, hi=60, about="past 300 r/min: what the speed loop had wound up")
 @limit("settling_time", "ms", lo=40, hi=400, about="from the first movement until the speed stays within 30 r/min")
 @limit("current_max", "A", lo=5, hi=9.2, about="largest phase current from the release on")
-@needs("load.speed")
+@needs(*TURNS, "currents", "load.speed")
 @energises(speed_rpm=300, current=8)
 def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
     """The load holds the shaft while 300 r/min are asked for; then it lets go.
@@ -171,7 +183,7 @@ def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure
     record.wait(0.2)
     load.speed(0.0)
     record.wait(0.1)
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     with record.stretch() as stretch:
         drive.speed(300 * RPM)
         record.wait(0.4)
@@ -200,10 +212,11 @@ def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure
 @limit("off_time", "ms", lo=-1, hi=5, about=f"from then until all currents are below {GONE} A for good")
 @limit("idle_share", "%", lo=100, hi=100, about="samples in IDLE of those after RUNNING")
 @limit("current_after", "A", hi=GONE, about="largest phase current 5 ms after RUNNING and later")
+@needs(*TURNS, "currents")
 @energises(speed_rpm=500, current=8)
 def test_stop_500_rpm(drive: Drive, record: Record, measure: Measure) -> None:
     """STOP at 500 r/min: outputs off at once, for good, and the drive stays IDLE."""
-    drive.start(PROPOSED)
+    drive.start(own_angle(drive))
     drive.speed(500 * RPM)
     record.wait(0.4)
     before = record(0.1)

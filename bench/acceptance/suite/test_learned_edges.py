@@ -18,6 +18,7 @@ from bench.acceptance.plots.by_speed import Panel, draw_by_speed
 from bench.acceptance.plots.transients import draw_transient
 from bench.acceptance.suite.common import (
     LEARNED,
+    PAPER,
     PROPOSED,
     After,
     Figure,
@@ -30,6 +31,8 @@ from bench.acceptance.suite.common import (
     thd_of_current,
     whole_turns,
 )
+
+pytestmark = needs(*PAPER, "observer:learned-edges")
 
 SPEEDS = (100, 200, 500, 1000, 2000, 3000)  # r/min
 LOADS = (1.0, 4.0, 8.0)  # A of q current
@@ -75,7 +78,7 @@ def teach(drive: Drive, load: NodeLoad, record: Record) -> None:
 @limit("proposed.error_std.500rpm", "deg", lo=1.5, hi=3.5, about="the paper's observer on the same samples, 4 A")
 @limit("proposed.error_std.1000rpm", "deg", lo=2.5, hi=5, about="the same")
 @limit("ratio_max", lo=0.005, hi=0.35, about="error std, learned edges to the paper's observer, largest")
-@needs("encoder", "load.speed", "rate:16000", *CHANNELS)
+@needs("load.speed", "rate:16000", *CHANNELS)
 @energises(speed_rpm=3000, current=8)
 def test_learned_edges_map(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
     """Learned edges: position error at 100 to 3000 r/min and 1 to 8 A, THD of a phase current, once it has learned."""
@@ -129,7 +132,7 @@ def test_learned_edges_map(drive: Drive, load: NodeLoad, record: Record, measure
 @limit("load_step_8A.error_shift", "deg", lo=-0.5, hi=0.5, about="of the mean error, 0.2 to 8 A")
 @limit("proposed.speed_step.error_max", "deg", lo=3, hi=14, about="the paper's observer on the same samples")
 @limit("speed_step.speed", "r/min", lo=996, hi=1004, about="after the speed step")
-@needs("encoder", "load.speed", "rate:16000", "channel:omega_ref", *CHANNELS)
+@needs("load.speed", "rate:16000", "channel:omega_ref", *CHANNELS)
 @energises(speed_rpm=1000, current=8)
 def test_learned_edges_transients(
     drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure
@@ -194,7 +197,7 @@ def test_learned_edges_transients(
 @limit(
     "ratio", lo=0.01, hi=0.8, about="error std, wrong parameters to the paper's observer with the drive's own, largest"
 )
-@needs("encoder", "load.speed", "rate:16000", *(f"parameter:{name}" for name in OFF), *CHANNELS)
+@needs("load.speed", "rate:16000", *(f"parameter:{name}" for name in OFF), *CHANNELS)
 @energises(speed_rpm=1000, current=8)
 def test_learned_edges_wrong_parameters(drive: Drive, load: NodeLoad, record: Record, measure: Measure) -> None:
     """Learned edges: resistance 30 % and inductance 20 % too large, flux linkage 10 % too small, from the start on."""

@@ -13,7 +13,9 @@ from bench.acceptance import RPM, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import NodeLoad
 from bench.acceptance.plots.thd_map import draw_thd_map
-from bench.acceptance.suite.common import AVERAGE, PROPOSED, WORDS, Figure, Measure, thd_of_current, whole_turns
+from bench.acceptance.suite.common import AVERAGE, PAPER, PROPOSED, WORDS, Figure, Measure, thd_of_current, whole_turns
+
+pytestmark = needs(*PAPER)
 
 SPEEDS = tuple(range(250, 2501, 250))  # r/min
 TYPICAL = {
@@ -64,7 +66,7 @@ def _name(observer: str, amps: float, speed: int) -> str:
 )
 @limit("ratio_max", "", lo=0.2, hi=0.45, about="THD of the proposed approach over that of the average speed, largest")
 @limit("rise", "", lo=1.4, hi=2.0, about="THD of the proposed approach at 2500 r/min over that at 1000, least")
-@needs("encoder", "load.speed", "rate:16000")
+@needs("load.speed", "rate:16000")
 @energises(speed_rpm=2500, current=8)
 def test_fig13_thd_map(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 13: THD (20) of i_a at 2 to 8 A and 250 to 2500 r/min, with both approaches.

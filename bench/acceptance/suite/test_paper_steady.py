@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance import RPM, Capture, Drive, DriveTripped, Limits, energises, limit, limits, needs
+from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
@@ -22,20 +22,22 @@ from bench.acceptance.plots.response import draw_bode
 from bench.acceptance.plots.steady import draw_steady
 from bench.acceptance.suite.common import (
     AVERAGE,
+    PAPER,
     PROPOSED,
     WORDS,
     Figure,
     Measure,
     error_deg,
-    or_nan,
     rpm,
     settle,
     thd_of_current,
+    turn_both_ways,
     whole_turns,
 )
-from bench.acceptance.waveforms import BACKWARDS, FORWARDS, edge_offsets, sine_response
-from bench.acceptance.wiring import AS_SPECIFIED, diagnose
+from bench.acceptance.waveforms import BACKWARDS, FORWARDS, sine_response
 from protocol.signals import Injection, Status
+
+pytestmark = needs(*PAPER)
 
 F64 = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -67,32 +69,18 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
 @limit("hysteresis", "deg", lo=0.3, hi=0.7, about="between an edge met backwards and forwards, mean of the six")
 @limit("edges_dropped", "", hi=0, about="edges between sectors that are no neighbours")
 @limit("wiring_as_specified", "", lo=1, about="1: Hall codes and encoder agree on the specified wiring")
-@needs("encoder")
+@needs("observer:encoder", "hall-placement")
 @energises(speed_rpm=300, current=4)
-def test_table1_hall_edges(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
-    """Table I: the angles of the six Hall edges by the encoder, met forwards and backwards.
+def test_table1_hall_edges(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+    """Table I: sensors that the rig has placed as the paper's are found there by the encoder, both ways.
 
     The drive runs on its encoder, so that misplaced sensors do not disturb the speed. The paper's figure is taken as
     the middle of both directions.
     """
-    drive.start("encoder")
-    with drive.may_trip(), record.stretch() as started:  # a drive may well trip over wrong wiring: name that first
-        drive.speed(300 * RPM)
-        record.wait(0.8)
-    measure("wiring_as_specified", or_nan(lambda: _wiring_as_specified(started.capture, record)), started.capture)
-    if drive.faults:
-        raise DriveTripped(f"the drive tripped: {', '.join(drive.faults)}")
-    turning = []
-    for direction in (1, -1):
-        drive.speed(direction * 300 * RPM)
-        assert settle(record, direction * 300), "300 r/min were not reached"
-        turning.append(record(1.0))
-    edges = [capture.edges for capture in turning]
-    offsets = edge_offsets(
-        np.concatenate([capture.theta_at_edges() for capture in turning]),
-        np.concatenate([chunk.hall_old for chunk in edges]),
-        np.concatenate([chunk.hall_new for chunk in edges]),
-    )
+    assert isinstance(load, NodeLoad)
+    for s, placed in enumerate(TABLE_I):
+        load.set(f"hall_delta_{s + 1}", math.radians(placed))
+    turning, offsets = turn_both_ways(drive, record, measure)
     delta = np.degrees(offsets.mean)
     for s, sector in enumerate(SECTORS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
@@ -105,14 +93,6 @@ def test_table1_hall_edges(drive: Drive, record: Record, measure: Measure, figur
         "Hall edges by the encoder: on the circle, their offsets in both directions, and the paper's Table I",
         lambda: draw_edge_offsets(offsets, np.radians(TABLE_I), math.radians(TOLERANCE)),
     )
-
-
-def _wiring_as_specified(capture: Capture, record: Record) -> float:
-    found = diagnose(capture.theta, capture["hall"].astype(np.int64))
-    record.note(
-        f"Hall wiring: {found.best} (explains {found.share:.1%}), then {found.runner_up} ({found.runner_up_share:.1%})"
-    )
-    return float(found.best == AS_SPECIFIED)
 
 
 # -- Fig. 2 ---------------------------------------------------------------------------------------------------------
@@ -165,7 +145,7 @@ EXPECTED = _expected(np.array(PLACED))
     ),
 )
 @limit("error_max", "deg", lo=EXPECTED.largest - 1.5, hi=EXPECTED.largest + 1.5, about="average speed, anywhere")
-@needs("encoder", "hall-placement")
+@needs("observer:encoder", "hall-placement")
 @energises(speed_rpm=200, current=4)
 def test_fig02_misaligned_hall(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 2: the average-speed estimate with Hall sensors misplaced by phi = -15, 10 and 10 deg.
@@ -236,7 +216,7 @@ def _high_pass(f: F64, k_p: float, k_i: float) -> Complex:
 @limit("high_pass_phase_off", "deg", hi=5.0, about="from theta_h: the same")
 @limit("k_p", "1/s", lo=1230, hi=1400, about="of (9) by the responses; 4 % more than it is, as sampled at 16 kHz")
 @limit("k_i", "1/s²", lo=45000, hi=66000, about="of (9) by the responses")
-@needs("encoder", "rate:16000", "parameter:inject", "parameter:k_p_vt", "parameter:k_i_vt")
+@needs("observer:encoder", "rate:16000", "parameter:inject", "parameter:k_p_vt", "parameter:k_i_vt")
 @energises(speed_rpm=1000, current=4)
 def test_fig06_frequency_response(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 6: the observer answers a sine on theta* as a low-pass and one on theta_h as a high-pass, by (11).
@@ -346,7 +326,7 @@ def _fitted_gains(low: Complex, high: Complex, guess: tuple[float, float]) -> tu
 @limit("speed_proposed", "r/min", lo=49.0, hi=51.0, about="the same")
 @limit("ripple_average", "r/min", lo=11.0, hi=19.0, about="std of the speed")
 @limit("ripple_proposed", "r/min", lo=3.0, hi=6.0, about="the same")
-@needs("encoder", "load")
+@needs("load", "parameter:psi_f_hat")
 @energises(speed_rpm=50, current=8)
 def test_fig08_steady_50_rpm(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 8: steady state at 50 r/min and 4 A, with the average-speed approach and with the proposed one."""

@@ -15,6 +15,7 @@ from bench.acceptance.plots.transients import LoadAngle, draw_load_angle, draw_t
 from bench.acceptance.suite.common import (
     AVERAGE,
     OMEGA,
+    PAPER,
     PROPOSED,
     THETA,
     WORDS,
@@ -32,6 +33,8 @@ from bench.acceptance.suite.common import (
     whole_turns,
 )
 from bench.acceptance.waveforms import StepResponse, settled, step_response
+
+pytestmark = needs(*PAPER)
 
 Servo = NodeLoad | OwnLoad  # what may be able to force a speed
 
@@ -167,7 +170,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str) -> After:
 @limit("proposed.rise", "ms", lo=20, hi=60, about="of the speed, 10 to 90 %")
 @limit("proposed.overshoot", "%", lo=3, hi=25, about="of the speed")
 @limit("proposed.speed", "r/min", lo=497, hi=503, about="in steady state")
-@needs("encoder", "load", "channel:omega_ref")
+@needs("load", "parameter:psi_f_hat", "channel:omega_ref")
 @energises(speed_rpm=LOW, current=8)
 def test_fig09_start_up(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 9: start-up from 0 to 500 r/min with an initial error of about 30 degrees.
@@ -216,7 +219,7 @@ def test_fig09_start_up(drive: Drive, load: Load, record: Record, measure: Measu
 @limit("proposed.overshoot", "%", lo=3, hi=25, about="of the speed, as a share of the step")
 @limit("proposed.speed", "r/min", lo=996, hi=1004, about="in steady state")
 @limit("average.speed", "r/min", lo=970, hi=1010, about="in steady state")
-@needs("encoder", "channel:omega_ref")
+@needs("channel:omega_ref")
 @energises(speed_rpm=HIGH, current=8)
 def test_fig10_speed_step(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 10: speed step from 500 to 1000 r/min near no load.
@@ -269,7 +272,7 @@ def test_fig10_speed_step(drive: Drive, record: Record, measure: Measure, figure
 @limit("proposed.i_q", "A", lo=4.0, hi=4.4, about="in steady state; the load takes 4, friction the rest")
 @limit("average.ripple_q", "A", lo=0.6, hi=2.0, about="of i_q in steady state")
 @limit("proposed.ripple_q", "A", lo=0.05, hi=0.6, about="of i_q in steady state")
-@needs("encoder", "load")
+@needs("load", "parameter:psi_f_hat")
 @energises(speed_rpm=LOW, current=8)
 def test_fig11_load_step(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 11: load step from near no load to 4 A at 500 r/min.
@@ -344,7 +347,7 @@ def error_shift(after: After) -> float:
 @limit("error_std", "deg", lo=1.5, hi=3.2, about="of the error at 8 A: the drive's own L_hat")
 @limit("speed", "r/min", lo=495, hi=505, about="as the load forces it")
 @limit("i_q", "A", lo=7.9, hi=8.1, about="at full load")
-@needs("encoder", "load.speed", "channel:i_q_ref", "parameter:load_angle_comp", "parameter:k_ic", "parameter:L_s_hat")
+@needs("load.speed", "channel:i_q_ref", "parameter:load_angle_comp", "parameter:k_ic", "parameter:L_s_hat")
 @energises(speed_rpm=LOW, current=FULL_LOAD)
 def test_fig12_load_angle(drive: Drive, load: Servo, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 12: step to full load at 500 r/min, without and with the load-angle compensation.

@@ -12,7 +12,7 @@ from unittest.mock import patch
 from virtual_run import RecordingScreen, WatchedLink, at_rest
 
 from bench.acceptance.accept import AcceptOptions, accept
-from bench.acceptance.results import Measurement, RunResult, TestResult
+from bench.acceptance.results import Limits, Measurement, RunResult, TestResult
 from bench.node import DRIVE, SAMPLES
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
@@ -42,6 +42,9 @@ def trip(record):
 
 class Screen(RecordingScreen):
     """Also what a person would have been left alone for."""
+
+    def listed(self, name: str, limits: Limits) -> None:
+        self.notes.append(f"{name}: {limits}")
 
     def pause(self) -> None:
         self.notes.append("(pause)")

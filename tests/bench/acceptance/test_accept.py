@@ -85,7 +85,7 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     spread = run.measured["bad.spread"].value
     assert properties["bad.spread"] == f"{spread:.4g} deg [≤ 0.001 deg] FAIL"
     assert properties["bad.nan"] == "nan deg [≤ 1 deg] FAIL (is not a number)"
-    assert properties["cannot.x"] == "not measured [≤ 1] SKIPPED (needs the drive's parameter no_such)"
+    assert properties["cannot.x"] == "not measured [≤ 1] SKIPPED (needs the parameter no_such)"
     message = next(suite.iter("failure")).get("message", "")
     assert message.startswith("2 of 2 measurements did not pass")
     assert "bad.nan = nan deg" in message
@@ -94,7 +94,8 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
 def test_the_closing_line_counts(accepting: Accepting) -> None:
     run = accepting(TESTS)
     assert run.result is not None
-    (line,) = closing_lines(run.result)
+    untested, line = closing_lines(run.result)
+    assert untested == "not tested: 1 measurement: needs the parameter no_such (cannot)"
     assert re.fullmatch(
         r"FAIL: 3 tests \(1 failed, 1 passed, 1 skipped\), "
         r"5 measurements \(2 failed, 2 passed, 1 skipped\), \d+ s on sim",
@@ -128,16 +129,16 @@ def test_one(measure):
 
 @pytest.mark.parametrize(
     ("option", "place", "why"),
-    [("report", "a_file/report", "cannot write the report to a_file/report: Not a directory"),
-     ("report", "a_file", "cannot write the report to a_file: File exists"),
-     ("json", "nowhere/a.json", "cannot write to nowhere: no directory")],
+    [("report", "a_file/report", "report a_file/report cannot be written: Not a directory"),
+     ("report", "a_file", "report a_file cannot be written: File exists"),
+     ("json", "nowhere/a.json", "results nowhere/a.json cannot be written: there is no directory {}/nowhere")],
 )  # fmt: skip
 def test_a_place_that_cannot_be_written_is_told_before_anything_moves(
     accepting: Accepting, option: str, place: str, why: str
 ) -> None:
     Path("a_file").touch()
     link = SpoiltLink(simulated())
-    assert refusal(lambda: accepting(TESTS, link, **{option: Path(place)})) == why
+    assert refusal(lambda: accepting(TESTS, link, **{option: Path(place)})) == why.format(Path.cwd())
     assert link.opened == []
 
 
@@ -151,10 +152,50 @@ def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Acceptin
 
 
 def test_a_result_that_cannot_be_written_at_the_end_is_no_success(accepting: Accepting) -> None:
-    Path("a.json").mkdir()
-    run = accepting(TESTS, keyword="test_good", json=Path("a.json"))
+    run = accepting(TESTS, keyword="test_good", json=Path("/dev/full"))
     assert run.tests == {"good": "PASS"}
     assert run.code == 2
+
+
+def files_in(directory: str) -> set[str]:
+    return {str(path.relative_to(directory)) for path in Path(directory).rglob("*") if path.is_file()}
+
+
+REPORTS = """
+from matplotlib.figure import Figure
+
+@limit("n_p", lo=1)
+def test_one(drive, measure, figure):
+    measure("n_p", drive.n_p)
+    figure("angle", "an angle", Figure)
+
+@limit("n_p", lo=1)
+def test_two(drive, measure, figure):
+    measure("n_p", drive.n_p)
+    figure("angle", "an angle", Figure)
+"""
+
+
+def test_a_second_report_leaves_nothing_of_the_first_and_all_else(accepting: Accepting) -> None:
+    accepting(REPORTS, report=Path("out"))
+    made = {"report.html", ".report-files", *(f"recordings/{name}.rrd" for name in ("one", "two")),
+            *(f"figures/{name}/angle.png" for name in ("one", "two"))}  # fmt: skip
+    assert files_in("out") == made
+    own = {"notes.txt", "recordings/mine.rrd", "figures/two/mine.png"}
+    for name in own:
+        Path("out", name).touch()
+    Path("out/recordings/killed.rrd").touch()  # of a run that came to no end
+    Path("outside").touch()
+    with Path("out/.report-files").open("a") as names:
+        names.write("recordings/killed.rrd\nrecordings/../../outside\nnotes.txt\n")
+    only_one = REPORTS.replace("test_two", "other")
+    accepting(only_one, report=Path("out"))
+    assert files_in("out") == {name for name in made if "two" not in name} | own
+    assert Path("outside").exists()
+    for name in own:
+        Path("out", name).unlink()
+    accepting(only_one, report=Path("out"))
+    assert sorted(path.name for path in Path("out/figures").iterdir()) == ["one", "two"]  # empty, it was the user's
 
 
 # -- what is selected and listed --------------------------------------------------------------------------------
@@ -266,7 +307,7 @@ def test_half(measure):
     run = accepting(text.format(0))
     assert run.tests == {"half": "SKIPPED"}
     assert {name: str(m.verdict) for name, m in run.measured.items()} == {"half.x": "PASS", "half.y": "SKIPPED"}
-    assert run.code == 2
+    assert run.code == 6
     assert accepting(text.format(2)).tests == {"half": "FAIL"}
 
 
@@ -478,7 +519,7 @@ def test_errors_of_the_command_are_one_line(start: Callable[..., Program], tmp_p
     assert re.fullmatch(r"error: own_bad.py: SyntaxError: invalid syntax", run.err[0])
     missing = start("accept", "--tests", str(file), "--json", "/nowhere/a.json")
     assert missing.end() == 2
-    assert missing.err[-1].startswith("error: --json /nowhere/a.json: there is no directory /nowhere")
+    assert missing.err[-1].startswith("error: --json /nowhere/a.json cannot be written: there is no directory /nowhere")
 
 
 @pytest.fixture

@@ -284,7 +284,7 @@ def test_without_a_load_a_test_that_needs_one_is_skipped(accepting: Accepting) -
     assert run.tests == {"brakes": "SKIPPED", "forces": "SKIPPED"}
     assert run["brakes"].why == "needs a load"
     assert run["forces"].why == "needs a load that forces a speed"
-    assert run.code == 2
+    assert run.code == 6
 
 
 def somebody(asked: list[str], answered: Callable[[str], bool] = lambda words: True) -> Ask:
@@ -651,3 +651,19 @@ def test_a_run_holds_the_load_machine_too() -> None:
                 pass
     with alone_on("tcp:brake:7000"):
         pass
+
+
+def test_a_lock_that_somebody_replaced_by_a_link_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with alone_on("tcp:drive:7000"):
+        (lock,) = tmp_path.iterdir()
+    lock.unlink(missing_ok=True)
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    lock.symlink_to(victim)
+    why = f"^cannot lock tcp:drive:7000 for this run: {lock}: .*; remove that file$"
+    with pytest.raises(BenchError, match=why), alone_on("tcp:drive:7000"):
+        pass
+    assert victim.read_text() == "precious"

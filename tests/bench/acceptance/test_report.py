@@ -27,6 +27,7 @@ from bench.acceptance.results import (
     Verdict,
 )
 from bench.acceptance.results import tightest as closest
+from bench.errors import BenchError
 
 BLOCKS = {"td", "th", "div", "p", "li", "summary", "figure", "h2", "h3", "dd"}
 VOID = {"meta", "col", "img", "wbr", "rect", "br"}
@@ -262,7 +263,7 @@ def test_a_figure_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_a_directory_that_is_missing_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ReportError, match=r"report .*none/report\.html cannot be written: No such file"):
+    with pytest.raises(BenchError, match=r"report .*none/report\.html cannot be written: No such file"):
         write_report(a_run(), tmp_path / "none")
 
 

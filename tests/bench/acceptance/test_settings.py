@@ -24,6 +24,7 @@ def test_measures(measure):
 SPREAD = "limits.'measures.spread' in bench.toml must"
 WRONG = {
     "target = ": "cannot read bench.toml: Invalid value",
+    f"target = {'[' * 100_000}": "cannot read bench.toml: it is nested too deeply",
     "target = 5": "target in bench.toml must be text, got 5",
     "targte = 'sim'": r"unknown key targte in bench.toml: did you mean target\?",
     "xyz = 1": "unknown key xyz in bench.toml: there are target, config, rig, limits",
@@ -48,7 +49,7 @@ WRONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("text", WRONG)
+@pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:60])
 def test_what_is_wrong_is_one_line_and_nothing_runs(
     accepting: Accepting, capfd: pytest.CaptureFixture[str], text: str
 ) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.rerunio.schema import RunInfo
 from protocol.descriptor import Descriptor
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
-from protocol.signals import DRIVE_CHANNELS, AngleSource
+from protocol.signals import DRIVE_CHANNELS, AngleSource, RawType
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 TICK_HZ, PWM_HZ = 20_000_000, 16_000
@@ -67,7 +67,8 @@ class SyntheticRun:
         theta = np.cumsum(omega) / PWM_HZ
         self._edges(theta)
         sector_time = np.searchsorted(self.edge_tick, self.tick, side="right") - 1
-        since = np.where(sector_time < 0, 0, self.tick - self.edge_tick[np.maximum(sector_time, 0)]) / TICK_HZ
+        passed = np.append(self.edge_tick, 0)  # one is there even where the shaft rests
+        since = np.where(sector_time < 0, 0, self.tick - passed[np.maximum(sector_time, 0)]) / TICK_HZ
         theta_avg = np.where(sector_time < 0, 0.3, sector_time * np.pi / 3 + np.pi / 3 + np.minimum(omega * since, 1.2))
         hall_wave = 0.05 * np.sin(3 * theta) + 0.03 * np.sin(theta + 0.4)
         theta_vt = theta + hall_wave * 0.6 + 0.004 * rng.normal(size=n) + 0.3 * np.exp(-t / 0.1)
@@ -105,7 +106,7 @@ class SyntheticRun:
             values[name] = i_q * np.cos(angle) + 0.05 * rng.normal(size=n)
         self.raw = np.zeros(n, self.config.dtype)
         for channel in self.config.channels:
-            if channel.name in values:
+            if channel.name in values and channel.raw != RawType.F32:
                 info = np.iinfo(channel.raw.dtype)
                 counts = np.rint((values[channel.name] - channel.offset) / channel.scale)
                 self.raw[channel.name] = np.clip(counts, info.min, info.max)

@@ -73,6 +73,15 @@ def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthet
     }
 
 
+def test_what_is_lost_at_the_end_of_the_streams_is_counted_without_a_chunk_to_tell_of_it() -> None:
+    builder = BlockBuilder(0.055, synthetic.TICK_HZ)
+    builder.missing(3, 245, 10.0)
+    assert builder.take(10.0) is None
+    block = builder.take(11.0)
+    assert block is not None
+    assert (block.losses["lost:samples"], block.losses["lost:edges"]) == (3, 245)
+
+
 def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun) -> None:
     """After a lost link streams start anew: the decoder has no gap to tell of, the index has."""
     builder = BlockBuilder(1e9, synthetic.TICK_HZ)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,22 @@ import synthetic
 from rerun.chunk import RrdReader
 from viewers import headless, needs_graphics
 
-from bench.rerunio import dashboard, schema
+from bench.rerunio import schema
+from bench.rerunio.plots import plots
+from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
+from protocol.streams import SampleChunk
 
 VIEWS = {
-    "TimeSeries": 6,
+    "TimeSeries": len(plots(synthetic.run_info())),
     "StateTimeline": 2,
     "2D": 1,
     "TextDocument": 2,
     "TextLog": 1,
 }
+
+
+HOSTILE = ("a/b c|:#", "`*x*` [y](z)", "\x1b[2J\u202e\n")
 
 
 def components(path: Path) -> dict[str, dict[str, int]]:
@@ -34,16 +41,16 @@ def components(path: Path) -> dict[str, dict[str, int]]:
 
 
 def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.SyntheticRun) -> None:
-    plots = dashboard.plots(synthetic.run_info())
-    assert set(plots) == {"error_trend", "speed", "dq", "position", "error", "phases"}
+    shown = plots(synthetic.run_info())
+    known = {key for key, plot in shown.items() if not plot.by_unit}
+    assert known == {"error_trend", "speed", "dq", "position", "error", "phases"}
     found = components(recording)
-    for plot in plots.values():
+    for plot in shown.values():
         for line in plot.lines:
             n = found[f"/{plot.entity}"][line.component]
             assert n == (len(made.index) if plot.entity == schema.FAST else 600), line
-    assert found["/hall"]["StateChange:state"] == len(made.edge_tick)
     assert found["/drive"]["StateChange:state"] >= 4
-    assert found["/stator/vectors"]["Arrows2D:vectors"] == 25  # a 60 ms block holds one picture at most: every second
+    assert found["/stator/vectors"]["Arrows2D:vectors"] == 30  # one in 0.1 s
     assert found["/health/text"]["TextDocument:text"] == 4
     assert found["/log/drive"]["TextLog:text"] == found["/log/host"]["TextLog:text"] == 1
     assert found["/stator/plane/lines"]
@@ -51,14 +58,14 @@ def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.Synt
 
 
 def test_names_carry_units() -> None:
-    for plot in dashboard.plots(synthetic.run_info()).values():
+    for plot in plots(synthetic.run_info()).values():
         assert "[" in plot.name
         assert all(line.name.endswith("]") for line in plot.lines)
 
 
 def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
     colours: dict[str, set[tuple[int, int, int]]] = {}
-    for plot in dashboard.plots(synthetic.run_info()).values():
+    for plot in plots(synthetic.run_info()).values():
         for line in plot.lines:
             colours.setdefault(line.name.split(" [")[0], set()).add(line.colour)
     assert {name for name, found in colours.items() if len(found) > 1} == set()
@@ -86,23 +93,43 @@ def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Pa
 @needs_graphics
 @pytest.mark.parametrize(
     "names",
-    [("i_a", "i_b", "i_c"), ("theta_enc", "theta_vt"), ("hall",), ("u_dc", "status", "omega_ref")],
+    [
+        ("i_a", "i_b", "i_c"),
+        ("theta_enc", "theta_vt"),
+        ("hall",),
+        ("u_dc", "status", "omega_ref"),
+        ("u_dc", "i_d", "tau_e_true"),  # under names of their own
+    ],
 )
 def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ...], tmp_path: Path) -> None:
     channels = tuple(channel for channel in synthetic.CHANNELS if channel.name in names)
-    run = synthetic.run_info(channels=channels, parameters={})
+    foreign = "tau_e_true" in names
+    if foreign:
+        channels = tuple(replace(channel, name=name) for channel, name in zip(channels, HOSTILE, strict=True))
+    features = [] if "hall" not in names else ["edges"]
+    run = synthetic.run_info(channels=channels, parameters={}, identity={"features": features})
     path = tmp_path / "few.rrd"
     sink = FileSink(path, run, wait=True)
-    synthetic.SyntheticRun(0.5, config=synthetic.config(channels)).feed(sink)
+    made = synthetic.SyntheticRun(0.5, config=synthetic.config(channels))
+    made.raw[:] = np.arange(len(made.index)) if foreign else made.raw
+    for chunk in made.chunks():
+        if isinstance(chunk, SampleChunk):
+            sink.samples(chunk)
+    sink.heartbeat(1, synthetic.heartbeat(int(made.tick[-1])))
     sink.close()
+    assert read_run(path).samples.raw.tobytes() == made.raw.tobytes()
     found = components(path)
-    for plot in dashboard.plots(run).values():
+    for plot in plots(run).values():
         assert plot.lines
         assert all(found[f"/{plot.entity}"][line.component] > 0 for line in plot.lines)
     with headless() as viewer:
         viewer.client.open(str(path))
         state = viewer.await_recording()
         assert [(view.name, view.reports) for view in state.views if view.reports] == []
+    kinds = [view.view_class for view in state.views]
+    assert kinds.count("TimeSeries") == len(plots(run))
+    assert kinds.count("StateTimeline") == (2 if "hall" in names else 1)
+    assert kinds.count("2D") == any(name in ("i_a", "theta_enc") for name in names)
 
 
 def test_positions_are_compared_with_the_reference_and_wrapped(recording: Path, made: synthetic.SyntheticRun) -> None:

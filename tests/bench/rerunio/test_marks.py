@@ -12,6 +12,7 @@ from viewers import headless, needs_graphics
 
 from bench.acceptance.results import Verdict
 from bench.rerunio import schema
+from bench.rerunio.plots import plots
 from bench.rerunio.recording import read_run
 from bench.rerunio.schema import Mark
 from bench.rerunio.sinks import FileSink
@@ -124,4 +125,4 @@ def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
         state = viewer.await_recording()
     assert [view.visible for view in state.views if view.name == VIEW] == [True]
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
-    assert len(state.views) == 13
+    assert len(state.views) == len(plots(synthetic.run_info())) + 7

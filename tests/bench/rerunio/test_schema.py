@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
+import pytest
 import synthetic
 from hypothesis import given
 from hypothesis import strategies as st
@@ -69,14 +71,36 @@ def test_a_run_and_its_streams_survive_json() -> None:
 
 
 def test_speeds_are_mechanical_where_the_pole_pairs_are_known() -> None:
-    assert abs(100.0 * synthetic.run_info().rpm_per_rad_s - 100 * 60 / (2 * np.pi) / 6) < 1e-12
-    assert abs(100.0 * synthetic.run_info(parameters={}).rpm_per_rad_s - 100 * 60 / (2 * np.pi)) < 1e-12
+    run = synthetic.run_info()
+    assert run.speed_unit == "r/min"
+    assert abs(100.0 * run.speed_factor - 100 * 60 / (2 * np.pi) / 6) < 1e-12
+
+
+@pytest.mark.parametrize("n_p", [None, 0.0, -3.0, 2.5, math.nan, math.inf, -math.inf])
+def test_speeds_stay_electrical_where_the_pole_pairs_are_not_known(n_p: float | None) -> None:
+    run = synthetic.run_info(parameters={} if n_p is None else {"n_p": n_p})
+    assert run.n_p is None
+    assert (run.speed_unit, run.speed_factor) == ("rad/s", 1.0)
+
+
+@pytest.mark.parametrize("i_max", [None, 0.0, -1.0, math.nan, math.inf])
+def test_the_range_of_the_currents_is_known_or_it_is_not(i_max: float | None) -> None:
+    assert synthetic.run_info(parameters={} if i_max is None else {"i_max": i_max}).i_max is None
 
 
 def test_one_colour_a_quantity() -> None:
+    colours = synthetic.run_info().colours
     for angle, speed in (("theta_avg", "omega_avg"), ("theta_vt", "omega_vt"), ("theta_enc", "omega_enc")):
-        assert schema.colour(angle) == schema.colour(speed)
-    assert schema.colour("never_heard_of") == schema.colour("never_heard_of")
+        assert colours[angle] == colours[speed]
+
+
+def test_channels_that_nobody_knows_differ_in_colour_within_a_unit() -> None:
+    channels = [
+        Channel(k, f"mine_{k}", unit, RawType.I16, 1.0, Flag.CHANNEL) for k, unit in enumerate([Unit.V, Unit.A] * 7)
+    ]
+    colours = synthetic.run_info(channels=tuple(channels)).colours
+    for unit in (Unit.V, Unit.A):
+        assert len({colours[channel.name] for channel in channels if channel.unit is unit}) == 7
 
 
 def test_hall_lanes_follow_the_bit_order() -> None:

@@ -15,10 +15,11 @@ import synthetic
 from rerun.chunk import RrdReader
 from viewers import any_port, headless, needs_graphics
 
+from bench.errors import RecordingError
 from bench.rerunio import schema, sinks
 from bench.rerunio.log import RunLog
 from bench.rerunio.recording import read_run
-from bench.rerunio.sinks import FileSink, LiveSink, RecordingError
+from bench.rerunio.sinks import FileSink, LiveSink
 
 
 def whole(path: Path, made: synthetic.SyntheticRun) -> bool:
@@ -148,6 +149,19 @@ def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, m
     file.close()
     assert file.latency.n == 960
     assert 1.0 <= file.latency.at(99) <= 1.02
+
+
+def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
+    """While the drive's clock is not known there is none, whatever is known when the block is written."""
+    file = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True, now=lambda: 50.0)
+    chunks = [chunk for chunk in made.chunks(96) if hasattr(chunk, "raw")][:3]
+    clocks = (None, chunks[1].tick[0] / synthetic.TICK_HZ - 49.9, None)
+    for chunk, offset in zip(chunks, clocks, strict=True):
+        file.host_time = lambda tick, offset=offset: None if offset is None else tick / synthetic.TICK_HZ - offset
+        file.samples(chunk)
+    file.close()
+    assert file.latency.n == 96
+    assert 0.1 <= file.latency.at(100) <= 0.103
 
 
 def test_a_full_disk_is_said_once_and_what_fitted_is_readable(tmp_path: Path, made: synthetic.SyntheticRun) -> None:

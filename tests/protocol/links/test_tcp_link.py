@@ -49,9 +49,21 @@ def test_peer_closes(server: socket.socket) -> None:
 
 def test_peer_resets(server: socket.socket) -> None:
     link, peer = connect(server)
+    peer.sendall(b"alive")
+    assert link.read(5.0) == b"alive"
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     peer.close()
     with pytest.raises(LinkClosed, match="was lost"):
+        link.read(5.0)
+
+
+@pytest.mark.parametrize("how", ["end of file", "reset"])
+def test_a_peer_that_goes_without_a_word_may_be_held_by_another_program(server: socket.socket, how: str) -> None:
+    link, peer = connect(server)
+    if how == "reset":
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    peer.close()
+    with pytest.raises(LinkClosed, match="closed the connection without a word: is another program connected"):
         link.read(5.0)
 
 

@@ -12,6 +12,7 @@ from protocol.host import (
     Event,
     HeartbeatReceived,
     HostSession,
+    LogReceived,
     ReplyReceived,
     RequestRefused,
     RequestTimedOut,
@@ -28,6 +29,7 @@ from protocol.messages import (
     EventCode,
     Heartbeat,
     HelloReply,
+    Log,
     ParamGet,
     ParamReply,
     ParamSet,
@@ -58,6 +60,7 @@ class SmallHost:
         self.session = HostSession(link.wire())
         self.heartbeats: dict[int, Heartbeat] = {}
         self.events: list[tuple[int, DeviceEvent]] = []
+        self.logs: list[Log] = []
         self.samples: dict[tuple[int, int], list[SampleChunk]] = {}
         self.edges: list[EdgeChunk] = []
         self.decoders: dict[tuple[int, int], Decoder] = {}
@@ -188,6 +191,8 @@ class SmallHost:
             self.heartbeats[event.node] = event.heartbeat
         elif isinstance(event, DeviceEventReceived):
             self.events.append((event.node, event.event))
+        elif isinstance(event, LogReceived):
+            self.logs.append(event.log)
         elif isinstance(event, StreamFrames):
             decoder = self.decoders.get((event.node, event.stream))
             chunk = None if decoder is None else decoder.decode(event.frames)

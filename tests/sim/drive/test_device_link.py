@@ -223,10 +223,10 @@ def test_arm_lapses() -> None:
         (1, SetpointMode.CURRENT, 8.1, 0.0, ErrorCode.OUT_OF_RANGE),
         (1, SetpointMode.CURRENT, 6.0, -6.0, ErrorCode.OUT_OF_RANGE),
         (1, SetpointMode.CURRENT, math.nan, 0.0, ErrorCode.BAD_VALUE),
-        (1, SetpointMode.TORQUE, 0.1, 0.0, ErrorCode.BAD_VALUE),
+        (1, SetpointMode.TORQUE, 0.1, 0.0, ErrorCode.NOT_SUPPORTED),
         (2, SetpointMode.TORQUE, 1.1, 0.0, ErrorCode.OUT_OF_RANGE),
         (2, SetpointMode.SPEED, 351.0, 0.0, ErrorCode.OUT_OF_RANGE),
-        (2, SetpointMode.CURRENT, 1.0, 0.0, ErrorCode.BAD_VALUE),
+        (2, SetpointMode.CURRENT, 1.0, 0.0, ErrorCode.NOT_SUPPORTED),
     ],
 )
 def test_setpoints_out_of_limits_change_nothing(

@@ -91,9 +91,9 @@ def test_unplug_and_plug(port: Port) -> None:
     link.close()
 
 
-def test_link_replaces_a_link_but_no_file(tmp_path: Path) -> None:
+def test_link_replaces_a_link_that_an_earlier_run_left_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "ttySIM"
-    path.symlink_to("/nowhere")
+    path.symlink_to("/dev/pts/987654")
     port = PtyPort(path)
     assert os.readlink(path).startswith("/dev/")
     port.close()
@@ -102,6 +102,11 @@ def test_link_replaces_a_link_but_no_file(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="cannot make the link"):
         PtyPort(path)
     assert path.read_text() == "precious"
+    path.unlink()
+    path.symlink_to("/dev/ttyACM0")
+    with pytest.raises(LinkError, match=r"cannot make the link .*: another link is there, not to a pty; remove it"):
+        PtyPort(path)
+    assert os.readlink(path) == "/dev/ttyACM0"
 
 
 def test_link_of_another_drive_is_left_alone(tmp_path: Path) -> None:
@@ -131,9 +136,10 @@ def test_second_tcp_client_is_closed_and_the_next_takes_over() -> None:
     first = open_link(port.target)
     port.read()
     second = open_link(port.target)
+    second.write(b"HELLO")  # unread by the time that the port turns it away
     wait(port)
     port.read()
-    with pytest.raises(LinkClosed, match="is another program connected"):
+    with pytest.raises(LinkClosed, match="closed the connection without a word: is another program connected"):
         second.read(5.0)
     port.write(b"still here")
     assert first.read(5.0) == b"still here"
@@ -155,4 +161,35 @@ def test_tcp_port_in_use() -> None:
     number = int(port.target.rpartition(":")[2])
     with pytest.raises(LinkError, match=f"cannot listen on tcp:127.0.0.1:{number}: Address already in use"):
         TcpPort("127.0.0.1", number)
+    port.close()
+
+
+def test_clients_that_are_turned_away_do_not_pile_up() -> None:
+    port = TcpPort("127.0.0.1", 0)
+    first = open_link(port.target)
+    port.read()
+    before = len(os.listdir("/proc/self/fd"))
+    others = []
+    for n in range(30):
+        others.append(open_link(port.target))
+        wait(port)
+        port.read()
+        assert port.refused == n + 1
+    assert len(os.listdir("/proc/self/fd")) - before <= 30 + 8
+    port.write(b"still here")
+    assert first.read(5.0) == b"still here"
+    for link in (first, *others):
+        link.close()
+    port.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "exposed"), [("127.0.0.1", False), ("localhost", False), ("::1", False), ("0.0.0.0", True), ("::", True)]
+)
+def test_only_a_loopback_address_is_for_this_machine_alone(host: str, exposed: bool) -> None:
+    try:
+        port = TcpPort(host, 0)
+    except LinkError:
+        pytest.skip(f"no address {host} here")
+    assert port.exposed == exposed
     port.close()

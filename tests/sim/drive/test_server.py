@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from protocol.messages import Command, DriveState, Fault, SetpointMode
 from sim.drive.device import SimulatedDevice
 from sim.drive.networks import ByteNetwork
 from sim.drive.ports import Port, PtyPort, TcpPort
-from sim.drive.server import MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
+from sim.drive.server import LATE, LATE_PERIOD, MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
 from sim.params import ConfigError, load_params
 
 PARAMS = load_params()
@@ -35,7 +36,8 @@ class Bench:
         self.now = 100.0
         self.port = port
         self.device = SimulatedDevice(PARAMS, **arguments)  # type: ignore[arg-type]
-        self.server = Server(self.device, port, self.now, baud)
+        self.told: list[str] = []
+        self.server = Server(self.device, port, self.now, baud, self.told.append)
         self.hosts: list[SmallHost] = []
 
     def step(self) -> None:
@@ -95,6 +97,29 @@ def test_schedule_skips_what_it_cannot_catch_up() -> None:
     assert schedule.skipped == pytest.approx(9.995 - MAX_BEHIND)
     assert schedule.due(10.005) == pytest.approx(80, abs=1)
     assert schedule.late == 1
+
+
+def test_a_drive_that_was_kept_from_running_says_so_now_and_then(make: Callable[..., Bench]) -> None:
+    bench = make("tcp")
+    host = bench.host()
+    host.connect()
+
+    def stand_still(seconds: float) -> None:
+        bench.now += seconds
+        bench.run(host, 0.1)
+
+    stand_still(LATE - 2 * STEP)
+    assert bench.told == []
+    stand_still(0.08)
+    (line,) = bench.told
+    behind = int(re.fullmatch(r"the simulated drive stood still for (\d+) ms: this machine is too busy", line)[1])
+    assert 80 <= behind <= 80 + 2 * STEP * 1000
+    assert [(log.level, log.text) for log in host.logs] == [(4, line)]
+    stand_still(0.08)
+    assert len(bench.told) == 1  # it would say nothing else any more
+    stand_still(LATE_PERIOD)
+    assert len(bench.told) == 2
+    assert bench.server.schedule.late == 1  # the others were caught up
 
 
 def test_schedule_of_a_clock_that_steps_back_waits() -> None:

@@ -154,20 +154,32 @@ def test_cable_pulled_and_put_back_by_signals(start: Callable[..., Process], tmp
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_port_that_other_machines_reach_is_warned_of(start: Callable[..., Process]) -> None:
+    process = start("--tcp", "0.0.0.0:0")
+    target = process.target()
+    process.process.send_signal(signal.SIGTERM)
+    _, errors = process.process.communicate(timeout=LIMIT)
+    (line,) = errors.decode().splitlines()
+    assert line.startswith(f"warning: {target} is open to other machines, and HBP has no authentication: ")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--set", "motor.R_s=-1"], "R_s must be > 0 ohm, got -1"),
         (["--set", "motor.Rs=1"], "unknown key motor.Rs"),
         (["--config", "/nowhere.toml"], "no configuration file /nowhere.toml"),
+        (["--config", "DEEP.toml"], "DEEP.toml is nested too deeply"),
         (["--tcp", "127.0.0.1"], "HOST:PORT"),
         (["--tcp", "127.0.0.1:99999"], "from 0 to 65535"),
         (["--link", "/nowhere/tty"], "cannot make the link /nowhere/tty"),
         (["--baud", "0"], "baud"),
     ],
 )
-def test_errors_are_one_line(start: Callable[..., Process], arguments: list[str], message: str) -> None:
-    process = start(*arguments)
+def test_errors_are_one_line(start: Callable[..., Process], tmp_path: Path, arguments: list[str], message: str) -> None:
+    deep = tmp_path / "DEEP.toml"
+    deep.write_text(f"x = {'[' * 100_000}")
+    process = start(*[str(deep) if argument == deep.name else argument for argument in arguments])
     out, error = process.process.communicate(timeout=LIMIT)
     assert process.process.returncode == 2
     assert out == b""

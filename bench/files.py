@@ -1,0 +1,92 @@
+"""Files that a command writes: whether one can be is known before the run, and it is written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import sys
+from pathlib import Path
+from uuid import uuid4
+
+from bench.errors import BenchError, RecordingError
+
+STANDARD_OUTPUT = Path("-")
+
+
+def check_output(path: Path, what: str, overwrite: bool, recording: bool = False) -> None:
+    """Raise BenchError if `path` exists (unless `overwrite`) or cannot be written; changes nothing.
+
+    `what` names it to the user, such as "--json a.json". A device or a pipe may be written without `overwrite`. A
+    `recording` needs a file of its own, and is a RecordingError where it cannot be written.
+    """
+    error = RecordingError if recording else BenchError
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        check_directory(_real(path).parent, what, error)
+        return
+    except OSError as reason:
+        raise error(f"{what} cannot be written: {reason.strerror}") from None
+    if stat.S_ISDIR(found.st_mode):
+        raise error(f"{what} cannot be written: it is a directory")
+    if not overwrite and (recording or stat.S_ISREG(found.st_mode)):
+        raise BenchError(f"{what} exists: choose another name, or --overwrite to replace it")
+    if not os.access(path, os.W_OK):
+        raise error(f"{what} cannot be written: Permission denied")
+
+
+def check_directory(path: Path, what: str, error: type[BenchError] = BenchError, make: bool = False) -> None:
+    """Raise `error` unless files can be made in the directory `path`, which is made first if `make`."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        if not make:
+            raise error(f"{what} cannot be written: there is no directory {path}") from None
+        check_directory(path.absolute().parent, what, error, make)
+        return
+    except OSError as reason:
+        raise error(f"{what} cannot be written: {reason.strerror}") from None
+    if not stat.S_ISDIR(found.st_mode):
+        raise error(f"{what} cannot be written: {path} is no directory")
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise error(f"{what} cannot be written: Permission denied")
+
+
+def write(path: Path, content: str | bytes, what: str) -> None:
+    """Write bytes, or text as UTF-8, to a file or, for -, to standard output. Raises BenchError.
+
+    A file appears, or replaces an earlier one, when it is whole; `what` is as in `check_output`.
+    """
+    if path == STANDARD_OUTPUT:
+        out = sys.stdout if isinstance(content, str) else sys.stdout.buffer
+        out.write(content)  # type: ignore[arg-type]
+        out.flush()
+        return
+    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
+    file = _real(path)
+    try:
+        if os.path.exists(file) and not (file.is_file() and os.access(file.parent, os.W_OK)):
+            file.write_bytes(data)  # a device, a pipe, or a file in a directory that takes no other
+            return
+        part = part_of(file)
+        try:
+            part.write_bytes(data)
+            if file.exists():
+                shutil.copymode(file, part)
+            part.replace(file)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+    except OSError as reason:
+        raise BenchError(f"{what} cannot be written: {reason.strerror}") from None
+
+
+def part_of(path: Path) -> Path:
+    """A new name beside `path`, for what is to replace it when it is whole."""
+    return path.with_name(f".{uuid4().hex[:8]}.part")
+
+
+def _real(path: Path) -> Path:
+    """Behind all symbolic links, also where that file is not there yet; never raises, as `Path.resolve` does."""
+    return Path(os.path.realpath(path))

@@ -1,0 +1,175 @@
+"""What the plots of a run show: which numbers, from which channels, under which names, in which colours.
+
+The writer (`log`) and the layout (`dashboard`) both take it from here, so every line of a plot has its data. Channels
+that the vocabulary knows, by name or by flag, have their plots; all others are plotted by unit. Imports no rerun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from bench.rerunio import schema
+from protocol.signals import Flag
+
+TREND, WAVE = 25.0, 0.2  # seconds that the plots show
+ERROR_RANGE = (-32.0, 32.0)  # degrees: the start from an unknown position in a sector errs by up to 30
+ANGLE_RANGE = (-3.3, 3.3)  # rad
+HEADROOM = 1.08
+QUANTITIES = {
+    "V": "Voltages",
+    "A": "Currents",
+    "rad": "Angles",
+    "rad/s": "Speeds",
+    "N·m": "Torques",
+    "°C": "Temperatures",
+    "W": "Powers",
+}
+OTHER = "Other channels"
+LINES = len(schema.SPARE_COLOURS)  # of a plot by unit: all of them differ
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a plot: its component, the channel it comes from, its name and colour.
+
+    It shows the channel's value times `factor`, or the position `error` of an estimate; over the long run as the band
+    between minimum and maximum, or as `mean`.
+    """
+
+    component: str
+    channel: str
+    name: str
+    colour: tuple[int, int, int]
+    factor: float = 1.0
+    error: bool = False
+    mean: bool = False
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A time series plot of lines of one entity, TREND or FAST; `by_unit` if the vocabulary has none for them."""
+
+    name: str
+    entity: str
+    lines: tuple[Line, ...]
+    seconds: float
+    y_range: tuple[float, float] | None = None
+    by_unit: bool = False
+
+
+def plots(run: schema.RunInfo) -> dict[str, Plot]:
+    """The plots that the run's channels allow, by key: every channel is in one of them, or in a timeline of states."""
+    known = {key: plot for key, plot in _known(run).items() if plot.lines}
+    shown = run.words | {line.channel for plot in known.values() for line in plot.lines}
+    return known | _by_unit(run, [channel for channel in run.channels if channel.name not in shown])
+
+
+def trend_lines(run: schema.RunInfo) -> tuple[list[Line], list[Line]]:
+    """The lines over the long run, each once: those shown as bands, and those shown as means."""
+    lines = {line.component: line for plot in plots(run).values() if plot.entity == schema.TREND for line in plot.lines}
+    return [line for line in lines.values() if not line.mean], [line for line in lines.values() if line.mean]
+
+
+def left_out(run: schema.RunInfo) -> list[str]:
+    """What a run does not show of its motor, and what it would take."""
+    needs = (
+        ("position error", "a position flagged REFERENCE", run.position_reference),
+        ("position error", "a position flagged ESTIMATE", run.position_estimates),
+        ("mechanical speed", "the parameter n_p, a whole number from 1 up", run.n_p or not run.speeds),
+        ("Hall sensors", "the channel hall, or edges", run.hall),
+    )
+    return [f"{view}: needs {need}" for view, need, there in needs if not there]
+
+
+def _known(run: schema.RunInfo) -> dict[str, Plot]:
+    speed = f"Speed, {'mechanical' if run.n_p else 'electrical'} [{run.speed_unit}]"
+    errors = _errors(run)
+    angles = [name for name in (run.position_reference, *run.position_estimates) if name]
+    wraps = all(channel.flags & Flag.WRAPS for channel in run.channels if channel.name in angles)
+    currents = None if run.i_max is None else HEADROOM * schema.nice_ceiling(run.i_max)
+    last, now = f"last {TREND:g} s", f"last {WAVE:g} s"
+    error = "Position error, electrical [°]"
+    return {
+        "error_trend": Plot(f"{error}, min/max, {last}", schema.TREND, errors, TREND, ERROR_RANGE),
+        "speed": Plot(f"{speed}, min/max, {last}", schema.TREND, _speeds(run), TREND),
+        "dq": Plot(
+            f"d/q currents [A], min/max, {last}",
+            schema.TREND,
+            _values(run, filter(run.has, schema.DQ_CURRENTS), "A")
+            + _values(run, filter(run.has, schema.DQ_REFERENCES), "A", mean=True),
+            TREND,
+        ),
+        "position": Plot(
+            f"Rotor position, electrical [rad], {now}",
+            schema.FAST,
+            _values(run, angles, "rad"),
+            WAVE,
+            ANGLE_RANGE if wraps else None,
+        ),
+        "error": Plot(f"{error}, {now}", schema.FAST, errors, WAVE, ERROR_RANGE),
+        "phases": Plot(
+            f"Phase currents [A], {now}",
+            schema.FAST,
+            _values(run, filter(run.has, ("i_a", "i_b", "i_c")), "A"),
+            WAVE,
+            None if currents is None else (-currents, currents),
+        ),
+    }
+
+
+def _errors(run: schema.RunInfo) -> tuple[Line, ...]:
+    estimates = run.position_estimates if run.position_reference else ()
+    return tuple(
+        Line(schema.error_component(name), name, f"{schema.label(name)} [°]", run.colours[name], error=True)
+        for name in estimates
+    )
+
+
+def _speeds(run: schema.RunInfo) -> tuple[Line, ...]:
+    references = (schema.SPEED_REFERENCE,) if run.has(schema.SPEED_REFERENCE) else ()
+    return tuple(
+        Line(
+            schema.mean_component(component) if mean else component,
+            name,
+            f"{schema.label(name)}{', mean' if mean else ''} [{run.speed_unit}]",
+            run.colours[name],
+            factor=run.speed_factor,
+            mean=mean,
+        )
+        for name, mean in [*((name, False) for name in run.speeds), *((name, True) for name in references)]
+        for component in [schema.speed_component(name) if run.n_p else schema.value_component(name)]
+    )
+
+
+def _values(run: schema.RunInfo, names: Iterable[str], unit: str, mean: bool = False) -> tuple[Line, ...]:
+    return tuple(
+        Line(
+            schema.mean_component(component) if mean else component,
+            name,
+            f"{schema.label(name)}{', mean' if mean else ''} [{unit or '–'}]",
+            run.colours[name],
+            mean=mean,
+        )
+        for name in names
+        for component in [schema.value_component(name)]
+    )
+
+
+def _by_unit(run: schema.RunInfo, channels: Iterable[schema.AnyChannel]) -> dict[str, Plot]:
+    """Two plots for the channels of a unit: over the long run, and every sample of the last moments."""
+    units: dict[str, list[str]] = {}
+    for channel in channels:
+        units.setdefault(channel.unit.symbol, []).append(channel.name)
+    found: dict[str, Plot] = {}
+    for unit, names in units.items():
+        parts = [names[start : start + LINES] for start in range(0, len(names), LINES)]
+        for number, part in enumerate(parts, 1):
+            lines = _values(run, part, unit)
+            of = f" {number} of {len(parts)}" if len(parts) > 1 else ""
+            name = f"{QUANTITIES.get(unit, OTHER)}{of} [{unit or '–'}]"
+            key = f"{name}, min/max, last {TREND:g} s"
+            found[key] = Plot(key, schema.TREND, lines, TREND, by_unit=True)
+            key = f"{name}, last {WAVE:g} s"
+            found[key] = Plot(key, schema.FAST, lines, WAVE, by_unit=True)
+    return found

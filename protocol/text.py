@@ -1,0 +1,14 @@
+"""Text that comes from outside, made safe to show: one line, no control characters, nothing invisible."""
+
+from __future__ import annotations
+
+
+def printable(text: str) -> str:
+    r"""Return `text` on one line, with an escape such as \x1b or \u202e for each character that is not to be printed.
+
+    Those are control characters, line ends, bidirectional controls, invisible characters and surrogates: they could
+    clear a terminal, or make text read otherwise than it is. Applied twice it changes nothing more.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -1,0 +1,118 @@
+"""What people read in the log, the lanes of the drive and the documents: visible, in order, whatever the text holds."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import synthetic
+from rerun.chunk import RrdReader
+
+from bench.rerunio import schema
+from bench.rerunio.log import identity_text
+from bench.rerunio.recording import read_run
+from bench.rerunio.sinks import FileSink
+from protocol.descriptor import Channel
+from protocol.signals import Flag, RawType, Unit
+from protocol.streams import SampleChunk
+
+
+def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
+    """Times in ns and values of a component, in order of time; of one time the last that was logged comes last."""
+    found: list[tuple[int, Any]] = []
+    for chunk in RrdReader(path).stream().filter(content=f"/{entity}").to_chunks():
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and schema.TIMELINE in batch.schema.names:
+            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
+            found += zip(times, batch.column(component).to_pylist(), strict=True)
+    return sorted(found, key=lambda row: row[0])
+
+
+def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -> None:
+    levels = ["INFO", "CRITICAL", "INFO", "ERROR", "DEBUG", "WARN", "INFO"]
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    for tick, level in enumerate(levels):
+        sink.note("OUTPUTS MAY STILL BE ON", level, tick * synthetic.TICK_HZ)
+    sink.close()
+    colours = [f"{row[0]:08x}" for _, row in column(tmp_path / "a.rrd", schema.NOTES, "TextLog:color")]
+    assert len(colours) == len(levels)  # rerun keeps the last colour for a line that has none
+    for level, colour in zip(levels, colours, strict=True):
+        red, green, blue = (int(colour[k : k + 2], 16) for k in (0, 2, 4))
+        assert (red > 200 and blue < 100) == (level in ("CRITICAL", "ERROR", "WARN"))
+        assert (green < 100) == (level in ("CRITICAL", "ERROR"))
+    assert read_run(tmp_path / "a.rrd").levels == tuple(levels)
+
+
+def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(identity={"target": "/dev/\udcff"}), wait=True)
+    sink.note("no /dev/\udcff\x1b[2J")
+    sink.summary("of /dev/\udcff")
+    sink.close()
+    run = read_run(tmp_path / "a.rrd")
+    assert run.notes[0][1] == "no /dev/\\udcff\\x1b[2J"
+    assert run.summary == "of /dev/\\udcff"
+
+
+def test_the_drives_lanes_are_those_that_it_can_fill(tmp_path: Path) -> None:
+    for name, n in (("status", 5), ("i_a", 3)):
+        made = synthetic.SyntheticRun(
+            0.3, config=synthetic.config([c for c in synthetic.CHANNELS if c.name in (name, "u_dc")])
+        )
+        sink = FileSink(tmp_path / f"{name}.rrd", synthetic.run_info(channels=made.config.channels), wait=True)
+        made.feed(sink)
+        sink.close()
+        words = [row for _, row in column(tmp_path / f"{name}.rrd", schema.DRIVE, "StateChange:state")]
+        assert {len(row) for row in words} == {n}
+        assert "unknown" not in words[-1]
+
+
+def test_a_heartbeat_from_before_the_first_sample_tears_no_lane(tmp_path: Path) -> None:
+    made = synthetic.SyntheticRun(0.3)
+    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    sink.heartbeat(1, synthetic.heartbeat(int(made.tick[0]) - synthetic.TICK_HZ))
+    for chunk in made.chunks():
+        if isinstance(chunk, SampleChunk):
+            sink.samples(chunk)
+    sink.close()
+    rows = column(tmp_path / "a.rrd", schema.DRIVE, "StateChange:state")
+    first_sample = int(made.tick[0]) * 1_000_000_000 // synthetic.TICK_HZ
+    assert rows[0][0] == first_sample
+    assert all("unknown" not in words for t, words in rows if t > first_sample + 0.06e9)  # a block
+
+
+def test_values_that_are_not_finite_are_recorded_without_a_word(tmp_path: Path) -> None:
+    flags = Flag.CHANNEL
+    channels = (
+        Channel(1, "theta", Unit.RAD, RawType.F32, 1.0, flags | Flag.REFERENCE),
+        Channel(2, "estimate", Unit.RAD, RawType.F32, 1e30, flags | Flag.ESTIMATE),
+        Channel(3, "w", Unit.RAD_PER_S, RawType.F32, 1.0, flags | Flag.ESTIMATE),
+        Channel(4, "status", Unit.NONE, RawType.F32, 1.0, flags),
+    )
+    made = synthetic.SyntheticRun(0.2, config=synthetic.config(channels))
+    for k, channel in enumerate(channels):
+        made.raw[channel.name] = np.roll(np.resize([1.0, np.inf, -np.inf, np.nan, 3e38], len(made.index)), k)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=channels), wait=True)
+        for chunk in made.chunks():
+            if isinstance(chunk, SampleChunk):
+                sink.samples(chunk)
+        sink.close()
+    assert sink.error is None
+    shown = column(tmp_path / "a.rrd", schema.FAST, schema.value_component("theta"))
+    np.testing.assert_array_equal([row[0] for _, row in shown], made.raw["theta"])
+
+
+@pytest.mark.parametrize(
+    "name", ["a|b", "line\nbreak", "a\x1b[2Jb", "`code`", "[link](http://x)", "![image](http://x)", "<b>"]
+)
+def test_a_name_cannot_break_out_of_its_cell(name: str) -> None:
+    document = identity_text(synthetic.run_info(identity={"name": name, "features": ["edges", "commit"]}))
+    rows = [line for line in document.splitlines() if line.startswith("| name |")]
+    assert len(rows) == 1
+    for character in "|`[]<":
+        assert f" {character}" not in rows[0].removeprefix("| name |").removesuffix(" |")
+    assert "| features | edges, commit |" in document

@@ -1,0 +1,502 @@
+"""Nothing is lost without being counted: the end of the streams, outages, reboots, pauses, recordings that fail.
+
+In virtual time. What is right is what the simulated drive handed to its streams while they ran.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cobs import cobs
+from collect import Bench, Collector
+from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, run, simulated
+
+from bench import live
+from bench.acceptance.rig import Plan, Rig
+from bench.client import Client, SinkBase
+from bench.errors import RecordingError
+from bench.node import Node
+from bench.outputs import Outputs
+from bench.summary import Lost, Summary, run_rows
+from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES
+from protocol.canmap.host import CanWire
+from protocol.errors import LinkClosed, LinkError
+from protocol.messages import DriveState, Fault, MessageType
+from protocol.streams import SampleChunk
+from sim.drive.device import SimulatedDevice
+
+PERIOD = 1250  # ticks
+
+
+class Streamed:
+    """What the drive of `device` made while its streams ran: index and tick of samples, ticks of edges."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        self.index: list[np.ndarray] = []
+        self.ticks: list[np.ndarray] = []
+        self.edges: list[np.ndarray] = []
+        self.at_stop: list[int] = []  # how many heartbeats had come when the streams were stopped
+        self.collector: Collector | None = None
+        drive = device.drive
+        push_samples, push_edges, stop_streams = drive.push_samples, drive.push_edges, drive.streams.stop
+
+        def samples(index: int, tick: int, raw: np.ndarray) -> None:
+            if drive.streams.running:
+                self.index.append(index + np.arange(len(raw)))
+                self.ticks.append(tick + PERIOD * np.arange(len(raw)))
+            push_samples(index, tick, raw)
+
+        def edges(records: np.ndarray) -> None:
+            if drive.streams.running:
+                self.edges.append(records["tick"].astype(np.int64))  # the bench's clock starts low
+            push_edges(records)
+
+        def stop(mask: int) -> None:
+            if self.collector is not None:
+                self.at_stop.append(len(self.collector.heartbeats))
+            stop_streams(mask)
+
+        drive.push_samples, drive.push_edges = samples, edges  # type: ignore[method-assign]
+        drive.streams.stop = stop  # type: ignore[method-assign]
+
+    @property
+    def told(self) -> int:
+        """Tick of the last heartbeat that the host had when it stopped the streams."""
+        assert self.collector is not None
+        return [h.tick for node, h in self.collector.heartbeats[: self.at_stop[-1]] if node == 1][-1]
+
+    def up_to(self, tick: int, decimation: int = 1, after: int = -1) -> tuple[int, int]:
+        """Samples and edges with ticks from `after` (not included) up to `tick`."""
+        index, ticks, edges = (
+            np.concatenate(a or [np.empty(0, np.int64)]) for a in (self.index, self.ticks, self.edges)
+        )
+        chosen = (index % decimation == 0) & (ticks <= tick) & (ticks > after)
+        return int(chosen.sum()), int(((edges <= tick) & (edges > after)).sum())
+
+
+class Lossy(WatchedLink):
+    """A virtual link that loses the stream frames of which `loses(time)` says so, and delays others by `delay` s.
+
+    Heartbeats and replies always come, and at once.
+    """
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        super().__init__(device)
+        self.loses: Callable[[float], bool] = lambda time: False
+        self.delay = 0.0
+        self._late: list[tuple[float, bytes]] = []
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        data = super().read(timeout, settle)
+        now, out = self.clock(), []
+        for frame, stream in split(data, isinstance(self.wire(), CanWire)):
+            if not stream:
+                out.append(frame)
+            elif not self.loses(now):
+                self._late.append((now + self.delay, frame))
+        while self._late and self._late[0][0] <= now:
+            out.append(self._late.pop(0)[1])
+        return b"".join(out)
+
+
+def split(data: bytes, can: bool) -> list[tuple[bytes, bool]]:
+    """Frames as they are on the link, and whether they are a stream's."""
+    if can:
+        records = [data[at : at + RECORD_BYTES] for at in range(0, len(data), RECORD_BYTES)]
+        return [(record, bool(np.frombuffer(record, CAN_RECORD)["id"][0] >> 8 & 7 >= 4)) for record in records]
+    bodies = [part for part in data.split(b"\0") if part]
+    return [(b"\0" + body + b"\0", cobs.decode(body)[0] in (MessageType.DATA, MessageType.EDGES)) for body in bodies]
+
+
+@pytest.fixture(params=NETWORKS)
+def network(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def bench_on(network: str, seed: int = 1) -> tuple[Bench, Lossy, Streamed]:
+    link = Lossy(simulated(seed, network))
+    bench, streamed = Bench(link), Streamed(link.device)
+    streamed.collector = bench.collector
+    return bench, link, streamed
+
+
+def block_of(bench: Bench) -> int:
+    """Samples that a device on CAN may hold back at STREAM_STOP, because they are no whole frame."""
+    chunk = next(c for c in bench.collector.chunks if isinstance(c, SampleChunk))
+    return chunk.config.block if isinstance(bench.client.session.wire, CanWire) else 1
+
+
+NAMES = ("hall", "theta_enc", "i_a")
+
+
+# -- the end of the streams -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("decimation", [1, 7])
+def test_what_is_lost_at_the_end_of_the_streams_is_counted(network: str, decimation: int) -> None:
+    bench, link, streamed = bench_on(network)
+    decimation = bench.stream(NAMES, decimation)
+    bench.turn(50.0)
+    bench.client.run_for(0.4)
+    link.loses = lambda time: True
+    bench.client.run_for(0.5)
+    before = bench.client.losses(1)
+    assert before.edges.lost_by_index == before.samples.lost_by_index == 0  # nobody can tell yet
+    bench.drive.stop_streams()
+    bench.drive.stop()
+    samples, edges = streamed.up_to(streamed.told, decimation)
+    losses = bench.client.losses(1)
+    assert 0 <= samples - losses.samples.samples - losses.samples.lost_by_index < block_of(bench)
+    assert losses.edges.samples + losses.edges.lost_by_index == edges
+    assert losses.samples.lost_by_index > 0.4 * 16000 / decimation
+    assert losses.edges.lost_by_index > 100
+    assert bench.collector.lost == (losses.samples.lost_by_index, losses.edges.lost_by_index)
+    assert any(note.startswith("lost at the end of the streams of node 1: ") for note in bench.collector.notes)
+
+
+def test_what_is_under_way_when_the_streams_are_stopped_is_not_lost(network: str) -> None:
+    """Stream frames come 0.4 s after the heartbeats, the replies and the STOP that they precede."""
+    bench, link, streamed = bench_on(network)
+    link.delay = 0.4
+    decimation = bench.stream(NAMES)
+    bench.turn(50.0)
+    bench.client.run_for(1.0)
+    bench.drive.stop_streams()
+    losses = bench.client.losses(1)
+    assert losses.samples.lost_by_index == losses.edges.lost_by_index == losses.samples.lost_by_seq == 0
+    assert bench.collector.lost == (0, 0)
+    samples, edges = streamed.up_to(streamed.told, decimation)
+    assert losses.samples.samples > samples - block_of(bench)
+    assert losses.edges.samples >= edges > 100
+
+
+def test_streams_of_which_nothing_ever_came_are_lost_whole(network: str) -> None:
+    bench, link, streamed = bench_on(network)
+    link.loses = lambda time: True
+    decimation = bench.stream(NAMES)
+    bench.client.run_for(0.3)
+    known = bench.collector.heartbeats[-1][1].tick
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    bench.drive.stop_streams()
+    losses = bench.client.losses(1)
+    least, edges = streamed.up_to(streamed.told, decimation, known)
+    most, _ = streamed.up_to(streamed.told, decimation)
+    assert losses.samples.samples == losses.edges.samples == 0
+    assert least <= losses.samples.lost_by_index <= most
+    assert losses.edges.lost_by_index == edges > 100  # the shaft was at rest before
+
+
+def test_a_drive_that_is_stopped_twice_is_counted_once(network: str) -> None:
+    bench, link, _ = bench_on(network)
+    bench.stream(NAMES)
+    bench.turn(50.0)
+    bench.client.run_for(0.3)
+    link.loses = lambda time: True
+    bench.client.run_for(0.3)
+    bench.drive.stop_streams()
+    once = bench.client.losses(1)
+    bench.drive.stop_streams()
+    assert bench.client.losses(1) == once
+    link.loses = lambda time: False
+    bench.stream(NAMES)
+    bench.client.run_for(0.3)
+    bench.drive.stop_streams()
+    assert bench.client.losses(1).samples.lost_by_index == once.samples.lost_by_index
+
+
+def test_a_link_that_is_lost_for_good_leaves_what_heartbeats_had_told(network: str) -> None:
+    bench, link, streamed = bench_on(network)
+    decimation = bench.stream(NAMES)
+    bench.turn(50.0)
+    bench.client.run_for(0.3)
+    link.loses = lambda time: True
+    bench.client.run_for(0.35)
+    known = bench.collector.heartbeats[-1][1].tick
+    link.close()
+    with pytest.raises(LinkError):
+        bench.drive.stop_streams()
+    losses = bench.client.losses(1)
+    samples, edges = streamed.up_to(known, decimation)
+    assert 0 <= samples - losses.samples.samples - losses.samples.lost_by_index < block_of(bench)
+    assert losses.edges.samples + losses.edges.lost_by_index == edges
+    assert losses.edges.lost_by_index > 50
+
+
+def test_an_acceptance_test_counts_what_is_lost_at_its_end_too() -> None:
+    link = Lossy(simulated())
+    with Rig(Plan(lambda: link, "virtual")) as rig:
+        rig.drive.start("encoder")
+        rig.drive.speed(50.0)
+        rig.wait(0.4)
+        link.loses = lambda time: True
+        rig.wait(0.4)
+    quality = rig.quality()
+    assert quality.lost_samples > 0.3 * 16000
+    assert quality.lost_edges > 50
+    assert [r for r in quality.remarks if re.fullmatch(rf"{quality.lost_edges} Hall edges after 0\.\d+ s were lost", r)]
+    assert [r for r in quality.remarks if re.match(rf"{quality.lost_samples} samples after ", r)]
+
+
+# -- reboots ----------------------------------------------------------------------------------------------------------
+
+
+class Rebooting(Lossy):
+    """A link whose drive is another one from `reboot` on: the same with another boot_id, its clock at 0."""
+
+    def __init__(self, network: str = "bytes") -> None:
+        self._before = 0.0
+        super().__init__(simulated(1, network))
+        self._network = network
+
+    def clock(self) -> float:
+        return self._before + super().clock()
+
+    def reboot(self) -> None:
+        self._before = self.clock()
+        self.device = simulated(2, self._network)
+
+
+def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network: str) -> None:
+    link = Rebooting(network)
+    bench, streamed = Bench(link), Streamed(link.device)
+    decimation = bench.stream(NAMES)
+    bench.turn(50.0)
+    bench.client.run_for(0.3)
+    link.loses = lambda time: True
+    bench.client.run_for(0.35)
+    known = bench.client.heartbeats[1].tick
+    link.loses = lambda time: False
+    link.reboot()
+    assert bench.client.wait(lambda: bench.client.health.reboots == 2, 1.0)  # both nodes
+    losses = bench.client.losses(1)
+    samples, edges = streamed.up_to(known, decimation)
+    assert 0 <= samples - losses.samples.samples - losses.samples.lost_by_index < block_of(bench)
+    assert losses.edges.samples + losses.edges.lost_by_index == edges
+    bench.drive.resume_streams()
+    bench.client.run_for(0.4)
+    bench.drive.stop_streams()
+    after = bench.client.losses(1)
+    assert after.samples.lost_by_index == losses.samples.lost_by_index
+    assert after.samples.samples > losses.samples.samples + 0.3 * 16000 / decimation
+
+
+class Ages(SinkBase):
+    """How old the samples were when they came, by the clock that a run gives to its outputs."""
+
+    def __init__(self, host_time: Callable[[float], float | None], now: Callable[[], float]) -> None:
+        self.ages: list[float] = []
+        self._host_time, self._now = host_time, now
+
+    def samples(self, chunk: SampleChunk) -> None:
+        taken = self._host_time(float(chunk.tick[0]))
+        if taken is not None:
+            self.ages.append(self._now() - taken)
+
+
+def test_latency_is_never_taken_with_the_clock_of_another_boot(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = Rebooting()
+    link.device.advance(7 * 16000)  # it has been on for a while
+    sinks: list[Ages] = []
+
+    class WithAges(Outputs):
+        def __init__(self, *args: object) -> None:
+            super().__init__(*args)  # type: ignore[arg-type]
+            sinks.append(Ages(args[-1], link.clock))  # type: ignore[arg-type]
+
+        @property
+        def sinks(self) -> list:
+            return [*super().sinks, *sinks]
+
+    monkeypatch.setattr(live, "Outputs", WithAges)
+
+    def reboots(call: int) -> None:
+        if link.clock() > 8.0 and not link._before:
+            link.reboot()
+
+    link._on_call = reboots
+    ended = run(link, speed_rpm=None, duration=2.0)
+    assert ended.summary.link["reboots"] == 2  # drive and load machine
+    ages = np.array(sinks[0].ages)
+    assert len(ages) > 20
+    assert -0.001 < ages.min() < ages.max() < 0.2
+
+
+# -- outages ----------------------------------------------------------------------------------------------------------
+
+
+class Pulled(WatchedLink):
+    """A virtual link that is pulled for good after `at` s; looking for it takes 10 ms of the drive's time."""
+
+    def __init__(self, device: SimulatedDevice, at: float) -> None:
+        super().__init__(device)
+        self._at = at
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if self.clock() >= self._at:
+            self.close()
+        return super().read(timeout, settle)
+
+    def reopen(self) -> None:
+        self.device.advance(160)
+        raise LinkClosed("the port is not there")
+
+
+def test_an_outage_that_never_ends_counts_as_downtime(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.client.REOPEN_PERIOD", 0.0)
+    monkeypatch.setattr("bench.live.RECONNECT", 3.0)
+    ended = run(Pulled(simulated(), 0.5), speed_rpm=None, duration=100.0)
+    assert ended.exit_code == 1
+    assert ended.summary.link["downtime_s"] == pytest.approx(3.0, abs=0.1)
+    assert ["link", "1 outage, 3.0 s down, 0 reboots"] in run_rows(ended.summary)
+
+
+# -- a host that was starved ------------------------------------------------------------------------------------------
+
+
+class Stalling(WatchedLink):
+    """A virtual link whose host stands still for `stall` s once the drive has turned for a while."""
+
+    def __init__(self, device: SimulatedDevice, stall: float) -> None:
+        super().__init__(device, self._look)
+        self._stall = stall
+
+    def _look(self, call: int) -> None:
+        if self._stall and self.device.drive.state is DriveState.RUNNING and self.clock() > 0.5:
+            self.device.advance(round(self._stall * 16000))
+            self._stall = 0.0
+
+
+def test_a_host_that_stood_still_says_so_though_nothing_tripped() -> None:
+    ended = run(Stalling(simulated(firmware__watchdog=1.0), 0.4), duration=1.0)
+    assert ended.exit_code == 0
+    assert ended.summary.longest_pause_s == pytest.approx(0.4, abs=0.04)
+    assert ended.summary.as_json()["longest_pause_s"] == ended.summary.longest_pause_s
+    assert dict(map(tuple, run_rows(ended.summary)))["longest pause of this program"].startswith(("0.3", "0.4"))
+    fine = run(WatchedLink(simulated()))
+    assert fine.summary.longest_pause_s < 0.05
+    assert "longest pause of this program" not in dict(map(tuple, run_rows(fine.summary)))
+
+
+def turning(link: WatchedLink) -> Bench:
+    bench = Bench(link)
+    bench.turn(50.0)
+    return bench
+
+
+def test_a_watchdog_that_this_host_starved_is_laid_at_its_door(network: str) -> None:
+    link = WatchedLink(simulated(1, network))
+    bench = turning(link)
+    bench.client.run_for(0.3)
+    assert bench.client.starved(1) == ""
+    link.device.advance(round(0.43 * 16000))
+    bench.client.run_for(0.2)
+    assert bench.client.heartbeats[1].faults == Fault.WATCHDOG
+    words = r"this host sent no ALIVE for 0\.4\d s \(it was starved of CPU, or stopped\)"
+    assert re.fullmatch(words, bench.client.starved(1))
+    assert bench.client.starved(1, watchdog=0.6) == ""
+    assert bench.client.starved(2) == ""
+    bench.drive.clear_faults()
+    bench.turn(50.0)  # feeding begins anew
+    assert bench.client.starved(1) == ""
+
+
+def test_a_watchdog_that_ran_out_because_the_drive_was_not_heard_is_told_apart() -> None:
+    link = Mute(simulated())
+    bench = turning(link)
+    link.mute = True
+    bench.client.run_for(0.6)
+    link.mute = False
+    bench.client.run_for(0.2)
+    assert bench.client.heartbeats[1].faults == Fault.WATCHDOG
+    assert re.fullmatch(
+        r"this host sent no ALIVE for 0\.\d\d s, because nothing was heard of the drive", bench.client.starved(1)
+    )
+
+
+class Mute(WatchedLink):
+    mute = False
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        data = super().read(timeout, settle)
+        if not self.mute:
+            return data
+        self.device.advance(160)
+        return b""
+
+
+# -- recordings that fail ---------------------------------------------------------------------------------------------
+
+
+def test_a_recording_that_fails_ends_the_run_with_stop_and_a_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.rerunio.sinks.BACKLOG_LIMIT", -1)  # the disk is too slow from the start
+    screen, link, path = RecordingScreen(), WatchedLink(simulated()), tmp_path / "a.rrd"
+    ended = run(link, screen=screen, load_a=1.0, duration=60.0, save=path)
+    assert ended.exit_code == 3
+    assert ended.summary.result.startswith(f"recording failed: {path}: 0 MiB wait to be written")
+    assert ended.summary.samples > 0
+    assert [note for note in screen.notes if "wait to be written" in note]
+    assert at_rest(link.device)
+    assert link.device.drive.machine.faults == Fault(0)  # STOP did it, not the watchdog
+    assert link.clock() < 5.0
+
+
+def test_a_recording_that_fails_at_its_end_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from bench.rerunio.sinks import FileSink
+
+    close = FileSink.close
+
+    def fails(sink: FileSink) -> None:
+        close(sink)
+        raise RecordingError(f"recording {sink.path}: the disk is full (0 KiB free)")
+
+    monkeypatch.setattr(FileSink, "close", fails)
+    ended = run(WatchedLink(simulated()), save=tmp_path / "a.rrd")
+    assert (ended.exit_code, ended.summary.result) == (
+        3,
+        f"recording failed: {tmp_path / 'a.rrd'}: the disk is full (0 KiB free)",
+    )
+
+
+# -- the summary ------------------------------------------------------------------------------------------------------
+
+
+def test_frames_of_a_stream_that_was_not_asked_for_are_counted() -> None:
+    link = WatchedLink(simulated())
+    first = Bench(link)
+    first.stream(NAMES)
+    second = Client(link)
+    second.connect()
+    second.run_for(0.5)
+    frames = second.unasked
+    assert frames == pytest.approx(0.5 * 16000 / 201, abs=2)  # 5 bytes a sample, 1024 a frame
+    assert second.losses(1).samples.samples == 0
+    Node(second, 1).stop_streams()
+    second.run_for(0.2)
+    assert second.unasked <= frames + 2
+
+
+def test_one_is_not_many() -> None:
+    summary = Summary(
+        target="sim", identity={}, duration_s=1.0, samples=1, edges=1, lost=Lost(1, 1, 1, 1), position_error_deg={},
+        cpu_percent=1.0, longest_pause_s=0.31, latency_ms={},
+        link=dict.fromkeys(
+            ("outages", "reboots", "damaged", "stale", "out_of_order", "late", "malformed", "unknown", "of_no_stream",
+             "unexpected_replies", "retries", "damaged_at_drive", "setpoints_rejected"), 1,
+        ) | {"downtime_s": 30.0},
+        live_view={"blocks_dropped": 1, "error": "the port is gone"},
+    )  # fmt: skip
+    rows = dict(map(tuple, run_rows(summary)))
+    assert rows["lost by index"] == "1 sample, 1 edge"
+    assert rows["lost by sequence"] == rows["dropped by the drive"] == "1 frame"
+    assert rows["at the drive"] == "1 frame damaged, 1 setpoint rejected"
+    assert rows["link"] == "1 outage, 30.0 s down, 1 reboot"
+    assert rows["malformed, unknown, unexpected"] == "1, 1, 1 frames; 1 of no stream"
+    assert rows["longest pause of this program"] == "0.31 s"
+    assert (rows["dropped by the live view"], rows["live view"]) == ("1 block", "failed: the port is gone")

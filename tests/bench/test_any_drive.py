@@ -1,0 +1,238 @@
+"""A drive that is not the simulated one: every command does what it can with what the drive says of itself.
+
+`own` has six channels and three parameters of its own names, no encoder, no edges, no currents; the others are the
+usual drive less something. The device itself is held to protocol/SPEC.md by the vectors.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import partial
+from math import tau
+from pathlib import Path
+from typing import Any
+
+import pytest
+from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
+
+from bench.rerunio.recording import read_run
+from tests.devices import FULL, OWN, build, serving
+from tests.devices.carriers import ByteCarrier, decode, encode
+from tests.devices.device import Device
+from tests.devices.spec import ERROR, REPLY, Event, Feature, Message, State, Type
+
+VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
+ROWS = ("v_bus", "w_target", "w_meas", "pos_e", "temp_fet", "duty", "kp_w", "ki_w", "vbus_min")
+UNTRUE = r"nan r/min|KeyError|did you mean"
+
+LESS = {
+    "encoder": FULL.without("theta_enc", "omega_enc"),
+    "n_p": FULL.without("n_p"),
+    "observer": FULL.without("observer"),
+    "edges": FULL.without(features=Feature.NONE),
+    "hall": FULL.without("hall", features=Feature.NONE),
+    "currents": FULL.without("i_a", "i_b", "i_c", "i_d", "i_q"),
+    "i_max": FULL.without("i_max"),
+    "omega_m_max": FULL.without("omega_m_max"),
+    "watchdog": FULL.without("watchdog"),
+    "estimates": FULL.without("theta_vt", "omega_vt", "theta_avg", "omega_avg"),
+    "status": FULL.without("status"),
+    "parameters": FULL.without(*(str(row.name) for row in FULL.parameters)),
+    "all but status": FULL.without(*(str(row.name) for row in FULL.channels[:1] + FULL.channels[2:])),
+}
+"""The usual drive without something."""
+
+
+own = partial(serving, "own", (), watchdog=1.0)  # more than SPEC's 0.2 s: the machine may be busy
+usual = partial(serving, watchdog=1.0)
+
+
+class Kept(ByteCarrier):
+    """Keeps what it is given; nobody is connected."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[Message] = []
+
+    def _descriptor(self) -> int:
+        return -1
+
+    def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
+        self.sent.append(message)
+        return 0
+
+
+# -- the device -------------------------------------------------------------------------------------------------
+
+
+def asked(device: Device, request_hex: str) -> tuple[str | None, list[bytes]]:
+    """What the device answers, in hex ("" for nothing), and the payloads of its SETPOINT_REJECTED."""
+    carrier = Kept()
+    device.carrier = carrier
+    request = decode(bytes.fromhex(request_hex).strip(b"\0"))
+    assert request is not None
+    device.receive(request)
+    replies = [encode(message).hex() for message in carrier.sent if message.flags & REPLY]
+    events = [message.payload for message in carrier.sent if message.type == Type.EVENT]
+    assert len(replies) <= 1
+    return "".join(replies), [event for event in events if event[8] == Event.SETPOINT_REJECTED]
+
+
+def vectors(name: str) -> list[dict[str, Any]]:
+    path = VECTORS / name
+    return json.loads(path.read_text()) if path.exists() else []
+
+
+@pytest.mark.parametrize("case", vectors("exchanges.json"), ids=lambda case: case["name"])
+def test_the_device_refuses_as_the_vectors_say(case: dict[str, str]) -> None:
+    device = build()
+    for _ in range(2):  # the answer to a repeated request is the same
+        assert asked(device, case["request_hex"])[0] == case["reply_hex"]
+
+
+@pytest.mark.parametrize("case", vectors("sequences.json"), ids=lambda case: case["name"])
+def test_the_device_answers_in_sequence_as_the_vectors_say(case: dict[str, Any]) -> None:
+    names = [str(row.name) for row in (*FULL.channels, *FULL.parameters) if row.name not in ("hall", "theta_enc")]
+    device = build(FULL.without(*names, features=Feature(case["features"])), clock=lambda: 0.0)
+    device.boot_id = 0x00B0071D
+    for step in case["steps"]:
+        reply, rejected = asked(device, step["request_hex"])
+        if step["reply_hex"] is None:
+            answer = decode(bytes.fromhex(reply or "").strip(b"\0"))
+            assert answer is not None
+            assert not answer.flags & ERROR
+        else:
+            assert reply == step["reply_hex"]
+        assert [event[8:].hex() for event in rejected] == [step["rejected_hex"]] * bool(step["rejected_hex"])
+
+
+# -- a drive as it should be ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("link", ["bytes", "CAN"])
+def test_a_healthy_drive(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with usual("full", (), link) as device:
+        ran = bench(SPIN + " --fit", device, capsys)
+        assert ran.code == 0, ran.text
+        assert re.search("result +ok", ran.text)
+        assert re.search("lost by index +0 samples, 0 edges", ran.text)
+        assert device.motor.fastest == pytest.approx(300 * tau / 60, rel=0.05)
+        assert device.state == State.IDLE
+        assert bench(INFO, device, capsys).code == 0
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("link", ["pty", "tcp", "slcan", "virtual"])
+def test_a_healthy_drive_on_a_real_link(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    test_a_healthy_drive(link, capsys)
+
+
+def test_a_healthy_drive_passes_a_test(capsys: pytest.CaptureFixture[str]) -> None:
+    with usual("full", (), "bytes") as device:
+        ran = bench(ACCEPT, device, capsys)
+    assert ran.code == 0, ran.text
+    assert "PASS" in ran.text
+
+
+def test_healthy_hall_sensors(capsys: pytest.CaptureFixture[str]) -> None:
+    with usual("full", (), "bytes") as device:
+        ran = bench(HALL, device, capsys)
+    assert ran.code == 0, ran.text
+    assert "HEALTHY: wired as specified" in ran.text
+
+
+# -- a drive of its own names -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_own_names_are_shown(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with own(link) as device:
+        ran = bench(INFO, device, capsys)
+    assert ran.code == 0, ran.text
+    assert all(re.search(rf"^{row} ", ran.out, re.M) for row in ROWS), ran.out
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_own_channels_are_streamed(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with own(link) as device:
+        ran = bench(WATCH + " --json -", device, capsys)
+    assert ran.code == 0, ran.text
+    assert not re.search(UNTRUE, ran.text)
+    assert "6 channels" in ran.text
+    assert json.loads(ran.out)["samples"] > 75
+    assert device.seen["ARM"] == 0
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_drive_of_its_own_names_is_spun(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with own(link) as device:
+        ran = bench(SPIN.replace("300", "100"), device, capsys)
+        assert not device.outputs_on
+    assert ran.code == 0, ran.text
+    assert re.search("result +(ok|.*unverified)", ran.text), ran.text
+    assert not re.search(UNTRUE, ran.text)
+    assert device.motor.fastest == pytest.approx(100 * tau / 60, rel=0.05)
+
+
+@pytest.mark.parametrize("command", [HALL, LOOK])
+def test_hall_says_what_a_drive_of_its_own_names_lacks(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with own("bytes") as device:
+        ran = bench(command, device, capsys)
+    assert ran.code == 2, ran.text
+    assert re.search("[Hh]all", ran.text)
+    assert "EDGES" in ran.text or "edges" in ran.text
+    assert device.seen["ARM"] == 0
+
+
+@pytest.mark.parametrize("more", ["", " --allow-skipped"])  # which does not make nothing a PASS
+def test_accept_skips_what_a_drive_of_its_own_names_cannot_show(more: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with own("bytes") as device:
+        ran = bench("accept TARGET --yes" + more, device, capsys)
+    assert ran.code == 6, ran.text
+    skipped = re.findall(r"^SKIPPED +\S+: *\S+", ran.err, re.M)
+    assert len(skipped) > 30
+    assert not re.search(r"\b(ERROR|FAIL|INVALID)\b", ran.text), ran.text
+    assert "INCOMPLETE" in ran.text
+
+
+def test_a_recording_of_a_drive_of_its_own_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "own.rrd"
+    with own("bytes") as device:
+        assert bench(f"{SPIN} --save {run}", device, capsys).code == 0
+        for command in (f"score {run}", f"replay {run} -o {tmp_path / 'out.rrd'}", f"hall check {run}"):
+            ran = bench(command, device, capsys)
+            assert ran.code == 2, ran.text
+            assert not re.search(UNTRUE, ran.text)
+    recorded = read_run(run)
+    assert [channel.name for channel in recorded.info.channels] == [row.name for row in OWN.channels]
+
+
+# -- drives that lack something ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("less", LESS)
+@pytest.mark.parametrize("command", [SPIN, ACCEPT], ids=["live", "accept"])
+def test_a_drive_without_something(less: str, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """It turns, or the tests are skipped; nothing that it lacks makes it fail."""
+    with usual(LESS[less], (), "bytes") as device:
+        ran = bench(command, device, capsys)
+        assert not device.outputs_on
+    assert not re.search(UNTRUE, ran.text), ran.text
+    if command is SPIN:
+        assert ran.code == 0, ran.text
+        assert device.motor.fastest == pytest.approx(300 * tau / 60, rel=0.05)
+    else:
+        assert ran.code in (0, 6), ran.text
+        assert not re.search(r"\b(ERROR|FAIL|INVALID)\b", ran.text), ran.text
+
+
+@pytest.mark.parametrize("less", ["n_p", "edges", "hall", "all but status", "parameters"])
+def test_hall_says_what_is_missing(less: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with usual(LESS[less], (), "bytes") as device:
+        ran = bench(HALL, device, capsys)
+    assert ran.code == 2, ran.text
+    assert not re.search(UNTRUE, ran.text), ran.text
+    missing = {"n_p": "n_p", "edges": "[Ee]dges|EDGES", "hall": "hall", "all but status": "hall", "parameters": "n_p"}
+    assert re.search(missing[less], ran.text), ran.text
+    assert not device.outputs_on

@@ -1,0 +1,230 @@
+"""A device whose name, firmware, channels, parameters and log lines are hostile: everywhere its text is only text."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import sys
+import termios
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Self
+from unittest.mock import patch
+
+import pytest
+from virtual_run import WatchedLink, reached_by, simulated
+
+from bench.cli import main
+from bench.markdown import escaped, table
+from bench.rerunio.recording import read_run
+from protocol.descriptor import Descriptor
+from protocol.messages import Feature
+from sim.drive.device import SimulatedDevice
+
+NAME = "\x1b]0;pwn\x07[red]x"
+FIRMWARE = "\u202e\x9b2J|`<b>"
+CHANNEL = "\x1b[2J|`<i>[red]"
+CHANNEL_SHOWN = r"\x1b[2J|`<i>[red]"
+PARAMETER = "\x1b[35;5mp\r"
+LOG = "all is well\r\x1b[7A\x1b[2Kerror: \u2066none\x00\x9d0;pwn\x9c <script>"
+RAW = ("\x1b]", "\x07", "\x1b[2J", "\x1b[35;5m", "\x1b[7A", "\u202e", "\u2066", "\x9b", "\x9c", "\x9d", "\x00")
+"""What must never reach a terminal or a file for people; nothing of it is rich's own."""
+
+
+def hostile(simulates: bool = True) -> SimulatedDevice:
+    """A simulated drive that calls itself and some of its things so, and says `LOG` in each heartbeat's time."""
+    device = simulated()
+    session = device.drive
+    features = session.identity.features
+    session.identity = replace(
+        session.identity, name=NAME, firmware=FIRMWARE,
+        features=features if simulates else features & ~Feature.SIMULATED,
+    )  # fmt: skip
+    told = session.descriptor
+    session.descriptor = Descriptor(
+        tuple(replace(c, name=CHANNEL) if c.name == "theta_zero" else c for c in told.channels),
+        tuple(replace(p, name=PARAMETER) if p.name == "k_i_vt" else p for p in told.parameters),
+    )
+    session._blob = session.descriptor.pack()
+    return device
+
+
+class Talking(WatchedLink):
+    """Its drive logs a line at every 50th call."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        super().__init__(device, lambda number: None if number % 50 else device.drive.log(3, LOG))
+
+
+class Terminal:
+    """The standard streams are a terminal; `ended` gives all that was written on it."""
+
+    def __init__(self) -> None:
+        self._controller, self._terminal = pty.openpty()
+        mode = termios.tcgetattr(self._terminal)
+        mode[3] &= ~termios.ECHO  # what is typed is not what is shown
+        termios.tcsetattr(self._terminal, termios.TCSANOW, mode)
+        self._data = b""
+        self._reader = threading.Thread(target=self._read)
+        self._before = sys.stdin, sys.stdout, sys.stderr, sys.__stdin__
+
+    def __enter__(self) -> Self:
+        self._reader.start()
+        sys.stdin = sys.__stdin__ = open(self._terminal, closefd=False)
+        sys.stdout = sys.stderr = open(self._terminal, "w", closefd=False)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        sys.stdin, sys.stdout, sys.stderr, sys.__stdin__ = self._before  # type: ignore[misc]
+        os.close(self._terminal)
+        self._reader.join(10.0)
+        os.close(self._controller)
+
+    def type(self, text: bytes) -> None:
+        os.write(self._controller, text)
+
+    @property
+    def text(self) -> str:
+        """Of a terminal that was left."""
+        return self._data.decode()
+
+    def _read(self) -> None:
+        while True:
+            try:
+                data = os.read(self._controller, 65536)
+            except OSError:  # the other end has gone
+                return
+            if not data:
+                return
+            self._data += data
+
+
+@pytest.fixture
+def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[int, str]]:
+    """Run `bench ARGUMENTS…` on a terminal; whatever target it opens is `device`."""
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+    def run(device: SimulatedDevice, *arguments: str, reply: bytes = b"") -> tuple[int, str]:
+        code = 0
+        with ExitStack() as stack:
+            stack.enter_context(reached_by(Talking(device)))
+            for opener in ("bench.acceptance.targets.open_link", "protocol.links.open_link"):
+                stack.enter_context(patch(opener, lambda target: Talking(device)))
+            with Terminal() as terminal:
+                terminal.type(reply)
+                try:
+                    main(list(arguments))
+                except SystemExit as ended:
+                    code = ended.code if isinstance(ended.code, int) else 0
+        return code, terminal.text
+
+    return run
+
+
+def harmless(text: str) -> bool:
+    return not any(raw in text for raw in RAW)
+
+
+OWN_TEST = """
+from bench.acceptance import energises, limit
+
+@limit("n_p", lo=1)
+@energises(speed_rpm=100, current=4)
+def test_it(drive, record, measure):
+    record.wait(0.1)
+    measure("n_p", drive.n_p, record(0.1))
+"""
+
+
+def test_info_and_devices(on_terminal: Callable[..., tuple[int, str]]) -> None:
+    device = hostile()
+    code, text = on_terminal(device, "info", "serial:x")
+    assert code == 0
+    assert harmless(text)
+    for shown in (
+        r"\x1b]0;pwn\x07[red]x", r"\u202e\x9b2J|`<b>", CHANNEL_SHOWN, r"\x1b[35;5mp\r"
+    ):  # fmt: skip
+        assert shown in text
+    code, text = on_terminal(device, "devices", "serial:x")
+    assert code == 0
+    assert harmless(text)
+    assert r"\x1b]0;pwn\x07[red]x" in text
+
+
+def test_a_usb_device_that_names_itself_so(
+    on_terminal: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Port(SimpleNamespace):
+        def __lt__(self, other: object) -> bool:
+            return False
+
+    port = Port(device="/dev/ttyACM0", description=NAME, manufacturer=FIRMWARE, serial_number=CHANNEL, vid=1, pid=2)
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [port])
+    monkeypatch.setattr("can.detect_available_configs", lambda *_, **__: [])
+    code, text = on_terminal(hostile(), "devices")
+    assert code == 0
+    assert harmless(text)
+    assert r"\x1b]0;pwn\x07[red]x" in text
+
+
+def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -> None:
+    code, text = on_terminal(
+        hostile(), "live", "serial:x", "--duration", "1", "--viewer", "none", "--save", "run.rrd",
+        "--channels", f"+{CHANNEL_SHOWN}",
+    )  # fmt: skip
+    assert code == 0
+    assert harmless(text)
+    assert r"\x1b]0;pwn\x07[red]x \u202e\x9b2J|`<b> on serial:x" in text
+    assert r"all is well\r\x1b[7A\x1b[2Kerror: \u2066none\x00\x9d0;pwn\x9c <script>" in text
+    run = read_run("run.rrd")
+    assert CHANNEL_SHOWN in {channel.name for channel in run.info.channels}
+    assert len(run.samples.physical(CHANNEL_SHOWN)) == len(run.samples) > 0
+    assert r"\x1b[35;5mp\r" in run.info.parameters
+    assert harmless("".join(note for _, note in run.notes))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("live", "serial:x", "--speed", "100", "--viewer", "none"),
+        ("hall", "check", "serial:x"),
+        ("accept", "serial:x", "--tests", "own_question.py"),
+    ],
+)
+def test_the_question_whether_the_shaft_is_clear(
+    on_terminal: Callable[..., tuple[int, str]], arguments: tuple[str, ...]
+) -> None:
+    Path("own_question.py").write_text(OWN_TEST)
+    code, text = on_terminal(hostile(simulates=False), *arguments, reply=b"n\n")
+    assert code == 2
+    assert harmless(text)
+    assert re.search(r"Spin \\x1b\]0;pwn\\x07\[red\]x \(boot [0-9a-f]{8}\) on serial:x: .* Is the shaft clear\?", text)
+
+
+def test_the_report_of_accept(on_terminal: Callable[..., tuple[int, str]]) -> None:
+    Path("own_it.py").write_text(OWN_TEST)
+    code, text = on_terminal(hostile(), "accept", "serial:x", "--tests", "own_it.py", "--report", "out")
+    assert code == 0, text
+    assert harmless(text)
+    page = Path("out/report.html").read_text()
+    assert harmless(page)
+    assert r"\x1b]0;pwn\x07[red]x" in page
+    assert "|`&lt;b&gt;" in page
+    for tag in ("<b>", "<i>[red]", "<script"):
+        assert tag not in page
+    assert sorted(str(path) for path in Path("out").rglob("*.rrd")) == ["out/recordings/it.rrd"]
+    assert harmless(read_run("out/recordings/it.rrd").summary)
+
+
+def test_a_cell_of_a_table_in_markdown_is_text() -> None:
+    assert escaped(r"a|b`c`<i>*[x](http://y)\|" + "\n") == r"a\|b\`c\`\<i\>\*\[x\](http://y)\\\|\\n"
+    lines = table(("run", ""), [["a|b", "c\nd"], ["e", 5]]).splitlines()
+    assert lines == ["| run |  |", "| --- | --- |", r"| a\|b | c\\nd |", "| e | 5 |"]

@@ -1,0 +1,67 @@
+"""A device at work: in real time in a thread of the test process or a process of its own, or in virtual time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from tests.devices.can_carriers import Slcan, Virtual
+from tests.devices.carriers import Pty, Tcp
+from tests.devices.device import Device
+from tests.devices.faults import build
+from tests.devices.virtual import Bytes, Can, VirtualLink, turn
+from tests.devices.vocabulary import VOCABULARIES, Vocabulary
+
+CARRIERS = {"pty": Pty, "tcp": Tcp, "slcan": Slcan, "virtual": Virtual}
+IN_VIRTUAL_TIME = {"bytes": Bytes, "CAN": Can}
+PWM_HZ = {"slcan": 500, "virtual": 250, "CAN": 500}
+"""Where it is not the usual 1000: each frame of a CAN bus costs both ends their time."""
+STEP = 0.01  # s, at most, between two looks
+
+
+def run(device: Device, stop: threading.Event) -> None:
+    """Serve until `stop` is set."""
+    while not stop.is_set():
+        device.carrier.wait(STEP)
+        turn(device)
+
+
+@contextmanager
+def serving(
+    vocabulary: str | Vocabulary = "full", faults: Sequence[str] = (), carrier: str = "pty", **options: float
+) -> Iterator[Device]:
+    """A device; `device.carrier.target` is what `bench` connects to. See `device.Device` for options.
+
+    On a carrier in real time it works in a thread, and what goes wrong there is raised on leaving. In virtual time
+    `device.link` is the link to give to `bench`.
+    """
+    words = VOCABULARIES[vocabulary] if isinstance(vocabulary, str) else vocabulary
+    given: dict[str, Any] = {"pwm_hz": PWM_HZ.get(carrier, 1000)} | options
+    if carrier in IN_VIRTUAL_TIME:
+        link = VirtualLink(IN_VIRTUAL_TIME[carrier]())
+        device = link.device = build(words, faults, clock=link.clock, **given)
+        device.carrier, device.link = link.carrier, link
+        yield device
+        return
+    device = build(words, faults, **given)
+    device.carrier = CARRIERS[carrier]()
+    stop, failures = threading.Event(), []
+
+    def serve() -> None:
+        try:
+            run(device, stop)
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=serve, name="test device")
+    thread.start()
+    try:
+        yield device
+    finally:
+        stop.set()
+        thread.join()
+        device.carrier.close()
+    if failures:
+        raise failures[0]

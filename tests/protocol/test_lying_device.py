@@ -1,0 +1,163 @@
+"""A device whose messages say anything, field by field: nothing but a clear error, or a count, comes of it.
+
+The device is sound, but for one field of one kind of message: that is replaced on its way to the host.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields
+
+import pytest
+from lying_link import LyingCanLink, LyingLink
+
+from bench.client import Client
+from bench.errors import BenchError
+from bench.inspect import inspect_node
+from bench.node import Node
+from bench.summary import CpuMeter, RunStatistics, finite, summarise
+from protocol.errors import HbpError
+from protocol.framing import Frame
+from protocol.messages import REPLIES, UNSOLICITED, BlobReply, ErrorReply, Fault, MessageType, Payload
+from protocol.streams import STREAM_HEADER
+
+NAN, INF = float("nan"), float("inf")
+EXTREMES: dict[str, list[object]] = {
+    "B": [0, 1, 7, 0x80, 0xFF],
+    "H": [0, 1, 509, 0x8000, 0xFFFF],
+    "I": [0, 1, 1 << 20, 0x80000000, 0xFFFFFFFF],
+    "Q": [0, 1, 1 << 32, (1 << 62) - 1, 1 << 62, (1 << 64) - 1],
+    "f": [0.0, -1.0, 0.5, 1e-45, 3e38, NAN, INF, -INF],
+    "16s": [bytes(16), b"\xff" * 16, b"\x1b[2J\n\r\t\x07\xe2\x80\xae", b"x" * 16],
+}
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where a field stands in the payloads of one kind of frame; `error`: only of refusals, else only of others."""
+
+    name: str
+    type: int | None
+    error: bool
+    offset: int
+    code: str
+
+
+def layout_fields(kind: str, type_: int | None, error: bool, layout: struct.Struct, names: list[str]) -> list[Field]:
+    found, offset, left = [], 0, iter(names)
+    for count, code in re.findall(r"(\d*)([a-zA-Z])", layout.format):
+        whole = count + code if code == "s" else code
+        for _ in range(1 if code == "s" else int(count or 1)):
+            if code != "x":
+                found.append(Field(f"{kind}.{next(left)}", type_, error, offset, whole))
+            offset += struct.calcsize("<" + whole)
+    return found
+
+
+def every_field() -> list[Field]:
+    found: list[Field] = []
+    kinds: list[tuple[int | None, type[Payload]]] = [*REPLIES.items(), *UNSOLICITED.items(), (None, ErrorReply)]
+    for type_, kind in kinds:
+        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        found += layout_fields(kind.__name__, type_, kind is ErrorReply, kind._LAYOUT, names)
+    header = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]
+    for type_ in (MessageType.DATA, MessageType.EDGES):
+        found += layout_fields(type_.name, type_, False, STREAM_HEADER, header)
+    record = struct.Struct("<HBBHHff16s")  # of the first channel, then of the first parameter
+    names = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
+    for title, at in (("channel", 0), ("parameter", 5 * record.size)):
+        for field in layout_fields(title, MessageType.BLOB_READ, False, record, names):
+            shifted = BlobReply.FIXED_BYTES + at + field.offset
+            found.append(Field(field.name, field.type, field.error, shifted, field.code))
+    return found
+
+
+def talk(link: LyingLink) -> list[str]:
+    """Do all that a host does with a drive; return the errors, one line each."""
+    client = Client(link)
+    errors: list[str] = []
+
+    def attempt(action: Callable[[], object]) -> None:
+        try:
+            action()
+        except (HbpError, BenchError) as error:
+            errors.append(str(error))
+
+    attempt(client.connect)
+    if client.hello is None:
+        return errors
+    node = Node(client, client.hello.node)
+    statistics = RunStatistics(node.number)
+    client.sinks = [statistics]
+    for action in (
+        lambda: node.descriptor, node.parameters, lambda: node.parameter("n_p"), lambda: node.set("gain", 3.0),
+        lambda: node.set("gain", 1e9), lambda: node.set("serial", 1.0), node.stop_streams,
+        lambda: node.set_samples(node.channels(None), 1), lambda: node.set_samples(node.channels(None), 16),
+        node.set_edges, node.active_streams, node.start_streams, lambda: client.run_for(0.2), node.clock_fit,
+        lambda: json.dumps(finite(inspect_node(node)), allow_nan=False), node.start, node.arm, node.start,
+        lambda: node.speed(10.0), lambda: node.speed(1e4), lambda: link.session.fault(Fault.OVERCURRENT),
+        lambda: client.run_for(0.2), node.fault_text, node.clear_faults, node.arm, node.start, node.resume_streams,
+        lambda: client.run_for(0.1), node.stop, node.next_heartbeat, node.stop_streams,
+    ):  # fmt: skip
+        attempt(action)
+    with suppress(HbpError):
+        summary = summarise("x", client, statistics, node.identity, 1.0, CpuMeter().percent(), None)
+        json.dumps(summary.as_json(), allow_nan=False)
+    return errors
+
+
+def lie_of(field: Field, value: object) -> Callable[[Frame], Frame]:
+    packed = struct.pack("<" + field.code, value)
+
+    def lie(frame: Frame) -> Frame:
+        if field.error != frame.is_error or field.type not in (None, frame.type):
+            return frame
+        if field.type in REPLIES and not frame.is_reply:
+            return frame
+        changed = bytearray(frame.payload)
+        if len(changed) < field.offset + len(packed):
+            return frame
+        changed[field.offset : field.offset + len(packed)] = packed
+        return frame._replace(payload=bytes(changed))
+
+    return lie
+
+
+def test_the_sound_device_has_only_the_errors_that_are_asked_for() -> None:
+    errors = talk(LyingLink())
+    expected = ("gain must be", "READ_ONLY", "do not fit", "WRONG_STATE", "rejected the setpoint SPEED 10000", "BUSY")
+    assert len(errors) == len(expected), errors
+    for error, words in zip(errors, expected, strict=True):
+        assert words in error
+
+
+def check(field: Field, link: type[LyingLink] | type[LyingCanLink]) -> None:
+    for value in EXTREMES[field.code]:
+        for error in talk(link(lie_of(field, value))):
+            assert error.isprintable(), (value, error)
+            assert 10 < len(error) < 400, (value, error)
+
+
+@pytest.mark.parametrize("field", every_field(), ids=lambda field: field.name)
+def test_any_value_of_any_field_is_an_error_in_one_line_or_tolerated(field: Field) -> None:
+    check(field, LyingLink)
+
+
+ON_CAN = ("StreamReply", "TimeSyncReply", "Heartbeat.tick", "Heartbeat.edges", "Heartbeat.boot_id")
+
+
+@pytest.mark.parametrize("field", [f for f in every_field() if f.name.startswith(ON_CAN)], ids=lambda field: field.name)
+def test_what_can_decodes_with_is_an_error_in_one_line_or_tolerated(field: Field) -> None:
+    check(field, LyingCanLink)
+
+
+def test_the_sound_device_on_can_has_only_the_errors_that_are_asked_for() -> None:
+    errors = talk(LyingCanLink(lambda frame: frame))
+    expected = ("gain must be", "READ_ONLY", "WRONG_STATE", "rejected the setpoint SPEED 10000", "BUSY")
+    assert len(errors) == len(expected), errors
+    for error, words in zip(errors, expected, strict=True):
+        assert words in error

@@ -1,0 +1,110 @@
+"""Signals that wait until the code that they would break is done."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from sim.interrupts import ENDING, Held
+
+
+class Stop(BaseException):
+    pass
+
+
+@pytest.fixture(autouse=True)
+def raising() -> Iterator[None]:
+    def stop(number: int, frame: object) -> None:
+        raise Stop(number)
+
+    before = signal.signal(signal.SIGALRM, stop)
+    yield
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_handler_runs_on_leaving() -> None:
+    done = []
+
+    def work() -> None:
+        with Held() as held:
+            signal.raise_signal(signal.SIGALRM)
+            done.append(list(held.came))
+        done.append("never")
+
+    with pytest.raises(Stop):
+        work()
+    assert done == [[signal.SIGALRM]]
+    assert Held.active is None
+    with pytest.raises(Stop):
+        signal.raise_signal(signal.SIGALRM)
+
+
+def test_or_where_it_is_asked_for() -> None:
+    def work() -> None:
+        with Held() as held:
+            signal.raise_signal(signal.SIGALRM)
+            held.deliver()
+
+    with pytest.raises(Stop):
+        work()
+    assert Held.active is None
+
+
+def test_inside_another_one_it_does_nothing() -> None:
+    came = []
+
+    def work() -> None:
+        with Held() as outer:
+            with Held(undisturbed=True) as inner:
+                assert inner is outer
+                signal.raise_signal(signal.SIGALRM)
+            came.extend(outer.came)
+
+    with pytest.raises(Stop):
+        work()
+    assert came == [signal.SIGALRM]
+
+
+def test_signals_without_a_handler_keep_their_default_unless_nothing_may_disturb() -> None:
+    before = {number: signal.getsignal(number) for number in ENDING}
+    assert before[signal.SIGTERM] is signal.SIG_DFL
+    with Held():
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    with Held(undisturbed=True):
+        assert all(callable(signal.getsignal(number)) for number in ENDING)
+    assert {number: signal.getsignal(number) for number in ENDING} == before
+
+
+def test_an_exception_of_the_inside_goes_on() -> None:
+    def work() -> None:
+        with Held():
+            signal.raise_signal(signal.SIGALRM)
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        work()
+    assert Held.active is None
+
+
+def test_a_thread_has_nothing_to_hold() -> None:
+    """Handlers run in the main thread: there, and at once, while another thread is in one."""
+    entered, leave = threading.Event(), threading.Event()
+
+    def work() -> None:
+        with Held():
+            entered.set()
+            leave.wait(10.0)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    entered.wait(10.0)
+    assert Held.active is None
+    try:
+        with pytest.raises(Stop):
+            signal.raise_signal(signal.SIGALRM)
+    finally:
+        leave.set()
+        thread.join()
