@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -14,16 +15,62 @@ from bench.errors import Interrupted
 from sim.interrupts import ENDING, Held
 
 AGAIN = 0.01  # s
+IMPORT = "<frozen importlib._bootstrap>"
+"""The file that Python gives for the code of its import system."""
+
+
+def ctrl_c_kills() -> None:
+    """Ctrl-C ends this process at once, without a word: while it loads, there is nothing yet to put right."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@contextmanager
+def none_dropped() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt in the main thread, and it does so again where Python drops that exception.
+
+    Python drops what is raised in a finaliser or in a callback of a weak reference, and tells of it. Within an import,
+    modules in C drop it without a word, and classes wrap it in another one: there it waits until the import is done.
+    """
+    before = sys.unraisablehook
+
+    def hook(unraisable: sys.UnraisableHookArgs) -> None:
+        if isinstance(unraisable.exc_value, Interrupted):
+            _again(unraisable.exc_value.signum)
+        elif isinstance(unraisable.exc_value, KeyboardInterrupt):
+            _again(signal.SIGINT)
+        else:
+            before(unraisable)
+
+    wanted = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN  # a shell's `command &`, nohup
+    with _handled({signal.SIGINT: lambda _: KeyboardInterrupt()} if wanted else {}):
+        sys.unraisablehook = hook
+        try:
+            yield
+        finally:
+            sys.unraisablehook = before
 
 
 @contextmanager
 def signals_as_exceptions(kind: type[BaseException] = Interrupted) -> Iterator[None]:
     """SIGTERM, SIGHUP and SIGQUIT raise `kind(number)` in the main thread, as Ctrl-C raises KeyboardInterrupt."""
+    with _handled(dict.fromkeys((number for number in ENDING if number != signal.SIGINT), kind)):
+        yield
+
+
+@contextmanager
+def _handled(exceptions: dict[signal.Signals, Callable[[int], BaseException]]) -> Iterator[None]:
+    """Each of these signals raises what its function makes of its number."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        raise kind(number)
+        while frame is not None:
+            if frame.f_code.co_filename == IMPORT:
+                _again(number)
+                return
+            frame = frame.f_back
+        raise exceptions[signal.Signals(number)](number)
 
-    before = {number: signal.signal(number, interrupt) for number in ENDING if number != signal.SIGINT}
+    before = {number: signal.signal(number, interrupt) for number in exceptions}
     try:
         yield
     finally:
@@ -31,26 +78,14 @@ def signals_as_exceptions(kind: type[BaseException] = Interrupted) -> Iterator[N
             signal.signal(number, handler)
 
 
-@contextmanager
-def none_dropped() -> Iterator[None]:
-    """A signal whose exception came where Python drops it, such as in a callback of its import system, comes again."""
-    before = sys.unraisablehook
+def _again(number: int) -> None:
+    """The signal comes again soon, not in here. No `threading`: its locks may be held where a handler runs."""
 
-    def hook(unraisable: sys.UnraisableHookArgs) -> None:
-        dropped = unraisable.exc_value
-        if not isinstance(dropped, (KeyboardInterrupt, Interrupted)):
-            before(unraisable)
-            return
-        number = dropped.signum if isinstance(dropped, Interrupted) else signal.SIGINT
-        again = threading.Timer(AGAIN, os.kill, (os.getpid(), number))  # not in here
-        again.daemon = True
-        again.start()
+    def send() -> None:
+        time.sleep(AGAIN)
+        os.kill(os.getpid(), number)
 
-    sys.unraisablehook = hook
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
+    _thread.start_new_thread(send, ())
 
 
 @contextmanager

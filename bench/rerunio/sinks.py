@@ -29,6 +29,7 @@ from bench.statistics import Percentiles
 from bench.verdict import Verdict
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
+from sim.interrupts import Held
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -348,7 +349,8 @@ def _claim(path: Path, overwrite: bool) -> None:
 def _new_stream(run: schema.RunInfo) -> rr.RecordingStream:
     import rerun as rr
 
-    stream = rr.RecordingStream(schema.APPLICATION, recording_id=run.recording_id)
+    with Held():  # an unfinished one complains when it is dropped
+        stream = rr.RecordingStream(schema.APPLICATION, recording_id=run.recording_id)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     return stream

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -30,8 +31,8 @@ AT_ONCE = 3  # processes: more would starve each other
 LONGEST = 3.0  # s of a command's life in which it is interrupted
 SOON = 10.0  # s from Ctrl-C to the end, on a busy machine
 COMPILING = (2.0, 4.0, 6.0)  # s after the start
-READY = "import sys; from bench.cli import main; print('ready', flush=True); main()"
-"""What `python -m bench` runs, with a line when Ctrl-C is no longer Python's own business."""
+READY = "import sys; from bench.__main__ import main; print('ready', flush=True); main()"
+"""What `bench` runs, with a line when it is called: until then, Ctrl-C is Python's own business."""
 INTERRUPTED = (130, -signal.SIGINT)  # a shell shows 130 for both
 COMMANDS: dict[str, Sequence[str]] = {
     "live": ("live", "sim", "--speed", "300", "--viewer", "none", "--duration", "60", "--save", "NEW"),
@@ -160,3 +161,32 @@ def test_ctrl_c_where_python_drops_it_comes_again() -> None:
     with pytest.raises(KeyboardInterrupt), none_dropped():
         drop()
     assert reference() is None
+
+
+IMPORTED = {
+    "modules in C drop it": "try: signal.raise_signal(signal.SIGINT)\nexcept KeyboardInterrupt: pass",
+    "Python makes another exception of it": """
+class Place:
+    def __set_name__(self, owner: type, name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+class Owner:
+    place = Place()
+""",
+}
+
+
+@pytest.mark.parametrize("text", IMPORTED.values(), ids=IMPORTED)
+def test_ctrl_c_within_an_import_waits_until_it_is_done(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"imported_{uuid.uuid4().hex}"
+    (tmp_path / f"{name}.py").write_text(f"import signal\n{text}\nDONE = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def load() -> None:
+        importlib.import_module(name)
+        threading.Event().wait(LIMIT)
+
+    with pytest.raises(KeyboardInterrupt), none_dropped():
+        load()
+    assert sys.modules[name].DONE
