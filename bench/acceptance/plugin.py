@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bench.acceptance.marks import MARKS
+from sim.interrupts import Held
 
 if TYPE_CHECKING:
     from bench.acceptance.accept import Screen
@@ -118,7 +119,8 @@ def session_of(config: pytest.Config) -> BenchSession:
     if SESSION not in config.stash:
         from bench.acceptance.session import BenchSession
 
-        config.stash[SESSION] = BenchSession(config)
+        with Held():  # it registers itself: a second one could not
+            config.stash[SESSION] = BenchSession(config)
     return config.stash[SESSION]
 
 
