@@ -149,9 +149,10 @@ class _Kernels:
         for entry in entries:
             _require(entry.name, entry.missing(parameters))
         self._front = sample.make_params(tick_hz, **chosen(sample.make_params, parameters))
-        self._front_state = sample.init()
         self._observers = [(entry, entry.make_params(pwm_hz, parameters)) for entry in entries]
-        self._states = {entry.name: entry.init() for entry in entries}
+        with Held():  # kernels that return a NamedTuple
+            self._front_state = sample.init()
+            self._states = {entry.name: entry.init() for entry in entries}
         self._clear_times()
         self.run(_one_sample())
         self._clear_times()

@@ -24,6 +24,7 @@ from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
 from sim.drive.tick import Params as BenchConstants
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
+from sim.interrupts import Held
 from sim.numba_cache import settled
 from sim.observers import average_speed, bank
 from sim.params import BenchParams
@@ -93,7 +94,8 @@ class SimulatedBench:
         self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
         theta_e = math.radians(params.mechanics.theta_0_deg)
         rng = noise.seeded(seed)
-        self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
+        with Held():  # as in `settled`
+            self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
 
     @property
     def n(self) -> int:
