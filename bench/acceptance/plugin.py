@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bench.acceptance.marks import MARKS
-from sim.interrupts import Held
 
 if TYPE_CHECKING:
     from bench.acceptance.accept import Screen
@@ -118,6 +117,7 @@ def session_of(config: pytest.Config) -> BenchSession:
     """The acceptance session of this process, made at first use."""
     if SESSION not in config.stash:
         from bench.acceptance.session import BenchSession
+        from sim.interrupts import Held
 
         with Held():  # it registers itself: a second one could not
             config.stash[SESSION] = BenchSession(config)
