@@ -19,6 +19,7 @@ from pathlib import Path
 from bench.client import Client
 from bench.node import DRIVE, LOAD, Node
 from protocol.messages import DriveState, SetpointMode
+from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.drive.machine import SimulatedBench
 from sim.drive.virtual import VirtualLink
@@ -131,6 +132,8 @@ def rows() -> list[Row]:
     return [
         Row("simulation alone", whole, "x real time", GOAL_ALONE),
         Row("simulation alone, 5 ms a call", step, "x real time"),
-        Row("through the protocol, all 26 channels + edges", protocol, "x real time", GOAL_PROTOCOL),
+        Row(
+            f"through the protocol, all {len(DRIVE_CHANNELS)} channels + edges", protocol, "x real time", GOAL_PROTOCOL
+        ),
         *peers(),
     ]
