@@ -62,13 +62,13 @@ def signals_as_exceptions(kind: type[BaseException] = Interrupted) -> Iterator[N
 def _handled(exceptions: dict[signal.Signals, Callable[[int], BaseException]]) -> Iterator[None]:
     """Each of these signals raises what its function makes of its number."""
 
+    outside = _imports(sys._getframe())  # this program itself may be run by an import
+
     def interrupt(number: int, frame: FrameType | None) -> None:
-        while frame is not None:
-            if frame.f_code.co_filename == IMPORT:
-                _again(number)
-                return
-            frame = frame.f_back
-        raise exceptions[signal.Signals(number)](number)
+        if _imports(frame) > outside:
+            _again(number)
+        else:
+            raise exceptions[signal.Signals(number)](number)
 
     before = {number: signal.signal(number, interrupt) for number in exceptions}
     try:
@@ -76,6 +76,15 @@ def _handled(exceptions: dict[signal.Signals, Callable[[int], BaseException]]) -
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _imports(frame: FrameType | None) -> int:
+    """How many frames of Python's import system `frame` and its callers have."""
+    found = 0
+    while frame is not None:
+        found += frame.f_code.co_filename == IMPORT
+        frame = frame.f_back
+    return found
 
 
 def _again(number: int) -> None:

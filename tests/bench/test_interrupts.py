@@ -190,3 +190,12 @@ def test_ctrl_c_within_an_import_waits_until_it_is_done(
     with pytest.raises(KeyboardInterrupt), none_dropped():
         load()
     assert sys.modules[name].DONE
+
+
+def test_ctrl_c_ends_what_an_import_itself_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"imported_{uuid.uuid4().hex}"
+    lines = "import signal\nfrom bench.interrupts import none_dropped\nwith none_dropped():\n"
+    (tmp_path / f"{name}.py").write_text(f"{lines}    signal.raise_signal(signal.SIGINT)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        importlib.import_module(name)
