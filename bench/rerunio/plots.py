@@ -128,31 +128,25 @@ def _errors(run: schema.RunInfo) -> tuple[Line, ...]:
 
 def _speeds(run: schema.RunInfo) -> tuple[Line, ...]:
     references = (schema.SPEED_REFERENCE,) if run.has(schema.SPEED_REFERENCE) else ()
+    component = schema.speed_component if run.n_p else schema.value_component
     return tuple(
-        Line(
-            schema.mean_component(component) if mean else component,
-            name,
-            f"{schema.label(name)}{', mean' if mean else ''} [{run.speed_unit}]",
-            run.colours[name],
-            factor=run.speed_factor,
-            mean=mean,
-        )
+        _line(run, component(name), name, run.speed_unit, mean, run.speed_factor)
         for name, mean in [*((name, False) for name in run.speeds), *((name, True) for name in references)]
-        for component in [schema.speed_component(name) if run.n_p else schema.value_component(name)]
     )
 
 
 def _values(run: schema.RunInfo, names: Iterable[str], unit: str, mean: bool = False) -> tuple[Line, ...]:
-    return tuple(
-        Line(
-            schema.mean_component(component) if mean else component,
-            name,
-            f"{schema.label(name)}{', mean' if mean else ''} [{unit or '–'}]",
-            run.colours[name],
-            mean=mean,
-        )
-        for name in names
-        for component in [schema.value_component(name)]
+    return tuple(_line(run, schema.value_component(name), name, unit or "–", mean) for name in names)
+
+
+def _line(run: schema.RunInfo, component: str, name: str, unit: str, mean: bool, factor: float = 1.0) -> Line:
+    return Line(
+        schema.mean_component(component) if mean else component,
+        name,
+        f"{schema.label(name)}{', mean' if mean else ''} [{unit}]",
+        run.colours[name],
+        factor=factor,
+        mean=mean,
     )
 
 
