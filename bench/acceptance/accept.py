@@ -31,6 +31,8 @@ WORDS = {
     Verdict.INCOMPLETE: "incomplete", Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
 }  # fmt: skip
 FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
+WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
+"""Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""
 MOST_BAD = 8  # measurements of a test that are told one by one
 
 
@@ -194,22 +196,9 @@ def _arguments(options: AcceptOptions) -> list[str]:
     paths = [path.absolute() for path in options.tests or (SUITE,)]
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
     root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
-    # no terminal reporter: the teller speaks; no capture: a person may be asked; no settings of another project
-    # and no hook of its own where Python drops an exception, which may be a Ctrl-C
-    arguments = [
-        "-p",
-        "no:terminal",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:unraisableexception",
-        "-s",
-        "-c",
-        os.devnull,
-        "--rootdir",
-        root,
-    ]
-    arguments += map(str, paths)
+    # no capture: a person may be asked; no settings of another project
+    arguments = [word for name in WITHOUT for word in ("-p", f"no:{name}")]
+    arguments += ["-s", "-c", os.devnull, "--rootdir", root, *map(str, paths)]
     given: tuple[tuple[str, object], ...] = (
         ("--bench-target", options.target),
         ("-k", options.keyword),
@@ -249,7 +238,9 @@ def closing_lines(run: RunResult) -> list[str]:
     lines += [f"not tested: {words}" for words in untested(run)]
     lines.append(f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}")
     if run.verdict is Verdict.INCOMPLETE:
-        lines.append("all that was tested passed; --allow-skipped makes that a PASS")
+        nothing = all(test.verdict is Verdict.SKIPPED for test in run.tests)
+        passed = "all that was tested passed; --allow-skipped makes that a PASS"
+        lines.append("nothing was tested" if nothing else passed)
     if LIMITS_ELSEWHERE in run.rig:
         lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
     if run.error and run.error != run.unsafe:

@@ -194,6 +194,8 @@ def test_accept_skips_what_a_drive_of_its_own_names_cannot_show(more: str, capsy
     assert len(skipped) > 30
     assert not re.search(r"\b(ERROR|FAIL|INVALID)\b", ran.text), ran.text
     assert "INCOMPLETE" in ran.text
+    assert "nothing was tested" in ran.text
+    assert "passed" not in ran.text
 
 
 def test_a_recording_of_a_drive_of_its_own_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
