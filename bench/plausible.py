@@ -22,9 +22,8 @@ from bench.needs import flagged, speed_channel
 from bench.statistics import ErrorTable, states, wrap
 from protocol.descriptor import Channel
 from protocol.messages import DriveState
-from protocol.signals import Flag, Unit
+from protocol.signals import SECTOR_OF_CODE, Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk
-from sim.observers.hall_speed import SECTOR_OF_CODE
 
 SECTOR = math.pi / 3
 OFF_BY = SECTOR  # rms of a position error above which an angle is no estimate

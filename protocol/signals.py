@@ -199,6 +199,10 @@ class Injection(IntEnum):
     HALL = 2
 
 
+SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)
+"""Sector 0..5 by Hall code (bit 0 = sensor a, 1 = b, 2 = c); -1: a code that no rotor angle gives."""
+
+
 class HallSwap(IntEnum):
     """Values of the load machine's parameter `hall_swap`: which wires of the drive's Hall sensors are exchanged."""
 

@@ -23,7 +23,7 @@ from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
 from bench.hall.trace import SLOW, Floats, Trace
-from sim.observers.hall_speed import SECTOR_OF_CODE
+from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
 """Electrical turns, each way, below which nothing is said to be healthy."""

@@ -12,9 +12,8 @@ from bench.rerunio import schema
 from bench.verdict import Verdict, worst
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fault
-from protocol.signals import OTHER_SOURCE, AngleSource
+from protocol.signals import OTHER_SOURCE, SECTOR_OF_CODE, AngleSource
 
-SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)  # sector 0..5 by Hall code, SPEC.md's Hall bit order
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
 ILLEGAL = "illegal"
 NO_EDGE = "no edge yet"

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from bench.rerunio import schema, states
 from bench.rerunio.log import _Column
 from protocol.descriptor import Channel, Descriptor
-from protocol.signals import LOAD_CHANNELS, Flag, RawType, Unit
-from sim.observers.hall_speed import SECTOR_OF_CODE
+from protocol.signals import LOAD_CHANNELS, SECTOR_OF_CODE, Flag, RawType, Unit
+from sim.observers import hall_speed
 
 INTEGERS = [kind for kind in RawType if kind != RawType.F32]
 
@@ -104,7 +104,7 @@ def test_channels_that_nobody_knows_differ_in_colour_within_a_unit() -> None:
 
 
 def test_hall_lanes_follow_the_bit_order() -> None:
-    assert tuple(SECTOR_OF_CODE) == states.SECTOR_OF_CODE
+    assert SECTOR_OF_CODE == hall_speed.SECTOR_OF_CODE
     assert states.HALL_LANES[0b011].as_py() == ["a=1", "b=1", "c=0", "II"]
     assert states.HALL_LANES[0b111].as_py()[3] == states.HALL_LANES[0].as_py()[3] == "illegal"
 
