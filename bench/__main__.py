@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.interrupts import ctrl_c_kills
+from bench.rig.interrupts import ctrl_c_kills
 
 
 def main() -> None:

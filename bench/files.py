@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import stat
 import sys
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from bench.errors import BenchError, RecordingError
@@ -90,3 +92,12 @@ def part_of(path: Path) -> Path:
 def _real(path: Path) -> Path:
     """Behind all symbolic links, also where that file is not there yet; never raises, as `Path.resolve` does."""
     return Path(os.path.realpath(path))
+
+
+def finite(value: Any) -> Any:
+    """Plain data with None in the place of every number that is not finite, as JSON needs it."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

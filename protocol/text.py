@@ -12,3 +12,8 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def counted(number: int, noun: str) -> str:
+    """So many of a thing: 1 outage, 2 outages."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from protocol.errors import HbpError
-from sim.drive.server import CONTROLS, ServeOptions, can_rates, parse_override, serve
-from sim.params import ConfigError
+from sim.config.params import ConfigError
+from sim.ports.server import CONTROLS, ServeOptions, can_rates, parse_override, serve
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -37,9 +37,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
 
-# Of `sim/drive` only the control tick and the lengths of CAN frames are kernels; links, servers and parameters are not.
-_PLAIN = ("drive", "params.py", "sections.py", "ranges.py", "interrupts.py", "__main__.py")
-_KERNELS_IN_DRIVE = ("drive/tick*.py", "drive/can_bits.py")
+# Of `sim/drive` and `sim/ports` only the control tick and the lengths of CAN frames are kernels.
+_PLAIN = ("config", "drive", "ports", "interrupts.py", "__main__.py")
+_KERNELS_AMONG = ("drive/tick*.py", "ports/can_bits.py")
 _IN_PROTOCOL = (
     "codes.py",
     "messages.py",
@@ -53,7 +53,7 @@ def _kernel_sources() -> list[Path]:
     sources = [p for p in _HERE.rglob("*.py") if p.relative_to(_HERE).parts[0] not in _PLAIN]
     return [
         *sorted(sources),
-        *sorted(path for pattern in _KERNELS_IN_DRIVE for path in _HERE.glob(pattern)),
+        *sorted(path for pattern in _KERNELS_AMONG for path in _HERE.glob(pattern)),
         *(_HERE.parent / "protocol" / name for name in _IN_PROTOCOL),
     ]
 

@@ -20,17 +20,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bench.acceptance.capture import Capture
-    from bench.acceptance.drive import Drive, DriveTripped
     from bench.acceptance.marks import energises, limit, limits, needs
-    from bench.acceptance.results import Limits, Verdict
-    from bench.energise import RPM
+    from bench.acceptance.results import Verdict
+    from bench.analysis.capture import Capture
+    from bench.analysis.limits import Limits
+    from bench.analysis.units import RPM
+    from bench.rig.drive import Drive, DriveTripped
 
 __all__ = ["RPM", "Capture", "Drive", "DriveTripped", "Limits", "Verdict", "energises", "limit", "limits", "needs"]
 
 _HOMES = {
-    "RPM": "bench.energise", "Capture": "bench.acceptance.capture",
-    **dict.fromkeys(("Drive", "DriveTripped"), "bench.acceptance.drive"),
+    "RPM": "bench.rig.consent", "Capture": "bench.analysis.capture",
+    **dict.fromkeys(("Drive", "DriveTripped"), "bench.rig.drive"),
     **dict.fromkeys(("energises", "limit", "limits", "needs"), "bench.acceptance.marks"),
     **dict.fromkeys(("Limits", "Verdict"), "bench.acceptance.results"),
 }  # fmt: skip

@@ -18,12 +18,13 @@ from typing import Any, Protocol
 import pytest
 
 from bench.acceptance import plugin
-from bench.acceptance.results import Limits, Measurement, RunResult, Verdict, tightest, untested
-from bench.acceptance.running import value_text
+from bench.acceptance.measuring import value_text
+from bench.acceptance.results import Measurement, RunResult, Verdict, tightest, untested
 from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
-from bench.acceptance.settings import read_settings
-from bench.acceptance.targets import SIM, target_of
+from bench.analysis.limits import Limits
 from bench.errors import BenchError
+from bench.rig.settings import read_settings
+from bench.rig.targets import SIM, target_of
 
 SUITE = Path(__file__).with_name("suite")
 WORDS = {

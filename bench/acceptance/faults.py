@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bench.acceptance.loads import NodeLoad
 from bench.errors import BenchError
+from bench.rig.loads import NodeLoad
 
 if TYPE_CHECKING:
-    from bench.acceptance.rig import Rig
+    from bench.rig.rig import Rig
 
 WIRES = {"a": 1, "b": 2, "c": 4}
 PAIRS = {"ab": 1, "bc": 2, "ca": 3}

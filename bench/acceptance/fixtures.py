@@ -6,10 +6,10 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from bench.acceptance.capture import Capture
+from bench.analysis.capture import Capture
 
 if TYPE_CHECKING:
-    from bench.acceptance.rig import Rig, Stretch
+    from bench.rig.rig import Rig, Stretch
 
 
 class Record:

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from bench.acceptance.drive import DriveTripped
+from bench.acceptance.measuring import NotPassed
 from bench.acceptance.results import Verdict, worst
-from bench.acceptance.running import NotPassed
 from bench.errors import BenchError, DriveFailed
+from bench.rig.drive import DriveTripped
 from protocol.errors import HbpError
 
 

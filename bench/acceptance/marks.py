@@ -5,14 +5,13 @@ Loaded by every pytest of the environment: it imports nothing heavy.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import pytest
 
-from bench.acceptance.results import Limits
+from bench.analysis.limits import Limits
+from bench.rig.envelope import Envelope
 
 LIMITS, NEEDS, ENERGISES = "bench_limits", "bench_needs", "bench_energises"
 MARKS = {
@@ -21,18 +20,6 @@ MARKS = {
     ENERGISES: "how far it goes (bench.acceptance.energises)",
 }
 Test = TypeVar("Test", bound=Callable[..., Any])
-
-
-@dataclass(frozen=True, slots=True)
-class Envelope:
-    """The most that a test asks of a drive: mechanical r/min and A of peak phase current; inf is the drive's limit."""
-
-    speed_rpm: float = math.inf
-    current: float = math.inf
-
-    def join(self, other: Envelope) -> Envelope:
-        """What covers both."""
-        return Envelope(max(self.speed_rpm, other.speed_rpm), max(self.current, other.current))
 
 
 def limit(

@@ -18,13 +18,13 @@ from bench.acceptance.marks import MARKS
 
 if TYPE_CHECKING:
     from bench.acceptance.accept import Screen
-    from bench.acceptance.drive import Drive
     from bench.acceptance.faults import HallFaults
     from bench.acceptance.fixtures import Record
-    from bench.acceptance.loads import Load
-    from bench.acceptance.rig import Rig
-    from bench.acceptance.running import Running
+    from bench.acceptance.measuring import Running
     from bench.acceptance.session import BenchSession
+    from bench.rig.drive import Drive
+    from bench.rig.loads import Load
+    from bench.rig.rig import Rig
 
 SESSION: pytest.StashKey[BenchSession] = pytest.StashKey()
 RUNNING: pytest.StashKey[Running] = pytest.StashKey()

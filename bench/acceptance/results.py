@@ -8,64 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from numbers import Real
 from typing import Any
 
+from bench.analysis.limits import Limits
+from bench.analysis.verdict import Verdict, worst
 from bench.errors import OutputsMayBeOn
-from bench.verdict import Verdict, worst
+from bench.rig.quality import ParameterValue, Quality
 
 __all__ = [
     "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
     "result_from_json", "run_from_json", "to_json", "untested", "worst",
 ]  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What a measurement may be: from `lo` to `hi`, in `unit`; None is no limit on that side.
-
-    Raises ValueError for limits that are not numbers or leave no room.
-    """
-
-    name: str
-    unit: str = ""
-    lo: float | None = None
-    hi: float | None = None
-    about: str = ""
-    overridden: bool = False
-    """The limits come from bench.toml, not from the test."""
-
-    def __post_init__(self) -> None:
-        for side in ("lo", "hi"):
-            limit: object = getattr(self, side)
-            if limit is None:
-                continue
-            if isinstance(limit, bool) or not isinstance(limit, Real) or not math.isfinite(limit):
-                raise ValueError(f"{self.name}: a limit must be a finite number, got {limit!r}")
-            object.__setattr__(self, side, float(limit))  # JSON takes no number of numpy's
-        if self.lo is not None and self.hi is not None and self.lo > self.hi:
-            raise ValueError(f"{self.name}: the lower limit {self.lo:g} is above the upper one, {self.hi:g}")
-
-    def allow(self, value: float) -> bool:
-        """Whether `value` is within them; NaN is not."""
-        if math.isnan(value):
-            return False
-        return (self.lo is None or value >= self.lo) and (self.hi is None or value <= self.hi)
-
-    def margin(self, value: float) -> float | None:
-        """Distance in `unit` from `value` to the nearer limit, negative outside; None where there is no limit."""
-        distances = [value - self.lo] if self.lo is not None else []
-        if self.hi is not None:
-            distances.append(self.hi - value)
-        return min(distances, default=None)
-
-    def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        if self.lo is not None and self.hi is not None:
-            return f"= {self.lo:g}{unit}" if self.lo == self.hi else f"{self.lo:g} … {self.hi:g}{unit}"
-        if self.hi is not None:
-            return f"≤ {self.hi:g}{unit}"
-        return f"≥ {self.lo:g}{unit}" if self.lo is not None else "for information"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,25 +59,6 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Quality:
-    """What the data of a test are worth."""
-
-    samples: int = 0
-    edges: int = 0
-    lost_samples: int = 0
-    lost_edges: int = 0
-    dropped_by_device: int = 0
-    damaged_frames: int = 0
-    outages: int = 0
-    rate: float = 0.0
-    """Samples a second."""
-    seconds: float = 0.0
-    """Device time."""
-    remarks: tuple[str, ...] = ()
-    """Each thing that made a stretch of data unfit, in words."""
-
-
-@dataclass(frozen=True, slots=True)
 class TestResult:
     """One acceptance test."""
 
@@ -142,23 +76,12 @@ class TestResult:
     figures: tuple[Figure, ...] = ()
     recording: str = ""
     """Path of the .rrd, relative to the report; empty: none was kept."""
-    quality: Quality = Quality()
+    quality: Quality = field(default_factory=Quality)
     parameters: Mapping[str, float] = field(default_factory=dict)
     """The drive's parameters that the test set, as it last set them."""
     wall_seconds: float = 0.0
     log: str = ""
     """Traceback or notes, for whoever looks into a failure."""
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterValue:
-    """One parameter of the drive as it stood before the tests."""
-
-    name: str
-    value: float
-    default: float
-    unit: str
-    about: str = ""
 
 
 @dataclass(frozen=True, slots=True)

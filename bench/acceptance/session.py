@@ -20,31 +20,24 @@ from typing import Any
 import click
 import pytest
 
-from bench.acceptance import person, plugin
+from bench.acceptance import plugin
 from bench.acceptance.judging import NOT_BEGUN, Phase, judge
-from bench.acceptance.loads import OwnLoads
 from bench.acceptance.marks import announced, declared_limits, needed
-from bench.acceptance.needed import missing
+from bench.acceptance.measuring import Running, file_name, require_apart, value_text
 from bench.acceptance.report_files import claim
-from bench.acceptance.results import (
-    Limits,
-    ParameterValue,
-    Quality,
-    RunResult,
-    TestResult,
-    Verdict,
-    result_from_json,
-    to_json,
-    worst,
-)
-from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.running import Running, file_name, require_apart, value_text
-from bench.acceptance.settings import Settings, read_settings
-from bench.acceptance.targets import SIM, alone_on, load_target, open_target, require_agreement, target_of
+from bench.acceptance.requirements import missing
+from bench.acceptance.results import RunResult, TestResult, Verdict, result_from_json, to_json, worst
+from bench.analysis.limits import Limits
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
-from bench.interrupts import signals_as_exceptions
-from bench.markdown import escaped
+from bench.rerunio.markdown import escaped
+from bench.rig import person
+from bench.rig.interrupts import signals_as_exceptions
+from bench.rig.loads import OwnLoads
+from bench.rig.quality import ParameterValue, Quality
+from bench.rig.rig import Plan, Rig
+from bench.rig.settings import Settings, read_settings
+from bench.rig.targets import SIM, alone_on, load_target, open_target, require_agreement, target_of
 from protocol.errors import HbpError
 
 LIMITS_ELSEWHERE = "limits of other tests"

@@ -17,7 +17,7 @@ import click
 from bench import __version__
 from bench.cli.streams import OutputClosed, note, standard_streams
 from bench.errors import BenchError, Interrupted
-from bench.interrupts import none_dropped
+from bench.rig.interrupts import none_dropped
 from protocol.text import printable
 
 _COMMANDS = {

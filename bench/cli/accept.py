@@ -18,7 +18,7 @@ from bench.errors import BenchError
 from bench.files import STANDARD_OUTPUT, check_directory
 
 if TYPE_CHECKING:
-    from bench.acceptance.results import Limits
+    from bench.analysis.limits import Limits
 
 
 class _Screen(Progress):

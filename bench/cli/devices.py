@@ -93,8 +93,8 @@ def _can_interfaces() -> list[dict[str, Any]]:
 
 def _nodes(target: str) -> tuple[list[dict[str, Any]], str]:
     """The nodes that answer, and what to look at if there are none."""
-    from bench.scan import scan
-    from bench.summary import describe
+    from bench.device.description import describe
+    from bench.device.scan import scan
     from protocol.links import open_link
 
     link = open_link(target)

@@ -11,7 +11,7 @@ import click
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
-from bench.words import counted
+from protocol.text import counted
 
 
 @click.command("info")
@@ -27,12 +27,12 @@ def command(target: str, json_file: Path | None, overwrite: bool) -> None:
       bench info sim --json
     """
     check_files({"--json": json_file}, overwrite)
+    from bench.device.description import inspect_link
     from bench.errors import NodeError
-    from bench.inspect import inspect_link
 
     with ExitStack() as stack:
         if target == "sim":
-            from bench.embedded import EmbeddedDrive
+            from bench.device.simulator import EmbeddedDrive
 
             target = stack.enter_context(EmbeddedDrive(note=note)).target
         found = inspect_link(target)
@@ -70,8 +70,8 @@ def _show(target: str, node: dict[str, Any]) -> None:
 
 
 def _show_bus(target: str, bus: dict[str, Any]) -> None:
-    from bench.bus import bus_rows
     from bench.cli.output import pairs, table
+    from bench.device.bus import bus_rows
 
     pairs(f"the bus of {target}, watched for a second", bus_rows(bus))
     echo()

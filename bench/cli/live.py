@@ -95,7 +95,7 @@ def command(target: str | None, json_file: Path | None, channels: str | None, co
       bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.rrd --viewer none
       bench live sim --speed 1000 --load 4 --observer average-speed
     """
-    from bench import live
+    from bench.live import run as live
 
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
@@ -108,7 +108,7 @@ def command(target: str | None, json_file: Path | None, channels: str | None, co
     check_files(files, given["overwrite"], [config], recordings=["--save"])
     options = live.LiveOptions(target=target, channels=names, config=config, **given)
     from bench.cli.output import Progress, print_summary
-    from bench.summary import Summary
+    from bench.live.summary import Summary
 
     unwritten: list[BenchError] = []
 

@@ -21,7 +21,7 @@ from protocol.text import printable
 if TYPE_CHECKING:
     from rich.status import Status
 
-    from bench.summary import Summary
+    from bench.live.summary import Summary
 
 
 NARROW = 11
@@ -159,7 +159,7 @@ class Progress:
 
 def print_summary(summary: Summary) -> None:
     """Print the figures of a run as tables."""
-    from bench.summary import ERROR_HEADERS, error_rows, run_rows
+    from bench.live.summary import ERROR_HEADERS, error_rows, run_rows
 
     errors = error_rows(summary)
     if errors:

@@ -54,7 +54,7 @@ def command(
     for name, value in (("--bitrate", bitrate), ("--fd", fd), ("--ext", ext)):
         if value and not on_can:
             raise click.UsageError(f"{name} is for a CAN bus: add --slcan, --socketcand or --virtual")
-    from sim.drive.server import ServeOptions, can_rates, parse_override, serve
+    from sim.ports.server import ServeOptions, can_rates, parse_override, serve
 
     overrides = dict(parse_override(text) for text in settings)
     serve(

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
+from bench.analysis.position import wrap
+from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
 from bench.hall.edges import OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
 from bench.hall.trace import INPUTS, SLOW, Floats, Trace
-from bench.statistics import wrap
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 STILL = 0.01

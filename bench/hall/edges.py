@@ -17,9 +17,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from bench.acceptance.waveforms.sectors import SECTORS
+from bench.analysis.position import wrap
+from bench.analysis.waveforms.sectors import SECTORS
 from bench.hall.trace import INPUTS, Edges, Floats
-from bench.statistics import wrap
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 CONFIDENCE = 0.95

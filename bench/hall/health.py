@@ -15,8 +15,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from bench.acceptance.waveforms.sectors import SECTORS
-from bench.acceptance.wiring import AS_SPECIFIED, Diagnosis, diagnose
+from bench.analysis.waveforms.sectors import SECTORS
+from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
 from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from bench import files
-from bench.acceptance.ending import not_put_back, put_back
-from bench.acceptance.waveforms.sectors import SECTORS
+from bench.analysis.waveforms.sectors import SECTORS
+from bench.device.node import Node
 from bench.errors import BenchError, NodeError
 from bench.hall.health import Health, Outcome
-from bench.node import Node
+from bench.rig.restore import not_put_back, put_back
 from protocol.errors import HbpError
 from protocol.signals import DRIVE_PARAMETERS
 from sim.observers.catalogue import EDGES

@@ -7,12 +7,12 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from bench.acceptance.waveforms.sectors import SECTORS
-from bench.acceptance.wiring import AS_SPECIFIED
+from bench.analysis.waveforms.sectors import SECTORS
+from bench.analysis.wiring import AS_SPECIFIED
 from bench.hall.edges import Edge, Passages
 from bench.hall.health import Health, Outcome
-from bench.hall.live import Turned
 from bench.hall.trace import INPUTS, Trace
+from bench.hall.turning import Turned
 
 WIDTH = 79
 NUMERALS = ("I", "II", "III", "IV", "V", "VI")

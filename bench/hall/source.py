@@ -1,7 +1,7 @@
 """Where a check gets its data: a recording, or a drive that turns its motor, or is turned by hand, for it.
 
-A drive is energised only with consent, and only by `bench.hall.live`; it is at rest when the data are handed out, and
-the link is closed, with every parameter as it was, on leaving. Nothing here measures.
+A drive is energised only with consent, and only by `bench.hall.turning`; it is at rest when the data are handed out,
+and the link is closed, with every parameter as it was, on leaving. Nothing here measures.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from bench.acceptance.marks import Envelope
-from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.settings import Settings
-from bench.acceptance.targets import SIM, alone_on, open_target, require_agreement
-from bench.energise import Plan as Spin
-from bench.energise import check_limits
+from bench.device.node import Node
 from bench.files import check_output
-from bench.hall.live import Turned, Turner
+from bench.hall.passive import watch
 from bench.hall.reference import EMF_CHANNELS
 from bench.hall.trace import capture_of
-from bench.hall.watch import watch
-from bench.interrupts import signals_as_exceptions
-from bench.node import Node
+from bench.hall.turning import Turned, Turner
+from bench.rig.consent import Plan as Spin
+from bench.rig.consent import check_limits
+from bench.rig.envelope import Envelope
+from bench.rig.interrupts import signals_as_exceptions
+from bench.rig.rig import Plan, Rig
+from bench.rig.settings import Settings
+from bench.rig.targets import SIM, alone_on, open_target, require_agreement
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Options:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Applications of `bench.needs` that this is."""
+        """Applications of `bench.rig.needs` that this is."""
         check = "bench hall check --passive" if self.passive else "bench hall check"
         return (check, "bench hall learn --write") if self.write else (check,)
 

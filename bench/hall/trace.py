@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance.capture import Capture
-from bench.acceptance.recorder import Recorder
+from bench.analysis.capture import Capture
+from bench.analysis.position import states
 from bench.errors import BenchError
-from bench.statistics import states
+from bench.rig.recorder import Recorder
 from protocol.codes import DriveState
 
 if TYPE_CHECKING:

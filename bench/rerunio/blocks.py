@@ -15,8 +15,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.device.counters import DeviceCounters
 from bench.rerunio import schema
-from bench.statistics import DeviceCounters
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 

@@ -18,14 +18,14 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from bench import markdown
-from bench.rerunio import schema, states
+from bench.analysis.position import wrap
+from bench.device.counters import DeviceCounters
+from bench.rerunio import markdown, schema, states
 from bench.rerunio.blocks import Block, Chunk, StreamKey, index_step, join_edges, join_samples, stream_key
 from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.plane import Plane
 from bench.rerunio.plots import left_out, trend_lines
 from bench.rerunio.trend import Rows, TrendBinner
-from bench.statistics import DeviceCounters, wrap
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig

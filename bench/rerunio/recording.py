@@ -18,10 +18,10 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from bench.analysis.verdict import Verdict
 from bench.errors import BenchError
 from bench.rerunio import schema
 from bench.rerunio.salvage import readable
-from bench.verdict import Verdict
 from protocol.messages import DeviceEvent, StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.verdict import Verdict
+from bench.analysis.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
 from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit

@@ -21,12 +21,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.analysis.percentiles import Percentiles
+from bench.analysis.verdict import Verdict
 from bench.errors import RecordingError
 from bench.rerunio import schema
 from bench.rerunio.blocks import Block, BlockBuilder
 from bench.rerunio.salvage import mend
-from bench.statistics import Percentiles
-from bench.verdict import Verdict
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.interrupts import Held
@@ -53,7 +53,7 @@ _Item = Block | schema.Mark | str | None  # a block, a mark, the text of the sum
 
 
 class _BlockSink:
-    """Sink of `bench.client`: collects blocks and passes them on to `_put`, which must not wait.
+    """Sink of `bench.device.client`: collects blocks and passes them on to `_put`, which must not wait.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from bench.analysis.verdict import Verdict, worst
 from bench.rerunio import schema
-from bench.verdict import Verdict, worst
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fault
 from protocol.signals import OTHER_SOURCE, SECTOR_OF_CODE, AngleSource

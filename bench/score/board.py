@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import __version__
-from bench.acceptance.waveforms import sector_of_angle
+from bench.analysis.position import wrap
+from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
-from bench.estimators import did_you_mean, entry_of
+from bench.observers.estimators import did_you_mean, entry_of
 from bench.score import phases
 from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
 from bench.score.phases import RPM, speed_bins
 from bench.score.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
-from bench.statistics import wrap
 from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
-from bench.estimators import did_you_mean
+from bench.observers.estimators import did_you_mean
 from bench.score.board import PHASES, Scoreboard, flat
 
 WRITTEN = (*PHASES, "speed", "lag")  # groups of figures that are written; the cost of a step is the machine's

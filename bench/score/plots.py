@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.acceptance.style import (
+from bench.analysis.position import wrap
+from bench.reports.style import (
     BLACK,
     BLUE,
     FONT_SIZE,
@@ -25,7 +26,6 @@ from bench.acceptance.style import (
 from bench.score.board import Figures
 from bench.score.phases import RPM
 from bench.score.tracks import Track
-from bench.statistics import wrap
 
 F64 = NDArray[np.float64]
 POINTS = 3000  # of a line over time: minimum and maximum of as many stretches, so that no peak is lost

@@ -10,7 +10,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bench.acceptance.style import save
+from bench.reports.style import save
 from bench.score.board import PHASES, Figures, Scoreboard, partly
 from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
 from bench.score.table import HEADERS, LEGEND, row

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.position import states
 from bench.errors import BenchError
-from bench.estimators import Estimate, Estimators, all_for
-from bench.replay import ENDS_EARLY, not_replayable, part, readable_run
+from bench.observers.estimators import Estimate, Estimators, all_for
+from bench.observers.replay import ENDS_EARLY, not_replayable, part, readable_run
 from bench.rerunio.recording import Run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
 from bench.score.phases import Phases, phases_of, speed_of
-from bench.statistics import states
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk

@@ -14,7 +14,7 @@ from observers.measures import Seen, learned
 from observers.recordings import EVENTS, SPEEDS
 from PIL import Image
 
-from bench.acceptance.style import (
+from bench.reports.style import (
     BLACK,
     BLUE,
     FONT_SIZE,

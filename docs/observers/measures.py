@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from observers import theory
 from observers.recordings import EVENTS, FULL, LEARNING, LIGHT, LOADS, SPEEDS, STAGES, edges, in_the_loop
 
-from bench.acceptance.waveforms import thd_by_angle
-from bench.energise import RPM
-from bench.estimators import Estimators
-from bench.replay import readable_run
+from bench.analysis.position import wrap
+from bench.analysis.units import RPM
+from bench.analysis.waveforms import thd_by_angle
+from bench.observers.estimators import Estimators
+from bench.observers.replay import readable_run
 from bench.rerunio.recording import Run
 from bench.score.phases import phases_of, speed_of
-from bench.statistics import wrap
 from protocol.signals import AngleSource
+from sim.config.params import load_params
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
-from sim.params import load_params
 
 F64 = NDArray[np.float64]
 ORDERS = 18

@@ -15,17 +15,17 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.client import Client, SinkBase
-from bench.energise import RPM
+from bench.analysis.units import RPM
+from bench.device.client import Client, SinkBase
+from bench.device.node import DRIVE, LOAD, Node
 from bench.errors import NodeError
-from bench.node import DRIVE, LOAD, Node
 from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
 from protocol.messages import DriveState
 from protocol.signals import AngleSource
 from protocol.streams import SampleChunk
-from sim.drive.virtual import VirtualLink
-from sim.params import BenchParams, load_params
+from sim.config.params import BenchParams, load_params
+from sim.ports.virtual import VirtualLink
 
 SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
 LOADS = (1.0, 4.0, 8.0)  # A of q current

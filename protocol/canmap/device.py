@@ -25,9 +25,9 @@ from protocol.canmap.ids import (
 )
 from protocol.canmap.layout import MAX_GROUPS, StreamLayout, edge_load, sample_layout
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
-from protocol.device import DeviceApp, DeviceSession, Identity
-from protocol.device_carrier import EdgeStream, Run, SampleStream, Shape, in_time
-from protocol.device_tx import TxQueue
+from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, in_time
+from protocol.device.session import DeviceApp, DeviceSession, Identity
+from protocol.device.tx import TxQueue
 from protocol.errors import Refused
 from protocol.framing import Frame
 from protocol.messages import ErrorCode, MessageType, StreamSet
@@ -158,7 +158,7 @@ class _Slots:
 
 
 class CanCarrier:
-    """CAN frames (a `protocol.device_carrier.Carrier`). Rates are shares of the bus: the queue's `capacity` is 1.
+    """CAN frames (a `protocol.device.carrier.Carrier`). Rates are shares of the bus: the queue's `capacity` is 1.
 
     `boot_id` decides which slots come first, so that they differ from those before a reboot.
     """

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from protocol.canmap.frame import BusRates
 from protocol.canmap.layout import edge_load, sample_layout
-from protocol.device_streams import MAX_LOAD
+from protocol.device.streams import MAX_LOAD
 from protocol.streams import MAX_DECIMATION
 
 

@@ -27,13 +27,13 @@ from protocol.signals import (
     Parameter,
     Signal,
 )
+from sim.config.params import ConfigError
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick_record import ENCODER_CHANNELS
-from sim.params import ConfigError
 
 
 class DriveApp:
-    """The drive (a `protocol.device_app.DeviceApp`).
+    """The drive (a `protocol.device.app.DeviceApp`).
 
     Args:
         store: file that keeps the parameters over a boot; they are read from it now and written by `commit`.
@@ -119,7 +119,7 @@ class DriveApp:
 
 
 class LoadApp:
-    """The load machine on the drive's shaft (a `protocol.device_app.DeviceApp`)."""
+    """The load machine on the drive's shaft (a `protocol.device.app.DeviceApp`)."""
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource
 from protocol.streams import EDGE_RECORD
+from sim.config.params import BenchParams
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
@@ -27,7 +28,6 @@ from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
 from sim.interrupts import Held
 from sim.numba_cache import settled
 from sim.observers import average_speed, bank
-from sim.params import BenchParams
 from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
 __all__ = ["Recorded", "SimulatedBench", "Truth"]

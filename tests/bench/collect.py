@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.client import Client, SinkBase
+from bench.device.client import Client, SinkBase
+from bench.device.node import DRIVE, LOAD, Node
 from bench.errors import DoesNotFit
-from bench.node import DRIVE, LOAD, Node
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
-    from bench.estimators import HostObservers
+    from bench.observers.estimators import HostObservers
 
 EDGE_FIELDS = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
 

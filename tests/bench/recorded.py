@@ -10,9 +10,9 @@ import numpy as np
 from collect import Bench
 from virtual_run import WatchedLink, simulated
 
+from bench.analysis.verdict import Verdict
 from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
-from bench.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
 from protocol.signals import Flag, RawType, Unit

@@ -15,19 +15,19 @@ from cobs import cobs
 from collect import Bench, Collector
 from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, run, simulated
 
-from bench import live
-from bench.acceptance.rig import Plan, Rig
-from bench.client import Client, SinkBase
+from bench.device.client import Client, SinkBase
+from bench.device.node import Node
 from bench.errors import RecordingError
-from bench.node import Node
-from bench.outputs import Outputs
-from bench.summary import Lost, Summary, run_rows
+from bench.live import run as live
+from bench.live.summary import Lost, Summary, run_rows
+from bench.rig.outputs import Outputs
+from bench.rig.rig import Plan, Rig
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES
 from protocol.canmap.host import CanWire
 from protocol.errors import LinkClosed, LinkError
 from protocol.messages import DriveState, Fault, MessageType
 from protocol.streams import SampleChunk
-from sim.drive.device import SimulatedDevice
+from sim.ports.device import SimulatedDevice
 
 PERIOD = 1250  # ticks
 
@@ -347,8 +347,8 @@ class Pulled(WatchedLink):
 
 
 def test_an_outage_that_never_ends_counts_as_downtime(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.client.REOPEN_PERIOD", 0.0)
-    monkeypatch.setattr("bench.live.RECONNECT", 3.0)
+    monkeypatch.setattr("bench.device.client.REOPEN_PERIOD", 0.0)
+    monkeypatch.setattr("bench.live.run.RECONNECT", 3.0)
     ended = run(Pulled(simulated(), 0.5), speed_rpm=None, duration=100.0)
     assert ended.exit_code == 1
     assert ended.summary.link["downtime_s"] == pytest.approx(3.0, abs=0.1)

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 from collect import Bench, Collector
 from virtual_run import WatchedLink, run, simulated
 
-from bench.augment import AugmentedSinks, Augmenter, host_channels
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.estimators import Estimators
+from bench.observers.augment import AugmentedSinks, Augmenter, host_channels
+from bench.observers.estimators import Estimators
 from bench.rerunio.recording import read_run
 from protocol.descriptor import Channel
 from protocol.messages import DriveState
@@ -59,7 +59,7 @@ def test_what_cannot_be_estimated_is_told_before_anything_turns(options: dict[st
 
 def test_a_wrong_name_is_refused_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
-    monkeypatch.setattr("bench.live.open_link", asked.append)
+    monkeypatch.setattr("bench.live.run.open_link", asked.append)
     options = ["live", "sim", "--viewer", "none", "--duration", "1", "--estimate", "vector-trackin"]
     done = CliRunner().invoke(cli, options)
     assert "no observer 'vector-trackin' (did you mean vector_tracking?)" in str(done.exception)

@@ -12,18 +12,18 @@ import can.interfaces
 import pytest
 from virtual_run import RecordingScreen
 
-from bench import live
-from bench.bus import BusMeter, bus_rows
 from bench.cli import main
-from bench.client import Client
+from bench.device.bus import BusMeter, bus_rows
+from bench.device.client import Client
+from bench.device.scan import scan
 from bench.errors import BenchError, DoesNotFit
-from bench.scan import scan
-from bench.summary import Summary
+from bench.live import run as live
+from bench.live.summary import Summary
 from protocol.canmap.frame import BusRates
 from protocol.errors import LinkClosed, NoReply, RemoteProtocolError
 from protocol.links import open_link
 from protocol.messages import Role
-from sim.drive.server import ServeOptions, serving
+from sim.ports.server import ServeOptions, serving
 
 PATIENT = {"firmware.watchdog": 1.0, "load.watchdog": 1.0}
 

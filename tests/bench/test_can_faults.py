@@ -16,10 +16,10 @@ from virtual_run import WatchedLink
 from protocol.canmap.frame import EXTENDED, REMOTE, BusRates
 from protocol.messages import DriveState, Fault
 from protocol.streams import EdgeChunk, SampleChunk
-from sim.drive.can_bus import State
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import CanNetwork
-from sim.params import load_params
+from sim.config.params import load_params
+from sim.ports.can_bus import State
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import CanNetwork
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)

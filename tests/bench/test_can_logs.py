@@ -21,8 +21,8 @@ import pytest
 from collect import Bench
 from processes import LIMIT, Program
 
-from bench.dbc import NodeStream, configured_streams, dbc_text
-from bench.node import Node
+from bench.device.dbc import NodeStream, configured_streams, dbc_text
+from bench.device.node import Node
 from protocol.canmap.frame import CAN_RECORD, EXTENDED, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.host import HostSession
@@ -30,12 +30,12 @@ from protocol.links import parse_target
 from protocol.links.can_message import to_messages, to_record
 from protocol.streams import EdgeChunk, LossCounters, SampleChunk
 from protocol.wire import Decoder, StreamFrames
-from sim.drive.can_ports import SocketcandPort
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import CanNetwork
-from sim.drive.slcan_port import SlcanPort
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.config.params import load_params
+from sim.ports.can_ports import SocketcandPort
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import CanNetwork
+from sim.ports.slcan_port import SlcanPort
+from sim.ports.virtual import VirtualLink
 
 EPOCH = 1_700_000_000.0  # s: when a recording begins, for formats that want a date
 PORTION = 500  # frames that a link reads at once

@@ -15,20 +15,19 @@ from collect import Bench
 from processes import Program, Sim
 
 from bench.cli import main
-from bench.client import Client
-from bench.dbc import ENCODING, NodeStream, configured_streams, dbc_text
-from bench.errors import DoesNotFit
-from bench.node import Node
+from bench.device.client import Client
+from bench.device.dbc import ENCODING, NodeStream, configured_streams, dbc_text
+from bench.device.node import Node
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.descriptor import Channel
 from protocol.links import open_link
 from protocol.messages import StreamEvent
 from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Flag, RawType, Unit
 from protocol.streams import StreamConfig
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import CanNetwork
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import CanNetwork
+from sim.ports.virtual import VirtualLink
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
@@ -302,39 +301,12 @@ class Watched:
         return Bench(self.link)
 
     def dbc(self, capsysbinary: pytest.CaptureFixture[bytes], target: str) -> Load:
-        with patch("bench.dbc.open_link", lambda named: self.link):
+        with patch("bench.device.dbc.open_link", lambda named: self.link):
             main(["protocol", "dbc", target])
         self.link.reopen()
         out, err = capsysbinary.readouterr()
         assert err == b""
         return load(out.decode("cp1252"))
-
-
-@pytest.mark.parametrize("options", [(), ("--fd",), ("--ext",), ("--fd", "--ext")])
-def test_the_simulated_drive_sends_what_is_written_without_a_target(
-    options: tuple[str, ...], capsysbinary: pytest.CaptureFixture[bytes]
-) -> None:
-    rates, extended = FD if "--fd" in options else CLASSIC, "--ext" in options
-    watched = Watched(rates, extended)
-    watched.bench().stream(("i_a", "hall", "i_b", "theta_enc", "i_c"), 8)
-    there = watched.dbc(capsysbinary, f"can:virtual/x?ext={int(extended)}")
-    main(["protocol", "dbc", "--channels", "i_a,hall, i_b,theta_enc,i_c", "--rate", "2000", *options])
-    here = load(capsysbinary.readouterr().out.decode("cp1252"))
-    assert sorted(described(here), key=str) == sorted(described(there), key=str)
-
-
-def test_all_channels_as_quick_as_the_bus_carries(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
-    """The next quicker rate is refused by the simulated drive."""
-    main(["protocol", "dbc"])
-    text = capsysbinary.readouterr().out.decode("cp1252")
-    names = {s.name for m in load(text).messages if "samples" in m.name for s in m.signals} - {"ctr"}
-    assert names == {c.name for c in DRIVE_CHANNELS if not c.flags & Flag.ON_REQUEST}
-    decimation = int(re.findall(r"decimation (\d+)", text)[0])
-    bench = Watched(CLASSIC).bench()
-    bench.drive.set_edges()
-    with pytest.raises(DoesNotFit):
-        bench.drive.set_samples(bench.drive.channels(None), decimation - 1)
-    bench.drive.set_samples(bench.drive.channels(None), decimation)
 
 
 def numbers(frames: list[bytes]) -> np.ndarray:
@@ -379,13 +351,18 @@ def test_streams_of_every_node_that_is_there(capsysbinary: pytest.CaptureFixture
 
 
 def test_written_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that is there is kept without --overwrite."""
     path = tmp_path / "drive.dbc"
-    main(["protocol", "dbc", "-o", str(path), "--fd", "--channels", "tau_e_true"])
+    path.write_text("mine")
+    assert "exists" in refusal(capsys, "can:virtual/x", "-o", str(path))
+    assert path.read_text() == "mine"
+    watched = Watched(FD)
+    watched.bench().stream(("tau_e_true",), 1)
+    with patch("bench.device.dbc.open_link", lambda named: watched.link):
+        main(["protocol", "dbc", "can:virtual/x?fd=1", "-o", str(path), "--overwrite"])
     database = cantools.database.load_file(path)  # as cp1252, by its default
     assert isinstance(database, Load)
     assert database.messages[0].signals[1].unit == "N·m"
-    main(["protocol", "dbc", "-o", str(path), "--overwrite", "--channels", "i_a"])
-    assert "i_a" in path.read_text("cp1252")
     assert capsys.readouterr().out == ""
 
 
@@ -405,36 +382,12 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     [
         (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is no CAN bus"),
         (("serial:/dev/ttyACM0",), "can:socketcan/can0"),
-        (("can:virtual/x", "--fd"), "go without TARGET"),
-        (("can:virtual/x", "--channels", "i_a"), "go without TARGET"),
-        (("--channels", "thetaenc"), "no channel 'thetaenc': did you mean theta_enc?"),
-        (("--channels", "voltage"), "it has hall, status,"),
-        (("--channels", ","), "--channels names none"),
-        (("--rate", "7000"), "the nearest is 8000 Hz"),
-        (("--rate", "1e9"), "the nearest is 16000 Hz"),
-        (("--rate", "1e-9"), "the lowest is 0.244144 Hz"),
-        (("--rate", "0"), "must be above 0"),
-        (("--rate", "8000"), "26 channels at 8000 Hz do not fit CAN at 1 Mbit/s; they would at --rate "),
-        (("-o", "/nowhere/x.dbc"), "-o /nowhere/x.dbc cannot be written: there is no directory /nowhere"),
+        ((), "Missing argument 'TARGET'"),
+        (("can:virtual/x", "-o", "/nowhere/x.dbc"), "/nowhere/x.dbc cannot be written: there is no directory /nowhere"),
     ],
 )
 def test_refusals(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], says: str) -> None:
     assert says in refusal(capsys, *arguments)
-
-
-def test_the_rate_that_would_fit_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
-    channels = ("--channels", "theta_enc,i_a,i_b,i_c")
-    rate = re.search(r"--rate ([0-9.]+)", refusal(capsys, "--rate", "16000", *channels))
-    assert rate is not None
-    main(["protocol", "dbc", "--rate", rate.group(1), *channels])
-    assert f"{rate.group(1)} samples/s" in capsys.readouterr().out
-
-
-def test_a_file_that_exists_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "drive.dbc"
-    path.write_text("mine")
-    assert "exists" in refusal(capsys, "-o", str(path))
-    assert path.read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -445,7 +398,7 @@ def test_a_bus_without_streams_or_devices(capsys: pytest.CaptureFixture[str], ex
     """There is none where the devices have identifiers of the other length."""
     watched = Watched(CLASSIC)
     watched.link.wire = CanNetwork(CLASSIC, extended).wire  # type: ignore[method-assign]
-    with patch("bench.dbc.open_link", lambda named: watched.link):
+    with patch("bench.device.dbc.open_link", lambda named: watched.link):
         assert says in refusal(capsys, "can:virtual/x")
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.client import Client
-from bench.embedded import EmbeddedDrive
+from bench.device.client import Client
+from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError
 from protocol.links import open_link
 

@@ -11,7 +11,7 @@ from collect import Bench, Collector, cut, feed
 from virtual_run import WatchedLink, run, simulated
 
 from bench.errors import BenchError
-from bench.estimators import CHECKED, Estimators, HostObservers, all_for
+from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
 from protocol.signals import SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap

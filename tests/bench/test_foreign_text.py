@@ -20,11 +20,11 @@ import pytest
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
-from bench.markdown import escaped, table
+from bench.rerunio.markdown import escaped, table
 from bench.rerunio.recording import read_run
 from protocol.descriptor import Descriptor
 from protocol.messages import Feature
-from sim.drive.device import SimulatedDevice
+from sim.ports.device import SimulatedDevice
 
 NAME = "\x1b]0;pwn\x07[red]x"
 FIRMWARE = "\u202e\x9b2J|`<b>"
@@ -116,7 +116,7 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
         code = 0
         with ExitStack() as stack:
             stack.enter_context(reached_by(Talking(device)))
-            for opener in ("bench.acceptance.targets.open_link", "protocol.links.open_link"):
+            for opener in ("bench.rig.targets.open_link", "protocol.links.open_link"):
                 stack.enter_context(patch(opener, lambda target: Talking(device)))
             with Terminal() as terminal:
                 terminal.type(reply)

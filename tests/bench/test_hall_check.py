@@ -25,8 +25,8 @@ from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from protocol.messages import DriveState, Fault, SetpointMode
-from sim.drive.device import SimulatedDevice
-from sim.drive.virtual import VirtualLink
+from sim.ports.device import SimulatedDevice
+from sim.ports.virtual import VirtualLink
 
 TARGET = "serial:/dev/ttyHALL"
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
@@ -127,7 +127,7 @@ def reached(device: SimulatedDevice, on_call: object = None) -> Iterator[list[Wa
         links.append(WatchedLink(device, on_call or (lambda number: None)))  # type: ignore[arg-type]
         return links[-1]
 
-    with patch("bench.acceptance.targets.open_link", link):
+    with patch("bench.rig.targets.open_link", link):
         yield links
 
 

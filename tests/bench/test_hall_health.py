@@ -196,7 +196,7 @@ def test_two_false_pulses_are_none_and_many_are_a_fault():
 
 
 def test_a_report_fits_a_terminal_and_its_json_says_the_same():
-    from bench.hall.live import Turned
+    from bench.hall.turning import Turned
 
     for motor in (
         REAL,

@@ -13,15 +13,15 @@ from hall_motor import Motor, capture
 from virtual_run import simulated
 
 from bench.cli import main
-from bench.client import Client
+from bench.device.client import Client
+from bench.device.node import LOAD, Node
 from bench.errors import BenchError, NodeError
 from bench.hall.health import examine
 from bench.hall.learn import Learnt, learnt, save, write
 from bench.hall.trace import trace
-from bench.node import LOAD, Node
-from sim.drive.device import SimulatedDevice
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
+from sim.ports.virtual import VirtualLink
 
 TARGET = "serial:/dev/ttyLEARN"
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
@@ -30,7 +30,7 @@ REAL = Motor(delta_deg=TABLE_I, hysteresis_deg=0.5, jitter_deg=0.05)
 
 
 def learn(device: SimulatedDevice, *arguments: str) -> None:
-    with patch("bench.acceptance.targets.open_link", lambda target: VirtualLink(device)):
+    with patch("bench.rig.targets.open_link", lambda target: VirtualLink(device)):
         main(["hall", "learn", TARGET, *arguments])
 
 

@@ -24,7 +24,7 @@ import pytest
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import on_terminal
 
-from bench.interrupts import none_dropped
+from bench.rig.interrupts import none_dropped
 
 MOMENTS = int(os.environ.get("HALLBENCH_INTERRUPTS", "11"))
 AT_ONCE = 3  # processes: more would starve each other
@@ -194,7 +194,7 @@ def test_ctrl_c_within_an_import_waits_until_it_is_done(
 
 def test_ctrl_c_ends_what_an_import_itself_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"imported_{uuid.uuid4().hex}"
-    lines = "import signal\nfrom bench.interrupts import none_dropped\nwith none_dropped():\n"
+    lines = "import signal\nfrom bench.rig.interrupts import none_dropped\nwith none_dropped():\n"
     (tmp_path / f"{name}.py").write_text(f"{lines}    signal.raise_signal(signal.SIGINT)\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(KeyboardInterrupt):

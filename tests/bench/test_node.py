@@ -15,17 +15,17 @@ from collect import Bench
 from processes import Sim
 from virtual_run import NETWORKS, WatchedLink, simulated
 
-from bench.client import Client
+from bench.device.client import Client
+from bench.device.node import Node
 from bench.errors import NodeError
-from bench.node import Node
 from protocol.canmap.frame import BusRates
 from protocol.errors import LinkClosed, NoReply, Refused
 from protocol.links import open_link
 from protocol.messages import DriveState, EventCode, Fault, Feature, Role
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
 from protocol.streams import SampleChunk
-from sim.drive.device import SimulatedDevice
-from sim.drive.server import ServeOptions, serving
+from sim.ports.device import SimulatedDevice
+from sim.ports.server import ServeOptions, serving
 
 FD = BusRates(1_000_000, 5_000_000)
 PATIENT = {"firmware.watchdog": 1.0, "load.watchdog": 1.0}

@@ -350,8 +350,8 @@ def test_an_error_that_is_not_foreseen_is_one_line_and_no_verdict_on_the_drive(
     def broken(target: str) -> None:
         raise KeyError("n_p\x1b[2J")
 
-    monkeypatch.setattr("bench.inspect.scan", broken)
-    monkeypatch.setattr("bench.inspect.Client", broken)
+    monkeypatch.setattr("bench.device.description.scan", broken)
+    monkeypatch.setattr("bench.device.description.Client", broken)
     monkeypatch.delenv("BENCH_TRACEBACK", raising=False)
     code, out, err = bench("info", "serial:x")
     assert (code, out) == (2, "")

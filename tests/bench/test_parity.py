@@ -14,11 +14,11 @@ import pytest
 from collect import Bench, feed
 from virtual_run import WatchedLink, simulated
 
-from bench.estimators import CHECKED, Estimators, HostObservers, raw_counts
+from bench.live.summary import RunStatistics
+from bench.observers.estimators import CHECKED, Estimators, HostObservers, raw_counts
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
-from bench.summary import RunStatistics
 from protocol.messages import Fault
 from protocol.signals import AngleSource, Status
 from sim.observers.catalogue import CATALOGUE

@@ -20,9 +20,9 @@ from processes import ENVIRONMENT, LIMIT
 from virtual_run import physical
 
 from protocol.messages import DriveState
-from sim.drive.device import SimulatedDevice
-from sim.drive.ports import PtyPort
-from sim.drive.server import STEP, Server
+from sim.ports.byte_ports import PtyPort
+from sim.ports.device import SimulatedDevice
+from sim.ports.server import STEP, Server
 
 
 class PhysicalDrive:

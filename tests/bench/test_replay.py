@@ -13,8 +13,8 @@ from collect import cut
 
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.estimators import Estimators, raw_counts
-from bench.replay import part, replay
+from bench.observers.estimators import Estimators, raw_counts
+from bench.observers.replay import part, replay
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.sinks import FileSink
 from protocol.signals import Flag, Status

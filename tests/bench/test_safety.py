@@ -9,15 +9,15 @@ import signal
 import pytest
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
 
+from bench.analysis.position import position_errors
+from bench.device.node import Node
 from bench.errors import BenchError, Interrupted, UnsafeError
-from bench.interrupts import signals_as_exceptions, undisturbed
-from bench.node import Node
-from bench.statistics import position_errors
+from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
 from protocol.messages import Command, DriveState, Fault, MessageType
-from sim.drive.device import SimulatedDevice
+from sim.ports.device import SimulatedDevice
 
 
 def handled(number: signal.Signals) -> object:
@@ -155,7 +155,7 @@ def failing_after(samples: int, error: Exception, times: int = 1):
 def test_an_exception_inside_the_run_ends_in_stop(
     monkeypatch: pytest.MonkeyPatch, error: Exception, times: int
 ) -> None:
-    monkeypatch.setattr("bench.summary.position_errors", failing_after(3000, error, times))
+    monkeypatch.setattr("bench.live.summary.position_errors", failing_after(3000, error, times))
     link = WatchedLink(simulated())
     with pytest.raises(type(error)):
         run(link, load_a=1.0, duration=1.0)
@@ -194,7 +194,7 @@ def test_a_sink_that_fails_during_the_stop_itself_keeps_no_node_on(monkeypatch: 
 
     fails = failing_after(-1, BenchError("the disk is full"), times)
     monkeypatch.setattr(Node, "stop", noted)
-    monkeypatch.setattr("bench.summary.position_errors", lambda chunk: fails(chunk) if stopping else {})
+    monkeypatch.setattr("bench.live.summary.position_errors", lambda chunk: fails(chunk) if stopping else {})
     with pytest.raises(BenchError, match="the disk is full"):
         run(link, load_a=1.0, duration=0.2)
     assert len(stopping) == 2  # the load machine too
@@ -235,7 +235,7 @@ class Cable(WatchedLink):
 
 @pytest.fixture
 def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.client.REOPEN_PERIOD", 0.0)
+    monkeypatch.setattr("bench.device.client.REOPEN_PERIOD", 0.0)
 
 
 @pytest.mark.usefixtures("no_waiting")

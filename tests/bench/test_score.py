@@ -17,9 +17,10 @@ from click.testing import CliRunner, Result
 from processes import ENVIRONMENT, LIMIT
 from recorded import N_P, PWM_HZ, record_made_up
 
+from bench.analysis.position import wrap
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.replay import part
+from bench.observers.replay import part
 from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
 from bench.score import expect
@@ -27,7 +28,6 @@ from bench.score.board import Scoreboard, flat, score
 from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
 from bench.score.report import as_html
 from bench.score.table import HEADERS, LEGEND, as_text
-from bench.statistics import wrap
 from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from bench.show import SHOW, Act, timed
+from bench.live.manoeuvres import SHOW, Act, timed
 
 WHOLE = sum(act.seconds for act in SHOW)
 

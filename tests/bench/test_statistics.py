@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from bench.statistics import DeviceCounters, Moments, Percentiles, wrap
+from bench.analysis.percentiles import Percentiles
+from bench.analysis.position import Moments, wrap
+from bench.device.counters import DeviceCounters
 from protocol.messages import DriveState, Fault, Heartbeat
 
 

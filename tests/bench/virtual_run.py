@@ -1,4 +1,4 @@
-"""`bench.live.run` on a simulated bench in virtual time, in this process: its options, its screen, its link."""
+"""`bench.live.run.run` on a simulated bench in virtual time, in this process: its options, its screen, its link."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from unittest.mock import patch
 
-from bench import live
-from bench.summary import Summary
+from bench.live import run as live
+from bench.live.summary import Summary
 from protocol.canmap.frame import BusRates
 from protocol.links import Link
 from protocol.messages import DriveState, Feature
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import CanNetwork
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import CanNetwork
+from sim.ports.virtual import VirtualLink
 
 TARGET = "serial:/dev/ttyTEST"
 
@@ -78,7 +78,10 @@ class WatchedLink(VirtualLink):
 @contextmanager
 def reached_by(link: Link) -> Iterator[None]:
     """Whatever target is opened, it is this link."""
-    with patch("bench.live.open_link", lambda target: link), patch("bench.inspect.open_link", lambda target: link):
+    with (
+        patch("bench.live.run.open_link", lambda target: link),
+        patch("bench.device.description.open_link", lambda target: link),
+    ):
         yield
 
 

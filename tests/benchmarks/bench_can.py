@@ -14,14 +14,14 @@ from collections.abc import Sequence
 import cantools
 import numpy as np
 
-from bench.dbc import NodeStream, dbc_text
+from bench.device.dbc import NodeStream, dbc_text
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.descriptor import Descriptor
-from protocol.device_app import DeviceApp, Identity
-from protocol.device_tx import TxQueue
+from protocol.device.app import DeviceApp, Identity
+from protocol.device.tx import TxQueue
 from protocol.messages import Role, StreamEvent, StreamSet
 from protocol.signals import DRIVE_CHANNELS, Signal
 from protocol.streams import StreamConfig, TickReference

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.descriptor import Descriptor
-from protocol.device_app import Identity
-from protocol.device_carrier import ByteCarrier
-from protocol.device_streams import StreamTable
-from protocol.device_tx import TxQueue
+from protocol.device.app import Identity
+from protocol.device.carrier import ByteCarrier
+from protocol.device.streams import StreamTable
+from protocol.device.tx import TxQueue
 from protocol.host import HostSession
 from protocol.messages import Role, StreamEvent, StreamSet
 from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit

@@ -11,17 +11,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.client import Client
-from bench.estimators import Estimators
-from bench.node import DRIVE, LOAD, Node
-from bench.replay import WINDOW, part, replay
+from bench.device.client import Client
+from bench.device.node import DRIVE, LOAD, Node
+from bench.observers.estimators import Estimators
+from bench.observers.replay import WINDOW, part, replay
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
 from bench.score.board import score
-from sim.drive.virtual import VirtualLink
+from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
-from sim.params import load_params
+from sim.ports.virtual import VirtualLink
 from tests.benchmarks.table import Row
 
 SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, ten seconds each

@@ -16,14 +16,14 @@ import sys
 import time
 from pathlib import Path
 
-from bench.client import Client
-from bench.node import DRIVE, LOAD, Node
+from bench.device.client import Client
+from bench.device.node import DRIVE, LOAD, Node
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EdgeChunk, SampleChunk
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
-from sim.drive.virtual import VirtualLink
-from sim.params import load_params
+from sim.ports.virtual import VirtualLink
 from tests.benchmarks.table import Row
 
 OMEGA_M = 500 * math.tau / 60  # rad/s

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from protocol.canmap.frame import BRS, CAN_RECORD, FDF, RECORD_BYTES, BusRates
 from protocol.canmap.slcan import SlcanParser, encode
 from protocol.links.slcan_bus import SlcanBus
-from sim.drive.slcan_port import SlcanPort
+from sim.ports.slcan_port import SlcanPort
 from tests.benchmarks.table import Row
 
 FEED = 8192  # bytes

@@ -10,7 +10,7 @@ from small_drive import CHANNELS, TICKS, SmallDrive, identity, samples, small_li
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
-from protocol.device import DeviceLink, TxQueue
+from protocol.device.session import DeviceLink, TxQueue
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.streams import pack_edges
 from protocol.wire import ByteWire, HostWire

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocol.device import DeviceLink, DeviceSession, Identity, TxQueue
+from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
 from protocol.messages import DriveState, ErrorCode, Fault, Feature, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit

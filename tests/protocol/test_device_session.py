@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_drive import DEFAULTS, PARAMETERS, SmallDrive, identity, small_link
 
-from protocol.device import DeviceLink, DeviceSession
+from protocol.device.session import DeviceLink, DeviceSession
 from protocol.errors import Refused
 from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import (

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_drive import CHANNELS, TICKS, SmallDrive, identity, samples, small_link
 
 from protocol.descriptor import Descriptor
-from protocol.device import DeviceLink, DeviceSession, TxQueue
+from protocol.device.session import DeviceLink, DeviceSession, TxQueue
 from protocol.errors import Refused
 from protocol.framing import Deframer, encoded_length
 from protocol.messages import ErrorCode, Feature, StreamEvent, StreamReply, StreamSet

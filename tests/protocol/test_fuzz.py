@@ -11,7 +11,7 @@ from cobs import cobs
 from small_drive import TICKS, SmallDrive, samples, small_link
 
 from protocol.descriptor import Descriptor
-from protocol.device import DeviceLink, DeviceSession, TxQueue
+from protocol.device.session import DeviceLink, DeviceSession, TxQueue
 from protocol.framing import MAJOR, Deframer, Frame, encode_frame
 from protocol.host import HostSession
 from protocol.messages import (

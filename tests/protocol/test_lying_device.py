@@ -15,11 +15,12 @@ from dataclasses import dataclass, fields
 import pytest
 from lying_link import LyingCanLink, LyingLink
 
-from bench.client import Client
+from bench.device.client import Client
+from bench.device.description import inspect_node
+from bench.device.node import Node
 from bench.errors import BenchError
-from bench.inspect import inspect_node
-from bench.node import Node
-from bench.summary import CpuMeter, RunStatistics, finite, summarise
+from bench.files import finite
+from bench.live.summary import CpuMeter, RunStatistics, summarise
 from protocol.errors import HbpError
 from protocol.framing import Frame
 from protocol.messages import REPLIES, UNSOLICITED, BlobReply, ErrorReply, Fault, MessageType, Payload

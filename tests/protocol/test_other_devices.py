@@ -11,12 +11,12 @@ from click.testing import CliRunner
 from lying_link import LyingLink
 from small_drive import PARAMETERS, SmallDrive, identity, small_link
 
-from bench import inspect
 from bench.cli.info import command
-from bench.client import Client
+from bench.device import description as inspect
+from bench.device.client import Client
+from bench.device.node import Node
 from bench.errors import DoesNotFit, NodeError
-from bench.node import Node
-from protocol.device import DeviceLink
+from protocol.device.session import DeviceLink
 from protocol.errors import DeviceDefect
 from protocol.framing import Frame
 from protocol.messages import HelloReply, MessageType, Role

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from small_drive import CHANNELS, TICKS, samples, small_link
 
 from protocol.descriptor import Descriptor
-from protocol.device import TxQueue
+from protocol.device.session import TxQueue
 from protocol.errors import RemoteProtocolError
 from protocol.messages import StreamEvent, StreamReply, StreamSet
 from protocol.streams import (

@@ -11,10 +11,10 @@ import pytest
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, Status
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick import LOG_FIELDS
 from sim.observers import bank
-from sim.params import load_params
 
 PWM_HZ = 16_000
 ENCODER, AVERAGE, VECTOR = 0, 1, 2

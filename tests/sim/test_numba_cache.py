@@ -76,8 +76,8 @@ def test_unwritable_cache_still_compiles(monkeypatch: pytest.MonkeyPatch) -> Non
 
 STORM = """
 import random, signal, sys, time
-from bench.estimators import HostObservers
-from sim.params import load_params
+from bench.observers.estimators import HostObservers
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 
 class Stop(BaseException):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource
-from sim.params import BenchParams, ConfigError, load_params
+from sim.config.params import BenchParams, ConfigError, load_params
 
 
 def test_defaults_are_the_papers_motor() -> None:

@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.acceptance.capture import F64, Capture
-from bench.acceptance.style import (
+from bench.analysis.capture import F64, Capture
+from bench.analysis.units import RPM
+from bench.reports.style import (
     BLACK,
     GREEN,
     GREY,
@@ -27,7 +28,6 @@ from bench.acceptance.style import (
     new_figure,
     time_axes,
 )
-from bench.energise import RPM
 
 MARKS = ((BLACK, (0, (1, 1))), (GREY, "--"), (BLACK, "-."), (GREY, "-"))
 """Colour and dashes of the first mark, the second …"""

@@ -13,8 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from bench.acceptance.capture import F64, Capture
-from bench.acceptance.style import (
+from bench.analysis.capture import F64, Capture
+from bench.analysis.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
+from bench.reports.style import (
     BLACK,
     BLUE,
     FONT_SIZE,
@@ -31,7 +32,6 @@ from bench.acceptance.style import (
     new_figure,
     wrapped_degrees,
 )
-from bench.acceptance.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
 
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
 

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.acceptance.capture import F64
-from bench.acceptance.style import BLUE, GREY, ORANGE, axis_labels, legend_above, new_figure
+from bench.analysis.capture import F64
+from bench.reports.style import BLUE, GREY, ORANGE, axis_labels, legend_above, new_figure
 
 Complex = NDArray[np.complex128]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.acceptance.capture import Capture
-from bench.acceptance.style import (
+from bench.analysis.capture import Capture
+from bench.reports.style import (
     axis_labels,
     column_title,
     degrees_axis,

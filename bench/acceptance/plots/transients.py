@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from bench.acceptance import style
-from bench.acceptance.capture import F64, Capture
-from bench.energise import RPM
+from bench.analysis.capture import F64, Capture
+from bench.analysis.units import RPM
+from bench.reports import style
 
 
 class Transient(NamedTuple):

@@ -20,7 +20,7 @@ from bench.acceptance.report_files import keep_only
 from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest, untested
 from bench.errors import BenchError
 from bench.files import write
-from bench.words import counted
+from protocol.text import counted
 
 NAME = "report.html"
 MOST_ROWS = 12  # a test of more measurements shows those that did not pass and folds the others

@@ -11,7 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from bench.acceptance.results import Limits, Measurement, Verdict
+from bench.acceptance.results import Measurement, Verdict
+from bench.analysis.limits import Limits
 from protocol.signals import SOURCE_NAMES
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for

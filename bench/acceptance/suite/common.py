@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 
-from bench.acceptance.capture import F64, Capture
-from bench.acceptance.drive import Drive, DriveTripped
 from bench.acceptance.plots.transients import Transient
-from bench.acceptance.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
-from bench.acceptance.wiring import AS_SPECIFIED, diagnose
-from bench.energise import RPM
-from bench.needs import offers
+from bench.analysis.capture import F64, Capture
+from bench.analysis.units import RPM
+from bench.analysis.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
+from bench.analysis.wiring import AS_SPECIFIED, diagnose
+from bench.rig.drive import Drive, DriveTripped
+from bench.rig.needs import offers
 
 if TYPE_CHECKING:
     from bench.acceptance.fixtures import Record

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance.capture import F64, Capture
 from bench.acceptance.suite.common import rpm
+from bench.analysis.capture import F64, Capture
 from protocol.codes import DriveState
 from protocol.signals import STATUS_STATE_MASK
 

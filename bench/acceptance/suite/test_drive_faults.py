@@ -15,7 +15,6 @@ import pytest
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
 from bench.acceptance.suite.common import PROPOSED, TURNS, VECTOR, Figure, Measure, error_deg, own_angle, rpm
 from bench.acceptance.suite.events import (
@@ -31,7 +30,8 @@ from bench.acceptance.suite.events import (
     stepped,
     tripped,
 )
-from bench.acceptance.wiring import AS_SPECIFIED, diagnose
+from bench.analysis.wiring import AS_SPECIFIED, diagnose
+from bench.rig.loads import Load, NodeLoad
 from protocol.codes import DriveState
 
 WATCHDOG = 0.2  # s, of a drive without a parameter for it, by the specification

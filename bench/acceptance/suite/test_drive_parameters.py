@@ -11,7 +11,6 @@ import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import Load
 from bench.acceptance.plots.hall import SECTORS
 from bench.acceptance.suite.common import (
     PROPOSED,
@@ -26,7 +25,8 @@ from bench.acceptance.suite.common import (
     whole_turns,
 )
 from bench.acceptance.suite.events import current
-from bench.acceptance.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.rig.loads import Load
 
 PHASES = ("channel:i_a", "channel:i_b", "channel:i_c")
 REST = 0.01  # electrical rad/s below which the shaft is at rest, by what the drive says

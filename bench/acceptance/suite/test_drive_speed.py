@@ -13,7 +13,6 @@ import pytest
 
 from bench.acceptance import RPM, Capture, Drive, energises, limit, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.drive import draw_run
 from bench.acceptance.suite.common import (
     PROPOSED,
@@ -28,7 +27,8 @@ from bench.acceptance.suite.common import (
     settle,
 )
 from bench.acceptance.suite.events import GONE, current, currents_gone, first, largest, speed, states, stepped
-from bench.acceptance.waveforms import settled
+from bench.analysis.waveforms import settled
+from bench.rig.loads import Load, NodeLoad
 from protocol.codes import DriveState
 
 

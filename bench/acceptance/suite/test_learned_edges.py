@@ -13,7 +13,6 @@ import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import NodeLoad
 from bench.acceptance.plots.by_speed import Panel, draw_by_speed
 from bench.acceptance.plots.transients import draw_transient
 from bench.acceptance.suite.common import (
@@ -31,6 +30,7 @@ from bench.acceptance.suite.common import (
     thd_of_current,
     whole_turns,
 )
+from bench.rig.loads import NodeLoad
 
 pytestmark = needs(*PAPER, "observer:learned-edges")
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import Load, NodeLoad
 from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
 from bench.acceptance.plots.response import draw_bode
 from bench.acceptance.plots.steady import draw_steady
@@ -34,7 +33,8 @@ from bench.acceptance.suite.common import (
     turn_both_ways,
     whole_turns,
 )
-from bench.acceptance.waveforms import BACKWARDS, FORWARDS, sine_response
+from bench.analysis.waveforms import BACKWARDS, FORWARDS, sine_response
+from bench.rig.loads import Load, NodeLoad
 from protocol.signals import Injection, Status
 
 pytestmark = needs(*PAPER)

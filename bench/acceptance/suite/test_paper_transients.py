@@ -10,7 +10,6 @@ import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.loads import SPEED, Load, NodeLoad, OwnLoad
 from bench.acceptance.plots.transients import LoadAngle, draw_load_angle, draw_transient
 from bench.acceptance.suite.common import (
     AVERAGE,
@@ -32,7 +31,8 @@ from bench.acceptance.suite.common import (
     speed_error,
     whole_turns,
 )
-from bench.acceptance.waveforms import StepResponse, settled, step_response
+from bench.analysis.waveforms import StepResponse, settled, step_response
+from bench.rig.loads import SPEED, Load, NodeLoad, OwnLoad
 
 pytestmark = needs(*PAPER)
 

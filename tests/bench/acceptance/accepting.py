@@ -12,12 +12,13 @@ from unittest.mock import patch
 from virtual_run import RecordingScreen, WatchedLink, at_rest
 
 from bench.acceptance.accept import AcceptOptions, accept
-from bench.acceptance.results import Limits, Measurement, RunResult, TestResult
-from bench.node import DRIVE, SAMPLES
+from bench.acceptance.results import Measurement, RunResult, TestResult
+from bench.analysis.limits import Limits
+from bench.device.node import DRIVE, SAMPLES
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
 from protocol.messages import Command, DriveState, MessageType
-from sim.drive.device import SimulatedDevice
+from sim.ports.device import SimulatedDevice
 
 HEAD = """
 import math
@@ -149,7 +150,7 @@ class Accepting:
         with ExitStack() as stack:
             if link is not None:
                 options = {"target": f"serial:{self.directory}/tty"} | options
-                stack.enter_context(patch("bench.acceptance.targets.open_link", link.open))
+                stack.enter_context(patch("bench.rig.targets.open_link", link.open))
             given = AcceptOptions(**({"tests": (file,)} | options))  # type: ignore[arg-type]
             run, code = accept(given, self.screen)
         return Run(run, code, self.screen)

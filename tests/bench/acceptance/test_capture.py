@@ -13,14 +13,15 @@ from accepting import SpoiltLink
 from numpy.typing import NDArray
 from virtual_run import simulated
 
-from bench.acceptance.capture import Capture, part_of_edges
-from bench.acceptance.results import Limits, Verdict
-from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.running import Running
-from bench.energise import RPM
+from bench.acceptance.measuring import Running
+from bench.acceptance.results import Verdict
+from bench.analysis.capture import Capture, part_of_edges
+from bench.analysis.limits import Limits
+from bench.analysis.units import RPM
 from bench.errors import BenchError
+from bench.rig.rig import Plan, Rig
 from protocol.signals import Flag
-from sim.params import load_params
+from sim.config.params import load_params
 
 RATE, TICK_HZ, PERIOD = 16_000, 20_000_000, 1250
 

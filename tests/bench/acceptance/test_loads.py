@@ -15,21 +15,21 @@ from processes import Sim
 from test_prompt import on_terminal
 from virtual_run import at_rest, physical, simulated
 
-from bench.acceptance.drive import DriveTripped
 from bench.acceptance.faults import HallFaults
-from bench.acceptance.loads import NodeLoad, OwnLoad, PersonLoad, own_load
-from bench.acceptance.marks import Envelope
-from bench.acceptance.needed import missing
-from bench.acceptance.person import Answered, Ask
-from bench.acceptance.rig import Plan, Rig
-from bench.acceptance.settings import Settings
-from bench.acceptance.targets import alone_on, require_agreement
-from bench.energise import RPM
+from bench.acceptance.requirements import missing
+from bench.analysis.units import RPM
+from bench.device.node import Node
 from bench.errors import BenchError, UnsafeError
-from bench.node import Node
+from bench.rig.drive import DriveTripped
+from bench.rig.envelope import Envelope
+from bench.rig.loads import NodeLoad, OwnLoad, PersonLoad, own_load
+from bench.rig.person import Answered, Ask
+from bench.rig.rig import Plan, Rig
+from bench.rig.settings import Settings
+from bench.rig.targets import alone_on, require_agreement
 from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.messages import DriveState, Fault
-from sim.params import load_params
+from sim.config.params import load_params
 
 BRAKE = '''
 from __future__ import annotations
@@ -556,7 +556,7 @@ def test_a_file_with_an_error_in_it_is_one_line(tmp_path: Path) -> None:
 def test_a_device_on_a_link_of_its_own_must_be_a_load_machine() -> None:
     link, other = SpoiltLink(simulated()), SpoiltLink(simulated(seed=2))
     with (
-        patch("bench.acceptance.loads.open_link", other.open),
+        patch("bench.rig.loads.open_link", other.open),
         pytest.raises(BenchError, match=r"^tcp:brake:7000 answers as DRIVE, not as a load machine$"),
         rig_with("tcp:brake:7000", link),
     ):
@@ -596,7 +596,7 @@ def test_a_load_machine_on_a_link_of_its_own_brakes_the_drive() -> None:
     drive, load = (OneNode(link, node, frames, deframer) for node in (1, 2))
     link.reopen()
     with (
-        patch("bench.acceptance.loads.open_link", lambda target: load),
+        patch("bench.rig.loads.open_link", lambda target: load),
         Rig(Plan(lambda: drive, "virtual", Settings(load="tcp:brake:7000"))) as rig,
     ):
         assert isinstance(rig.load, NodeLoad)
@@ -625,8 +625,8 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
         return "load machine" not in question
 
     with (
-        patch("bench.acceptance.targets.open_link", link.open),
-        patch("bench.acceptance.loads.open_link", lambda target: OneNode(other, 2, frames, deframer)),
+        patch("bench.rig.targets.open_link", link.open),
+        patch("bench.rig.loads.open_link", lambda target: OneNode(other, 2, frames, deframer)),
         pytest.raises(UnsafeError, match="not confirmed"),
     ):
         require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)

@@ -14,20 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.acceptance import style
 from bench.acceptance.report import ReportError, words, write_report
-from bench.acceptance.results import (
-    Figure,
-    Limits,
-    Measurement,
-    ParameterValue,
-    Quality,
-    RunResult,
-    TestResult,
-    Verdict,
-)
+from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict
 from bench.acceptance.results import tightest as closest
+from bench.analysis.limits import Limits
 from bench.errors import BenchError
+from bench.reports import style
+from bench.rig.quality import ParameterValue, Quality
 
 BLOCKS = {"td", "th", "div", "p", "li", "summary", "figure", "h2", "h3", "dd"}
 VOID = {"meta", "col", "img", "wbr", "rect", "br"}

@@ -14,10 +14,7 @@ from hypothesis import strategies as st
 
 from bench.acceptance.results import (
     Figure,
-    Limits,
     Measurement,
-    ParameterValue,
-    Quality,
     RunResult,
     TestResult,
     Verdict,
@@ -26,6 +23,8 @@ from bench.acceptance.results import (
     to_json,
     worst,
 )
+from bench.analysis.limits import Limits
+from bench.rig.quality import ParameterValue, Quality
 
 texts = st.text(max_size=20)
 finite = st.floats(allow_nan=False, allow_infinity=False)

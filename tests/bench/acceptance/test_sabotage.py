@@ -22,11 +22,11 @@ from virtual_run import at_rest
 
 from bench.acceptance.accept import AcceptOptions, accept
 from bench.acceptance.results import Verdict
-from protocol.device_state import StateMachine
+from protocol.device.state import StateMachine
 from protocol.signals import MILLI
-from sim.drive.device import SimulatedDevice
+from sim.config.params import load_params
 from sim.drive.machine import Recorded, SimulatedBench
-from sim.params import load_params
+from sim.ports.device import SimulatedDevice
 
 SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
 BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
@@ -83,7 +83,7 @@ class Workshop:
 
         screen = Screen()
         with (
-            patch("sim.drive.virtual.open_virtual", open_virtual),
+            patch("sim.ports.virtual.open_virtual", open_virtual),
             patch.object(SimulatedBench, "advance", watched),
         ):
             result, code = accept(AcceptOptions(config=file, keyword=keyword), screen)

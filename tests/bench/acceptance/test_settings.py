@@ -10,9 +10,9 @@ from accepting import Accepting, SpoiltLink
 from virtual_run import simulated
 
 from bench.acceptance.accept import closing_lines
-from bench.acceptance.settings import Settings, read_settings
-from bench.acceptance.targets import target_of
 from bench.errors import BenchError
+from bench.rig.settings import Settings, read_settings
+from bench.rig.targets import target_of
 
 TESTS = """
 @limit("spread", "deg", lo=1, hi=2)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.optimize import brentq
 
-from bench.acceptance.waveforms import (
+from bench.analysis.waveforms import (
     BACKWARDS,
     FORWARDS,
     by_sector,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bench.acceptance.wiring import diagnose
+from bench.analysis.wiring import diagnose
 
 Floats = NDArray[np.float64]
 Levels = NDArray[np.bool_]

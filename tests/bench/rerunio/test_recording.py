@@ -16,10 +16,10 @@ import synthetic
 from rerun.chunk import RrdReader
 
 from bench.errors import RecordingError
-from bench.outputs import Outputs
 from bench.rerunio import schema
 from bench.rerunio.recording import NotARecordingError, read_run
 from bench.rerunio.sinks import FileSink
+from bench.rig.outputs import Outputs
 from protocol.descriptor import Descriptor
 from protocol.messages import DeviceEvent, EventCode, StreamEvent
 from protocol.signals import LOAD_CHANNELS, RawType

@@ -11,7 +11,7 @@ from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
 from protocol.descriptor import Descriptor
-from protocol.device_tx import TxQueue
+from protocol.device.tx import TxQueue
 from protocol.host import Event, HostSession, ReplyReceived, RequestRefused, StreamFrames
 from protocol.messages import BlobRead, Payload, Request, StreamEvent, StreamReply, StreamSet, StreamStart
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig, pack_edges

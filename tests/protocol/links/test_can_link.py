@@ -36,7 +36,7 @@ from protocol.links.can_message import error_kind
 from protocol.links.can_open import bus_arguments
 from protocol.links.slcan_bus import SlcanBus
 from protocol.messages import Hello
-from sim.drive.slcan_port import SlcanPort
+from sim.ports.slcan_port import SlcanPort
 
 CHANNELS = (f"test-{n}" for n in itertools.count())
 

@@ -18,7 +18,7 @@ import pytest
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FD_LENGTHS, FDF, BusRates
 from protocol.links.slcan_bus import SlcanBus
-from sim.drive.slcan_port import SlcanPort
+from sim.ports.slcan_port import SlcanPort
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ESI, EXTENDED, FD_LENGTHS, FDF, REMOTE, BusRates
-from sim.drive.can_bits import arbitration, count_bits, frame_bits, frame_seconds
+from sim.ports.can_bits import arbitration, count_bits, frame_bits, frame_seconds
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)

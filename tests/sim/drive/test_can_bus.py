@@ -23,7 +23,7 @@ from protocol.canmap.frame import (
     BusRates,
 )
 from protocol.errors import LocalProtocolError
-from sim.drive.can_bus import SimulatedBus, State
+from sim.ports.can_bus import SimulatedBus, State
 
 BIT = 1e-6
 CLASSIC = BusRates(1_000_000)

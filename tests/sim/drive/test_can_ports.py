@@ -19,7 +19,7 @@ from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, RECORD_
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import can_open, open_link
 from protocol.links.can import CanLink
-from sim.drive.can_ports import QUIET, BusPort, SocketcandPort
+from sim.ports.can_ports import QUIET, BusPort, SocketcandPort
 
 RATES = BusRates()
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
-from protocol.device_tx import TxQueue
+from protocol.device.tx import TxQueue
 from protocol.errors import Refused
 from protocol.messages import (
     Alive,
@@ -26,10 +26,10 @@ from protocol.messages import (
     SetpointMode,
 )
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS, AngleSource, Flag
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import ByteNetwork
-from sim.drive.virtual import VirtualLink
-from sim.params import BenchParams, ConfigError, load_params
+from sim.config.params import BenchParams, ConfigError, load_params
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import ByteNetwork
+from sim.ports.virtual import VirtualLink
 
 PARAMS = load_params()
 

@@ -6,8 +6,8 @@ import pytest
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import HallSwap
 from protocol.streams import EDGE_ILLEGAL
+from sim.config.params import ConfigError, load_params
 from sim.drive.machine import SimulatedBench
-from sim.params import ConfigError, load_params
 
 CODE_OF_SECTOR = np.array([1, 3, 2, 6, 4, 5])
 SWAPPED = {  # the bits c b a of codes 0..7, written out with two of them exchanged

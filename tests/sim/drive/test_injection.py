@@ -8,8 +8,8 @@ import pytest
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import Injection, Status
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
-from sim.params import load_params
 
 K_P, K_I = 1268.0, 54289.0  # of Fig. 6
 PWM_HZ = 16000

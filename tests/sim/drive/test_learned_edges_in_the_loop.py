@@ -9,9 +9,9 @@ import pytest
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import ANGLE, AngleSource
+from sim.config.params import load_params
 from sim.drive.machine import Recorded, SimulatedBench
 from sim.drive.tick import LOG_FIELDS
-from sim.params import load_params
 
 RPM = 2 * np.pi / 60
 SEEDS = range(20)

@@ -5,8 +5,8 @@ import pytest
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, AngleSource, Status
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
-from sim.params import load_params
 
 SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 

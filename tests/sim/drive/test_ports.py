@@ -11,7 +11,7 @@ import pytest
 
 from protocol.errors import LinkClosed, LinkError, LinkNotFound
 from protocol.links import open_link
-from sim.drive.ports import Port, PtyPort, TcpPort
+from sim.ports.byte_ports import Port, PtyPort, TcpPort
 
 
 def wait(port: Port) -> None:

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
-from protocol.device_tx import TxQueue
+from protocol.device.tx import TxQueue
 from protocol.errors import LinkBusy, LinkClosed, LinkNotFound, TargetError
 from protocol.links import open_link
 from protocol.messages import Command, DriveState, Fault, SetpointMode
-from sim.drive.device import SimulatedDevice
-from sim.drive.networks import ByteNetwork
-from sim.drive.ports import Port, PtyPort, TcpPort
-from sim.drive.server import LATE, LATE_PERIOD, MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
-from sim.params import ConfigError, load_params
+from sim.config.params import ConfigError, load_params
+from sim.ports.byte_ports import Port, PtyPort, TcpPort
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import ByteNetwork
+from sim.ports.server import LATE, LATE_PERIOD, MAX_BEHIND, STEP, Schedule, ServeOptions, Server, parse_override, serve
 
 PARAMS = load_params()
 

@@ -16,7 +16,7 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, EXTENDED, FDF, BusRates
-from sim.drive.slcan_port import MAX_ANSWERS, SlcanPort
+from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)

@@ -11,9 +11,9 @@ import pytest
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Status
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE, angle, clipped, edge_codes, quantised
-from sim.params import load_params
 
 SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 IDEAL = {
@@ -216,7 +216,7 @@ import json, sys
 import numpy as np
 from protocol.messages import SetpointMode, DriveState
 from sim.drive.machine import SimulatedBench
-from sim.params import load_params
+from sim.config.params import load_params
 bench = SimulatedBench(load_params(None, {
     "motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3,
     "firmware.injection.inject": 2, "firmware.injection.inject_hz": 500,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from protocol.messages import DriveState, Fault, SetpointMode
+from sim.config.params import load_params
 from sim.drive import tick_protection as protection
 from sim.drive.machine import SimulatedBench
-from sim.params import load_params
 
 RPM = 2 * np.pi / 60
 PARAMS = protection.make_params(

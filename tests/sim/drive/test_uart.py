@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.drive.uart import Pacer, misread
+from sim.ports.uart import Pacer, misread
 
 EVERY = bytes(range(256))
 

@@ -13,9 +13,9 @@ from protocol.links import Link
 from protocol.messages import SetpointMode, StreamStop
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EDGE_RECORD
+from sim.config.params import ConfigError, load_params
 from sim.drive.machine import SimulatedBench
-from sim.drive.virtual import VirtualLink, open_virtual
-from sim.params import ConfigError, load_params
+from sim.ports.virtual import VirtualLink, open_virtual
 
 PARAMS = load_params()
 

@@ -19,11 +19,11 @@ from ideal_motor import PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, AngleSource
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick import LOG_FIELDS
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, chosen
-from sim.params import load_params
 
 RPM = 2 * np.pi / 60  # mechanical rad/s
 N_P = 6

@@ -9,10 +9,10 @@ import numpy as np
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, AngleSource, Status
+from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick import LOG_FIELDS
 from sim.observers import sample
-from sim.params import load_params
 
 RPM = 2 * math.pi / 60
 SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}

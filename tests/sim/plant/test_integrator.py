@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.params import load_params
+from sim.config.params import load_params
 from sim.plant import integrator, inverter, mechanics, pmsm
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -1,0 +1,213 @@
+"""A stretch of what a drive streamed during a test, as arrays, and what is wrong with it.
+
+A `Capture` is what measurements are made from. It knows no link and never waits; `bench.rig.recorder` fills it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.channels import flagged, speed_channel
+from bench.analysis.position import wrap
+from bench.errors import BenchError
+from protocol.messages import StreamEvent
+from protocol.signals import Flag, Unit
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+F64 = NDArray[np.float64]
+
+_NEARLY = 0.998  # share of a sensor's range that counts as all of it: two counts of twelve bits
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Samples and Hall edges from one device tick to another.
+
+    `parameters`: the drive's, by name, when the capture began. `dropped`: stretches (tick, tick, words) in which
+    something was lost, wherever the loss was seen.
+    """
+
+    samples: SampleChunk
+    edges: EdgeChunk
+    tick_hz: int
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    dropped: tuple[tuple[int, int, str], ...] = ()
+    looked_at: frozenset[str] | None = None
+    """Channels whose range matters; None is all of them."""
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, channel: str) -> F64:
+        """A channel in its unit, shape (n,). BenchError if it is not streamed."""
+        self._require(channel)
+        return self.samples.physical(channel)
+
+    def __contains__(self, channel: str) -> bool:
+        return channel in (self.samples.raw.dtype.names or ())
+
+    def _require(self, channel: str) -> None:
+        if channel not in self:
+            names = ", ".join(self.samples.raw.dtype.names or ())
+            raise BenchError(f"channel '{channel}' is not in the stream; there are {names}")
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def t(self) -> F64:
+        """Device time of each sample in s, shape (n,): the time line of the recording."""
+        return self.samples.tick / self.tick_hz
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Device time in s of the first and the last sample."""
+        return float(self.t[0]), float(self.t[-1])
+
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return (len(self) - 1) / float(self.t[-1] - self.t[0])
+
+    def between(self, first: float, last: float) -> Capture:
+        """The part from device time `first` to `last` in s, both included."""
+        return self.ticks(int(np.ceil(first * self.tick_hz - 0.5)), int(np.floor(last * self.tick_hz + 0.5)))
+
+    def ticks(self, first: int, last: int) -> Capture:
+        """The part from device tick `first` to `last`, both included. BenchError if no sample lies in it."""
+        samples = part_of_samples(self.samples, first, last)
+        if not len(samples):
+            raise BenchError(f"no sample between {first / self.tick_hz:.4f} s and {last / self.tick_hz:.4f} s")
+        return replace(
+            self,
+            samples=samples,
+            edges=part_of_edges(self.edges, first, last),
+            dropped=tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
+        )
+
+    # -- angles -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def reference(self) -> str:
+        """Name of the channel that position estimates are compared with. BenchError without an encoder."""
+        if name := flagged(self.samples.config.channels, Unit.RAD, Flag.REFERENCE):
+            return name
+        raise BenchError("the drive streams no reference position: the test needs an encoder")
+
+    @cached_property
+    def speed(self) -> str:
+        """See `bench.analysis.channels.speed_channel`. BenchError without one."""
+        if name := speed_channel(self.samples.config.channels, self.parameters):
+            return name
+        raise BenchError("the drive streams no speed: a channel in rad/s with the flag REFERENCE or ESTIMATE")
+
+    @cached_property
+    def theta(self) -> F64:
+        """Electrical angle by the encoder, unwrapped, rad, shape (n,)."""
+        return np.unwrap(self[self.reference])
+
+    def position_error(self, estimate: str) -> F64:
+        """Actual minus estimated electrical angle, rad in [-pi, pi), shape (n,)."""
+        return wrap(self[self.reference] - self[estimate])
+
+    def theta_at_edges(self) -> F64:
+        """Electrical angle by the encoder at each Hall edge, unwrapped, rad, shape (m,): in line between samples."""
+        angles: F64 = np.interp(self.edges.tick, self.samples.tick, self.theta)
+        return angles
+
+    # -- quality ------------------------------------------------------------------------------------------------
+
+    def only(self, *channels: str) -> Capture:
+        """The same stretch, for a measurement that looks at these channels only: others may be at their range's end.
+
+        BenchError for a channel that is not streamed.
+        """
+        for channel in channels:
+            self._require(channel)
+        return replace(self, looked_at=frozenset(channels))
+
+    def flaws(self) -> tuple[str, ...]:
+        """What makes it unfit for measuring, in words; empty if nothing does."""
+        lost = [words for _, _, words in self.dropped]
+        return (*lost, *(self._clock_jumps() or self._edges_missing_at_the_end()), *self._saturation())
+
+    def _edges_missing_at_the_end(self) -> list[str]:
+        """Codes that changed after the last edge: no later edge had come to tell of a gap when it was captured.
+
+        A change may show one sample after its edge, which may lie just before the capture.
+        """
+        if "hall" not in self or len(self) < 2 or self.edges.config == no_edge_stream(self.edges.config.node):
+            return []
+        tick = self.samples.tick
+        last = int(self.edges.tick[-1]) if len(self.edges) else int(tick[0])
+        changed = np.diff(self.samples.raw["hall"].astype(np.int64)) != 0
+        count = int(np.count_nonzero(changed & (2 * tick[:-1] - tick[1:] >= last)))
+        where = f"after {last / self.tick_hz:.4f} s"
+        return [f"Hall edges were lost: the code changed {count} times {where} without one"] if count else []
+
+    def _clock_jumps(self) -> list[str]:
+        index, tick = np.diff(self.samples.index), np.diff(self.samples.tick)
+        if not len(index):
+            return []
+        period = int(np.median(tick)) / max(int(np.median(index)), 1)
+        wrong = np.flatnonzero(np.abs(tick - index * period) > 0.5 * period)
+        return [
+            f"the clock jumped by {(tick[k] - index[k] * period) / self.tick_hz * 1e3:+.3f} ms at {self.t[k]:.4f} s"
+            for k in wrong[:3]
+        ]
+
+    def _saturation(self) -> list[str]:
+        flaws = []
+        i_range = self.parameters.get("i_range", np.inf)
+        for channel in self.samples.config.channels:
+            if self.looked_at is not None and channel.name not in self.looked_at:
+                continue
+            raw = self.samples.raw[channel.name]
+            full = np.zeros(len(raw), bool)
+            if raw.dtype.kind in "iu" and raw.dtype.itemsize > 1 and not channel.flags & Flag.WRAPS:
+                info = np.iinfo(raw.dtype)
+                full = (raw == info.max) | ((raw == info.min) & (info.min < 0))
+            if channel.name in ("i_a", "i_b", "i_c"):
+                full |= np.abs(self[channel.name]) >= _NEARLY * i_range
+            if full.any():
+                flaws.append(
+                    f"{channel.name} was at the end of its range in {int(full.sum())} samples, first at "
+                    f"{self.t[int(np.argmax(full))]:.4f} s"
+                )
+        return flaws
+
+
+def part_of_samples(chunk: SampleChunk, first: int, last: int) -> SampleChunk:
+    """Samples with ticks from `first` to `last`, both included; gaps belong to `Capture.dropped`."""
+    a, b = np.searchsorted(chunk.tick, first, "left"), np.searchsorted(chunk.tick, last, "right")
+    return SampleChunk(chunk.config, chunk.index[a:b], chunk.tick[a:b], chunk.raw[a:b], ())
+
+
+def no_edge_stream(node: int) -> StreamConfig:
+    """What stands for the edges of a drive that streams none."""
+    return StreamConfig(node, 0, 0, StreamEvent.EDGES, 1, (), 1)
+
+
+def no_edges(config: StreamConfig) -> EdgeChunk:
+    """What a shaft at rest streams."""
+    ticks, codes = np.empty(0, np.int64), np.empty(0, np.uint8)
+    return EdgeChunk(config, ticks, codes, codes, np.empty(0, np.bool_), np.empty(0, np.uint16), ticks, ())
+
+
+def part_of_edges(chunk: EdgeChunk, first: int, last: int) -> EdgeChunk:
+    """Edges with ticks from `first` to `last`, both included."""
+    a, b = np.searchsorted(chunk.tick, first, "left"), np.searchsorted(chunk.tick, last, "right")
+    return EdgeChunk(
+        chunk.config,
+        chunk.tick[a:b],
+        chunk.hall_old[a:b],
+        chunk.hall_new[a:b],
+        chunk.illegal[a:b],
+        chunk.encoder[a:b],
+        chunk.index[a:b],
+        (),
+    )

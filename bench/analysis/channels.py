@@ -1,0 +1,30 @@
+"""Which channel of a drive is which: found by unit and flag, as the descriptor has them, never by name alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from protocol.descriptor import Channel
+from protocol.signals import SHORT, Flag, Signal, Unit
+
+_SHORT = {float(source): short for source, short in SHORT.items()}
+
+
+def flagged(channels: Iterable[Channel | Signal], unit: Unit, *flags: Flag) -> str:
+    """Name of the first channel in `unit` with the first of the `flags` that any has; empty if none has one."""
+    of_unit = [channel for channel in channels if channel.unit == unit]
+    return next((channel.name for flag in flags for channel in of_unit if channel.flags & flag), "")
+
+
+def speed_channel(channels: Iterable[Channel | Signal], parameters: Mapping[str, float]) -> str:
+    """Name of the speed in rad/s to go by: the encoder's, else that of the angle that the drive uses, else the first.
+
+    `channels` are those that are streamed. Empty where none has the flag REFERENCE or ESTIMATE.
+    """
+    speeds = [channel for channel in channels if channel.unit == Unit.RAD_PER_S]
+    if reference := flagged(speeds, Unit.RAD_PER_S, Flag.REFERENCE):
+        return reference
+    own = f"omega_{_SHORT.get(parameters.get('observer', math.nan))}"
+    estimates = [channel.name for channel in speeds if channel.flags & Flag.ESTIMATE]
+    return own if own in estimates else next(iter(estimates), "")

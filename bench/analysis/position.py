@@ -1,0 +1,89 @@
+"""Running statistics of a run: position error per estimator and segment, latency percentiles, a node's own counters.
+
+Nothing here keeps samples: memory stays bounded however long the run is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import STATUS_STATE_MASK, Flag, Unit
+from protocol.streams import SampleChunk
+
+
+def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`angle` in rad, any shape, wrapped to [-pi, pi); what is not finite comes out as NaN."""
+    with np.errstate(invalid="ignore"):
+        wrapped: NDArray[np.float64] = (angle + math.pi) % (2 * math.pi) - math.pi
+    return wrapped
+
+
+def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
+    """Actual minus estimated electrical angle in rad, shape (n,), for every position estimate in the chunk.
+
+    Actual is the channel flagged REFERENCE with unit rad, the encoder. Without one the result is empty.
+    """
+    channels = chunk.config.channels
+    reference = next((c.name for c in channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
+    if reference is None:
+        return {}
+    actual = chunk.physical(reference)
+    return {
+        channel.name: wrap(actual - chunk.physical(channel.name))
+        for channel in channels
+        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD
+    }
+
+
+def states(chunk: SampleChunk) -> NDArray[np.int64] | None:
+    """The drive's state at each sample by the channel status, shape (n,); None where no whole numbers tell it."""
+    if "status" not in (chunk.raw.dtype.names or ()) or chunk.raw["status"].dtype.kind not in "iu":
+        return None
+    told: NDArray[np.int64] = chunk.raw["status"].astype(np.int64) & STATUS_STATE_MASK
+    return told
+
+
+@dataclass(slots=True)
+class Moments:
+    """Count, mean, standard deviation and largest magnitude, merged chunk by chunk (Chan et al. 1979)."""
+
+    n: int = 0
+    mean: float = 0.0
+    m2: float = 0.0
+    peak: float = 0.0
+
+    def add(self, values: NDArray[np.float64]) -> None:
+        """Add `values`, shape (n,)."""
+        n = len(values)
+        if n == 0:
+            return
+        mean = float(values.mean())
+        m2 = float(((values - mean) ** 2).sum())
+        delta = mean - self.mean
+        total = self.n + n
+        self.m2 += m2 + delta * delta * self.n * n / total
+        self.mean += delta * n / total
+        self.n = total
+        self.peak = max(self.peak, float(np.abs(values).max()))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the population; NaN before the first value."""
+        return math.sqrt(self.m2 / self.n) if self.n else math.nan
+
+
+@dataclass(slots=True)
+class ErrorTable:
+    """Position error moments, by segment of the run and by estimator."""
+
+    segments: dict[str, dict[str, Moments]] = field(default_factory=dict)
+
+    def add(self, segment: str, errors: dict[str, NDArray[np.float64]]) -> None:
+        """Add position errors in rad to `segment`."""
+        row = self.segments.setdefault(segment, {})
+        for name, values in errors.items():
+            row.setdefault(name, Moments()).add(values)

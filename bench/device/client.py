@@ -1,0 +1,542 @@
+"""A link and a session joined: the one loop that reads, answers, watches and keeps the watchdog fed.
+
+Everything happens inside `poll`, on the caller's thread: requests wait by polling, so data keeps flowing to the sinks
+while they wait. The client never sleeps and reads no clock but the link's, so a simulated drive in virtual time and a
+physical drive are the same to it.
+
+ALIVE is sent from here and only while telemetry of the node is fresh: a host that no longer sees the drive lets the
+drive's watchdog switch the outputs off.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import astuple, dataclass, field
+from typing import Protocol, TypeVar
+
+from protocol.errors import LinkClosed, LinkError, NoReply, Refused
+from protocol.host import (
+    Connected,
+    DeviceEventReceived,
+    HeartbeatReceived,
+    HostSession,
+    LogReceived,
+    Rebooted,
+    ReplyReceived,
+    ReplyUnusable,
+    RequestRefused,
+    RequestTimedOut,
+)
+from protocol.links.base import Link
+from protocol.messages import (
+    Alive,
+    DeviceEvent,
+    ErrorReply,
+    EventCode,
+    Heartbeat,
+    HelloReply,
+    MessageType,
+    Payload,
+    Request,
+    Setpoint,
+    StreamEvent,
+)
+from protocol.streams import Beat, EdgeChunk, LossCounters, SampleChunk, StreamConfig
+from protocol.text import counted
+from protocol.wire import Decoder, StreamFrames
+
+R = TypeVar("R", bound=Payload)
+
+ALIVE_PERIOD = 0.05  # s
+FRESH = 0.3  # s without a frame from a node after which its ALIVE is withheld: three heartbeats
+WATCHDOG = 0.2  # s: what a drive waits for ALIVE if it has no parameter that says otherwise
+POLL = 0.02  # s: how long one turn waits for bytes
+SETTLE = 0.012  # s: how long a turn goes on collecting once bytes come; a pty holds 12 KiB
+REOPEN_PERIOD = 0.1  # s between attempts to open a link that went away
+QUIET = 1.0  # s without a stream frame after which none is under way; a CAN device gives them up after 0.5 s
+FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
+
+
+class Sink(Protocol):
+    """What receives a run. Calls come from the acquisition thread and must return at once."""
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """One chunk of samples, contiguous but for `chunk.gaps`."""
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Hall edges; they come before the samples that cover them."""
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """The drive's health, ten times a second."""
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Something happened in the drive."""
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """So many records of `node`, made before its streams ended, did not come after those that did."""
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Something happened on the host: a line for the log."""
+
+
+class SinkBase:
+    """A sink that ignores everything."""
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Ignored."""
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Ignored."""
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Ignored."""
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Ignored."""
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Ignored."""
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Ignored."""
+
+
+@dataclass(slots=True)
+class LinkHealth:
+    """What the link did to us."""
+
+    outages: int = 0
+    down_since: float | None = None
+    downtime: float = 0.0  # s, of the outages that are over
+    reboots: int = 0
+
+
+@dataclass(slots=True)
+class _Watch:
+    """What the client knows of one node's freshness, and of its watchdog."""
+
+    last_seen: float = -1e9
+    last_alive: float = -1e9
+    counter: int = 0
+    feed: bool = False
+    longest: float = 0.0  # s between two ALIVEs since feeding began
+    pause: float = 0.0  # s: the longest time in which `poll` did not get to feed it, since feeding began
+
+
+@dataclass(slots=True)
+class _Streams:
+    """The streams of one node: their decoders, and what says when they were at work."""
+
+    decoders: dict[int, Decoder] = field(default_factory=dict)
+    beats: int | None = None  # heartbeats since STREAM_START, None before it
+    first: Beat | None = None  # a heartbeat that was made after STREAM_START
+    newest: float = 0.0  # when the last frame came, s
+
+    def heard(self, heartbeat: Heartbeat) -> None:
+        """Note a heartbeat. The one that follows STREAM_START's reply may have waited since before it."""
+        if self.beats is not None and self.first is None:
+            self.beats += 1
+            if self.beats == 2:
+                self.first = _beat(heartbeat)
+
+    def missing(self, last: Beat) -> list[tuple[Decoder, int]]:
+        """Return how many records of each stream have not come up to the heartbeat `last`."""
+        return [(decoder, decoder.missing(self.first, last)) for decoder in self.decoders.values()]
+
+
+@dataclass(slots=True)
+class _Pending:
+    tid: int
+    reply: Payload | None = None
+    error: Exception | None = None
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Account of a node's streams, past and present: samples and edges apart."""
+
+    samples: LossCounters
+    edges: LossCounters
+
+
+class Client:
+    """Talks to every node on one link.
+
+    `reconnect` says how long a lost link is waited for, in s; with 0, `poll` raises LinkClosed at once.
+    """
+
+    def __init__(self, link: Link, reconnect: float = 0.0) -> None:
+        self.link = link
+        self.reconnect = reconnect
+        self.session = HostSession(link.wire())
+        self.sinks: list[Sink] = []
+        self.health = LinkHealth()
+        self.hello: HelloReply | None = None
+        self.heartbeats: dict[int, Heartbeat] = {}
+        self.rejections: dict[int, DeviceEvent] = {}
+        """By node, the last event that told why a setpoint was rejected."""
+        self.bytes_in = 0
+        self.unasked = 0
+        """Stream frames of streams that were not configured from here, or no longer are."""
+        self.longest_pause = 0.0
+        """The longest time in s in which this program did not poll, since somebody set this to 0."""
+        self.beside: list[Client] = []
+        """Of other links of the same bench."""
+        self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
+        self._streams: dict[int, _Streams] = {}
+        self._closed: dict[int, Losses] = {}
+        self._watches: dict[int, _Watch] = {}
+        self._pending: _Pending | None = None
+        self._must_open = False  # the link must be opened again
+        self._next_reopen = 0.0
+        self._polled = self.now()  # when the last turn had read
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """The link's clock in s: monotonic, virtual for a simulated drive in virtual time."""
+        return self.link.clock()
+
+    def run_for(self, seconds: float) -> None:
+        """Poll for `seconds` of the link's clock."""
+        end = self.now() + seconds
+        while (left := end - self.now()) > 0:
+            self.poll(min(POLL, left))
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Poll until `condition()` holds; False when it does not within `timeout` s."""
+        end = self.now() + timeout
+        while not condition():
+            left = end - self.now()
+            if left <= 0:
+                return False
+            self.poll(min(POLL, left))
+        return True
+
+    # -- connection ---------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def nonce() -> int:
+        """A number for a HELLO that no earlier traffic can have guessed."""
+        return secrets.randbits(32)
+
+    def connect(self, timeout: float = 3.0) -> HelloReply:
+        """Find the device at the other end. Raises NoReply when nothing that speaks HBP answers within `timeout` s.
+
+        DeviceDefect, VersionError and Refused are those of an answer that a host cannot work with.
+        """
+        before = self.hello
+        pending = self._pending = _Pending(self.session.connect(self.nonce(), self.now()))
+        found = self.wait(lambda: self.hello is not before or pending.error is not None, timeout)
+        self._pending = None
+        if pending.error is not None:
+            raise pending.error
+        if not found:
+            framing = self.session.counters.framing
+            advice = self.session.wire.advice(bool(self.bytes_in))
+            refused = getattr(getattr(self.link, "health", None), "refused", 0)  # by an adapter
+            if refused:
+                advice = f"the adapter refused {refused} commands or frames; {advice}"
+            raise NoReply(
+                f"no HBP device answered on {self.link.name} within {timeout:g} s ({self.bytes_in} bytes heard, "
+                f"{framing.frames} good frames, {framing.bad} damaged): {advice}"
+            )
+        assert self.hello is not None
+        return self.hello
+
+    def _lost(self, error: LinkError) -> None:
+        now = self.now()
+        if self.reconnect <= 0:
+            raise error
+        self._must_open = True
+        if self.health.down_since is None:
+            self.health.down_since = now
+            self.health.outages += 1
+            self._next_reopen = now
+            self._note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
+            if self._pending:
+                self._pending.error = error
+
+    def _give_up_in_time(self) -> None:
+        """Raise LinkClosed when a drive that was lost has not answered again in time."""
+        if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
+            raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
+
+    def _reopen(self, timeout: float) -> None:
+        """One turn while the link is down: try to open it again, at most ten times a second."""
+        now = self.now()
+        if now < self._next_reopen:
+            time.sleep(max(0.0, min(timeout, self._next_reopen - now)))  # there is no link to wait on
+            return
+        self._next_reopen = now + REOPEN_PERIOD
+        try:
+            self.link.reopen()
+        except LinkError as error:
+            self._lost(error)
+            return
+        self._must_open = False
+        self.session.connect(self.nonce(), now)  # the outage lasts until the drive answers
+
+    @property
+    def downtime(self) -> float:
+        """For how many seconds the link was down, an outage that goes on included."""
+        since = self.health.down_since
+        return self.health.downtime + (0.0 if since is None else self.now() - since)
+
+    # -- the loop -----------------------------------------------------------------------------------------------
+
+    def poll(self, timeout: float = POLL) -> None:
+        """One turn: read for at most `timeout` s, handle what came, retry, feed the watchdog, send.
+
+        The clients beside this one get theirs too, so that no watchdog of theirs runs out while this one waits; what is
+        wrong with their links is told when they are polled themselves.
+        """
+        self._turn(timeout)
+        for other in self.beside:
+            with suppress(LinkError):
+                other._turn(0.0)
+
+    def _turn(self, timeout: float) -> None:
+        self._give_up_in_time()
+        if self._must_open:
+            self._reopen(timeout)
+            self._polled = self.now()
+            return
+        try:
+            self._flush()
+            settle = 0.0 if self.session.busy else min(timeout, SETTLE)
+            data = self.link.read(timeout, settle)
+            now = self.now()
+            self._note_pause(now - self._polled - timeout - settle)
+            self._polled = now
+            if data:
+                self.bytes_in += len(data)
+                self.session.receive_data(data, now)
+            self.session.tick(now)
+            while (event := self.session.next_event()) is not None:
+                self._dispatch(event, now)
+            self._feed_watchdogs(now)
+            self._flush()
+        except LinkError as error:
+            self._lost(error)
+
+    def _flush(self) -> None:
+        data = self.session.data_to_send()
+        if data:
+            self.link.write(data)
+
+    def _dispatch(self, event: object, now: float) -> None:
+        match event:
+            case StreamFrames(node=node, stream=stream, frames=frames):
+                self._seen(node, now)
+                streams = self._streams.get(node, _NO_STREAMS)
+                decoder = streams.decoders.get(stream)
+                if decoder is None:
+                    self.unasked += len(getattr(frames, "records", frames))
+                else:
+                    streams.newest = now
+                    self._deliver(decoder.decode(frames))
+            case HeartbeatReceived(node=node, heartbeat=heartbeat):
+                self._seen(node, now)
+                self.heartbeats[node] = heartbeat
+                self._streams.get(node, _NO_STREAMS).heard(heartbeat)
+                for sink in self.sinks:
+                    sink.heartbeat(node, heartbeat)
+            case DeviceEventReceived(node=node, event=happened):
+                if happened.code == EventCode.SETPOINT_REJECTED:
+                    self.rejections[node] = happened
+                for sink in self.sinks:
+                    sink.event(node, happened)
+            case LogReceived(log=log):
+                self._note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
+            case ReplyReceived(tid=tid, message=message):
+                self._settle(tid, reply=message)
+            case RequestRefused(tid=tid, error=error):
+                self._settle(tid, error=_refused(error))
+            case ReplyUnusable(tid=tid, error=error):
+                self._settle(tid, error=error)
+            case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
+                text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
+                self._settle(tid, error=NoReply(text))
+            case Connected(hello=hello):
+                self._connected(hello, now)
+            case Rebooted(node=node):
+                self.health.reboots += 1
+                self._note(f"node {node} has rebooted", "WARN")
+                self._end(node, self.heartbeats.pop(node, None))  # the last one of the boot before
+                if self.on_reboot:
+                    self.on_reboot(node)
+
+    def _deliver(self, chunk: SampleChunk | EdgeChunk | None) -> None:
+        if isinstance(chunk, SampleChunk):
+            for sink in self.sinks:
+                sink.samples(chunk)
+        elif isinstance(chunk, EdgeChunk):
+            for sink in self.sinks:
+                sink.edges(chunk)
+
+    def _connected(self, hello: HelloReply, now: float) -> None:
+        self.hello = hello
+        if self.health.down_since is not None:
+            self.health.downtime += now - self.health.down_since
+            self.health.down_since = None
+            self._note("the drive is back", "WARN")
+
+    def _seen(self, node: int, now: float) -> None:
+        self._watches.setdefault(node, _Watch()).last_seen = now
+
+    def _note(self, text: str, level: str = "INFO") -> None:
+        for sink in self.sinks:
+            sink.note(text, level)
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    def decode(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> None:
+        """Decode a stream from now on, as it was just configured."""
+        decoder = self.session.decoder(config, tick_hz, pwm_hz)
+        streams = self._streams.setdefault(config.node, _Streams())
+        self._retire(config.node, streams.decoders.pop(config.stream, None))
+        streams.decoders[config.stream] = decoder
+
+    def streams_started(self, node: int) -> None:
+        """The streams of `node` have just been started: what it makes from now on is to come."""
+        streams = self._streams.setdefault(node, _Streams())
+        streams.beats, streams.first = 0, None
+
+    def end_streams(self, node: int, last: Heartbeat | None) -> None:
+        """The streams of `node` have been stopped: wait for what is under way, and count what does not come.
+
+        `last` is a heartbeat that came before they were told to stop: what the node had made by then is known. After it
+        nothing is. Raises LinkError; all is counted then, too.
+        """
+        streams = self._streams.get(node, _NO_STREAMS)
+        began = self.now()
+
+        def settled() -> bool:
+            lacking = [] if last is None else streams.missing(_beat(last))
+            return not any(n for _, n in lacking) or self.now() - max(streams.newest, began) > QUIET
+
+        try:
+            if self.health.down_since is None:
+                self.wait(settled, FLUSH)
+        finally:
+            self._end(node, last)
+
+    def losses(self, node: int) -> Losses:
+        """Account of all that was streamed from `node`; what its last frames were is known when they have ended."""
+        account = self._closed.get(node, Losses(LossCounters(), LossCounters()))
+        for decoder in self._streams.get(node, _NO_STREAMS).decoders.values():
+            account = _added(account, decoder)
+        return account
+
+    def _end(self, node: int, last: Heartbeat | None) -> None:
+        """Nothing more comes of these streams: what they lack up to `last` is lost."""
+        streams = self._streams.pop(node, None)
+        if streams is None:
+            return
+        self.session.wire.forget(node)
+        samples = edges = 0
+        for decoder, n in [] if last is None else streams.missing(_beat(last)):
+            decoder.counters.lost_by_index += n
+            if decoder.config.event == StreamEvent.EDGES:
+                edges += n
+            else:
+                samples += n
+        for decoder in streams.decoders.values():
+            self._retire(node, decoder)
+        if samples or edges:
+            what = " and ".join(counted(n, noun) for n, noun in ((samples, "sample"), (edges, "edge")) if n)
+            self._note(f"lost at the end of the streams of node {node}: {what}", "WARN")
+            for sink in self.sinks:
+                sink.missing(node, samples, edges)
+
+    def _retire(self, node: int, decoder: Decoder | None) -> None:
+        if decoder is not None:
+            self._closed[node] = _added(self._closed.get(node, Losses(LossCounters(), LossCounters())), decoder)
+
+    # -- watchdog -----------------------------------------------------------------------------------------------
+
+    def feed(self, node: int, on: bool) -> None:
+        """Start or stop feeding the watchdog of `node`."""
+        watch = self._watches.setdefault(node, _Watch())
+        if watch.feed and not on and watch.last_alive > -1e8:
+            watch.longest = max(watch.longest, self.now() - watch.last_alive)
+        watch.feed = on
+        if on:
+            watch.last_alive, watch.longest, watch.pause = -1e9, 0.0, 0.0
+            watch.last_seen = max(watch.last_seen, self.now())
+
+    def starved(self, node: int, watchdog: float = WATCHDOG) -> str:
+        """Why the watchdog of `node`, which waits `watchdog` s, may have run out, if the reason is here; else ''."""
+        watch = self._watches.get(node, _Watch())
+        if watch.longest < watchdog:
+            return ""
+        if watch.pause > watch.longest / 2:
+            return f"this host sent no ALIVE for {watch.longest:.2f} s (it was starved of CPU, or stopped)"
+        return f"this host sent no ALIVE for {watch.longest:.2f} s, because nothing was heard of the drive"
+
+    def _note_pause(self, seconds: float) -> None:
+        self.longest_pause = max(self.longest_pause, seconds)
+        for watch in self._watches.values():
+            if watch.feed:
+                watch.pause = max(watch.pause, seconds)
+
+    def _feed_watchdogs(self, now: float) -> None:
+        for node, watch in self._watches.items():
+            if watch.feed and now - watch.last_alive >= ALIVE_PERIOD and now - watch.last_seen <= FRESH:
+                if watch.last_alive > -1e8:
+                    watch.longest = max(watch.longest, now - watch.last_alive)
+                watch.last_alive = now
+                watch.counter += 1
+                self.session.send(Alive(counter=watch.counter & 0xFFFFFFFF), node)
+
+    # -- requests -----------------------------------------------------------------------------------------------
+
+    def request(self, message: Request, node: int, reply: type[R]) -> R:
+        """Send a request and poll until its reply, a `reply`. Raises Refused, NoReply, DeviceDefect or LinkError."""
+        if self.health.down_since is not None:
+            raise LinkClosed(f"{self.link.name} is gone: {message.TYPE.name} was not sent")
+        pending = self._pending = _Pending(self.session.request(message, node, self.now()))
+        try:
+            while pending.reply is None:
+                self.poll(POLL)
+                if pending.error is not None:
+                    raise pending.error
+        finally:
+            self._pending = None
+            self.session.cancel()  # an interrupted request must not block STOP
+        assert isinstance(pending.reply, reply)  # the session unpacks by the type of the request
+        return pending.reply
+
+    def setpoint(self, message: Setpoint, node: int) -> None:
+        """Send a setpoint; it has no reply, the heartbeat tells its fate."""
+        self.session.send(message, node)
+
+    def _settle(self, tid: int, reply: Payload | None = None, error: Exception | None = None) -> None:
+        if self._pending and self._pending.tid == tid:
+            self._pending.reply, self._pending.error = reply, error
+
+
+_NO_STREAMS = _Streams()
+_LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
+
+
+def _refused(error: ErrorReply) -> Refused:
+    return Refused(f"{MessageType(error.request).name} was refused: {error}", error.code, error.detail)
+
+
+def _beat(heartbeat: Heartbeat) -> Beat:
+    return Beat(heartbeat.tick, heartbeat.edges)
+
+
+def _added(losses: Losses, decoder: Decoder) -> Losses:
+    if decoder.config.event == StreamEvent.EDGES:
+        return Losses(losses.samples, _sum(losses.edges, decoder.counters))
+    return Losses(_sum(losses.samples, decoder.counters), losses.edges)
+
+
+def _sum(a: LossCounters, b: LossCounters) -> LossCounters:
+    return LossCounters(*(x + y for x, y in zip(astuple(a), astuple(b), strict=True)))

@@ -1,0 +1,137 @@
+"""What a link's nodes say of themselves, as plain data: identity, health, channels, parameters. Reads only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.device.bus import BusMeter
+from bench.device.client import Client
+from bench.device.node import Node
+from bench.device.scan import scan
+from bench.errors import NodeError
+from bench.files import finite
+from protocol.canmap.host import CanWire
+from protocol.canmap.plan import BusPlan
+from protocol.codes import fault_names
+from protocol.errors import NoReply, Refused, RemoteProtocolError
+from protocol.links import open_link
+from protocol.messages import Feature, Heartbeat, HelloReply
+from protocol.signals import Flag
+
+SCAN_SECONDS = 0.6  # for which further nodes on a bus are waited for
+BUS_SECONDS = 1.0  # for which a bus is watched
+
+
+def inspect_link(target: str) -> dict[str, Any]:
+    """All nodes on the link of `target` and, on CAN, the bus, as plain data without numbers that are not finite.
+
+    `unread` says why nodes that should be there could not be read, by their number. Raises LinkError, NoReply,
+    DeviceDefect (of the first node) or TargetError.
+    """
+    link = open_link(target)
+    try:
+        client = Client(link)
+        shared = client.session.wire.shared
+        on_bus = {reply.node for reply in scan(link, SCAN_SECONDS)} if shared else set()
+        hello = client.connect()
+        numbers = {hello.node, *range(1, hello.nodes + 1), *on_bus}
+        first = Node(client, hello.node)
+        nodes, unread = [], {}
+        for number in sorted(numbers):
+            try:
+                nodes.append(inspect_node(first if number == hello.node else Node(client, number)))
+            except (NoReply, Refused, RemoteProtocolError, NodeError) as error:
+                if number == hello.node:
+                    raise
+                unread[number] = str(error)
+        bus = inspect_bus(client, first)
+        found = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
+        assert isinstance(found, dict)
+        return found
+    finally:
+        link.close()
+
+
+def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
+    """Load and traffic of a CAN bus as it is now, and which streams of the drive's channels fit; None on others."""
+    wire = client.session.wire
+    if not isinstance(wire, CanWire):
+        return None
+    meter = BusMeter(client)
+    client.run_for(BUS_SECONDS)
+    plan = BusPlan(wire.rates, wire.extended, drive.identity.pwm_hz)
+    streamed = drive.channels(None) if drive.descriptor.channels else ()
+    widths = [np.dtype(channel.raw.dtype).itemsize for channel in streamed]
+    fits = [{"channels": f.channels, "rate_hz": f.rate, "load": f.load} for f in plan.choices(widths)]
+    return (meter.report() or {}) | {"fits": fits, "fits_node": drive.number}
+
+
+def inspect_node(node: Node) -> dict[str, Any]:
+    """One node, as plain data in SI units."""
+    return {
+        "identity": describe(node.identity),
+        "health": _health(node.next_heartbeat()),
+        "channels": [
+            {
+                "id": channel.id,
+                "name": channel.name,
+                "unit": channel.unit.symbol,
+                "type": channel.raw.name.lower(),
+                "scale": channel.scale,
+                "offset": channel.offset,
+                "flags": _flags(channel.flags),
+            }
+            for channel in node.descriptor.channels
+        ],
+        "parameters": [
+            {
+                "id": record.id,
+                "name": record.name,
+                "unit": record.unit.symbol,
+                "value": reply.value,
+                "default": reply.default,
+                "lo": reply.lo,
+                "hi": reply.hi,
+                "flags": _flags(record.flags),
+            }
+            for record, reply in zip(node.descriptor.parameters, node.parameter_replies().values(), strict=True)
+        ],
+    }
+
+
+def _health(heartbeat: Heartbeat | None) -> dict[str, Any]:
+    if heartbeat is None:
+        return {"heartbeat": "none within 0.5 s"}
+    return {
+        "state": heartbeat.state.name,
+        "outputs_on": heartbeat.outputs_on,
+        "faults": fault_names(heartbeat.faults),
+        "first_fault": fault_names(heartbeat.first_fault),
+        "frames_dropped": heartbeat.tx_dropped,
+        "frames_damaged": heartbeat.rx_bad,
+        "setpoints_rejected": heartbeat.setpoints_rejected,
+    }
+
+
+def _flags(flags: Flag) -> str:
+    kinds = Flag.CHANNEL | Flag.PARAMETER
+    return ", ".join((flag.name or "").lower().replace("_", " ") for flag in Flag if flag & flags & ~kinds)
+
+
+def describe(identity: HelloReply) -> dict[str, Any]:
+    """A node's identity as plain data."""
+    return {
+        "name": identity.name,
+        "firmware": identity.firmware,
+        "node": identity.node,
+        "role": identity.role.name.lower(),
+        "boot_id": f"{identity.boot_id:08x}",
+        "protocol": f"{identity.major}.{identity.minor}",
+        "schema_crc": f"{identity.schema_crc:08x}",
+        "tick_hz": identity.tick_hz,
+        "pwm_hz": identity.pwm_hz,
+        "features": [feature.name.lower() for feature in Feature if feature & identity.features and feature.name],
+        "nodes": identity.nodes,
+    }

@@ -1,0 +1,437 @@
+"""One device on the link, by its verbs: identity, parameters, states, setpoints, streams.
+
+A drive and a load machine are both nodes; what a node can do is what its descriptor and its refusals say. Nothing here
+energises a drive by itself: `arm` and `start` are the explicit acts, and whoever calls them calls `stop`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+
+from bench.device.client import Client
+from bench.device.safety import HEARTBEATS, Vigil, heard, says, switch_off, without_watchdog
+from bench.errors import DoesNotFit, DriveFailed, NodeError
+from protocol.canmap.host import CanWire
+from protocol.canmap.layout import EDGES_PER_SECOND, edge_load
+from protocol.canmap.plan import BusPlan
+from protocol.codes import fault_names
+from protocol.descriptor import Channel, Descriptor
+from protocol.errors import NoReply, Refused
+from protocol.framing import MAX_PAYLOAD
+from protocol.messages import (
+    BlobRead,
+    BlobReply,
+    Command,
+    DriveState,
+    Empty,
+    ErrorCode,
+    Feature,
+    Heartbeat,
+    Hello,
+    HelloReply,
+    ParamGet,
+    ParamReply,
+    ParamSet,
+    ParamStored,
+    Setpoint,
+    SetpointMode,
+    StateCommand,
+    StateReply,
+    StreamEvent,
+    StreamGet,
+    StreamInfo,
+    StreamReply,
+    StreamSet,
+    StreamStart,
+    StreamStop,
+    TimeSync,
+    TimeSyncReply,
+)
+from protocol.payload import whole_from_wire
+from protocol.signals import Flag
+from protocol.streams import MAX_STREAMS, STREAM_HEADER, StreamConfig
+from protocol.text import counted
+from protocol.validity import check_parameter
+
+DRIVE, LOAD = 1, 2
+SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
+ALL_STREAMS = 0xFFFFFFFF
+_BLOB_PART = 512
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """Host time of device ticks, from one TIME_SYNC; good to half its round trip."""
+
+    tick: float
+    host: float  # s
+    tick_hz: float
+    round_trip: float  # s
+
+    def host_time(self, tick: float) -> float:
+        """Host time in s of a device tick."""
+        return self.host + (tick - self.tick) / self.tick_hz
+
+
+class Node:
+    """Device number `number` on `client`'s link."""
+
+    def __init__(self, client: Client, number: int) -> None:
+        self.client = client
+        self.number = number
+        self._identity: HelloReply | None = None
+        self._descriptor: Descriptor | None = None
+        self._streams: dict[int, StreamSet] = {}
+        self._vigil: Vigil | None = None  # while it should run
+        self.load = 0.0
+        """Share of the link that its streams take at most, by the device; 0 = unknown."""
+
+    # -- identity and parameters --------------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> HelloReply:
+        """Who it is; asked for at first use. Raises NoReply when no such node is on the link."""
+        if self._identity is None:
+            reply = self.client.request(Hello(nonce=self.client.nonce()), self.number, HelloReply)
+            self._identity = reply
+        return self._identity
+
+    @property
+    def descriptor(self) -> Descriptor:
+        """Its channels and parameters; read, and checked against the schema CRC of HELLO, at first use."""
+        if self._descriptor is None:
+            self._descriptor = self._read_descriptor()
+        return self._descriptor
+
+    def forget(self) -> None:
+        """The device has rebooted: ask anew for all that it told us."""
+        self._identity = self._descriptor = None
+
+    def _read_descriptor(self) -> Descriptor:
+        blob = b""
+        total = 1
+        while len(blob) < total:
+            reply = self.client.request(BlobRead(id=0, length=_BLOB_PART, offset=len(blob)), self.number, BlobReply)
+            total = reply.total
+            if not reply.data and total:
+                raise NodeError(f"the descriptor of node {self.number} ends at {len(blob)} of {total} bytes")
+            blob += reply.data
+        if (crc := crc32(blob)) != self.identity.schema_crc:
+            raise NodeError(
+                f"the descriptor of node {self.number} has CRC {crc:08x}, HELLO announced "
+                f"{self.identity.schema_crc:08x}: the firmware's schema_crc is wrong"
+            )
+        return Descriptor.unpack(blob, f"node {self.number}")
+
+    def parameter(self, name: str) -> ParamReply:
+        """Value, range and default of a parameter, in its unit. Raises DeviceDefect if its value cannot be."""
+        reply = self.client.request(ParamGet(self._parameter_id(name)), self.number, ParamReply)
+        check_parameter(name, reply, f"node {self.number}")
+        return reply
+
+    def parameter_replies(self) -> dict[str, ParamReply]:
+        """All parameters by name, as the device tells them: to be shown, not to be used."""
+        records = self.descriptor.parameters
+        return {r.name: self.client.request(ParamGet(r.id), self.number, ParamReply) for r in records}
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether it has a parameter of that name."""
+        return any(record.name == name for record in self.descriptor.parameters)
+
+    @property
+    def offers_edges(self) -> bool:
+        """Whether it can stream Hall edges."""
+        return bool(self.identity.features & Feature.EDGES)
+
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name. Raises DeviceDefect if one of the values cannot be."""
+        return {record.name: self.parameter(record.name).value for record in self.descriptor.parameters}
+
+    def set(self, name: str, value: float) -> float:
+        """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
+        try:
+            return self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
+        except Refused as refusal:
+            if refusal.code == ErrorCode.OUT_OF_RANGE:
+                now = self.parameter(name)
+                raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
+            raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
+
+    def _parameter_id(self, name: str) -> int:
+        return self._record(self.descriptor.parameters, name, "parameter").id
+
+    def channels(self, names: Iterable[str] | None) -> tuple[Channel, ...]:
+        """The channels of these names in the device's order; for None all but those that are streamed on request.
+
+        Where all names begin with a +, they come on top of these.
+        """
+        known = self.descriptor.channels
+        if not known:
+            raise NodeError(f"node {self.number} has no channels: there is nothing to stream")
+        names = tuple(names or ())
+        chosen = set()
+        if all(name.startswith("+") for name in names):
+            chosen = {channel.id for channel in known if not channel.flags & Flag.ON_REQUEST}
+        chosen |= {self._record(known, name.removeprefix("+"), "channel").id for name in names}
+        return tuple(channel for channel in known if channel.id in chosen)
+
+    def _record(self, records: tuple[Channel, ...], name: str, kind: str) -> Channel:
+        for record in records:
+            if record.name == name:
+                return record
+        names = [record.name for record in records]
+        near = difflib.get_close_matches(name, names, 1)
+        hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names) or 'none'}"
+        raise NodeError(f"node {self.number} has no {kind} '{name}': {hint}")
+
+    # -- states and setpoints -----------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> DriveState:
+        """State by the last heartbeat, by HELLO before the first."""
+        heartbeat = self.client.heartbeats.get(self.number)
+        return heartbeat.state if heartbeat else self.identity.state
+
+    def command(self, command: Command, argument: int = 0) -> DriveState:
+        """Send a state command and return the state after it."""
+        return self.client.request(StateCommand(command, argument), self.number, StateReply).state
+
+    def arm(self) -> None:
+        """IDLE to ARMED, and start to feed the watchdog. A latched fault is named, not cleared.
+
+        Raises NodeError if it is refused, and DriveFailed, with the node stopped, unless a heartbeat shows it ARMED
+        with its watchdog at work.
+        """
+        self.client.feed(self.number, on=True)
+        try:
+            state = self.command(Command.ARM, self.identity.boot_id)
+        except Refused as refusal:
+            self.client.feed(self.number, on=False)
+            if refusal.code == ErrorCode.WRONG_STATE and refusal.detail == DriveState.FAULT:
+                raise NodeError(
+                    f"node {self.number} has a latched fault ({self.fault_text()}): look into its cause, "
+                    "then clear it with --clear-faults"
+                ) from None
+            raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
+        armed = heard(self, lambda heartbeat: heartbeat.state == DriveState.ARMED, HEARTBEATS)
+        if armed is None:
+            why = f"it answered ARM with {state.name}, but {says(self.client.heartbeats.get(self.number))}"
+        elif not (why := without_watchdog(armed)):
+            return
+        self.stop()
+        raise DriveFailed(f"refusing to energise node {self.number}: {why}")
+
+    def start(self) -> None:
+        """ARMED to RUNNING: the outputs go on. Raises NodeError if it is refused, DriveFailed if it did not start."""
+        try:
+            state = self.command(Command.START)
+        except Refused as refusal:
+            raise NodeError(f"node {self.number} refused to start: {refusal}") from None
+        if state != DriveState.RUNNING:
+            raise DriveFailed(f"node {self.number} did not start: it answered START with {state.name}")
+        self._vigil = Vigil(self)
+
+    def astray(self) -> str:
+        """Why a node that was started does not run as it should, by its heartbeats; see `bench.device.safety.Vigil`."""
+        return "" if self._vigil is None else self._vigil.astray()
+
+    def stop(self) -> DriveState:
+        """Outputs off, from any state, and seen to be off: see `bench.device.safety.switch_off` for what it raises."""
+        self._vigil = None
+        return switch_off(self)
+
+    def clear_faults(self) -> None:
+        """Clear exactly the faults that the last heartbeat showed; refused if there are others by now."""
+        heartbeat = self.next_heartbeat()
+        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
+            try:
+                self.command(Command.FAULT_CLEAR, int(heartbeat.faults))
+            except Refused as refusal:
+                raise NodeError(
+                    f"node {self.number} would not clear {self.fault_text()}: {refusal}; its cause may persist"
+                ) from None
+            self.next_heartbeat()  # the last one still shows the fault
+
+    def fault_text(self) -> str:
+        """The active faults by name, the first one marked."""
+        heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+        if heartbeat is None or not heartbeat.faults:
+            return "none"
+        names, first = ", ".join(fault_names(heartbeat.faults)), fault_names(heartbeat.first_fault)
+        return names + (f"; first: {', '.join(first)}" if first and "," in names else "")
+
+    def next_heartbeat(self) -> Heartbeat | None:
+        """The next heartbeat; the last one, or None, if none comes within 0.5 s."""
+        before = self.client.heartbeats.get(self.number)
+        self.client.wait(lambda: self.client.heartbeats.get(self.number) is not before, 0.5)
+        return self.client.heartbeats.get(self.number)
+
+    def setpoint(
+        self, mode: SetpointMode, value: float, value2: float = 0.0, unless: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Send a setpoint until a heartbeat confirms it, or `unless()` holds, which is asked meanwhile.
+
+        NodeError if it is rejected, NoReply if it is not confirmed.
+        """
+        for _ in range(3):
+            heartbeat = self.client.heartbeats.get(self.number) or self.next_heartbeat()
+            counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
+            rejected = heartbeat.setpoints_rejected if heartbeat else 0
+            self.client.rejections.pop(self.number, None)
+            self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
+
+            def answered(counter: int = counter, rejected: int = rejected) -> bool:
+                now = self.client.heartbeats.get(self.number)
+                return now is not None and (now.setpoint_counter == counter or now.setpoints_rejected != rejected)
+
+            if self.client.wait(lambda: unless() or answered(), 0.35):
+                if not answered():
+                    return
+                confirmed = self.client.heartbeats[self.number]
+                if confirmed.setpoint_counter == counter:
+                    return
+                if self._vigil is not None and (why := self._vigil.not_running(confirmed)):
+                    raise DriveFailed(f"node {self.number} {why}")
+                raise NodeError(
+                    f"node {self.number} rejected the setpoint {mode.name} {value:g}: {self._why_rejected()} "
+                    f"(state {confirmed.state.name}, faults: {self.fault_text()})"
+                )
+        raise NoReply(f"node {self.number} on {self.client.link.name} confirmed no setpoint in 3 tries")
+
+    def _why_rejected(self) -> str:
+        event = self.client.rejections.get(self.number)
+        if event is None:
+            return "no reason came"
+        code = "no code" if event.number is None else ErrorCode(event.number).name
+        return f"{code} ({event.detail:g})"
+
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
+        """Speed reference (a drive) or forced speed (a load machine), mechanical rad/s. See `setpoint`."""
+        self.setpoint(SetpointMode.SPEED, omega_m, unless=unless)
+
+    def current(self, i_q: float, i_d: float = 0.0) -> None:
+        """Current references in A."""
+        self.setpoint(SetpointMode.CURRENT, i_q, i_d)
+
+    def torque(self, tau: float) -> None:
+        """Torque of a load machine in N·m, against the drive's positive direction."""
+        self.setpoint(SetpointMode.TORQUE, tau)
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    def clock_fit(self, tries: int = 3) -> ClockFit:
+        """Relate device ticks to host time by the quickest of `tries` TIME_SYNCs."""
+        fits = []
+        for _ in range(tries):
+            sent = self.client.now()
+            reply = self.client.request(TimeSync(), self.number, TimeSyncReply)
+            got = self.client.now()
+            middle = (reply.rx_tick + reply.tx_tick) / 2
+            fits.append(ClockFit(middle, (sent + got) / 2, self.identity.tick_hz, got - sent))
+        return min(fits, key=lambda fit: fit.round_trip)
+
+    def stop_streams(self) -> None:
+        """Stop every stream, those of an earlier host too; what had not come by then is counted as lost."""
+        last = self.client.heartbeats.get(self.number)
+        try:
+            if self._streams:
+                last = self.next_heartbeat()  # it tells what is to come
+            self.client.request(StreamStop(ALL_STREAMS), self.number, Empty)
+        finally:
+            self._streams.clear()
+            self.client.end_streams(self.number, last)
+
+    def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
+        """Configure the sample stream. Raises DoesNotFit, with what would fit, when the link cannot carry it."""
+        ids = tuple(channel.id for channel in channels)
+        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids))
+
+    def set_edges(self, max_latency_ms: int = 20) -> StreamConfig:
+        """Configure the stream of Hall edges."""
+        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms))
+
+    def active_streams(self) -> list[StreamConfig]:
+        """The streams that are configured in it now, by whomever."""
+        configs = []
+        for number in range(MAX_STREAMS):
+            try:
+                info = self.client.request(StreamGet(number), self.number, StreamInfo)
+            except Refused as refusal:
+                if refusal.code != ErrorCode.UNKNOWN_ID:
+                    raise
+                continue
+            if info.event not in (StreamEvent.PWM, StreamEvent.EDGES):
+                continue  # of a later version
+            request = StreamSet(number, info.event, info.decimation, info.max_latency_ms, info.channels)
+            reply = StreamReply(number, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
+            configs.append(StreamConfig.of(self.number, request, reply, self.descriptor))
+        return configs
+
+    def start_streams(self) -> None:
+        """Start the streams that were configured."""
+        self.client.request(StreamStart(sum(1 << stream for stream in self._streams)), self.number, Empty)
+        self.client.streams_started(self.number)
+
+    def resume_streams(self) -> None:
+        """After a reboot: configure and start again what the device has forgotten."""
+        self.forget()
+        for request in tuple(self._streams.values()):
+            self._configure(request)
+        self.start_streams()
+
+    def _configure(self, request: StreamSet) -> StreamConfig:
+        most = (self.identity.rx_max - StreamSet.FIXED_BYTES) // 2
+        if len(request.channels) > most:
+            asked = counted(len(request.channels), "channel")
+            takes = f"node {self.number} takes {counted(most, 'channel')} in a stream at most"
+            raise DoesNotFit(f"{takes}, not {asked}: choose with --channels", 0)
+        try:
+            reply = self.client.request(request, self.number, StreamReply)
+        except Refused as refusal:
+            raise self._refusal(refusal, request) from None
+        config = StreamConfig.of(self.number, request, reply, self.descriptor)
+        self._streams[request.stream] = request
+        self.load = reply.load
+        self.client.decode(config, self.identity.tick_hz, self.identity.pwm_hz)
+        return config
+
+    def _refusal(self, refusal: Refused, request: StreamSet) -> NodeError:
+        if refusal.code != ErrorCode.DOES_NOT_FIT:
+            return NodeError(f"node {self.number} refused to stream: {refusal}")
+        pwm_hz, link = self.identity.pwm_hz, self.client.link.name
+        asked = f"{counted(len(request.channels), 'channel')} at {pwm_hz / request.decimation:g} Hz"
+        by_id = {channel.id: channel for channel in self.descriptor.channels}
+        widths = [np.dtype(by_id[number].raw.dtype).itemsize for number in request.channels]
+        room = min(self.identity.tx_max, MAX_PAYLOAD) - STREAM_HEADER.size
+        wire = self.client.session.wire
+        if sum(widths) > room and not isinstance(wire, CanWire):
+            why = f"a sample of {sum(widths)} bytes is too long: node {self.number} sends {room} at most"
+            return DoesNotFit(f"{why}; choose fewer channels with --channels", 0)
+        decimation = (whole_from_wire(refusal.detail) or 0) if widths else 0
+        if isinstance(wire, CanWire):
+            plan = BusPlan(wire.rates, wire.extended, pwm_hz, request.max_latency_ms)
+            if not widths:
+                alone = edge_load(wire.rates, wire.extended)
+                return DoesNotFit(
+                    f"{link} ({wire.rates}) is too slow: the Hall edges alone, counted as {EDGES_PER_SECOND:g} a "
+                    f"second, would load it to {alone:.0%}; 250 kbit/s is enough",
+                    0,
+                )
+            fits = ", ".join(
+                f"{counted(fit.channels, 'channel')} at {fit.rate:g} Hz ({fit.load:.0%})"
+                for fit in plan.choices(widths, request.decimation)
+            )
+            why = (
+                f"{asked} would load {link} ({wire.rates}) to {plan.load(widths, request.decimation):.0%}; what fits: "
+                f"{fits or 'nothing'}: choose with --channels and --rate, or let --fit choose the rate"
+            )
+        else:
+            slower = f"they would at --rate {pwm_hz / max(decimation, 1):g} (--fit chooses it), or"
+            fits = slower if decimation else "nor do they slower:"
+            why = f"{asked} do not fit {link}; {fits} choose fewer with --channels"
+        return DoesNotFit(why, decimation)

@@ -1,0 +1,251 @@
+"""Turns a motor slowly both ways so that its Hall sensors can be looked at, whatever is wrong with them.
+
+Three ways are tried in turn until the shaft has turned far enough in both directions: the drive by its encoder, which
+needs no Hall sensor; the drive by its Hall sensors, which needs no encoder; the load machine, where the rig has one,
+with the drive off. A drive that trips (its protection sees bad Hall sensors) lets the shaft coast, and is recorded
+meanwhile. By hand is the fourth way: `bench.hall.passive`.
+
+Everything goes through a `Rig`, which stops what turns and puts parameters back however this is left. Nothing here
+judges Hall sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from bench.analysis.capture import Capture
+from bench.analysis.units import RPM
+from bench.errors import BenchError
+from bench.rig.loads import SPEED
+from bench.rig.needs import offers
+from bench.rig.recorder import Recorder
+from bench.rig.rig import Rig
+from protocol.errors import HbpError
+from protocol.messages import Fault
+
+SHARES = (0.25, 0.5, 1.0)
+"""Of the highest speed, at which the shaft turns both ways; by Hall sensors the lowest is left out."""
+DWELL_TURNS = 8.0  # electrical turns at a speed,
+DWELL = (1.0, 4.0)  # s, but so long at least and at most
+ENOUGH = 6.0
+"""Electrical turns each way with which no further way of turning is tried."""
+FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
+RUNAWAY = 1.6  # of the highest speed that was asked for so far, at which a motor is stopped
+GROWS = 1.2  # of the speed that was there when it was told to stand, at which a motor is stopped
+COAST = 5.0  # s that a shaft may take to stand when it is let go
+STANDS = 3.0  # electrical rad/s
+SETTLES = 0.35  # s in which a shaft that stands may still creep to a Hall code that trips the drive again
+FURTHER = "with more current (--current), faster (--speed), by a load machine, or by hand (--passive)"
+LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a count
+
+
+@dataclass(frozen=True)
+class Turned:
+    """What was recorded, and how the shaft was turned, in words."""
+
+    capture: Capture
+    how: str
+    remarks: tuple[str, ...] = ()
+    """Trips, and ways that did not turn the motor."""
+    further: str = ""
+    """How more of it is to be had, in words; empty for a recording."""
+
+
+class _NotFollowing(Exception):
+    """The motor does not do what it is told; the text says what it did."""
+
+
+class Turner:
+    """Turns the shaft of `rig` at up to `most_rpm` mechanical r/min; `progress` shows a line.
+
+    Raises BenchError for a speed that is too low to measure at.
+    """
+
+    def __init__(self, rig: Rig, most_rpm: float, progress: Callable[[str], None]) -> None:
+        self._rig = rig
+        self._most_rpm = most_rpm
+        self._progress = progress
+        self._first = rig.tick()
+        self._remarks: list[str] = []
+        self._trips: dict[str, list[str]] = {}  # speeds, by how the drive turned the motor and what it tripped
+        slowest = ENOUGH / DWELL[1] * math.tau / rig.drive.n_p / RPM
+        if most_rpm < slowest:
+            raise BenchError(
+                f"--speed {most_rpm:g} is too slow: {slowest:g} r/min at least, for {ENOUGH:g} electrical turns in "
+                f"{DWELL[1]:g} s"
+            )
+        self._asked = 0.0  # electrical rad/s, the highest so far
+        self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
+
+    def spin(self) -> Turned:
+        """Try all ways until the shaft has turned far enough both ways.
+
+        Raises BenchError if the link goes silent; HbpError.
+        """
+        tried = []
+        with self._rig.drive.may_trip():
+            for how, turn in self._ways():
+                try:
+                    turn()
+                except _NotFollowing as error:
+                    self._remarks.append(f"{how}: {error}")
+                finally:
+                    self._stop()
+                tried.append(how)
+                self._coast()
+                if self._far_enough():
+                    break
+            self._leave_clear()
+        return self._turned(", then ".join(tried))
+
+    def _turned(self, how: str) -> Turned:
+        trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
+        capture = self._rig.capture(self._first, self._rig.recorder.newest)
+        return Turned(capture, how, (*trips, *self._remarks), FURTHER)
+
+    # -- ways ---------------------------------------------------------------------------------------------------
+
+    def _ways(self) -> Iterator[tuple[str, Callable[[], None]]]:
+        drive = self._rig.drive.node
+        if self._rig.has_encoder and offers(drive, "encoder"):
+            yield "the drive by its encoder", lambda: self._by_drive("encoder", "encoder", SHARES)
+        if offers(drive, "average-speed"):
+            yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
+        else:
+            yield "the drive by its own angle", lambda: self._by_drive("own angle", None, SHARES[1:])
+        load = self._rig.load
+        if load is not None and SPEED in load.abilities:
+            yield "the load machine", self._by_load
+
+    def _speeds(self, shares: tuple[float, ...]) -> list[float]:
+        """Mechanical rad/s."""
+        return [sign * share * self._most_rpm * RPM for sign in (1.0, -1.0) for share in shares]
+
+    def _dwell(self, omega_m: float) -> float:
+        turns_per_second = self._rig.drive.n_p * abs(omega_m) / math.tau
+        return min(max(DWELL_TURNS / turns_per_second, DWELL[0]), DWELL[1])
+
+    def _by_drive(self, source: str, observer: str | None, shares: tuple[float, ...]) -> None:
+        drive = self._rig.drive
+        for omega_m in self._speeds(shares):
+            self._progress(f"the drive by its {source}: {omega_m / RPM:+.0f} r/min")
+            if self._running and self._speed() * omega_m < 0.0:
+                self._brake()
+            first = self._rig.tick()
+            self._asked = max(self._asked, abs(omega_m) * drive.n_p)
+            limit = RUNAWAY * self._asked
+            try:
+                if not self._running:
+                    self._running = True
+                    drive.start(observer)
+                drive.speed(omega_m, partial(self._let_go, limit))
+            except (BenchError, HbpError):
+                if not drive.faults:
+                    raise
+            self._rig.until(partial(self._let_go, limit), self._dwell(omega_m))
+            if drive.faults:
+                self._after_trip(source, omega_m)
+            elif abs(self._speed()) > limit:
+                raise _NotFollowing(f"told to turn at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
+            self._require_following(first, omega_m)
+
+    def _brake(self) -> None:
+        """Down to a stand before the shaft turns the other way; a trip is looked at later."""
+        before = self._speed()
+        limit = GROWS * abs(before)
+        with suppress(BenchError, HbpError):
+            self._rig.drive.speed(0.0, partial(self._let_go, limit))
+        self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
+        if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
+            was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
+            raise _NotFollowing(f"told to stand it went from {was:+.0f} to {now:+.0f} r/min and was stopped")
+
+    def _by_load(self) -> None:
+        load = self._rig.load
+        assert load is not None
+        try:
+            for omega_m in self._speeds(SHARES):
+                self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
+                load.speed(omega_m)  # type: ignore[attr-defined]  # it has the ability
+                self._rig.wait(self._dwell(omega_m))
+        finally:
+            load.off()
+
+    # -- looks --------------------------------------------------------------------------------------------------
+
+    def _let_go(self, limit: float) -> bool:
+        return bool(self._rig.drive.faults) or abs(self._speed()) > limit
+
+    def _speed(self) -> float:
+        """Electrical rad/s, by what the drive has; 0 before the first sample."""
+        recorder = self._rig.recorder
+        if recorder.newest < 0:
+            return 0.0
+        return recorder.latest(self._rig.speed_channel)
+
+    def _after_trip(self, source: str, omega_m: float) -> None:
+        """Record what coasts, and make the drive ready again."""
+        drive = self._rig.drive
+        what = f"the drive, by its {source}, tripped {', '.join(drive.faults)}"
+        self._trips.setdefault(what, []).append(f"{omega_m / RPM:+.0f}")
+        self._running = False
+        self._coast()
+        other = [name for name in drive.faults if name != Fault.HALL.name]
+        try:
+            drive.forget_faults()
+        except (BenchError, HbpError):
+            raise _NotFollowing("its fault does not clear where the shaft stands now") from None
+        if other:
+            raise _NotFollowing(f"not tried again after {', '.join(other)}")
+
+    def _coast(self) -> None:
+        self._rig.until(lambda: abs(self._speed()) < STANDS, COAST)
+
+    def _stop(self) -> None:
+        self._running = False
+        self._rig.drive.stop()
+
+    def _leave_clear(self) -> None:
+        """Clear what the drive has latched; one that sees an illegal code where the shaft stands keeps its fault."""
+        drive = self._rig.drive
+        with suppress(BenchError, HbpError):
+            drive.forget_faults()
+            self._rig.wait(SETTLES)
+        if drive.faults:
+            self._remarks.append(f"the drive is off and keeps its fault {', '.join(drive.faults)}: its cause persists")
+            drive.leave_faults()
+
+    def _require_following(self, first: int, omega_m: float) -> None:
+        if not self._rig.has_encoder:
+            return
+        capture = self._rig.capture(first, self._rig.recorder.newest)
+        way = float(capture.theta[-1] - capture.theta[0]) * math.copysign(1.0, omega_m)
+        asked = abs(omega_m) * self._rig.drive.n_p * self._dwell(omega_m)
+        if way < (FOLLOWS * asked if self._running else 0.0):
+            raise _NotFollowing(
+                f"told to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min it turned "
+                f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
+            )
+
+    def _far_enough(self) -> bool:
+        return min(electrical_turns(self._rig.recorder, self._first, self._rig.drive.parameters)) >= ENOUGH
+
+
+def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Up and down since the device tick `first`: by the encoder; by the Hall edges, both alike, without one."""
+    if recorder.newest <= first:
+        return 0.0, 0.0
+    capture = recorder.capture(first, recorder.newest, parameters)
+    try:
+        theta = capture.theta
+    except BenchError:  # no encoder
+        half = len(capture.edges) / 12.0
+        return half, half
+    steps = np.diff(theta[:: max(1, round(capture.rate / LOOKS))])
+    return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau

@@ -1,0 +1,1 @@
+"""`bench live`: stream a drive, watch or spin it, sum the run up."""

@@ -1,0 +1,267 @@
+"""Whether what a run showed can be a healthy drive's: speed, position error, currents, Hall sensors and encoder.
+
+A drive can take every command, stream every sample and still not do what it was asked for: wrong pole pairs, exchanged
+Hall wires, a shaft that is stuck. `Plausibility` is a sink that keeps a few sums of the samples in RUNNING, bounded in
+memory, and at the end names what cannot be right, and what nothing in the stream could show. The bounds are wide: they
+tell nonsense from a drive, not a good drive from a bad one (that is what acceptance tests are for).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.channels import flagged, speed_channel
+from bench.analysis.position import ErrorTable, states, wrap
+from bench.analysis.units import RPM, pole_pairs
+from bench.device.client import SinkBase
+from protocol.descriptor import Channel
+from protocol.messages import DriveState
+from protocol.signals import SECTOR_OF_CODE, Flag, Unit
+from protocol.streams import EdgeChunk, SampleChunk
+
+SECTOR = math.pi / 3
+OFF_BY = SECTOR  # rms of a position error above which an angle is no estimate
+SEEN_FOR = 0.5  # s of samples from which on it is judged
+SPEED_OFF = 0.5  # of the speed that was asked for, by which its mean may be off
+STANDS = 60.0  # r/min that a motor may turn at which was asked to stand
+LEAST_SPEED = 5.0  # r/min by which any speed may be off
+RISING = 0.05  # of the speed that was asked for, by which it changes while it is still on its way
+LONG_ENOUGH = 1.0  # s at a speed before it is judged
+LAST = 10.0  # s of a stretch that are judged at most
+BLOCK = 0.25  # s over which Hall sensors and encoder are compared
+TURNS = 3.0  # electrical revolutions from which on they are
+RATIO_OFF = 0.25  # of one, by which their ratio may be off
+TOO_MUCH = 1.25  # of i_max that the mean current may be
+NO_SUM = 0.5  # of a phase current, rms, that the sum of the three may be
+LEAST_SUM = 0.3  # A, below which the sum is noise and offsets
+_SECTOR = np.array(SECTOR_OF_CODE)
+_STEP = np.array([0, 1, 2, 0, -2, -1])  # sectors gone, by the difference of two codes' sectors modulo 6
+PHASES = ("i_a", "i_b", "i_c")
+
+
+@dataclass
+class _Power:
+    """Mean of squares."""
+
+    n: int = 0
+    total: float = 0.0
+
+    def add(self, squares: NDArray[np.float64]) -> None:
+        self.n += len(squares)
+        self.total += float(squares.sum())
+
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self.total / self.n) if self.n else 0.0
+
+
+@dataclass
+class _Asked:
+    """A stretch of the run in which one speed was asked for, mechanical r/min."""
+
+    speed_rpm: float
+    looks: deque[tuple[float, float, float]] = field(default_factory=deque)
+    """Duration in s, mean speed in r/min, mean current in A, chunk by chunk; of the last `LAST` s."""
+    seconds: float = 0.0
+
+
+class Plausibility(SinkBase):
+    """Sink that judges the run of node `drive` by its stream of `channels` and, with `edges`, its Hall edges.
+
+    `parameters`: the drive's, by name, in their units.
+    """
+
+    def __init__(
+        self, drive: int, pwm_hz: int, channels: Sequence[Channel], edges: bool, parameters: Mapping[str, float]
+    ) -> None:
+        self._drive, self._pwm_hz, self._edges = drive, pwm_hz, edges
+        self._names = {channel.name for channel in channels}
+        self._n_p = pole_pairs(parameters)
+        self._i_max = parameters.get("i_max", math.inf)
+        self._theta = flagged(channels, Unit.RAD, Flag.REFERENCE)
+        self._omega = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE)
+        self._by = "the encoder" if self._omega else "its Hall sensors" if edges else "its own estimate"
+        if not self._omega and not edges:
+            self._omega = speed_channel(channels, parameters)
+        self._decimation = 1
+        self._asked: list[_Asked] = []
+        self._not_finite: dict[str, int] = {}
+        self._current, self._phase, self._sum = _Power(), _Power(), _Power()
+        # Hall sensors against the encoder: of the block under way, electrical rad; then of all blocks
+        self._last_theta: float | None = None
+        self._hall = self._turned = self._since = 0.0
+        self._hall_along = self._turned_total = 0.0
+        self._sectors = 0.0  # since the last chunk of samples
+
+    def ask(self, speed_rpm: float) -> None:
+        """From now on this speed is asked for."""
+        self._asked.append(_Asked(speed_rpm))
+
+    # -- sink ---------------------------------------------------------------------------------------------------
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Follow the Hall sensors from sector to sector."""
+        if chunk.config.node != self._drive:
+            return
+        old, new = _SECTOR[chunk.hall_old & 7], _SECTOR[chunk.hall_new & 7]
+        legal = (old >= 0) & (new >= 0)
+        self._sectors += float(_STEP[(new - old)[legal] % 6].sum())
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Take in what was sampled while the drive was running."""
+        sectors, self._sectors = self._sectors, 0.0
+        if chunk.config.node != self._drive or not len(chunk):
+            return
+        for channel in chunk.config.channels:
+            if channel.raw.dtype == "<f4":
+                bad = int(np.count_nonzero(~np.isfinite(chunk.raw[channel.name])))
+                self._not_finite[channel.name] = self._not_finite.get(channel.name, 0) + bad
+        if (told := states(chunk)) is not None and told[-1] != DriveState.RUNNING:
+            self._last_theta = None
+            return
+        self._decimation = chunk.config.decimation
+        seconds = len(chunk) * chunk.config.decimation / self._pwm_hz
+        self._look_at_currents(chunk)
+        self._compare(chunk, sectors, seconds)
+        self._look_at_speed(chunk, sectors, seconds)
+
+    def _look_at_currents(self, chunk: SampleChunk) -> None:
+        if {"i_d", "i_q"} <= self._names:
+            self._current.add(chunk.physical("i_d") ** 2 + chunk.physical("i_q") ** 2)
+        if self._names.issuperset(PHASES):
+            a, b, c = (chunk.physical(name) for name in PHASES)
+            self._phase.add((a * a + b * b + c * c) / 3.0)
+            self._sum.add((a + b + c) ** 2)
+
+    def _compare(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
+        """Add to the block under way; a block beside a gap is left out."""
+        if not self._theta:
+            return
+        theta = chunk.physical(self._theta)
+        if chunk.gaps or self._last_theta is None:
+            self._hall = self._turned = self._since = 0.0
+        else:
+            self._turned += float(wrap(np.diff(theta, prepend=self._last_theta)).sum())
+            self._hall += sectors * SECTOR
+            self._since += seconds
+        self._last_theta = float(theta[-1])
+        if self._since >= BLOCK:
+            if abs(self._turned) > SECTOR:
+                self._hall_along += math.copysign(self._hall, self._hall * self._turned)
+                self._turned_total += abs(self._turned)
+            self._hall = self._turned = self._since = 0.0
+
+    def _look_at_speed(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
+        if not self._asked or self._n_p is None:
+            return
+        if self._omega:
+            omega = float(chunk.physical(self._omega).mean())
+        elif self._edges:
+            omega = sectors * SECTOR / seconds
+        else:
+            return
+        current = math.nan
+        if {"i_d", "i_q"} <= self._names:
+            current = float(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")).mean())
+        asked = self._asked[-1]
+        asked.seconds += seconds
+        asked.looks.append((seconds, omega / self._n_p / RPM, current))
+        while sum(look[0] for look in asked.looks) > min(LAST, max(asked.seconds / 3.0, BLOCK)):
+            asked.looks.popleft()
+
+    # -- at the end ---------------------------------------------------------------------------------------------
+
+    def implausible(self, errors: ErrorTable) -> list[str]:
+        """What cannot be right for a healthy drive, each with its numbers; `errors`: position errors of the run."""
+        found = [f"{name} is not a finite number in {n} samples" for name, n in self._not_finite.items() if n]
+        found += [words for asked in self._asked if (words := self._wrong_speed(asked))]
+        found += self._hall_against_encoder()
+        rate = self._pwm_hz / self._decimation
+        rows: dict[str, tuple[int, float]] = {}
+        for row in errors.segments.values():
+            for name, moments in row.items():
+                n, total = rows.get(name, (0, 0.0))
+                if moments.n:
+                    rows[name] = (n + moments.n, total + moments.n * (moments.mean**2 + moments.std**2))
+        for name, (n, total) in rows.items():
+            if n / rate >= SEEN_FOR and (rms := math.sqrt(total / n)) > OFF_BY:
+                found.append(f"{name} is {math.degrees(rms):.0f} deg (rms) off the encoder: more than a Hall sector")
+        if self._current.rms > TOO_MUCH * self._i_max:
+            found.append(f"{self._current.rms:.3g} A (rms of the current vector) with i_max = {self._i_max:g} A")
+        if self._sum.rms > max(LEAST_SUM, NO_SUM * self._phase.rms):
+            found.append(
+                f"the phase currents add up to {self._sum.rms:.2g} A (rms), which should be 0, at "
+                f"{self._phase.rms:.2g} A a phase"
+            )
+        return found
+
+    def unverified(self) -> list[str]:
+        """What nothing in the stream could show, each with the reason."""
+        unseen = []
+        if not self._theta:
+            unseen.append("position error (no angle with the flag REFERENCE)")
+        if self._n_p is None:
+            unseen.append("speed (no parameter n_p)")
+        elif not self._omega and not self._edges:
+            unseen.append("speed (no encoder, no Hall edges, no estimate of it)")
+        elif self._by == "its own estimate":
+            unseen.append("speed, but for the drive's own estimate")
+        else:
+            short = [asked for asked in self._asked if asked.seconds < LONG_ENOUGH or self._on_its_way(asked)]
+            slow = [
+                asked for asked in self._asked if asked not in short and 0 < abs(asked.speed_rpm) <= self._off(asked)
+            ]
+            for which, why in ((short, "too short a time"), (slow, "too slow to tell")):
+                if speeds := ", ".join(f"{asked.speed_rpm:g}" for asked in which):
+                    unseen.append(f"whether {speeds} r/min are held ({why})")
+        return unseen
+
+    def _off(self, asked: _Asked) -> float:
+        """By how many r/min the mean speed may be off: at least by a Hall sector, where those tell it."""
+        if not asked.speed_rpm:
+            return STANDS
+        bound = max(LEAST_SPEED, SPEED_OFF * abs(asked.speed_rpm))
+        if self._by == "its Hall sensors" and asked.looks and self._n_p:
+            bound = max(bound, SECTOR / (self._n_p * RPM * sum(look[0] for look in asked.looks)))
+        return bound
+
+    def _wrong_speed(self, asked: _Asked) -> str:
+        if asked.seconds < LONG_ENOUGH or not asked.looks or self._on_its_way(asked):
+            return ""
+        speed, current = _mean(asked.looks, 1), _mean(asked.looks, 2)
+        if abs(speed - asked.speed_rpm) <= self._off(asked):
+            return ""
+        amperes = "" if math.isnan(current) else f", with {current:.1f} A"
+        of = f" of {self._i_max:g} A (i_max)" if amperes and math.isfinite(self._i_max) else ""
+        return f"{asked.speed_rpm:g} r/min were asked for, it turned at {speed:.0f} r/min by {self._by}{amperes}{of}"
+
+    def _on_its_way(self, asked: _Asked) -> bool:
+        """Whether the speed still changes towards what was asked for."""
+        looks = list(asked.looks)
+        if len(looks) < 2:
+            return False
+        early, late = (_mean(part, 1) for part in (looks[: len(looks) // 2], looks[len(looks) // 2 :]))
+        nearer = abs(asked.speed_rpm - early) - abs(asked.speed_rpm - late)
+        return nearer > RISING * abs(asked.speed_rpm)
+
+    def _hall_against_encoder(self) -> list[str]:
+        if not self._edges or self._turned_total < TURNS * math.tau:
+            return []
+        ratio = self._hall_along / self._turned_total
+        if abs(ratio - 1.0) <= RATIO_OFF:
+            return []
+        turned, hall = self._turned_total / math.tau, self._hall_along / math.tau
+        words = f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction"
+        if self._n_p is not None and ratio > 0.0 and round(ratio * self._n_p) not in (0, self._n_p):
+            words += f": n_p = {self._n_p} is wrong, or sensors or encoder are ({self._n_p * ratio:.1f} would fit)"
+        return [words]
+
+
+def _mean(looks: Sequence[tuple[float, float, float]], column: int) -> float:
+    return sum(look[0] * look[column] for look in looks) / sum(look[0] for look in looks)

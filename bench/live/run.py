@@ -1,0 +1,596 @@
+"""`bench live` without the command line: connect, look, stream, spin on request, end with the outputs off.
+
+Every way out of a run passes `make_safe`, which sends STOP; where that cannot arrive (the link is gone, the process
+was killed) the drive's own watchdog switches off, because only this process feeds it.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from bench import __version__
+from bench.analysis.units import RPM, pole_pairs
+from bench.device.bus import BusMeter
+from bench.device.client import POLL, WATCHDOG, Client, Sink, SinkBase
+from bench.device.description import describe
+from bench.device.node import LOAD, ClockFit, Node
+from bench.device.simulator import EmbeddedDrive
+from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, NodeError, OutputsMayBeOn, RecordingError
+from bench.files import check_output
+from bench.live.manoeuvres import SHOW, Act, timed
+from bench.live.plausible import Plausibility
+from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
+from bench.rerunio.schema import RunInfo
+from bench.rig.consent import Plan, check_limits, require_consent
+from bench.rig.interrupts import signals_as_exceptions, undisturbed
+from bench.rig.needs import NEEDS, require
+from bench.rig.outputs import Outputs
+from bench.rig.streams import decimation_of
+from protocol.canmap.host import CanWire
+from protocol.codes import Fault, fault_names
+from protocol.descriptor import Channel
+from protocol.errors import HbpError, LinkError, NoReply
+from protocol.links import Link, open_link
+from protocol.messages import DriveState, HelloReply, Role
+from protocol.signals import SHORT, SOURCE_NAMES
+
+if TYPE_CHECKING:
+    from bench.rerunio.viewer import LiveView
+
+RECONNECT = 30.0  # s that a lost link is waited for
+CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
+PROGRESS_PERIOD = 0.5  # s
+SILENCE = 2.0  # s without samples after which a note says so
+IMPLAUSIBLE = "implausible"
+WATCHING = Act("watching", math.inf, 0.0, 0.0, None)
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What `bench live` was asked for; r/min, A and Hz as on the command line."""
+
+    target: str | None = None
+    speed_rpm: float | None = None
+    load_a: float | None = None
+    observer: str | None = None
+    duration: float | None = None
+    save: Path | None = None
+    overwrite: bool = False
+    viewer: str = "auto"
+    channels: tuple[str, ...] | None = None
+    rate_hz: float | None = None
+    fit: bool = False
+    yes: bool = False
+    clear_faults: bool = False
+    host_observers: bool = False
+    estimate: tuple[str, ...] = ()
+    """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
+    web_port: int | None = None
+    config: str | None = None
+
+    @property
+    def embedded(self) -> bool:
+        """Whether the simulated drive is started as a child."""
+        return self.target in (None, "sim")
+
+    @property
+    def show(self) -> bool:
+        """Whether the scripted show is played: nothing but the simulated drive was asked for."""
+        return self.target is None and self.speed_rpm is None and self.load_a is None
+
+
+class Screen(Protocol):
+    """Where progress goes."""
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+
+    def progress(self, text: str) -> None:
+        """The line that tells what is going on now."""
+
+
+class _ScreenNotes(SinkBase):
+    """Sink that puts the notes of client and run on the screen."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Show it."""
+        self._screen.note(text)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended."""
+
+    summary: Summary
+    exit_code: int
+
+
+class LiveRun:
+    """One run of `bench live` on an open link."""
+
+    def __init__(self, options: LiveOptions, link: Link, target: str, screen: Screen) -> None:
+        self.options = options
+        self.target = target
+        self.screen = screen
+        self._notes = _ScreenNotes(screen)
+        self.client = Client(link)
+        self.drive = Node(self.client, 0)
+        self.load: Node | None = None
+        self.tripped = ""  # why the motor was let go, if it was
+        self.unsafe = ""  # why outputs may still be on, if they may
+        self._energised: list[Node] = []
+        self._clock: ClockFit | None = None  # of this boot of the drive
+        self._outputs: Outputs | None = None
+        self._next_clock = 0.0
+        self._next_progress = 0.0
+        self._last_samples = (0, 0.0)
+        self._silent = False
+        self._rebooted: set[int] = set()
+        self._pole_pairs: int | None = None
+        self._watchdog = WATCHDOG  # s
+        self._judge: Plausibility | None = None  # of a run that turns the motor
+        self._bus: dict[str, Any] | None = None
+        self._signal = 0  # the first that came
+
+    # -- before anything moves ----------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Find drive and, where a load is asked for, load machine. Leaves the motor alone."""
+        hello = self.client.connect()
+        if hello.role != Role.DRIVE:
+            raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
+        self.drive = Node(self.client, hello.node)
+        self.client.reconnect = RECONNECT
+        self.client.on_reboot = self._rebooted.add
+        self.drive.stop_streams()
+        self.screen.note(
+            f"{hello.name} {hello.firmware} on {self.target}: boot {hello.boot_id:08x}, "
+            f"HBP {hello.major}.{hello.minor}, PWM {hello.pwm_hz} Hz, "
+            f"{len(self.drive.descriptor.channels)} channels, state {hello.state.name}"
+        )
+        if self.options.load_a is not None or self.options.show:
+            self.load = Node(self.client, LOAD)
+            if not self._has_load(hello):
+                raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
+            if self.load.identity.role != Role.LOAD:
+                raise BenchError(f"node {LOAD} on {self.target} is {self.load.identity.name}, not a load machine")
+
+    def _has_load(self, hello: HelloReply) -> bool:
+        """Whether node 2 is there; on a CAN bus only asking can tell."""
+        if hello.nodes >= LOAD or not isinstance(self.client.session.wire, CanWire):
+            return hello.nodes >= LOAD
+        try:
+            return bool(Node(self.client, LOAD).identity.nodes)
+        except NoReply:
+            return False
+
+    def acts(self) -> tuple[Act, ...]:
+        """What will be done to the motor; empty when it is only watched."""
+        options = self.options
+        if options.show:
+            return SHOW
+        if options.speed_rpm is None and options.load_a is None:
+            return ()
+        source = SOURCE_NAMES[options.observer] if options.observer else None
+        title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"
+        return (Act(title, math.inf, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
+
+    def check(self, acts: tuple[Act, ...], confirm: Callable[[str], bool] | None) -> None:
+        """Limits and consent: raises before anything is energised."""
+        if not acts:
+            return
+        self._require()
+        plan = Plan(max(abs(act.speed_rpm) for act in acts), max(abs(act.load_a) for act in acts))
+        check_limits(self.drive, plan)
+        require_consent(self.drive, self.target, plan, self.options.yes, confirm)
+        if self.options.clear_faults:
+            self.drive.clear_faults()
+
+    def _require(self) -> None:
+        """What was asked for must be possible with this drive: NodeError names what it lacks."""
+        options = self.options
+        if options.show:
+            require(self.drive, "the show", NEEDS["the show"])
+        if options.load_a is not None:
+            require(self.drive, "--load", NEEDS["--load"])
+        if options.observer:
+            require(self.drive, "--observer", [f"observer:{options.observer}"])
+
+    # -- streaming ----------------------------------------------------------------------------------------------
+
+    def configure(self) -> tuple[Channel, ...]:
+        """Configure samples and edges; returns the channels that will come."""
+        options, identity = self.options, self.drive.identity
+        decimation = decimation_of(identity.pwm_hz, options.rate_hz)
+        channels = self.drive.channels(self._channel_names())
+        needed: tuple[str, ...] = ()
+        if options.host_observers or options.estimate:
+            needed = self._inputs(channels)
+            missing = [name for name in needed if name not in {channel.name for channel in channels}]
+            if missing or decimation != 1:
+                raise BenchError(
+                    f"{self._on_host} needs every PWM period"
+                    + (f" and the channels {', '.join(missing)}" if missing else "")
+                )
+        if self.drive.offers_edges:
+            self.drive.set_edges()
+        else:
+            self.screen.note("no Hall edges: the drive does not offer them (feature EDGES)")
+        try:
+            self.drive.set_samples(channels, decimation)
+        except DoesNotFit as error:
+            if needed:
+                few = ",".join(needed)
+                raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
+            if not options.fit or not error.decimation:
+                raise
+            self.drive.set_samples(channels, error.decimation)
+            self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
+        return channels
+
+    def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
+        """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
+        from bench.observers.estimators import CHECKED, compared_inputs, entry_of
+
+        names = {channel.name for channel in channels}
+        if self.options.host_observers and not names & CHECKED.keys():
+            raise BenchError("--host-observers has nothing to compare: add an estimate to --channels, such as theta_vt")
+        names |= {f"theta_{entry_of(name).short}" for name in self.options.estimate}
+        switch = "load_angle_comp"
+        on = self.drive.has_parameter(switch) and self.drive.parameter(switch).value != 0.0
+        return compared_inputs(names, on)
+
+    @property
+    def _on_host(self) -> str:
+        """The option that runs observers here."""
+        return "--host-observers" if self.options.host_observers else "--estimate"
+
+    def _channel_names(self) -> tuple[str, ...] | None:
+        """The channels that were asked for; without a list of its own a run also gets what its control works with."""
+        names = self.options.channels
+        if not self.options.observer or not all(name.startswith("+") for name in names or ()):
+            return names
+        short = SHORT[SOURCE_NAMES[self.options.observer]]
+        offered = {channel.name for channel in self.drive.descriptor.channels}
+        return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
+
+    def go(
+        self, channels: tuple[Channel, ...], acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool
+    ) -> Ended:
+        """Stream, perform the acts, switch off, sum up."""
+        options, identity = self.options, self.drive.identity
+        parameters = self.drive.parameters()
+        self._pole_pairs = pole_pairs(parameters)
+        self._watchdog = parameters.get("watchdog", WATCHDOG)
+        if acts:
+            offers = self.drive.offers_edges
+            self._judge = Plausibility(self.drive.number, identity.pwm_hz, channels, offers, parameters)
+        observers = None
+        if options.host_observers:
+            from bench.observers.estimators import HostObservers
+
+            names = [channel.name for channel in channels]
+            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz, names)
+        augmenter = None
+        if options.estimate:
+            from bench.observers.augment import AugmentedSinks, Augmenter
+            from bench.observers.estimators import Estimators
+
+            estimators = Estimators(options.estimate, parameters, identity.tick_hz, identity.pwm_hz)
+            augmenter = Augmenter(estimators, channels)
+        stats = RunStatistics(self.drive.number, observers)
+        info = RunInfo(
+            tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz,
+            channels=(*channels, *(augmenter.channels if augmenter else ())),
+            parameters=parameters,
+            identity=describe(identity) | {"target": self.target, "hallbench": __version__},
+            node=identity.node,
+        )
+        self._clock = self.drive.clock_fit()
+        outputs = self._outputs = Outputs(
+            info,
+            options.save,
+            options.overwrite,
+            options.viewer,
+            options.web_port,
+            lambda tick: None if self._clock is None else self._clock.host_time(tick),
+        )
+        try:
+            if outputs.view is not None:
+                self.screen.note(f"dashboard: {outputs.view.url}")
+            sinks: list[Sink] = [stats, *([self._judge] if self._judge else []), *outputs.sinks]
+            if augmenter is not None:
+                sinks = [AugmentedSinks(augmenter, identity.node, sinks)]
+            self.client.sinks = [self._notes, *sinks]
+            self.drive.next_heartbeat()  # the drive's own counts start from this one
+            result, exit_code, duration, cpu = self._run_acts(acts, stats)
+            summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
+            summary.result, ended = self._with_recording(result, exit_code)
+            summary.live_view = outputs.viewed()
+            if self._interrupted(lambda: outputs.end_recording(as_markdown(summary))):
+                ended = ended or 128 + self._signal
+            if outputs.failure is not None:  # at the latest now
+                summary.result, ended = self._with_recording(result, exit_code)
+            summary.recording = outputs.recorded()
+            report(summary)
+            if hold and ended == 0 and outputs.view is not None:
+                self._hold(outputs.view)
+            return Ended(summary, ended)
+        finally:
+            with undisturbed():
+                outputs.close()
+
+    def _run_acts(self, acts: tuple[Act, ...], stats: RunStatistics) -> tuple[str, int, float, float]:
+        """All between start and stop of the streams. Returns result, exit code, duration in s, CPU in percent."""
+        options = self.options
+        cpu, started = CpuMeter(), self.client.now()
+        self.client.longest_pause = 0.0
+        meter = BusMeter(self.client)
+        result, exit_code = "ok", 0
+        try:
+            self.drive.start_streams()
+            if acts:
+                self.energise()
+            end = self.client.now()
+            for act in timed(acts or (WATCHING,), options.duration):
+                end += act.seconds
+                self.perform(act, end, stats)
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            self._remember(interrupt)
+        except LinkError as error:
+            result, exit_code = f"link lost: {error}", 1
+        except DriveFailed as error:
+            self._trip(str(error))
+        except RecordingError as error:
+            self.note(str(error), "ERROR")  # the result: see `_with_recording`
+        finally:
+            duration, percent = self.client.now() - started, cpu.percent()
+            self._bus = meter.report(self.drive.load)
+            self._interrupted(self.make_safe)
+        self._interrupted(self._stop_streams)
+        if acts and stats.faults and not self.tripped:  # in the last moment
+            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{self._starved(self.drive)}"
+        if self.tripped and exit_code == 0:
+            result, exit_code = self.tripped, 1
+        if exit_code == 0:
+            result, exit_code = self._judged(stats)
+            if self._signal:
+                ended = f"ended by {signal.Signals(self._signal).name}"
+                result = f"{result} ({ended})" if result.startswith(IMPLAUSIBLE) else ended
+                exit_code = 128 + self._signal
+        if self.unsafe:
+            result = self.unsafe if result == "ok" else f"{self.unsafe} ({result})"
+            exit_code = OutputsMayBeOn.exit_code
+        return result, exit_code, duration, percent
+
+    def _judged(self, stats: RunStatistics) -> tuple[str, int]:
+        """Result and exit code of a run that came to its end: nothing that was not seen is called ok."""
+        if not stats.samples_seen:
+            return "no samples came", 1
+        if self._judge is None:
+            return "ok", 0
+        if implausible := self._judge.implausible(stats.errors):
+            again = self.target
+            if self.options.embedded:  # that address is of a child of this command
+                again = "sim" + (f" --config {self.options.config}" if self.options.config else "")
+            return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. `bench hall check {again}` looks for the cause", 1
+        unseen = self._judge.unverified()
+        return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
+
+    def _starved(self, node: Node) -> str:
+        """Why the watchdog of `node` has tripped, if it has and the reason is here, as the end of a sentence."""
+        heartbeat = self.client.heartbeats.get(node.number)
+        if heartbeat is None or not heartbeat.faults & Fault.WATCHDOG:
+            return ""
+        watchdog = self._watchdog if node is self.drive else WATCHDOG
+        return f": {why}" if (why := self.client.starved(node.number, watchdog)) else ""
+
+    def _stop_streams(self) -> None:
+        with suppress(HbpError):
+            self.drive.stop_streams()
+
+    def _with_recording(self, result: str, exit_code: int) -> tuple[str, int]:
+        """Result and exit code of the run, or those of a recording that failed; a run that failed itself says both."""
+        failure = None if self._outputs is None else self._outputs.failure
+        if failure is None:
+            return result, exit_code
+        words = f"recording failed: {str(failure).removeprefix('recording ')}"
+        return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
+
+    def _interrupted(self, action: Callable[[], None]) -> bool:
+        """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""
+        try:
+            with undisturbed():
+                action()
+        except (KeyboardInterrupt, Interrupted) as interrupt:
+            self._remember(interrupt)
+            return True
+        return False
+
+    def _remember(self, interrupt: BaseException) -> None:
+        self._signal = self._signal or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
+
+    def _hold(self, view: LiveView) -> None:
+        self.screen.note(f"the dashboard stays at {view.url} until Ctrl-C")
+        with suppress(KeyboardInterrupt, Interrupted):
+            view.process.wait()
+
+    # -- the motor ----------------------------------------------------------------------------------------------
+
+    def energise(self) -> None:
+        """Arm and start the nodes that the acts need: the load machine first, so that it holds the shaft."""
+        for node in (self.load, self.drive):
+            if node is not None:
+                self._energised.append(node)
+                node.arm()
+                node.start()
+
+    def perform(self, act: Act, end: float, stats: RunStatistics) -> None:
+        """One act: angle source, load and speed, then watch until the client's clock says `end`."""
+        stats.segment = act.title
+        if not self.tripped:
+            self.note(act.title)
+            try:
+                if act.source is not None:
+                    self.drive.set("observer", act.source)
+                if self.load is not None:
+                    self.load.torque(self._torque_constant() * act.load_a)
+                if self._energised:
+                    self.drive.speed(act.speed_rpm * RPM)
+                    if self._judge is not None:
+                        self._judge.ask(act.speed_rpm)
+            except (HbpError, NodeError) as error:
+                self._trip(str(error))
+        self.watch(end, stats)
+
+    def _torque_constant(self) -> float:
+        """N·m per A of q current, peak-valued: 1.5 n_p psi_f."""
+        return 1.5 * self.drive.parameter("n_p").value * self.drive.parameter("psi_f_hat").value
+
+    def watch(self, end: float, stats: RunStatistics) -> None:
+        """Let the run go on until `end`, keeping an eye on clock, freshness and faults."""
+        while (left := end - self.client.now()) > 0:
+            self.client.poll(min(POLL, left))
+            self._look(stats)
+
+    def make_safe(self) -> None:
+        """Outputs off, and seen to be off, on every node that was energised; `unsafe` says where that was not seen.
+
+        Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
+        """
+        failure: Exception | None = None
+        while self._energised:
+            node = self._energised[-1]
+            try:
+                node.stop()
+            except OutputsMayBeOn as error:
+                self.unsafe = self.unsafe or str(error)
+                self.note(str(error), "CRITICAL")
+            except DriveFailed as error:
+                self.tripped = self.tripped or str(error)
+                self.note(str(error), "ERROR")
+            except Exception as error:  # of a sink: the outputs were seen to be off all the same
+                failure, self.client.sinks = failure or error, [self._notes]
+            self._energised.pop()
+        if failure is not None:
+            raise failure
+
+    # -- what is looked at while it runs ------------------------------------------------------------------------
+
+    def _look(self, stats: RunStatistics) -> None:
+        now = self.client.now()
+        if self._outputs is not None and self._outputs.failure is not None:
+            raise self._outputs.failure
+        if self.client.health.down_since is None:
+            while self._rebooted:
+                node = self._rebooted.pop()
+                if node == self.drive.number:
+                    self._clock, self._next_clock = None, now
+                    self._trip("the drive has rebooted")
+                    self.drive.resume_streams()
+                elif self.load is not None and node == self.load.number:
+                    self._trip("the load machine has rebooted")
+            self._look_at_samples(now, stats)
+            faulty = next((node for node in self._energised if node.state == DriveState.FAULT), None)
+            if faulty is not None and not self.tripped:
+                what = "the drive" if faulty is self.drive else "the load machine"
+                self._trip(f"{what} tripped: {faulty.fault_text()}{self._starved(faulty)}")
+            for energised in tuple(self._energised):
+                if why := energised.astray():
+                    self._trip(f"{'the drive' if energised is self.drive else 'the load machine'}: {why}")
+            if now >= self._next_clock and not self.client.session.busy:
+                self._next_clock = now + CLOCK_PERIOD
+                try:
+                    self._clock = self.drive.clock_fit(tries=1)
+                except HbpError as error:
+                    self.note(f"no clock: {error}", "WARN")
+        if now >= self._next_progress:
+            self._next_progress = now + PROGRESS_PERIOD
+            self.screen.progress(self._status(stats))
+
+    def _look_at_samples(self, now: float, stats: RunStatistics) -> None:
+        seen, since = self._last_samples
+        if stats.samples_seen != seen or since == 0.0:
+            self._last_samples = (stats.samples_seen, now)
+            self._silent = False
+        elif now - since > SILENCE and not self._silent:
+            self._silent = True
+            self.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
+
+    def _status(self, stats: RunStatistics) -> str:
+        if self.client.health.down_since is not None:
+            return f"{self.client.link.name} is gone, waiting for it to come back"
+        losses = self.client.losses(self.drive.number).samples
+        motor = [self.drive.state.name]
+        if (omega := stats.mean.get("omega_enc")) is not None:
+            n_p = self._pole_pairs
+            motor.append(f"{omega / RPM / n_p:.0f} r/min" if n_p else f"{omega:.0f} rad/s (electrical)")
+        if (i_q := stats.mean.get("i_q")) is not None:
+            motor.append(f"i_q {i_q:.2f} A")
+        return (
+            f"{stats.segment} | {', '.join(motor)} | "
+            f"{stats.samples_seen} samples, {stats.edges_seen} edges, {losses.lost_by_index} lost"
+        )
+
+    def _trip(self, why: str) -> None:
+        self.tripped = why
+        self.note(why, "ERROR")
+        self.make_safe()
+
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Tell the screen and every sink."""
+        for sink in self.client.sinks:
+            sink.note(text, level)
+
+
+def run(
+    options: LiveOptions,
+    screen: Screen,
+    confirm: Callable[[str], bool] | None,
+    report: Callable[[Summary], None],
+    hold: bool = False,
+) -> Ended:
+    """Run `bench live`.
+
+    `confirm` asks a person, None where there is nobody; `report` gets the summary when the motor is off; `hold` keeps
+    the live view up after that. Raises BenchError and HbpError for what the user can mend. However this is left, STOP
+    was sent, or could not be sent and the note says so.
+    """
+    if options.save is not None:
+        check_output(options.save, str(options.save), options.overwrite, recording=True)
+    if options.estimate:
+        from bench.observers.estimators import entry_of
+
+        for name in options.estimate:
+            entry_of(name)
+    with ExitStack() as stack:
+        stack.enter_context(signals_as_exceptions())
+        target = options.target or "sim"
+        if options.embedded:
+            target = stack.enter_context(EmbeddedDrive(options.config, screen.note)).target
+        link = open_link(target)
+        stack.callback(link.close)
+        if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say
+            target = link.name
+        live = LiveRun(options, link, target, screen)
+        try:
+            live.connect()
+            channels, acts = live.configure(), live.acts()
+            live.check(acts, confirm)
+            return live.go(channels, acts, report, hold)
+        except BaseException as error:
+            with undisturbed():
+                live.make_safe()  # in case a second signal came before STOP
+            if live.unsafe:
+                raise OutputsMayBeOn(f"{live.unsafe} ({error or type(error).__name__})") from error
+            raise

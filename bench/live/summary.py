@@ -1,0 +1,301 @@
+"""What a run comes to: counts, three-way losses, position errors, latency, CPU; as JSON and as tables.
+
+`RunStatistics` is a sink that counts while the run goes on. `Summary` is what is left of it at the end.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from bench.analysis.percentiles import Percentiles
+from bench.analysis.position import ErrorTable, Moments, position_errors, states
+from bench.device.bus import bus_rows
+from bench.device.client import WATCHDOG, Client, SinkBase
+from bench.device.counters import DeviceCounters
+from bench.device.description import describe
+from bench.files import finite
+from bench.rerunio import markdown
+from bench.rerunio.schema import label
+from protocol.codes import fault_names
+from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat, HelloReply
+from protocol.streams import EdgeChunk, SampleChunk
+from protocol.text import counted
+
+PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary says so
+
+
+class RunStatistics(SinkBase):
+    """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
+
+    def __init__(self, drive: int, observers: HostObservers | None = None) -> None:
+        self.drive = drive
+        self.segment = "run"
+        self.errors = ErrorTable()
+        self.samples_seen = 0
+        self.first_sample_unix: float | None = None  # s, wall clock: how long a start took
+        self.edges_seen = 0
+        self.faults = Fault(0)
+        self.device = DeviceCounters()
+        self.host_compared = 0
+        self.host_differ = 0
+        self.mean: dict[str, float] = {}  # over the last chunk
+        self._observers = observers
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Count, and add position errors of the samples taken while the drive was running."""
+        n = len(chunk)
+        self.samples_seen += n
+        if self.first_sample_unix is None:
+            self.first_sample_unix = time.time()
+        errors = position_errors(chunk)
+        if errors and (told := states(chunk)) is not None:
+            errors = {name: values[told == DriveState.RUNNING] for name, values in errors.items()}
+        if errors:
+            self.errors.add(self.segment, errors)
+        if self._observers is not None:
+            compared, differ = self._observers.compare(chunk)
+            self.host_compared += compared
+            self.host_differ += differ
+        for name in ("omega_enc", "i_q"):
+            if n and name in (chunk.raw.dtype.names or ()):
+                self.mean[name] = float(chunk.physical(name).mean())
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Count."""
+        self.edges_seen += len(chunk.tick)
+        if self._observers is not None:
+            self._observers.edges(chunk)
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Follow the drive's own counts, and its faults."""
+        if node != self.drive:
+            return
+        self.device.add(heartbeat)
+        self.faults |= heartbeat.faults  # its event may have been lost with the link
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Remember faults."""
+        if node == self.drive:
+            self.faults |= event.faults
+
+
+class CpuMeter:
+    """CPU time of this process as a share of one core."""
+
+    def __init__(self) -> None:
+        self._wall = time.perf_counter()
+        self._cpu = time.process_time()
+
+    def percent(self) -> float:
+        """CPU seconds per second since the meter was made, in percent of one core."""
+        wall = time.perf_counter() - self._wall
+        return 100 * (time.process_time() - self._cpu) / wall if wall > 0 else math.nan
+
+
+if TYPE_CHECKING:
+    from bench.observers.estimators import HostObservers
+
+
+@dataclass
+class Lost:
+    """Losses by the three counts: sample index, frame sequence, the device's own."""
+
+    samples_by_index: int = 0
+    edges_by_index: int = 0
+    frames_by_sequence: int = 0
+    frames_by_device: int = 0
+
+
+@dataclass
+class Summary:
+    """All figures of a run; angles in electrical degrees, times in s or ms by name."""
+
+    target: str
+    identity: dict[str, Any]
+    duration_s: float
+    samples: int
+    edges: int
+    lost: Lost
+    position_error_deg: dict[str, dict[str, dict[str, float]]]
+    cpu_percent: float
+    longest_pause_s: float
+    latency_ms: dict[str, float]
+    link: dict[str, Any]
+    first_sample_unix_s: float | None = None
+    live_view: dict[str, Any] = field(default_factory=dict)
+    recording: dict[str, Any] = field(default_factory=dict)
+    host_observers: dict[str, int] | None = None
+    faults: list[str] = field(default_factory=list)
+    bus: dict[str, Any] | None = None
+    result: str = "ok"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data; numbers that do not exist are null."""
+        plain = finite(asdict(self))
+        assert isinstance(plain, dict)
+        return plain
+
+
+def summarise(
+    target: str,
+    client: Client,
+    stats: RunStatistics,
+    identity: HelloReply,
+    duration: float,
+    cpu_percent: float,
+    latency: Percentiles | None,
+    bus: dict[str, Any] | None = None,
+) -> Summary:
+    """Put together what the client and the statistics have counted."""
+    total = client.losses(stats.drive)
+    samples, edges = total.samples, total.edges
+    counters = client.session.counters
+    return Summary(
+        target=target,
+        identity=describe(identity),
+        duration_s=duration,
+        samples=stats.samples_seen,
+        edges=stats.edges_seen,
+        lost=Lost(
+            samples_by_index=samples.lost_by_index,
+            edges_by_index=edges.lost_by_index,
+            frames_by_sequence=samples.lost_by_seq + edges.lost_by_seq,
+            frames_by_device=stats.device.risen["tx_dropped"],
+        ),
+        position_error_deg={
+            segment: {name: _degrees(moments) for name, moments in row.items() if moments.n}
+            for segment, row in stats.errors.segments.items()
+            if any(moments.n for moments in row.values())
+        },
+        cpu_percent=cpu_percent,
+        longest_pause_s=client.longest_pause,
+        latency_ms={} if latency is None else {f"p{p}": 1e3 * latency.at(p) for p in (50, 95, 99, 100)},
+        link={
+            "outages": client.health.outages,
+            "downtime_s": client.downtime,
+            "reboots": client.health.reboots,
+            "bytes": client.bytes_in,
+            "frames": counters.framing.frames,
+            "damaged": counters.framing.bad,
+            "stale": samples.stale + edges.stale,
+            "out_of_order": samples.out_of_order + edges.out_of_order,
+            "late": samples.late + edges.late,
+            "malformed": counters.malformed + samples.malformed + edges.malformed,
+            "unknown": counters.unknown_types + counters.other_versions,
+            "of_no_stream": client.unasked,
+            "unexpected_replies": counters.unexpected_replies,
+            "retries": counters.retries,
+            "damaged_at_drive": stats.device.risen["rx_bad"],
+            "setpoints_rejected": stats.device.risen["setpoints_rejected"],
+        },
+        host_observers={"compared": stats.host_compared, "different": stats.host_differ}
+        if stats.host_compared
+        else None,
+        first_sample_unix_s=stats.first_sample_unix,
+        faults=fault_names(stats.faults),
+        bus=bus,
+    )
+
+
+ERROR_HEADERS = ("position error while running, electrical degrees", "estimate", "mean", "std", "max")
+
+
+def error_rows(summary: Summary) -> list[list[str]]:
+    """Position errors by segment and estimator, as text under ERROR_HEADERS."""
+    return [
+        [
+            segment if first else "",
+            label(name),
+            f"{row['mean']:+.2f}",
+            f"{row['std']:.2f}",
+            f"{row['max']:.2f}",
+        ]
+        for segment, by_name in summary.position_error_deg.items()
+        for first, (name, row) in zip([True] + [False] * len(by_name), by_name.items(), strict=False)
+    ]
+
+
+def run_rows(summary: Summary) -> list[list[str]]:
+    """The figures of a run but for the position errors, as pairs of name and text."""
+    lost, link, latency = summary.lost, summary.link, summary.latency_ms
+    paused = summary.longest_pause_s >= PAUSE
+    rows = [
+        ["duration", f"{summary.duration_s:.1f} s"],
+        ["samples", f"{summary.samples}"],
+        ["edges", f"{summary.edges}"],
+        ["lost by index", f"{counted(lost.samples_by_index, 'sample')}, {counted(lost.edges_by_index, 'edge')}"],
+        ["lost by sequence", counted(lost.frames_by_sequence, "frame")],
+        ["dropped by the drive", counted(lost.frames_by_device, "frame")],
+        [
+            "damaged, stale, out of order",
+            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
+            + (f"; {counted(link['late'], 'edge')} too late" if link["late"] else ""),
+        ],
+        [
+            "malformed, unknown, unexpected",
+            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames"
+            + (f"; {link['of_no_stream']} of no stream" if link["of_no_stream"] else ""),
+        ],
+        ["requests", f"{link['retries']} repeated"],
+        [
+            "at the drive",
+            f"{counted(link['damaged_at_drive'], 'frame')} damaged, "
+            f"{counted(link['setpoints_rejected'], 'setpoint')} rejected",
+        ],
+        [
+            "link",
+            f"{counted(link['outages'], 'outage')}, {link['downtime_s']:.1f} s down, "
+            f"{counted(link['reboots'], 'reboot')}",
+        ],
+        ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],
+        *([["longest pause of this program", f"{summary.longest_pause_s:.2f} s"]] if paused else []),
+        *([] if summary.bus is None else bus_rows(summary.bus)),
+    ]
+    if latency:
+        rows.append(
+            [
+                "latency, sample to sink",
+                " / ".join(f"{latency[k]:.0f}" for k in ("p50", "p99", "p100")) + " ms (p50 / p99 / max)",
+            ]
+        )
+    if summary.live_view:
+        rows.append(["dropped by the live view", counted(summary.live_view["blocks_dropped"], "block")])
+        if summary.live_view["error"]:
+            rows.append(["live view", f"failed: {summary.live_view['error']}"])
+    if summary.recording:
+        kept = summary.recording
+        rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {kept['path']}"])
+    if summary.host_observers:
+        rows.append(
+            [
+                "host against drive",
+                f"{summary.host_observers['different']} of {summary.host_observers['compared']} samples differ",
+            ]
+        )
+    rows.append(["faults", ", ".join(summary.faults) or "none"])
+    rows.append(["result", summary.result])
+    return rows
+
+
+def as_markdown(summary: Summary) -> str:
+    """The summary as a markdown document."""
+    errors = error_rows(summary)
+    return "\n\n".join(
+        [
+            "# Summary",
+            *([markdown.table(ERROR_HEADERS, errors)] if errors else []),
+            markdown.table(("run", ""), run_rows(summary)),
+        ]
+    )
+
+
+def _degrees(moments: Moments) -> dict[str, float]:
+    return {
+        "n": moments.n,
+        "mean": math.degrees(moments.mean),
+        "std": math.degrees(moments.std),
+        "max": math.degrees(moments.peak),
+    }

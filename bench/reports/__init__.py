@@ -1,0 +1,1 @@
+"""How reports and figures look: one style for all of them."""

@@ -1,0 +1,213 @@
+"""The drive as an acceptance test sees it: start, set points, parameters that are put back.
+
+It keeps to what the test announced (its `Envelope`), because that is what a person agreed to: set points are checked
+here, and the drive's own `i_max` is lowered for the test, so that no speed controller goes beyond it. Nothing here
+looks at samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from bench.analysis.units import RPM, pole_pairs
+from bench.device.client import WATCHDOG
+from bench.device.node import Node
+from bench.errors import BenchError, DriveFailed
+from bench.rig.envelope import Envelope
+from bench.rig.recorder import Recorder
+from bench.rig.restore import not_put_back, put_back, try_all
+from protocol.codes import Fault, fault_names
+from protocol.errors import HbpError
+from protocol.messages import DriveState
+from protocol.signals import SOURCE_NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class DriveTripped(BenchError):
+    """The drive switched itself off, and the test did not expect that."""
+
+    exit_code = 1
+
+
+class Drive:
+    """Node `node`, within `envelope`. `defaults` are its parameters as they were before the test."""
+
+    def __init__(self, node: Node, recorder: Recorder, envelope: Envelope, parameters: Mapping[str, float]) -> None:
+        self.node = node
+        self.parameters = dict(parameters)
+        """As they are now, by name, in their units."""
+        self.changed: dict[str, float] = {}
+        """Those that the test has set, as it last set them."""
+        self._before = dict(parameters)
+        self._touched: dict[str, float] = {}  # in the order in which they were set, as they were before
+        self._recorder = recorder
+        self._envelope = envelope
+        self._may_trip = False
+        self._expected = Fault(0)  # faults that a test was about
+        self._told = Fault(0)  # faults that a DriveTripped was raised for
+        self._left = Fault(0)  # faults that stay latched
+
+    # -- what it is ---------------------------------------------------------------------------------------------
+
+    @property
+    def n_p(self) -> int:
+        """Pole pairs. BenchError if the drive does not tell them."""
+        n_p = pole_pairs(self.parameters)
+        if n_p is None:
+            raise BenchError("the drive has no parameter n_p that a motor can have: pole pairs are not known")
+        return n_p
+
+    @property
+    def torque_constant(self) -> float:
+        """N·m per A of q current, peak-valued: 1.5 n_p psi_f, by the drive's own parameters."""
+        return 1.5 * self.n_p * self.parameters["psi_f_hat"]
+
+    @property
+    def state(self) -> DriveState:
+        """By the last heartbeat."""
+        return self.node.state
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the faults that it has reported in this test."""
+        return tuple(fault_names(self._recorder.faults))
+
+    # -- what it does -------------------------------------------------------------------------------------------
+
+    def start(self, observer: str | None = None) -> None:
+        """Arm and start, with this angle source: `encoder`, `average-speed`, `vector-tracking`; None leaves it."""
+        if observer is not None:
+            self.observe(observer)
+        with self._trips_first():
+            self.node.arm()
+            self.node.start()
+
+    def observe(self, observer: str) -> None:
+        """Change the angle source that the control uses; also while it runs."""
+        if observer not in SOURCE_NAMES:
+            raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
+        self.set("observer", float(SOURCE_NAMES[observer]))
+
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
+        """Set the speed reference, mechanical rad/s (RPM times r/min); its confirmation is awaited unless `unless`."""
+        require_announced_speed("speed", omega_m, self._envelope)
+        with self._trips_first():
+            self.node.speed(omega_m, unless)
+
+    def current(self, i_q: float, i_d: float = 0.0) -> None:
+        """Set current references, A, peak-valued."""
+        _within("current", math.hypot(i_q, i_d), self._envelope.current, "A", "current")
+        with self._trips_first():
+            self.node.current(i_q, i_d)
+
+    def stop(self) -> None:
+        """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
+        try:
+            self.node.stop()
+        except DriveFailed:
+            self._expected |= self._recorder.faults  # what its watchdog did is no news of its own
+            raise
+
+    def set(self, name: str, value: float) -> None:
+        """Set a parameter; the test's end puts back what it was."""
+        if self.parameters.get(name) == value:
+            return
+        if name == "i_max":
+            _within(name, value, self._envelope.current, "A", "current")
+        with self._trips_first():
+            self._set(name, value)
+        self.changed[name] = self.parameters[name]
+
+    @contextmanager
+    def may_trip(self) -> Iterator[None]:
+        """Within this a trip is no failure of the test: it is what the test is about. `faults` tells which."""
+        self._may_trip = True
+        try:
+            yield
+        finally:
+            self._may_trip = False
+            self._expected |= self._recorder.faults
+
+    def forget_faults(self) -> None:
+        """STOP and clear what is latched. BenchError if a cause persists."""
+        self.stop()
+        if self._recorder.faults:
+            self.node.clear_faults()
+            self.node.next_heartbeat()
+            self._recorder.faults = self._expected = self._told = Fault(0)
+
+    def leave_faults(self) -> None:
+        """What is latched stays, because its cause persists: no news any more, and not for the rig to clear."""
+        self._left = self._recorder.faults
+        self._expected |= self._left
+
+    # -- for the rig --------------------------------------------------------------------------------------------
+
+    def limit_current(self) -> None:
+        """Of an idle drive: lower its `i_max`, if it has one, to the announced current; `restore` puts it back."""
+        if self._envelope.current < self.parameters.get("i_max", -math.inf):
+            self._set("i_max", self._envelope.current)
+
+    def look(self) -> None:
+        """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
+        if self._recorder.faults & ~self._expected and not self._may_trip:
+            self._told |= self._recorder.faults
+            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
+        if why := self.node.astray():
+            raise DriveTripped(f"the drive: {why}")
+
+    def look_at_the_end(self) -> None:
+        """Raise DriveTripped for a trip against expectation that none was raised for yet."""
+        if self._recorder.faults & ~self._told:
+            self.look()
+
+    def _starved(self) -> str:
+        """Why the watchdog may have run out, if it was starved from here."""
+        if not self._recorder.faults & Fault.WATCHDOG:
+            return ""
+        why = self.node.client.starved(self.node.number, self.parameters.get("watchdog", WATCHDOG))
+        return f": {why}; let a test compute after drive.stop(), not while the drive runs" if why else ""
+
+    def restore(self, clear_faults: bool = True) -> None:
+        """Of a stopped drive: faults of this test cleared, every parameter as it was before.
+
+        All of it is tried; the first error is raised at the end.
+        """
+        clear = [self.node.clear_faults] if clear_faults and self._recorder.faults & ~self._left else []
+        try_all([*clear, lambda: put_back(self.node, self._touched)])
+
+    def not_put_back(self) -> str:
+        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
+        return not_put_back(self._touched)
+
+    def _set(self, name: str, value: float) -> None:
+        if name in self._before:
+            self._touched.setdefault(name, self._before[name])  # before it is: whatever happens, it is put back
+        self.parameters[name] = self.node.set(name, value)
+
+    @contextmanager
+    def _trips_first(self) -> Iterator[None]:
+        """A tripped drive refuses much: that it has tripped is the news."""
+        try:
+            yield
+        except (BenchError, HbpError):
+            self.look()
+            raise
+
+
+def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:
+    """Raise BenchError if `omega_m`, mechanical rad/s, is beyond the speed that the test announced."""
+    _within(what, abs(omega_m) / RPM, envelope.speed_rpm, "r/min", "speed_rpm")
+
+
+def _within(what: str, value: float, limit: float, unit: str, argument: str) -> None:
+    if not value <= limit * (1 + 1e-9):
+        raise BenchError(
+            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
+            f"@energises({argument}=…)"
+        )

@@ -1,0 +1,245 @@
+"""What turns or brakes the shaft: a second node, a class of the user's own, or a person who is asked.
+
+A load says what it can do in `abilities`: "torque" (N·m against the drive's positive direction) and "speed" (forced,
+mechanical rad/s, and no faster than the test announced). Nothing here decides when it acts; `off` always works and is
+always called at a test's end.
+
+A class of one's own needs no base class. One object is made of it at first use and kept for all tests; its `close`,
+if it has one, is called after the last:
+
+    class Brake:
+        abilities = {"torque"}
+        def __init__(self): self.port = pyvisa.ResourceManager().open_resource("TCPIP::…")
+        def torque(self, tau): self.port.write(f"TORQ {tau:.3f}")
+        def off(self): self.port.write("OUTP OFF")
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Collection
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Protocol
+
+from bench.device.client import Client
+from bench.device.node import Node
+from bench.errors import BenchError, NodeError
+from bench.rig.drive import require_announced_speed
+from bench.rig.envelope import Envelope
+from bench.rig.restore import not_put_back, put_back, try_all
+from protocol.errors import HbpError
+from protocol.links import open_link
+from protocol.messages import DriveState, Role
+
+TORQUE, SPEED = "torque", "speed"
+LOAD_SPEED = "load.speed"
+
+
+class Load(Protocol):
+    """What a test does with a load."""
+
+    @property
+    def abilities(self) -> Collection[str]:
+        """Of `torque` and `speed`."""
+
+    def torque(self, tau: float) -> None:
+        """Brake with `tau` N·m against the drive's positive direction."""
+
+    def off(self) -> None:
+        """Leave the shaft alone; from any state, as often as one likes."""
+
+
+class NodeLoad:
+    """A load machine that speaks HBP: node 2 on the drive's link, or a device on a link of its own."""
+
+    abilities = frozenset((TORQUE, SPEED))
+
+    def __init__(self, node: Node, envelope: Envelope) -> None:
+        self.node = node
+        self._envelope = envelope
+        self._on = False
+        self._told = False  # that it has tripped since it is on
+        self._changed: dict[str, float] = {}  # in the order in which they were set, as they were before
+
+    @property
+    def client(self) -> Client:
+        """Whose link it is on."""
+        return self.node.client
+
+    def torque(self, tau: float) -> None:
+        """See `Load`."""
+        self._energise()
+        self.node.torque(tau)
+
+    def speed(self, omega_m: float) -> None:
+        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what the test announced."""
+        require_announced_speed(LOAD_SPEED, omega_m, self._envelope)
+        self._energise()
+        self.node.speed(omega_m)
+
+    def set(self, name: str, value: float) -> None:
+        """Set a parameter; `off` puts back what it was."""
+        self._changed.setdefault(name, self.node.parameter(name).value)
+        self.node.set(name, value)
+
+    def off(self) -> None:
+        """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
+        try_all([self._stop, lambda: put_back(self.node, self._changed)])
+
+    def not_put_back(self) -> str:
+        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
+        return not_put_back(self._changed, " in the load machine")
+
+    def look(self) -> None:
+        """Raise BenchError if it has tripped while it was on, or does not run as it should."""
+        if self._on and self.node.state == DriveState.FAULT:
+            self._told = True
+            raise self._tripped()
+        if self._on and (why := self.node.astray()):
+            raise BenchError(f"the load machine: {why}")
+
+    def _stop(self) -> None:
+        if not self._on:
+            return
+        state = self.node.stop()
+        told, self._on, self._told = self._told, False, False
+        if state == DriveState.FAULT:
+            self.node.next_heartbeat()  # it names the fault
+            tripped = self._tripped()
+            self.node.clear_faults()
+            if not told:
+                raise tripped
+
+    def _tripped(self) -> BenchError:
+        where = f"node {self.node.number} on {self.client.link.name}"
+        return BenchError(f"the load machine, {where}, tripped: {self.node.fault_text()}")
+
+    def _energise(self) -> None:
+        if self._on:
+            self.look()
+            return
+        self._on = True  # before it is: whatever happens, off() sends STOP
+        try:
+            self.node.arm()
+        except NodeError:  # refused: a fault that was there before is not this test's to clear
+            self._on = False
+            raise
+        self.node.start()
+
+
+def open_load_machine(target: str, stack: ExitStack) -> Node:
+    """The load machine on a link of its own, which `stack` closes. BenchError for what is none, HbpError if silent."""
+    link = open_link(target)
+    stack.callback(link.close)
+    client = Client(link)
+    hello = client.connect()
+    if hello.role != Role.LOAD:
+        raise BenchError(f"{target} answers as {hello.role.name}, not as a load machine")
+    return Node(client, hello.node)
+
+
+class PersonLoad:
+    """Somebody with a brake and a knob. `ask` tells them what to do and returns when it is done."""
+
+    abilities = frozenset((TORQUE,))
+
+    def __init__(self, ask: Callable[[str], None]) -> None:
+        self._ask = ask
+        self._set = 0.0
+
+    def torque(self, tau: float) -> None:
+        """Ask for a torque."""
+        if tau != self._set:
+            self._ask(f"Set the brake to {tau:.3f} N·m")
+            self._set = tau
+
+    def off(self) -> None:
+        """Ask to release the brake, if it was set."""
+        if self._set:
+            with suppress(BenchError):  # the drive is off, and nobody may be there any more
+                self.torque(0.0)
+
+
+class OwnLoad:
+    """An object of the user's class, whose errors become one line."""
+
+    envelope = Envelope()
+    """What the present test announced."""
+
+    def __init__(self, name: str, own: object) -> None:
+        self._name = name
+        self._own = own
+        for method in ("torque", "off"):
+            if not callable(getattr(own, method, None)):
+                raise BenchError(f"load {name}: the class has no method {method}()")
+
+    @property
+    def abilities(self) -> Collection[str]:
+        """What the class says, or what methods it has."""
+        default = {TORQUE, SPEED} if callable(getattr(self._own, SPEED, None)) else {TORQUE}
+        return frozenset(getattr(self._own, "abilities", default))
+
+    def torque(self, tau: float) -> None:
+        """See `Load`."""
+        self._call("torque", tau)
+
+    def speed(self, omega_m: float) -> None:
+        """Force a speed, mechanical rad/s. BenchError beyond what the test announced."""
+        require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
+        self._call("speed", omega_m)
+
+    def off(self) -> None:
+        """See `Load`."""
+        self._call("off")
+
+    def close(self) -> None:
+        """It is used no more."""
+        if callable(getattr(self._own, "close", None)):
+            self._call("close")
+
+    def _call(self, method: str, *arguments: float) -> None:
+        try:
+            getattr(self._own, method)(*arguments)
+        except (HbpError, BenchError):
+            raise
+        except Exception as error:
+            raise BenchError(f"load {self._name}: {method}() raised {type(error).__name__}: {error}") from error
+
+
+class OwnLoads:
+    """The objects of the user's classes that a session has made: one of each."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[str, Path], OwnLoad] = {}
+
+    def get(self, text: str, directory: Path, envelope: Envelope) -> OwnLoad:
+        """See `own_load`; made at first use, and from now on for a test that announced `envelope`."""
+        key = (text, directory.absolute())
+        if key not in self._made:
+            self._made[key] = own_load(text, directory)
+        self._made[key].envelope = envelope
+        return self._made[key]
+
+    def close(self) -> None:
+        """Close all of them, whatever one of them raises; that is a BenchError."""
+        with ExitStack() as stack:
+            while self._made:
+                stack.callback(self._made.popitem()[1].close)
+
+
+def own_load(text: str, directory: Path) -> OwnLoad:
+    """An object of the class that `text` names as FILE.py:Class, relative to `directory`. BenchError if none."""
+    file, _, name = text.rpartition(":")
+    path = directory / file
+    spec = importlib.util.spec_from_file_location(f"hallbench_load_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise BenchError(f"load '{text}': no Python file {path}; it must look like my_brake.py:Brake")
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for it
+    try:
+        spec.loader.exec_module(module)
+        own = getattr(module, name)()
+    except Exception as error:
+        raise BenchError(f"load '{text}': {type(error).__name__}: {error}") from error
+    return OwnLoad(text, own)

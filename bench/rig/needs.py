@@ -1,0 +1,75 @@
+"""What each application needs of a drive: the one table of names, and the one check.
+
+A host assumes nothing that is not in the descriptor (chapter 9 of the specification). So what an application cannot do
+without stands here, is looked for before anything is energised, and what is missing is named in one message. What it
+can do without is done without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from bench.analysis.channels import flagged
+from bench.analysis.units import pole_pairs
+from bench.device.node import Node
+from bench.errors import NodeError
+from protocol.messages import Feature
+from protocol.signals import SOURCE_NAMES, Flag, Unit
+
+NEEDS: dict[str, tuple[str, ...]] = {
+    "the show": ("parameter:n_p", "parameter:psi_f_hat", "parameter:observer"),
+    "--load": ("parameter:n_p", "parameter:psi_f_hat"),
+    "bench hall check": ("channel:hall", "feature:EDGES", "parameter:n_p", "speed"),
+    "bench hall check --passive": ("channel:hall", "feature:EDGES"),
+    "bench hall learn --write": tuple(
+        f"parameter:edge_{way}_{sector}" for way in ("up", "down") for sector in range(1, 7)
+    ),
+}
+"""By application or option. Each need is KIND:NAME or a role:
+
+- `channel:NAME`, `parameter:NAME`, `feature:NAME`: of this name in the descriptor or HELLO;
+- `encoder`: an angle with the flag REFERENCE; `speed`: a speed with the flag REFERENCE or ESTIMATE;
+- `observer:NAME`: an angle source that the parameter `observer` can be set to.
+"""
+
+
+def lacks(node: Node, need: str) -> str:
+    """What `node` lacks of one need, in words; empty if it has it. ValueError for a need of no known kind."""
+    kind, _, name = need.partition(":")
+    channels = node.descriptor.channels
+    match kind:
+        case "channel":
+            return "" if any(c.name == name for c in channels) else f"the channel {name}"
+        case "parameter" if name == "n_p" and node.has_parameter(name):
+            value = node.parameter(name).value
+            return "" if pole_pairs({name: value}) else f"a parameter n_p that a motor can have (it is {value:g})"
+        case "parameter":
+            return "" if node.has_parameter(name) else f"the parameter {name}"
+        case "feature":
+            return "" if Feature[name] & node.identity.features else f"the feature {name}"
+        case "encoder":
+            return (
+                "" if flagged(channels, Unit.RAD, Flag.REFERENCE) else "an encoder (an angle with the flag REFERENCE)"
+            )
+        case "speed":
+            has = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE, Flag.ESTIMATE)
+            return "" if has else "a speed with the flag REFERENCE or ESTIMATE"
+        case "observer":
+            return "" if offers(node, name) else f"the angle source {name} (parameter observer)"
+    raise ValueError(f"'{need}' is no need that is known")
+
+
+def offers(node: Node, source: str) -> bool:
+    """Whether the parameter `observer` of `node` can be set to this angle source, a name of SOURCE_NAMES."""
+    if not node.has_parameter("observer"):
+        return False
+    allowed = node.parameter("observer")
+    return allowed.lo <= SOURCE_NAMES[source] <= allowed.hi
+
+
+def require(node: Node, what: str, needs: Iterable[str]) -> None:
+    """Raise NodeError, with all that is missing in one message, unless `node` has what `what` needs."""
+    missing = [words for need in needs if (words := lacks(node, need))]
+    if missing:
+        listed = missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}"
+        raise NodeError(f"{what} needs {listed}: node {node.number} ({node.identity.name}) does not have it")

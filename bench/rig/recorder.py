@@ -1,0 +1,122 @@
+"""Collects what a drive streams during one test, and hands out stretches of it as captures.
+
+A sink of the client: chunks come in as they are decoded. It never asks the drive for anything and never waits;
+`bench.rig.rig` does both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bench.analysis.capture import Capture, no_edges, part_of_edges, part_of_samples
+from bench.device.client import SinkBase
+from bench.device.counters import DeviceCounters
+from bench.errors import BenchError
+from bench.rerunio.blocks import join_edges, join_samples
+from protocol.codes import Fault
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+from protocol.text import counted
+
+MAX_TICK = 1 << 62  # that no device reaches
+
+
+class Recorder(SinkBase):
+    """Everything that node `drive` streams, from now on; its edges come as `expect` said."""
+
+    def __init__(self, drive: int, tick_hz: int) -> None:
+        self.tick_hz = tick_hz
+        self.device = DeviceCounters()
+        self.faults = Fault(0)
+        """Faults that the drive reported since they were last forgotten."""
+        self.dropped: list[tuple[int, int, str]] = []
+        """Stretches, from tick to tick, in which something was lost, in words."""
+        self._drive = drive
+        self._samples: list[SampleChunk] = []
+        self._edges: list[EdgeChunk] = []
+        self._last_edge = -1
+
+    # -- sink ---------------------------------------------------------------------------------------------------
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Keep samples."""
+        for gap in chunk.gaps:
+            before = self._tick_before(chunk, gap)
+            after = int(chunk.tick[gap.position])
+            self.dropped.append((before, after, f"{gap.lost_samples} samples were lost before {self._at(after)}"))
+        self._samples.append(chunk)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Keep edges."""
+        for gap in chunk.gaps:
+            before = int(chunk.tick[gap.position - 1]) if gap.position else self._last_edge
+            after = int(chunk.tick[gap.position]) if gap.position < len(chunk) else before
+            self.dropped.append((before, after, f"{gap.lost_samples} Hall edges were lost before {self._at(after)}"))
+        if len(chunk):
+            self._last_edge = int(chunk.tick[-1])
+        self._edges.append(chunk)
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Follow the drive's own counts and faults."""
+        if node == self._drive:
+            self.device.add(heartbeat)
+            self.faults |= heartbeat.faults
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Remember faults."""
+        if node == self._drive:
+            self.faults |= event.faults
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Remember what was lost at the end of the streams."""
+        for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
+            if node == self._drive and n:
+                self.lost(since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost")
+
+    # -- for the rig --------------------------------------------------------------------------------------------
+
+    def expect(self, edges: StreamConfig) -> None:
+        """Hall edges will come like this, if the shaft turns."""
+        self._edges = [no_edges(edges)]
+
+    @property
+    def newest(self) -> int:
+        """Device tick of the newest sample, -1 before the first."""
+        return int(self._samples[-1].tick[-1]) if self._samples else -1
+
+    def latest(self, channel: str) -> float:
+        """The newest value of a channel. BenchError before the first sample, or where there is no such channel."""
+        if not self._samples:
+            raise BenchError(f"no sample has come yet: '{channel}' is not known")
+        chunk = self._samples[-1]
+        if channel not in (chunk.raw.dtype.names or ()):
+            raise BenchError(f"channel '{channel}' is not in the stream")
+        return float(chunk.physical(channel)[-1])
+
+    def lost(self, first: int, last: int, words: str) -> None:
+        """Count a stretch of ticks as unfit."""
+        self.dropped.append((first, last, words))
+
+    def capture(self, first: int, last: int, parameters: Mapping[str, float]) -> Capture:
+        """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing."""
+        chunks = [c for c in self._samples if c.tick[-1] >= first and c.tick[0] <= last]
+        if not chunks:
+            raise BenchError(f"no sample between {self._at(first)} and {self._at(last)}")
+        samples = join_samples([part_of_samples(chunk, first, last) for chunk in chunks])
+        edges = join_edges([part_of_edges(chunk, first, last) for chunk in self._edges])
+        dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
+        if self.newest < last:
+            dropped.append((self.newest, last, f"no sample came after {self._at(self.newest)}"))
+        return Capture(samples, edges, self.tick_hz, dict(parameters), tuple(dropped))
+
+    def count(self) -> tuple[int, int]:
+        """Samples and edges so far."""
+        return sum(len(c) for c in self._samples), sum(len(c) for c in self._edges)
+
+    def _tick_before(self, chunk: SampleChunk, gap: Gap) -> int:
+        if gap.position:
+            return int(chunk.tick[gap.position - 1])
+        return self.newest if self._samples else int(chunk.tick[0])
+
+    def _at(self, tick: int) -> str:
+        return f"{tick / self.tick_hz:.4f} s"

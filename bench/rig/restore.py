@@ -1,0 +1,39 @@
+"""How a test ends: every step is tried whatever another raises, and parameters go back. Nothing here energises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+
+from bench.device.node import Node
+
+
+def try_all(steps: Iterable[Callable[[], object]]) -> None:
+    """Take every step, whatever one of them raises; raise the first of that at the end."""
+    first: Exception | None = None
+    for step in steps:
+        try:
+            step()
+        except Exception as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def put_back(node: Node, before: dict[str, float]) -> None:
+    """Set the parameters of `node` to the values `before`, in that order, and take out of it what was set.
+
+    One that is refused stays there and keeps no other from being set; the first error is raised at the end.
+    """
+
+    def set_one(name: str) -> None:
+        node.set(name, before[name])
+        del before[name]
+
+    try_all([partial(set_one, name) for name in before])
+
+
+def not_put_back(before: Mapping[str, float], where: str = "") -> str:
+    """What `put_back` has left of `before`, as a part of a sentence; empty where that is nothing."""
+    names = ", ".join(f"{name} (was {value:g})" for name, value in before.items())
+    return f"; not put back{where}: {names}" if names else ""

@@ -1,0 +1,140 @@
+"""`bench.toml`: what stays the same from run to run on one bench.
+
+    target = "serial:/dev/ttyACM0"     # as on the command line; "sim" is the simulated drive in virtual time
+    config = "my-motor.toml"           # figures of the simulated drive, where target is "sim"
+
+    [rig]
+    load = "node"                      # "node" (number 2 on the link), "none", "person", a target, "FILE.py:Class"
+    person = true                      # somebody is there to turn knobs and pull wires when asked
+
+    [limits]
+    "fig08_steady_50_rpm.error_std_proposed" = { hi = 6.0 }     # as `bench accept --list` names it
+
+Reads and checks the file; it opens no link.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from bench.analysis.limits import Limits
+from bench.errors import BenchError
+from protocol.errors import TargetError
+from protocol.links.target import parse_target
+
+FILE = "bench.toml"
+_TOP = {"target": str, "config": str, "rig": dict, "limits": dict}
+_RIG = {"load": str, "person": bool}
+LOADS = ("node", "none", "person")
+MUCH_ALIKE = 0.85  # from this ratio on (difflib) a name is taken for another that is misspelt
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a `bench.toml` says; everything has a default."""
+
+    path: Path | None = None
+    target: str = ""
+    config: Path | None = None
+    load: str = "node"
+    person: bool = False
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def apply(self, names: Collection[str], limits: Limits) -> Limits:
+        """`limits` of a measurement that goes by `names`, with what the file says in their place.
+
+        BenchError if the file names it twice, or leaves no room between the limits.
+        """
+        given = sorted(name for name in names if name in self.limits)
+        if len(given) > 1:
+            raise BenchError(f"[limits] of {self.path} names one measurement twice: {' and '.join(given)}")
+        if not given:
+            return limits
+        own = self.limits[given[0]]
+        try:
+            return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), overridden=True)
+        except ValueError as error:
+            raise BenchError(f"[limits] of {self.path}: {error}") from None
+
+    def check_names(self, tests: Mapping[str, Collection[str]]) -> list[str]:
+        """Names of limits for other tests than these, which map to what they measure: `bench.toml` serves several runs.
+
+        BenchError for a limit that one of these tests does not measure, for what is no TEST.MEASUREMENT, and for a name
+        that is much like one of theirs. Names with other numbers in them are not alike: they are other working points.
+        """
+        known = [f"{test}.{measured}" for test, all_measured in tests.items() for measured in all_measured]
+        elsewhere = []
+        for name in sorted(self.limits.keys() - known):
+            ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
+            near = difflib.get_close_matches(name, known, 3, 0.6 if ours else MUCH_ALIKE)
+            if not ours:
+                near = [other for other in near if _numbers(other) == _numbers(name)]
+            if ours or near:
+                hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all"
+                raise BenchError(f"[limits] of {self.path} names '{name}', which no test measures: {hint}")
+            elsewhere.append(name)
+        return elsewhere
+
+
+def read_settings(path: Path | None) -> Settings:
+    """Read `path`, or `bench.toml` in the present directory if there is one. BenchError for what cannot be used."""
+    file = path or Path(FILE)
+    try:
+        data = tomllib.loads(file.read_text())
+    except FileNotFoundError:
+        if path is None:
+            return Settings()
+        raise BenchError(f"no file {path}") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise BenchError(f"cannot read {file}: {error}") from None
+    except RecursionError:
+        raise BenchError(f"cannot read {file}: it is nested too deeply") from None
+    _check(data, _TOP, "", file)
+    rig = data.get("rig", {})
+    _check(rig, _RIG, "rig.", file)
+    config, load = data.get("config"), rig.get("load", "node")
+    if load not in LOADS and ".py:" not in load:
+        try:
+            parse_target(load)
+        except TargetError as error:
+            forms = f"{', '.join(LOADS)}, FILE.py:Class or a target"
+            raise BenchError(f"rig.load in {file} must be {forms}: {error}") from None
+    return Settings(
+        path=file,
+        target=data.get("target", ""),
+        config=None if config is None else file.parent / config,
+        load=load,
+        person=rig.get("person", False),
+        limits={name: _limits(name, value, file) for name, value in data.get("limits", {}).items()},
+    )
+
+
+def _numbers(name: str) -> list[str]:
+    return re.findall(r"\d+", name)
+
+
+def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, file: Path) -> None:
+    for key, value in table.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            hint = f"did you mean {prefix}{near[0]}?" if near else f"there are {', '.join(prefix + k for k in known)}"
+            raise BenchError(f"unknown key {prefix}{key} in {file}: {hint}")
+        if not isinstance(value, known[key]):
+            word = {str: "text", bool: "true or false", dict: "a table"}[known[key]]
+            raise BenchError(f"{prefix}{key} in {file} must be {word}, got {value!r}")
+
+
+def _limits(name: str, value: Any, file: Path) -> dict[str, float]:
+    if not isinstance(value, dict) or not value or not set(value) <= {"lo", "hi"}:
+        raise BenchError(f"limits.{name!r} in {file} must look like {{ lo = 0.0, hi = 1.0 }}, got {value!r}")
+    for bound in value.values():
+        if isinstance(bound, bool) or not isinstance(bound, int | float) or not math.isfinite(bound):
+            raise BenchError(f"limits.{name!r} in {file} must be finite numbers, got {bound!r}")
+    return {key: float(bound) for key, bound in value.items()}

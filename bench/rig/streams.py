@@ -1,0 +1,23 @@
+"""Sample streams as a rig configures them."""
+
+from __future__ import annotations
+
+import math
+
+from bench.errors import BenchError
+from protocol.streams import MAX_DECIMATION
+
+_TOLERANCE = 1e-4  # rates are printed with six digits
+
+
+def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
+    """Return the decimation that makes this rate, 1 for None. Raises BenchError, naming the nearest, if none does."""
+    if rate_hz is None:
+        return 1
+    decimation = round(pwm_hz / rate_hz)
+    if decimation > MAX_DECIMATION:
+        raise BenchError(f"--rate {rate_hz:g} Hz is too low; the lowest is {pwm_hz / MAX_DECIMATION:g} Hz")
+    if decimation < 1 or not math.isclose(pwm_hz / decimation, rate_hz, rel_tol=_TOLERANCE):
+        near = pwm_hz / max(decimation, 1)
+        raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
+    return decimation

@@ -1,0 +1,423 @@
+"""The device's end of a session, without I/O: one `DeviceSession` a node, one `DeviceLink` a link.
+
+Requests are answered at most once: the last four replies are kept and sent again to a repeated request. Every
+refusal is an explicit code; silence follows only a damaged frame. Time is the device's own tick, an argument.
+This module never controls a motor: that is the `DeviceApp`'s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.descriptor import Descriptor
+from protocol.device.app import DeviceApp, Identity
+from protocol.device.carrier import ByteCarrier, Carrier
+from protocol.device.state import StateMachine
+from protocol.device.streams import StreamTable
+from protocol.device.tx import TxQueue
+from protocol.errors import Refused
+from protocol.framing import (
+    ERROR,
+    MAJOR,
+    MINOR,
+    REPLY,
+    Deframer,
+    Frame,
+    parse_frame,
+)
+from protocol.messages import (
+    REQUESTS,
+    UNACKNOWLEDGED,
+    Alive,
+    BlobRead,
+    BlobReply,
+    Command,
+    DeviceEvent,
+    DriveState,
+    Empty,
+    ErrorCode,
+    ErrorReply,
+    EventCode,
+    Fault,
+    Heartbeat,
+    Hello,
+    HelloReply,
+    Log,
+    Message,
+    MessageType,
+    ParamCommit,
+    ParamGet,
+    ParamReply,
+    ParamSet,
+    ParamStored,
+    Payload,
+    PayloadError,
+    Request,
+    Setpoint,
+    StateCommand,
+    StateReply,
+    StreamGet,
+    StreamInfo,
+    StreamSet,
+    StreamStart,
+    StreamStop,
+    TimeSync,
+    TimeSyncReply,
+)
+from protocol.signals import Flag, Parameter
+from protocol.validity import MIN_RX_MAX
+
+__all__ = ["DeviceApp", "DeviceLink", "DeviceSession", "Identity", "TxQueue"]
+
+HEARTBEATS_PER_SECOND = 10
+REPLIES_KEPT = 4
+
+
+@dataclass(slots=True)
+class _Peer:
+    """What is remembered of a host: its last HELLO, and the last requests with their replies."""
+
+    tx_max: int
+    nonce: int | None = None
+    replies: deque[tuple[bytes, bytes]] = field(default_factory=lambda: deque(maxlen=REPLIES_KEPT))
+
+
+class LinkCounters(Protocol):
+    """What a link's receiver counts."""
+
+    @property
+    def bad(self) -> int:
+        """Damaged frames of every kind."""
+
+
+class DeviceSession:
+    """One device on a link. `link_counters` are those of the link's receiver, for the heartbeat."""
+
+    def __init__(self, app: DeviceApp, identity: Identity, carrier: Carrier, link_counters: LinkCounters) -> None:
+        if identity.tick_hz % identity.pwm_hz:
+            raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
+        self.app = app
+        self.identity = identity
+        self.nodes = 1  # on the link
+        self.tx = carrier.tx
+        self.descriptor = Descriptor.of(app.channels, app.parameters)
+        self.machine = StateMachine(app, identity.boot_id, identity.tick_hz, self.event)
+        self.streams = StreamTable(identity, app.channels, carrier)
+        self.ignored = 0  # frames that are replies themselves
+        self.setpoints_rejected = 0
+        self._encode = carrier.encode
+        self._link_counters = link_counters
+        self._blob = self.descriptor.pack()
+        self._parameters = {parameter.id: parameter for parameter in app.parameters}
+        self._tick = 0
+        self._next_heartbeat = 0
+        self._setpoint_counter = 0
+        self._last_tid = 0
+        self._peers: dict[int, _Peer] = {}
+        self._peer = self._peer_of(0)
+        self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
+            Hello: self._hello,
+            TimeSync: self._time_sync,
+            Alive: self._alive,
+            BlobRead: self._blob_read,
+            ParamGet: self._param_get,
+            ParamSet: self._param_set,
+            ParamCommit: self._param_commit,
+            StateCommand: self._state_command,
+            Setpoint: self._setpoint,
+            StreamSet: self._stream_set,
+            StreamStart: self._stream_start,
+            StreamStop: self._stream_stop,
+            StreamGet: self._stream_get,
+        }
+
+    @property
+    def state(self) -> DriveState:
+        """The state now."""
+        return self.machine.state
+
+    def advance(self, tick: int) -> None:
+        """Let time pass up to the device's 64-bit `tick`: watchdog, lapse, late stream blocks, heartbeat."""
+        self._tick = tick
+        self.machine.advance(tick)
+        self.streams.advance(tick)
+        if tick >= self._next_heartbeat:
+            period = self.identity.tick_hz // HEARTBEATS_PER_SECOND
+            self._next_heartbeat = tick - tick % period + period
+            frame = Frame(MessageType.HEARTBEAT, MAJOR, 0, self.identity.node, self.heartbeat().pack())
+            self.tx.put_latest(self.identity.node, self._encode(frame))
+
+    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+        """Take n samples of consecutive PWM periods, one field per channel of the app, in its order.
+
+        `index0`, `tick0`: PWM-period count and tick of the first. All edges up to the last sample's tick
+        must have been pushed before.
+        """
+        self.streams.push_samples(index0, tick0, raw)
+
+    def push_edges(self, records: NDArray[np.void]) -> None:
+        """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD` (see `pack_edges`)."""
+        self.streams.push_edges(records, self._tick)
+
+    def fault(self, bits: Fault) -> None:
+        """Latch faults: outputs off, state FAULT."""
+        self.machine.fault(bits)
+
+    def event(self, code: EventCode, arg: float = 0.0, detail: float = 0.0) -> None:
+        """Send an EVENT."""
+        self._send(DeviceEvent(self._tick, code, self.identity.node, arg, detail))
+
+    def log(self, level: int, text: str) -> None:
+        """Send a LOG."""
+        self._send(Log(level, text[: (self._peer.tx_max - 1) // 4]))
+
+    def heartbeat(self) -> Heartbeat:
+        """Return the health as of now."""
+        machine = self.machine
+        return Heartbeat(
+            tick=self._tick,
+            boot_id=self.identity.boot_id,
+            faults=machine.faults,
+            first_fault=machine.first_fault,
+            tx_dropped=self.streams.dropped & 0xFFFFFFFF,
+            rx_bad=self._link_counters.bad & 0xFFFFFFFF,
+            setpoint_counter=self._setpoint_counter,
+            setpoints_rejected=self.setpoints_rejected & 0xFFFF,
+            last_tid=self._last_tid,
+            watchdog_ms=machine.watchdog_ms(self._tick),
+            state=machine.state,
+            outputs_on=self.app.outputs_on,
+            edges=self.streams.edges & 0xFFFFFFFF,
+        )
+
+    def receive(self, raw: bytes, host: int = 0) -> None:
+        """Handle a frame (header + payload) that is meant for this node; `host`: number of its sender on the link."""
+        self._peer = self._peer_of(host)
+        self._receive(raw, parse_frame(raw))
+
+    def _peer_of(self, host: int) -> _Peer:
+        return self._peers.setdefault(host, _Peer(self.identity.tx_max))
+
+    def stop(self) -> None:
+        """Carry out a STOP that nobody waits for."""
+        self.machine.command(Command.STOP, 0, self._tick)
+
+    def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
+        """Answer a frame with an error; return the answer's bytes."""
+        return self._answer(frame, ErrorReply(code, frame.type, detail), REPLY | ERROR)
+
+    def _receive(self, raw: bytes, frame: Frame) -> None:
+        if frame.is_reply or frame.is_error:
+            self.ignored += 1
+            return
+        kind = REQUESTS.get(frame.type)
+        if frame.type != MessageType.HELLO and frame.major != MAJOR:
+            self.refuse(frame, ErrorCode.BAD_VERSION, MAJOR)
+        elif kind is None:
+            self.refuse(frame, ErrorCode.UNKNOWN_TYPE, frame.type)
+        elif (frame.tid == 0) != (frame.type in UNACKNOWLEDGED):
+            self.refuse(frame, ErrorCode.BAD_VALUE, frame.tid)
+        elif frame.tid == 0 or _always_executed(frame):
+            self._execute(kind, frame)
+        else:
+            for seen, wire in self._peer.replies:
+                if seen == raw:
+                    self.tx.put_control(wire)
+                    return
+            self._peer.replies.append((raw, self._execute(kind, frame)))
+
+    def _execute(self, kind: type[Request], frame: Frame) -> bytes:
+        try:
+            reply = self._handlers[kind](kind.unpack(frame.payload))
+        except PayloadError as error:
+            code, detail = ErrorCode.BAD_VALUE, error.value
+            if error.bad_length:
+                code, detail = ErrorCode.BAD_LENGTH, len(frame.payload)
+            if kind is Setpoint:
+                self._reject_setpoint(code, detail)
+            return self.refuse(frame, code, detail)
+        except Refused as refusal:
+            return self.refuse(frame, ErrorCode(refusal.code), refusal.detail)
+        if reply is None:
+            return b""
+        self._last_tid = frame.tid
+        return self._answer(frame, reply, REPLY)
+
+    def _answer(self, frame: Frame, reply: Payload, flags: int) -> bytes:
+        wire = self._encode(Frame(frame.type, MAJOR | flags, frame.tid, self.identity.node, reply.pack()))
+        self.tx.put_control(wire)
+        return wire
+
+    def _send(self, message: Message) -> None:
+        self.tx.put_event(self._encode(Frame(message.TYPE, MAJOR, 0, self.identity.node, message.pack())))
+
+    def _hello(self, request: Hello) -> HelloReply:
+        if not request.major_min <= MAJOR <= request.major_max:
+            raise Refused("no common version", ErrorCode.BAD_VERSION, MAJOR)
+        if request.rx_max < MIN_RX_MAX:
+            raise Refused(f"rx_max {request.rx_max}", ErrorCode.OUT_OF_RANGE, MIN_RX_MAX)
+        identity = self.identity
+        peer = self._peer
+        peer.tx_max = min(identity.tx_max, request.rx_max)
+        if request.nonce != peer.nonce:  # a new host may use the same tids again
+            peer.nonce = request.nonce
+            peer.replies.clear()
+        return HelloReply(
+            nonce=request.nonce,
+            boot_id=identity.boot_id,
+            major=MAJOR,
+            minor=MINOR,
+            rx_max=identity.rx_max,
+            tx_max=peer.tx_max,
+            features=identity.features,
+            schema_crc=self.descriptor.crc,
+            tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz,
+            state=self.state,
+            node=identity.node,
+            role=identity.role,
+            nodes=self.nodes,
+            name=identity.name,
+            firmware=identity.firmware,
+        )
+
+    def _time_sync(self, request: TimeSync) -> TimeSyncReply:
+        return TimeSyncReply(self._tick, self._tick)
+
+    def _alive(self, request: Alive) -> None:
+        self.machine.feed(self._tick)
+
+    def _setpoint(self, request: Setpoint) -> None:
+        try:
+            if self.state is not DriveState.RUNNING:
+                raise Refused("not RUNNING", ErrorCode.WRONG_STATE, self.state)
+            for value in (request.value, request.value2):
+                if not math.isfinite(value):
+                    raise Refused(f"setpoint {value}", ErrorCode.BAD_VALUE, value)
+            self.app.setpoint(request.mode, request.value, request.value2)
+        except Refused as refusal:
+            self._reject_setpoint(ErrorCode(refusal.code), refusal.detail)
+            return
+        self._setpoint_counter = request.counter
+        self.machine.feed(self._tick)
+
+    def _reject_setpoint(self, code: ErrorCode, detail: float) -> None:
+        self.setpoints_rejected += 1
+        self.event(EventCode.SETPOINT_REJECTED, float(code), detail)
+
+    def _state_command(self, request: StateCommand) -> StateReply:
+        return StateReply(self.machine.command(request.command, request.argument, self._tick))
+
+    def _blob_read(self, request: BlobRead) -> BlobReply:
+        if request.id:
+            raise Refused(f"no blob {request.id}", ErrorCode.UNKNOWN_ID, request.id)
+        total = len(self._blob)
+        if request.offset > total:
+            raise Refused(f"offset {request.offset}", ErrorCode.OUT_OF_RANGE, total)
+        room = self._peer.tx_max - BlobReply.FIXED_BYTES
+        data = self._blob[request.offset : request.offset + min(request.length, room)]
+        return BlobReply(0, len(data), request.offset, total, data)
+
+    def _parameter(self, number: int) -> Parameter:
+        parameter = self._parameters.get(number)
+        if parameter is None:
+            raise Refused(f"no parameter {number}", ErrorCode.UNKNOWN_ID, number)
+        return parameter
+
+    def _param_get(self, request: ParamGet) -> ParamReply:
+        parameter = self._parameter(request.id)
+        value, default = self.app.get_param(parameter.name), self.app.default_param(parameter.name)
+        return ParamReply(request.id, value, parameter.lo, parameter.hi, default)
+
+    def _param_set(self, request: ParamSet) -> ParamStored:
+        parameter, value = self._parameter(request.id), request.value
+        lo, hi = float(np.float32(parameter.lo)), float(np.float32(parameter.hi))
+        if parameter.flags & Flag.READ_ONLY:
+            raise Refused(f"{parameter.name} is read-only", ErrorCode.READ_ONLY, request.id)
+        if not math.isfinite(value) or (parameter.flags & Flag.WHOLE and value != round(value)):
+            raise Refused(f"{parameter.name} = {value}", ErrorCode.BAD_VALUE, value)
+        if not lo <= value <= hi:
+            raise Refused(f"{parameter.name} = {value}", ErrorCode.OUT_OF_RANGE, lo if value < lo else hi)
+        if parameter.flags & Flag.IDLE_ONLY and self.app.outputs_on:
+            raise Refused(f"{parameter.name} with outputs on", ErrorCode.WRONG_STATE, self.state)
+        self.app.set_param(parameter.name, value)
+        return ParamStored(request.id, self.app.get_param(parameter.name))
+
+    def _param_commit(self, request: ParamCommit) -> Empty:
+        if self.app.outputs_on:
+            raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
+        self.app.commit()
+        return Empty()
+
+    def _stream_set(self, request: StreamSet) -> Payload:
+        return self.streams.configure(request, self._peer.tx_max)
+
+    def _stream_get(self, request: StreamGet) -> StreamInfo:
+        return self.streams.describe(request.stream)
+
+    def _stream_start(self, request: StreamStart) -> Empty:
+        self.streams.start(request.mask)
+        return Empty()
+
+    def _stream_stop(self, request: StreamStop) -> Empty:
+        self.streams.stop(request.mask)
+        return Empty()
+
+
+def _always_executed(frame: Frame) -> bool:
+    """Whether a request is no repetition even where an equal one was answered before.
+
+    An old answer to HELLO or TIME_SYNC would mislead, and a STOP must stop whatever was said before.
+    """
+    if frame.type in (MessageType.HELLO, MessageType.TIME_SYNC):
+        return True
+    return frame.type == MessageType.STATE_CMD and frame.payload[:1] == bytes((Command.STOP,))
+
+
+class DeviceLink:
+    """Several devices behind one byte link, the first of which answers to node 0."""
+
+    def __init__(self, tx: TxQueue | None = None) -> None:
+        self.tx = TxQueue() if tx is None else tx
+        self.deframer = Deframer()
+        self.sessions: dict[int, DeviceSession] = {}
+
+    def add(self, app: DeviceApp, identity: Identity) -> DeviceSession:
+        """Return the session of one more device; ValueError if its node is taken."""
+        if identity.node in self.sessions or not 1 <= identity.node <= 255:
+            raise ValueError(f"node {identity.node} is taken or not in 1..255")
+        session = DeviceSession(app, identity, ByteCarrier(self.tx), self.deframer.counters)
+        self.sessions[identity.node] = session
+        for each in self.sessions.values():
+            each.nodes = len(self.sessions)
+        return session
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the link, cut anywhere."""
+        for raw in self.deframer.feed(data):
+            first = next(iter(self.sessions.values()))
+            session = self.sessions.get(raw[6]) if raw[6] else first
+            if session is None:
+                frame = parse_frame(raw)
+                if frame.is_reply or frame.is_error:
+                    first.ignored += 1
+                else:
+                    first.refuse(frame, ErrorCode.UNKNOWN_NODE, raw[6])
+            else:
+                session.receive(raw)
+
+    def advance(self, tick: int) -> None:
+        """Let time pass up to the 64-bit `tick` for every device."""
+        for session in self.sessions.values():
+            session.advance(tick)
+
+    def data_to_send(self, limit: int | None = None) -> bytes:
+        """Return and forget the bytes that wait for the link, at most `limit`."""
+        return self.tx.take(limit)

@@ -1,0 +1,249 @@
+"""The device's streams: which channels, how often, in which order.
+
+Every edge goes out before the frame whose last sample is at or after it. What a frame looks like is the
+`Carrier`'s. This module never blocks and never waits.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.descriptor import sample_dtype
+from protocol.device.app import Identity
+from protocol.device.carrier import Carrier, EdgeStream, Run, SampleStream, Shape
+from protocol.errors import Refused
+from protocol.messages import ErrorCode, Feature, StreamEvent, StreamInfo, StreamReply, StreamSet
+from protocol.signals import Signal
+from protocol.streams import EDGE_RECORD, MAX_DECIMATION, MAX_STREAMS
+
+MAX_LOAD = 0.95
+
+
+class StreamTable:
+    """The streams of one device: a stream is free, configured or running."""
+
+    def __init__(self, identity: Identity, channels: Sequence[Signal], carrier: Carrier) -> None:
+        self._identity = identity
+        self._carrier = carrier
+        self._channels = {channel.id: channel for channel in channels}
+        self._dtype = sample_dtype(channels)
+        self._tx = carrier.tx
+        self._ticks_per_period = identity.tick_hz // identity.pwm_hz
+        self._samples: dict[int, SampleStream] = {}
+        self._edges: dict[int, EdgeStream] = {}
+        self._configured: dict[int, tuple[StreamSet, StreamReply]] = {}
+        self._latency: dict[int, int] = {}
+        self._cfg_id = identity.boot_id & 0xFFFF
+        self._dropped = 0
+        self.edges = 0
+        """Hall edges since boot."""
+        self.expired = 0
+        """Stream frames that waited too long."""
+
+    @property
+    def dropped(self) -> int:
+        """Stream frames that were not sent since boot."""
+        return self.expired + self._dropped + sum(stream.dropped for stream in self._all.values())
+
+    @property
+    def _all(self) -> dict[int, SampleStream | EdgeStream]:
+        return {**self._samples, **self._edges}
+
+    @property
+    def running(self) -> frozenset[int]:
+        """Numbers of the running streams."""
+        return frozenset(number for number, stream in self._all.items() if stream.running)
+
+    @property
+    def channels(self) -> frozenset[int]:
+        """Ids of the channels that streams are configured with."""
+        return frozenset(number for request, _ in self._configured.values() for number in request.channels)
+
+    def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
+        """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
+        self._check(request)
+        widths = [np.dtype(self._channels[number].raw.dtype).itemsize for number in request.channels]
+
+        def shape_at(decimation: int) -> Shape:
+            return self._carrier.shape(request, widths, tx_max, self._identity.pwm_hz, decimation)
+
+        shape = shape_at(request.decimation)
+        load = self._load(request, shape.rate)
+        if load > MAX_LOAD:
+            fits = self._smallest_decimation(request, shape_at)
+            raise Refused(f"the link would be loaded to {load:.0%}", ErrorCode.DOES_NOT_FIT, fits)
+        cfg_id = self._cfg_id % 0xFFFF + 1
+        node, ticks = self._identity.node, self._ticks_per_period
+        stream: SampleStream | EdgeStream
+        if request.event == StreamEvent.EDGES:
+            size = EDGE_RECORD.itemsize
+            edges = stream = self._carrier.edges(node, request, cfg_id, shape.block)
+            self._forget(request.stream)
+            self._edges[request.stream] = edges
+        else:
+            size, runs = sum(widths), self._runs(request.channels)
+            samples = stream = self._carrier.samples(node, request, cfg_id, widths, runs, shape.block, ticks)
+            self._forget(request.stream)
+            self._samples[request.stream] = samples
+        self._cfg_id = cfg_id
+        self._latency[request.stream] = request.max_latency_ms * self._identity.tick_hz // 1000
+        self._tx.rates[node, request.stream] = shape.rate
+        reply = StreamReply(request.stream, cfg_id, size, shape.block, load, stream.slot, self._identity.tick0)
+        self._configured[request.stream] = request, reply
+        return reply
+
+    def describe(self, number: int) -> StreamInfo:
+        """Carry out STREAM_GET; Refused if the stream is not configured."""
+        _check_number(number)
+        if number not in self._configured:
+            raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
+        request, reply = self._configured[number]
+        return StreamInfo(
+            stream=number,
+            running=self._all[number].running,
+            event=request.event,
+            slot=reply.slot,
+            decimation=request.decimation,
+            max_latency_ms=request.max_latency_ms,
+            cfg_id=reply.cfg_id,
+            sample_bytes=reply.sample_bytes,
+            block=reply.block,
+            tick0=reply.tick0,
+            channels=request.channels,
+        )
+
+    def start(self, mask: int) -> None:
+        """Carry out STREAM_START; Refused, nothing started, if a stream is not configured."""
+        streams = self._all
+        for number in _bits(mask):
+            if number not in streams:
+                raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
+        for number in _bits(mask):
+            streams[number].running = True
+
+    def stop(self, mask: int) -> None:
+        """Carry out STREAM_STOP: what waits is sent, the configuration is forgotten."""
+        chosen = [number for number in self._all if mask >> number & 1]
+        self.flush(chosen)
+        for number in chosen:
+            self._forget(number)
+            self._carrier.close(number)
+
+    def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
+        """Take samples of all channels: see `DeviceSession.push_samples`."""
+        streams = [stream for stream in self._samples.values() if stream.running]
+        if not streams or not len(raw):
+            return
+        if raw.dtype != self._dtype:
+            raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
+        rows = np.ascontiguousarray(raw).view(np.uint8).reshape(len(raw), -1)
+        if any(stream.fills_block(index0, len(rows)) for stream in streams):
+            self._flush_edges()
+        for stream in streams:
+            stream.push(index0, tick0, rows)
+
+    def push_edges(self, records: NDArray[np.void], tick: int) -> None:
+        """Take edges: see `DeviceSession.push_edges`."""
+        if not len(records):
+            return
+        data = records.tobytes()
+        for stream in self._edges.values():
+            if stream.running:
+                stream.push(self.edges, data, tick)
+        self.edges += len(records)
+
+    def advance(self, tick: int) -> None:
+        """Send what has waited for its stream's max_latency."""
+        late = []
+        for number, stream in self._all.items():
+            since = stream.waits_since()
+            if since is not None and tick - since >= self._latency[number]:
+                late.append(number)
+        if late:
+            self.flush(late)
+
+    def flush(self, numbers: Sequence[int]) -> None:
+        """Send what waits in these streams, edges first."""
+        if numbers:
+            self._flush_edges()
+        for number in numbers:
+            if number in self._samples:
+                self._samples[number].flush()
+
+    def _flush_edges(self) -> None:
+        for stream in self._edges.values():
+            stream.flush()
+
+    def _forget(self, number: int) -> None:
+        stream = self._samples.pop(number, None) or self._edges.pop(number, None)
+        if stream is not None:
+            self._dropped += stream.dropped
+            del self._configured[number]
+            del self._tx.rates[self._identity.node, number]
+
+    def _check(self, request: StreamSet) -> None:
+        """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""
+        _check_number(request.stream)
+        self._check_event(request)
+        stream = self._all.get(request.stream)
+        if stream is not None and stream.running:
+            raise Refused(f"stream {request.stream} is running", ErrorCode.BUSY, request.stream)
+
+    def _check_event(self, request: StreamSet) -> None:
+        if request.event == StreamEvent.EDGES and self._identity.features & Feature.EDGES:
+            if request.channels:
+                raise Refused("an edge stream has no channels", ErrorCode.BAD_VALUE, len(request.channels))
+            return
+        if request.event != StreamEvent.PWM:
+            raise Refused(f"no stream of {request.event.name}", ErrorCode.NOT_SUPPORTED, request.event)
+        if not request.decimation:
+            raise Refused("decimation 0", ErrorCode.BAD_VALUE, 0)
+        if not request.channels:
+            raise Refused("no channels", ErrorCode.BAD_VALUE, 0)
+        for position, number in enumerate(request.channels):
+            if number not in self._channels:
+                raise Refused(f"no channel {number}", ErrorCode.UNKNOWN_ID, number)
+            if number in request.channels[:position]:
+                raise Refused(f"channel {number} comes twice", ErrorCode.BAD_VALUE, number)
+
+    def _runs(self, ids: Sequence[int]) -> list[Run]:
+        """Return (position in the packed sample, position in the full sample, bytes), neighbours joined."""
+        runs: list[Run] = []
+        to = 0
+        for number in ids:
+            dtype, start = self._dtype.fields[self._channels[number].name][:2]  # type: ignore[index]
+            if runs and runs[-1][1] + runs[-1][2] == start:
+                runs[-1] = (runs[-1][0], runs[-1][1], runs[-1][2] + dtype.itemsize)
+            else:
+                runs.append((to, start, dtype.itemsize))
+            to += dtype.itemsize
+        return runs
+
+    def _load(self, request: StreamSet, rate: float) -> float:
+        """Return the share of the link that all configured streams need, this one at `rate`; 0 if unknown."""
+        if self._tx.capacity is None:
+            return 0.0
+        here = (self._identity.node, request.stream)
+        others = sum(other for key, other in self._tx.rates.items() if key != here)
+        return (others + rate) / self._tx.capacity
+
+    def _smallest_decimation(self, request: StreamSet, shape_at: Callable[[int], Shape]) -> int:
+        """Return the smallest decimation at which the stream fits beside the others, 0 if none does."""
+        if request.event == StreamEvent.EDGES or self._load(request, 0.0) > MAX_LOAD:
+            return 0
+        slower = range(request.decimation + 1, MAX_DECIMATION + 1)
+        first = bisect_left(slower, True, key=lambda n: self._load(request, shape_at(n).rate) <= MAX_LOAD)
+        return slower[first] if first < len(slower) else 0
+
+
+def _check_number(stream: int) -> None:
+    if stream >= MAX_STREAMS:
+        raise Refused(f"stream {stream}", ErrorCode.OUT_OF_RANGE, MAX_STREAMS - 1)
+
+
+def _bits(mask: int) -> list[int]:
+    return [number for number in range(32) if mask >> number & 1]

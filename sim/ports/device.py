@@ -1,0 +1,170 @@
+"""The simulated bench behind a byte link or on a CAN bus: node 1 is the drive, node 2 the load machine on its shaft.
+
+`SimulatedDevice` runs on periods, not on a clock: whoever owns it decides how fast they pass. It does no I/O.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+from numpy.typing import NDArray
+
+from protocol.device.session import DeviceSession, Identity
+from protocol.device.state import WATCHDOG_OFF
+from protocol.device.tx import TxQueue
+from protocol.messages import Fault, Feature, Role
+from sim.config.params import BenchParams
+from sim.drive.apps import DriveApp, LoadApp
+from sim.drive.machine import SimulatedBench
+from sim.ports.networks import ByteNetwork, Network
+
+FIRMWARE = "hallbench-sim"
+TX_BYTES = 1 << 22  # of a byte link in virtual time: nothing is dropped however long a step
+PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
+
+
+class SimulatedDevice:
+    """A simulated bench with its two sessions.
+
+    Args:
+        params: the bench.
+        seed: of its noise and jitter, and of its boot_id.
+        boot_id: another boot_id; give a random one where boots must be told apart.
+        store: file that keeps the drive's parameters over a boot; None = PARAM_COMMIT is refused.
+        network: how its two devices reach the host, by default a byte link that is never full.
+        notice: called with a line of text whenever outputs go on or off.
+
+    Raises:
+        ConfigError: the store holds something else than this drive's parameters.
+    """
+
+    def __init__(
+        self,
+        params: BenchParams,
+        seed: int = 0,
+        *,
+        boot_id: int | None = None,
+        store: Path | None = None,
+        network: Network | None = None,
+        notice: Callable[[str], None] | None = None,
+    ) -> None:
+        self.bench = SimulatedBench(params, seed)
+        self.network: Network = ByteNetwork(TxQueue(TX_BYTES)) if network is None else network
+        self.periods = 0
+        """PWM periods since boot."""
+        clock = params.clock
+        self.pwm_hz = clock.pwm_hz
+        self._period_ticks = clock.period_ticks
+        self._portion = max(1, round(PORTION * clock.pwm_hz))
+        self._notice = notice
+        boot = random.Random(seed).getrandbits(32) if boot_id is None else boot_id
+
+        def identity(node: int, role: Role, name: str, features: Feature) -> Identity:
+            return Identity(
+                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features, tick0=clock.start_tick
+            )
+
+        commit = Feature.COMMIT if store is not None else Feature(0)
+        drive = DriveApp(self.bench, store)
+        self._columns = [channel.name for channel in drive.channels]
+        self.drive: DeviceSession = self.network.add(
+            drive,
+            identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
+        )
+        self.load: DeviceSession = self.network.add(
+            LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
+        )
+        self._sessions = (self.drive, self.load)
+        self._were_on = [False, False]
+        self.network.advance(self.bench.tick)
+
+    @property
+    def sessions(self) -> tuple[DeviceSession, DeviceSession]:
+        """Drive and load machine."""
+        return self._sessions
+
+    @property
+    def tick(self) -> int:
+        """Device tick of the last sample (of the first, before there is one)."""
+        return self.bench.tick - self._period_ticks if self.periods else self.bench.tick
+
+    @property
+    def frames_dropped(self) -> int:
+        """Stream frames that found no room to wait in."""
+        return sum(session.streams.dropped for session in self.sessions)
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the host, cut anywhere, at the present tick."""
+        self.network.receive(data)
+        if self._notice:
+            self._report([0.0, 0.0], self._notice)
+
+    def advance(self, periods: int) -> None:
+        """Run control periods; what they produce waits in `data_to_send`."""
+        while periods > 0:
+            n = min(periods, self._portion, self._until_watchdog())
+            unfed = [self._unfed(session) + n / self.pwm_hz for session in self._sessions] if self._notice else []
+            self.bench.watch(self.drive.streams.channels)
+            recorded = self.bench.advance(n)
+            self.periods += n
+            periods -= n
+            self.network.carry(self.periods / self.pwm_hz)
+            self.drive.push_edges(recorded.edges)
+            self.drive.push_samples(recorded.index, recorded.tick, self._telemetered(recorded.samples))
+            self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
+            self.network.advance(self.tick)
+            if self.bench.faults:
+                self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
+            if self._notice:
+                self._report(unfed, self._notice)
+
+    @property
+    def has_data(self) -> bool:
+        """Whether anything waits for the link."""
+        return self.network.waiting > 0
+
+    def data_to_send(self, limit: int | None = None) -> bytes:
+        """Return and forget the bytes that wait for the link, at most `limit`."""
+        return self.network.data_to_send(limit)
+
+    def _telemetered(self, samples: NDArray[np.void]) -> NDArray[np.void]:
+        """The samples with the columns of the drive's channels only."""
+        if len(self._columns) == len(samples.dtype.names or ()):
+            return samples
+        return repack_fields(samples[self._columns])
+
+    def _until_watchdog(self) -> int:
+        """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""
+        left = min(session.machine.watchdog_ms(self.tick) for session in self._sessions)
+        return math.ceil((left + 1) * self.pwm_hz / 1000)
+
+    def _unfed(self, session: DeviceSession) -> float:
+        """Seconds since the session's watchdog was fed, 0 where it is not at work."""
+        left = session.machine.watchdog_ms(self.tick)
+        return 0.0 if left == WATCHDOG_OFF else session.app.get_param("watchdog") - left / 1000
+
+    def _report(self, unfed: list[float], notice: Callable[[str], None]) -> None:
+        for n, session in enumerate(self._sessions):
+            on = session.app.outputs_on
+            if on == self._were_on[n]:
+                continue
+            self._were_on[n] = on
+            name = f"node {session.identity.node}, {session.identity.name}"
+            faults = session.machine.faults
+            if on:
+                notice(f"outputs on ({name})")
+            elif faults & Fault.WATCHDOG:
+                notice(f"outputs off {unfed[n] * 1000:.0f} ms after the last ALIVE: watchdog ({name})")
+            else:
+                notice(f"outputs off: {faults.name if faults else 'STOP'} ({name})")
+
+
+def random_boot_id() -> int:
+    """A boot_id that no earlier boot had, for all practical purposes."""
+    return int.from_bytes(os.urandom(4), "little")

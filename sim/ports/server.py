@@ -1,0 +1,405 @@
+"""The simulated bench in real time behind a port: `serve` is what `bench sim` and `python -m sim` run.
+
+The server keeps the device in step with the clock, in portions of a few milliseconds, and moves bytes between it
+and its port. It never blocks on the port and never sprints: what it cannot catch up within `MAX_BEHIND` it skips
+and counts, while the device's own ticks go on without a gap.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import signal
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from protocol.canmap.frame import BusRates
+from protocol.device.tx import TxQueue
+from protocol.links.target import (
+    DEFAULT_DATA_BITRATE,
+    MAX_BAUD,
+    MAX_BITRATE,
+    MAX_DATA_BITRATE,
+    MIN_BAUD,
+    MIN_BITRATE,
+    split_host_port,
+)
+from sim import numba_cache
+from sim.config.params import BenchParams, ConfigError, Value, load_params
+from sim.ports.byte_ports import Port, PtyPort, TcpPort
+from sim.ports.uart import BITS_PER_CHARACTER, Pacer
+
+if TYPE_CHECKING:
+    from sim.ports.device import SimulatedDevice
+    from sim.ports.networks import Network
+
+STEP = 0.005  # s between portions
+LATE = 0.05  # s of delay that is worth a word
+LATE_PERIOD = 5.0  # s between such words
+WARNING = 4  # level of a LOG
+MAX_BEHIND = 0.1  # s of delay that is caught up; must leave a host's ALIVE in time for the watchdog
+TX_BYTES = 1 << 18  # stream bytes that may wait for a port: 0.3 s of every channel
+MIN_TX_BYTES = 1 << 13
+_WRITE = 1 << 15
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+CONTROLS = """test aids:
+  kill -USR1 PID   pull the cable: the pty vanishes, or the TCP connection and its port
+  kill -USR2 PID   put it back, under the same --link or port"""
+
+EXPOSED = (
+    "{} is open to other machines, and HBP has no authentication: whoever reaches it can spin the motor. "
+    "Better listen on 127.0.0.1 and let others in by ssh -L"
+)
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """What to serve and where."""
+
+    tcp: str | None = None
+    """HOST:PORT to listen on, port 0 = any."""
+    slcan: bool = False
+    """On a CAN bus behind an slcan adapter on a pty."""
+    socketcand: str | None = None
+    """HOST:PORT of a socketcand server for the CAN bus."""
+    virtual: str | None = None
+    """Channel of python-can's virtual interface, in this process, for the CAN bus. Without any of these: a pty."""
+    rates: BusRates = field(default_factory=BusRates)
+    """Of the CAN bus."""
+    extended: bool = False
+    """29-bit identifiers on the CAN bus."""
+    link: Path | None = None
+    """Symbolic link to the pty."""
+    baud: int | None = None
+    """Rate of the simulated UART; None = like a USB port."""
+    config: Path | None = None
+    overrides: Mapping[str, Value] = field(default_factory=dict)
+    seed: int | None = None
+    """Of noise and jitter; None = another one each time."""
+    store: Path | None = None
+    """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
+    exit_with_parent: bool = False
+    """End when stdin reaches its end."""
+
+    @property
+    def can(self) -> bool:
+        """Whether the devices are on a CAN bus."""
+        return self.slcan or self.socketcand is not None or self.virtual is not None
+
+
+def parse_override(text: str) -> tuple[str, Value]:
+    """`section.name=value`, the value as in TOML, as a pair for `load_params`.
+
+    Raises:
+        ConfigError: not of that form.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise ConfigError(f"'{text}' is not section.name=value, for example motor.R_s=0.2")
+    try:
+        parsed: Value = tomllib.loads(f"x = {value}")["x"]
+    except (ValueError, KeyError, RecursionError):  # TOMLDecodeError is a ValueError
+        raise ConfigError(f"{key.strip()}: '{value}' is not a number or a list of numbers") from None
+    return key.strip(), parsed
+
+
+class Schedule:
+    """Which periods are due; times in seconds of any one clock."""
+
+    def __init__(self, pwm_hz: int, now: float) -> None:
+        self._pwm_hz = pwm_hz
+        self._start = now
+        self._done = 0
+        self.late = 0
+        """How often the delay was more than could be caught up."""
+        self.skipped = 0.0
+        """Seconds of clock time that were left out then."""
+
+    def behind(self, now: float) -> float:
+        """Seconds from the last period that was run to `now`."""
+        return now - self._start - self._done / self._pwm_hz
+
+    def due(self, now: float) -> int:
+        """Periods to run now."""
+        excess = self.behind(now) - MAX_BEHIND
+        if excess > 0.0:
+            self.late += 1
+            self.skipped += excess
+            self._start += excess
+        n = max(0, int((now - self._start) * self._pwm_hz) - self._done)
+        self._done += n
+        return n
+
+
+class Server:
+    """One device, one port, one clock: `step` does everything that is due.
+
+    `tell` gets a line, and the host a LOG, when it was kept from its work for more than `LATE`.
+    """
+
+    def __init__(
+        self, device: SimulatedDevice, port: Port, now: float, baud: int | None = None, tell: Say | None = None
+    ) -> None:
+        self.device = device
+        self.port = port
+        self.schedule = Schedule(device.pwm_hz, now)
+        self._pacer = None if baud is None else Pacer(baud)
+        self._portion = max(1, round(STEP * device.pwm_hz))
+        self._pending = b""
+        self._tell = _say_nothing if tell is None else tell
+        self._told_late = -math.inf
+
+    def step(self, now: float) -> None:
+        """Run the periods that are due at `now`, take what has arrived, send what the port takes."""
+        self._look_for_delay(now)
+        due = self.schedule.due(now)
+        while due > 0:
+            n = min(due, self._portion)
+            self.device.advance(n)
+            due -= n
+            if due > 0:
+                self._receive()
+        self._receive()
+        self._send(now)
+
+    def _look_for_delay(self, now: float) -> None:
+        behind = self.schedule.behind(now)
+        if behind > LATE and now - self._told_late >= LATE_PERIOD:
+            self._told_late = now
+            text = f"the simulated drive stood still for {behind * 1000:.0f} ms: this machine is too busy"
+            self._tell(text)
+            self.device.drive.log(WARNING, text)
+
+    def _receive(self) -> None:
+        data = self.port.read()
+        if data:
+            self.device.receive(data)
+
+    def _send(self, now: float) -> None:
+        free = _WRITE if self._pacer is None else self._pacer.allowance(now)
+        while free > 0:
+            if not self._pending:
+                self._pending = self.device.data_to_send(free)
+                if not self._pending:
+                    return
+            part = self._pending[:free]
+            taken = self.port.write(part)
+            self._pending = self._pending[taken:]
+            free -= taken
+            if self._pacer is not None:
+                self._pacer.spend(taken)
+            if taken < len(part):
+                return
+
+    def summary(self) -> str:
+        """The closing line."""
+        device, schedule = self.device, self.schedule
+        late = f"late {schedule.late} times ({schedule.skipped:.2f} s skipped)" if schedule.late else "never late"
+        return (
+            f"stopped after {device.periods} periods: {device.network.frames_sent} frames sent, "
+            f"{device.frames_dropped} dropped, {late}{device.network.account()}{self.port.account()}"
+        )
+
+
+def serve(options: ServeOptions, say: Say | None = None) -> None:
+    """Serve until SIGINT, SIGTERM, SIGHUP or, if so told, the end of stdin.
+
+    Prints `target: …` once it answers, through `say` (default: stdout, flushed); before that, only that it compiles.
+
+    Raises:
+        ConfigError: the configuration or an option is wrong.
+        LinkError: the port cannot be made.
+    """
+    tell = _print if say is None else say
+    params = load_params(options.config, options.overrides)
+    port = _make_port(options)
+    try:
+        if not numba_cache.is_warm():
+            tell("compiling the simulation (once, some ten seconds) ...")
+        if isinstance(port, TcpPort) and port.exposed:
+            print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
+        with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
+            device = _make_device(params, options, tell)
+        received: set[int] = set()
+        with _handlers(lambda number, _: received.add(number), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
+            tell(f"target: {port.target}")
+            tell(
+                f"simulated drive (node 1) and load machine (node 2): {len(device.drive.app.channels)} channels at "
+                f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
+            )
+            server = Server(device, port, time.monotonic(), options.baud, tell)
+            _run(server, received, options.exit_with_parent, tell)
+        tell(server.summary())
+    finally:
+        port.close()
+
+
+@contextmanager
+def serving(options: ServeOptions) -> Iterator[str]:
+    """Serve from a thread of this process for as long as the context lasts; gives the target string.
+
+    Raises as `serve`. For scripts and tests, and the only way to reach python-can's virtual interface.
+    """
+    params = load_params(options.config, options.overrides)
+    port = _make_port(options)
+    received: set[int] = set()
+    try:
+        server = Server(_make_device(params, options, _say_nothing), port, time.monotonic(), options.baud)
+        thread = threading.Thread(target=_run, args=(server, received, False, _say_nothing), daemon=True)
+        thread.start()
+        try:
+            yield port.target
+        finally:
+            received.add(signal.SIGTERM)
+            thread.join()
+    finally:
+        port.close()
+
+
+def _say_nothing(line: str) -> None:
+    pass
+
+
+def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) -> None:
+    parent = [sys.stdin.fileno()] if exit_with_parent else []
+    next_step = time.monotonic()
+    while not received.intersection(_STOPS):
+        fds = [*server.port.read_fds(), *parent]
+        ready = select.select(fds, [], [], max(0.0, next_step - time.monotonic()))[0]
+        if parent and parent[0] in ready and not os.read(parent[0], 4096):
+            return
+        now = time.monotonic()
+        server.step(now)
+        if now >= next_step:  # else bytes from the host woke it
+            next_step = max(next_step + STEP, now)
+        if signal.SIGUSR1 in received:
+            received.discard(signal.SIGUSR1)
+            server.port.unplug()
+            tell("unplugged")
+        if signal.SIGUSR2 in received:
+            received.discard(signal.SIGUSR2)
+            server.port.plug()
+            tell(f"target: {server.port.target}")
+
+
+def _stop_at_once(port: Port, tell: Say) -> None:
+    """End while it compiles: an exception out of the compiler's callbacks would end in a traceback."""
+    port.close()
+    tell("stopped")
+    os._exit(0)
+
+
+@contextmanager
+def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Iterable[int]) -> Iterator[None]:
+    """Handle these signals so for a while; only the main thread can, elsewhere nothing changes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def can_rates(bitrate: int, fd: bool, data_bitrate: int | None) -> BusRates:
+    """Return the rates of a CAN bus as the command line gives them."""
+    return BusRates(bitrate, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
+
+
+def _make_port(options: ServeOptions) -> Port:
+    if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
+        raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
+    if options.link is not None and (options.tcp or options.socketcand or options.virtual):
+        raise ConfigError("--link goes with a pty")
+    if options.baud is not None and (options.tcp or options.can):
+        raise ConfigError("--baud goes with a serial line; a CAN bus has --bitrate")
+    if options.can:
+        return _make_can_port(options)
+    if options.tcp is not None:
+        return TcpPort(*split_host_port(options.tcp))
+    return PtyPort(options.link, options.baud)
+
+
+def _make_can_port(options: ServeOptions) -> Port:
+    check_rates(options.rates)
+    from sim.ports.can_ports import BusPort, SocketcandPort  # python-can costs 0.2 s: only those who need it pay
+    from sim.ports.slcan_port import SlcanPort
+
+    if options.slcan:
+        check_slcan_rates(options.rates)
+        return SlcanPort(options.link, options.rates, options.extended)
+    if options.socketcand is not None:
+        return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
+    assert options.virtual is not None
+    return BusPort.virtual(options.virtual, options.rates, options.extended)
+
+
+def check_rates(rates: BusRates) -> None:
+    """Raise ConfigError for bit rates that no CAN bus has."""
+    if not MIN_BITRATE <= rates.bitrate <= MAX_BITRATE:
+        raise ConfigError(f"bitrate must be between {MIN_BITRATE} and {MAX_BITRATE} bit/s, got {rates.bitrate}")
+    data = rates.data_bitrate
+    if data is not None and not rates.bitrate <= data <= MAX_DATA_BITRATE:
+        raise ConfigError(
+            f"data bitrate must be between the bitrate, {rates.bitrate}, and {MAX_DATA_BITRATE} bit/s, got {data}"
+        )
+
+
+def check_slcan_rates(rates: BusRates) -> None:
+    """Raise ConfigError for bit rates that no slcan command sets."""
+    from protocol.canmap.slcan import BITRATES, DATA_BITRATES
+
+    for name, rate, known in (
+        ("bitrate", rates.bitrate, BITRATES),
+        ("data bitrate", rates.data_bitrate, DATA_BITRATES),
+    ):
+        if rate is not None and rate not in known:
+            raise ConfigError(f"{name} {rate} is none of slcan's: {', '.join(map(str, sorted(known)))}")
+
+
+def _make_network(options: ServeOptions) -> Network:
+    from sim.ports.networks import ByteNetwork, CanNetwork
+
+    if options.can:
+        return CanNetwork(options.rates, options.extended)
+    if options.baud is None:
+        return ByteNetwork(TxQueue(TX_BYTES))
+    capacity = options.baud / BITS_PER_CHARACTER
+    return ByteNetwork(TxQueue(min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity))), capacity=capacity))
+
+
+def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
+    from sim.ports.device import SimulatedDevice, random_boot_id  # numba: after it is said that it compiles
+
+    device = SimulatedDevice(
+        params,
+        random_boot_id() if options.seed is None else options.seed,
+        boot_id=random_boot_id(),
+        store=options.store,
+        network=_make_network(options),
+        notice=tell,
+    )
+    # compiles, or loads what was compiled, the lengths of CAN frames too: a heartbeat is on its way
+    SimulatedDevice(params, network=_make_network(options)).advance(32)
+    return device
+
+
+def _print(line: str) -> None:
+    try:
+        print(line, flush=True)
+    except OSError:  # whoever read this has gone, or the disk is full: nothing else may fail for it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
