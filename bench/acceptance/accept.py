@@ -23,8 +23,8 @@ from bench.acceptance.results import Measurement, RunResult, Verdict, tightest, 
 from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
 from bench.analysis.limits import Limits
 from bench.errors import BenchError
+from bench.rig.connection import SIM, target_of
 from bench.rig.settings import read_settings
-from bench.rig.targets import SIM, target_of
 
 SUITE = Path(__file__).with_name("suite")
 WORDS = {

@@ -32,12 +32,14 @@ from bench.errors import BenchError, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
 from bench.rerunio.markdown import escaped
 from bench.rig import person
+from bench.rig.connection import SIM, load_target, open_target, target_of
+from bench.rig.consent import require_agreement
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.loads import OwnLoads
+from bench.rig.lock import alone_on
 from bench.rig.quality import ParameterValue, Quality
-from bench.rig.rig import Plan, Rig
+from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.settings import Settings, read_settings
-from bench.rig.targets import SIM, alone_on, load_target, open_target, require_agreement, target_of
 from protocol.errors import HbpError
 
 LIMITS_ELSEWHERE = "limits of other tests"
@@ -222,19 +224,19 @@ class BenchSession:
             settings=self.settings,
             envelope=announced(item),
             ask=self._ask(),
-            recording=self._recording(name),
             virtual=self.target == SIM,
-            title=name,
-            channels=frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:")),
             own_loads=self._own_loads,
         )
+        channels = frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:"))
         running = item.stash[plugin.RUNNING]
-        if plan.recording is not None:
-            running.recording = plan.recording
-            plan.recording.parent.mkdir(parents=True, exist_ok=True)
-            claim(plan.recording.parent.parent, f"{plan.recording.parent.name}/{plan.recording.name}")
-            plan.recording.unlink(missing_ok=True)  # an earlier run's
-        with self._unless_unsafe(), Rig(plan) as rig:
+        path = self._recording(name)
+        if path is not None:
+            running.recording = path
+            path.parent.mkdir(parents=True, exist_ok=True)
+            claim(path.parent.parent, f"{path.parent.name}/{path.name}")
+            path.unlink(missing_ok=True)  # an earlier run's
+        recording = Recording(path, {"test": name})
+        with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
             if not self.about:
                 self.about = {
                     "identity": rig.identity(),

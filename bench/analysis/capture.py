@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.channels import flagged, speed_channel
-from bench.analysis.position import wrap
+from bench.analysis.channels import reference_angle, speed_channel
+from bench.analysis.chunks import between, no_edge_stream
+from bench.analysis.position import position_error
 from bench.errors import BenchError
-from protocol.messages import StreamEvent
-from protocol.signals import Flag, Unit
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.signals import Flag
+from protocol.streams import EdgeChunk, SampleChunk
 
 F64 = NDArray[np.float64]
 
@@ -79,13 +79,13 @@ class Capture:
 
     def ticks(self, first: int, last: int) -> Capture:
         """The part from device tick `first` to `last`, both included. BenchError if no sample lies in it."""
-        samples = part_of_samples(self.samples, first, last)
+        samples = between(self.samples, first, last)
         if not len(samples):
             raise BenchError(f"no sample between {first / self.tick_hz:.4f} s and {last / self.tick_hz:.4f} s")
         return replace(
             self,
             samples=samples,
-            edges=part_of_edges(self.edges, first, last),
+            edges=between(self.edges, first, last),
             dropped=tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
         )
 
@@ -94,7 +94,7 @@ class Capture:
     @cached_property
     def reference(self) -> str:
         """Name of the channel that position estimates are compared with. BenchError without an encoder."""
-        if name := flagged(self.samples.config.channels, Unit.RAD, Flag.REFERENCE):
+        if name := reference_angle(self.samples.config.channels):
             return name
         raise BenchError("the drive streams no reference position: the test needs an encoder")
 
@@ -112,7 +112,7 @@ class Capture:
 
     def position_error(self, estimate: str) -> F64:
         """Actual minus estimated electrical angle, rad in [-pi, pi), shape (n,)."""
-        return wrap(self[self.reference] - self[estimate])
+        return position_error(self[self.reference], self[estimate])
 
     def theta_at_edges(self) -> F64:
         """Electrical angle by the encoder at each Hall edge, unwrapped, rad, shape (m,): in line between samples."""
@@ -179,35 +179,3 @@ class Capture:
                     f"{self.t[int(np.argmax(full))]:.4f} s"
                 )
         return flaws
-
-
-def part_of_samples(chunk: SampleChunk, first: int, last: int) -> SampleChunk:
-    """Samples with ticks from `first` to `last`, both included; gaps belong to `Capture.dropped`."""
-    a, b = np.searchsorted(chunk.tick, first, "left"), np.searchsorted(chunk.tick, last, "right")
-    return SampleChunk(chunk.config, chunk.index[a:b], chunk.tick[a:b], chunk.raw[a:b], ())
-
-
-def no_edge_stream(node: int) -> StreamConfig:
-    """What stands for the edges of a drive that streams none."""
-    return StreamConfig(node, 0, 0, StreamEvent.EDGES, 1, (), 1)
-
-
-def no_edges(config: StreamConfig) -> EdgeChunk:
-    """What a shaft at rest streams."""
-    ticks, codes = np.empty(0, np.int64), np.empty(0, np.uint8)
-    return EdgeChunk(config, ticks, codes, codes, np.empty(0, np.bool_), np.empty(0, np.uint16), ticks, ())
-
-
-def part_of_edges(chunk: EdgeChunk, first: int, last: int) -> EdgeChunk:
-    """Edges with ticks from `first` to `last`, both included."""
-    a, b = np.searchsorted(chunk.tick, first, "left"), np.searchsorted(chunk.tick, last, "right")
-    return EdgeChunk(
-        chunk.config,
-        chunk.tick[a:b],
-        chunk.hall_old[a:b],
-        chunk.hall_new[a:b],
-        chunk.illegal[a:b],
-        chunk.encoder[a:b],
-        chunk.index[a:b],
-        (),
-    )

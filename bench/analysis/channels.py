@@ -17,6 +17,11 @@ def flagged(channels: Iterable[Channel | Signal], unit: Unit, *flags: Flag) -> s
     return next((channel.name for flag in flags for channel in of_unit if channel.flags & flag), "")
 
 
+def reference_angle(channels: Iterable[Channel | Signal]) -> str:
+    """Name of the angle that position estimates are compared with: the encoder's; empty without one."""
+    return flagged(channels, Unit.RAD, Flag.REFERENCE)
+
+
 def speed_channel(channels: Iterable[Channel | Signal], parameters: Mapping[str, float]) -> str:
     """Name of the speed in rad/s to go by: the encoder's, else that of the angle that the drive uses, else the first.
 

@@ -1,4 +1,4 @@
-"""Running statistics of a run: position error per estimator and segment, latency percentiles, a node's own counters.
+"""Position errors, and their statistics over a run, by estimate and segment.
 
 Nothing here keeps samples: memory stays bounded however long the run is.
 """
@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.channels import reference_angle
 from protocol.signals import STATUS_STATE_MASK, Flag, Unit
 from protocol.streams import SampleChunk
 
@@ -22,18 +24,20 @@ def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     return wrapped
 
 
-def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
-    """Actual minus estimated electrical angle in rad, shape (n,), for every position estimate in the chunk.
+def position_error(actual: NDArray[Any], estimated: NDArray[Any]) -> NDArray[Any]:
+    """Actual minus estimated angle, rad in [-pi, pi), of angles of any one shape."""
+    return wrap(actual - estimated)
 
-    Actual is the channel flagged REFERENCE with unit rad, the encoder. Without one the result is empty.
-    """
+
+def position_errors(chunk: SampleChunk) -> dict[str, NDArray[np.float64]]:
+    """`position_error` of every position estimate in the chunk, (n,) each; empty without an encoder."""
     channels = chunk.config.channels
-    reference = next((c.name for c in channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
-    if reference is None:
+    reference = reference_angle(channels)
+    if not reference:
         return {}
     actual = chunk.physical(reference)
     return {
-        channel.name: wrap(actual - chunk.physical(channel.name))
+        channel.name: position_error(actual, chunk.physical(channel.name))
         for channel in channels
         if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD
     }

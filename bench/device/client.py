@@ -36,6 +36,7 @@ from protocol.messages import (
     DeviceEvent,
     ErrorReply,
     EventCode,
+    Fault,
     Heartbeat,
     HelloReply,
     MessageType,
@@ -178,6 +179,8 @@ class Client:
         self.heartbeats: dict[int, Heartbeat] = {}
         self.rejections: dict[int, DeviceEvent] = {}
         """By node, the last event that told why a setpoint was rejected."""
+        self.faults: dict[int, Fault] = {}
+        """By node, all that its heartbeats and events have reported; an event may have been lost with the link."""
         self.bytes_in = 0
         self.unasked = 0
         """Stream frames of streams that were not configured from here, or no longer are."""
@@ -342,10 +345,12 @@ class Client:
             case HeartbeatReceived(node=node, heartbeat=heartbeat):
                 self._seen(node, now)
                 self.heartbeats[node] = heartbeat
+                self.faults[node] = self.faults.get(node, Fault(0)) | heartbeat.faults
                 self._streams.get(node, _NO_STREAMS).heard(heartbeat)
                 for sink in self.sinks:
                     sink.heartbeat(node, heartbeat)
             case DeviceEventReceived(node=node, event=happened):
+                self.faults[node] = self.faults.get(node, Fault(0)) | happened.faults
                 if happened.code == EventCode.SETPOINT_REJECTED:
                     self.rejections[node] = happened
                 for sink in self.sinks:

@@ -255,6 +255,7 @@ class Node:
                 raise NodeError(
                     f"node {self.number} would not clear {self.fault_text()}: {refusal}; its cause may persist"
                 ) from None
+            self.client.faults.pop(self.number, None)
             self.next_heartbeat()  # the last one still shows the fault
 
     def fault_text(self) -> str:

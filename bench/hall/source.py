@@ -15,17 +15,17 @@ from typing import Protocol
 
 from bench.device.node import Node
 from bench.files import check_output
-from bench.hall.passive import watch
+from bench.hall.passive import watch, watched
 from bench.hall.reference import EMF_CHANNELS
 from bench.hall.trace import capture_of
 from bench.hall.turning import Turned, Turner
-from bench.rig.consent import Plan as Spin
-from bench.rig.consent import check_limits
+from bench.rig.connection import SIM, open_target
+from bench.rig.consent import check_limits, require_agreement
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
-from bench.rig.rig import Plan, Rig
+from bench.rig.lock import alone_on
+from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.settings import Settings
-from bench.rig.targets import SIM, alone_on, open_target, require_agreement
 
 
 @dataclass(frozen=True)
@@ -90,29 +90,26 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
         return
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
-    settings = Settings(config=options.config)
-    if options.passive:
-        with signals_as_exceptions(), alone_on(options.source):
-            link = open_target(options.source, settings, "hall")
-            try:
-                yield Source(*watch(link, options, screen.progress))
-            finally:
-                link.close()
-        return
+    settings = Settings(config=options.config, load="none" if options.passive else "node")
     plan = Plan(
         lambda: open_target(options.source, settings, "hall"),
         options.source,
         settings,
         Envelope(options.speed_rpm, options.current_a),
-        recording=options.save,
         virtual=options.source == SIM,
-        title="hall",
-        channels=frozenset(EMF_CHANNELS),
-        needs=options.needs,
+        passive=options.passive,
     )
+    recording = Recording(options.save, {"test": "hall"})
     with signals_as_exceptions(), alone_on(options.source):
-        require_agreement(options.source, settings, plan.envelope, options.yes, confirm, options.needs)
+        if not options.passive:
+            require_agreement(options.source, settings, plan.envelope, options.yes, confirm, options.needs)
         with Rig(plan) as rig:
-            check_limits(rig.drive.node, Spin(options.speed_rpm, current_a=options.current_a))
+            rig.require(*options.needs)
+            if options.passive:
+                rig.prepare([watched(rig)], recording)
+                yield Source(watch(rig, options.duration, screen.progress), rig.drive.node)
+                return
+            rig.prepare(recording=recording, needed=frozenset(EMF_CHANNELS))
+            check_limits(rig.drive.node, plan.envelope)
             turner = Turner(rig, options.speed_rpm, screen.progress)
             yield Source(turner.spin(), rig.drive.node)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.channels import flagged, speed_channel
+from bench.analysis.channels import flagged, reference_angle, speed_channel
 from bench.analysis.position import ErrorTable, states, wrap
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.client import SinkBase
@@ -84,7 +84,7 @@ class Plausibility(SinkBase):
         self._names = {channel.name for channel in channels}
         self._n_p = pole_pairs(parameters)
         self._i_max = parameters.get("i_max", math.inf)
-        self._theta = flagged(channels, Unit.RAD, Flag.REFERENCE)
+        self._theta = reference_angle(channels)
         self._omega = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE)
         self._by = "the encoder" if self._omega else "its Hall sensors" if edges else "its own estimate"
         if not self._omega and not edges:

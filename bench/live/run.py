@@ -14,30 +14,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bench import __version__
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.bus import BusMeter
-from bench.device.client import POLL, WATCHDOG, Client, Sink, SinkBase
-from bench.device.description import describe
-from bench.device.node import LOAD, ClockFit, Node
+from bench.device.client import POLL, WATCHDOG, Sink, SinkBase
+from bench.device.node import LOAD, ClockFit
 from bench.device.simulator import EmbeddedDrive
-from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, NodeError, OutputsMayBeOn, RecordingError
+from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
 from bench.files import check_output
 from bench.live.manoeuvres import SHOW, Act, timed
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
-from bench.rerunio.schema import RunInfo
-from bench.rig.consent import Plan, check_limits, require_consent
+from bench.rig.consent import check_limits, require_consent
+from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
+from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs
+from bench.rig.rig import Plan, Rig
 from bench.rig.streams import decimation_of
-from protocol.canmap.host import CanWire
-from protocol.codes import Fault, fault_names
+from protocol.codes import fault_names
 from protocol.descriptor import Channel
-from protocol.errors import HbpError, LinkError, NoReply
+from protocol.errors import HbpError, LinkError
 from protocol.links import Link, open_link
-from protocol.messages import DriveState, HelloReply, Role
 from protocol.signals import SHORT, SOURCE_NAMES
 
 if TYPE_CHECKING:
@@ -122,12 +120,11 @@ class LiveRun:
         self.target = target
         self.screen = screen
         self._notes = _ScreenNotes(screen)
-        self.client = Client(link)
-        self.drive = Node(self.client, 0)
-        self.load: Node | None = None
+        self.rig = Rig(Plan(lambda: link, target, envelope=self._envelope()))
+        self.client, self.drive = self.rig.client, self.rig.drive.node
+        self.client.reconnect = RECONNECT
         self.tripped = ""  # why the motor was let go, if it was
         self.unsafe = ""  # why outputs may still be on, if they may
-        self._energised: list[Node] = []
         self._clock: ClockFit | None = None  # of this boot of the drive
         self._outputs: Outputs | None = None
         self._next_clock = 0.0
@@ -143,13 +140,9 @@ class LiveRun:
 
     # -- before anything moves ----------------------------------------------------------------------------------
 
-    def connect(self) -> None:
-        """Find drive and, where a load is asked for, load machine. Leaves the motor alone."""
-        hello = self.client.connect()
-        if hello.role != Role.DRIVE:
-            raise BenchError(f"{self.target} answers as {hello.role.name}, not as a drive")
-        self.drive = Node(self.client, hello.node)
-        self.client.reconnect = RECONNECT
+    def look(self) -> None:
+        """Say what is there and, where a load is asked for, find the load machine. Leaves the motor alone."""
+        hello = self.drive.identity
         self.client.on_reboot = self._rebooted.add
         self.drive.stop_streams()
         self.screen.note(
@@ -158,20 +151,17 @@ class LiveRun:
             f"{len(self.drive.descriptor.channels)} channels, state {hello.state.name}"
         )
         if self.options.load_a is not None or self.options.show:
-            self.load = Node(self.client, LOAD)
-            if not self._has_load(hello):
+            self.rig.load = self.rig.load_machine()
+            if self.rig.load is None:
                 raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
-            if self.load.identity.role != Role.LOAD:
-                raise BenchError(f"node {LOAD} on {self.target} is {self.load.identity.name}, not a load machine")
 
-    def _has_load(self, hello: HelloReply) -> bool:
-        """Whether node 2 is there; on a CAN bus only asking can tell."""
-        if hello.nodes >= LOAD or not isinstance(self.client.session.wire, CanWire):
-            return hello.nodes >= LOAD
-        try:
-            return bool(Node(self.client, LOAD).identity.nodes)
-        except NoReply:
-            return False
+    def _envelope(self) -> Envelope:
+        """The most that the acts ask for."""
+        acts = self.acts()
+        return Envelope(
+            max((abs(act.speed_rpm) for act in acts), default=0.0),
+            load=max((abs(act.load_a) for act in acts), default=0.0),
+        )
 
     def acts(self) -> tuple[Act, ...]:
         """What will be done to the motor; empty when it is only watched."""
@@ -189,9 +179,9 @@ class LiveRun:
         if not acts:
             return
         self._require()
-        plan = Plan(max(abs(act.speed_rpm) for act in acts), max(abs(act.load_a) for act in acts))
-        check_limits(self.drive, plan)
-        require_consent(self.drive, self.target, plan, self.options.yes, confirm)
+        envelope = self.rig.drive.envelope
+        check_limits(self.drive, envelope)
+        require_consent(self.drive, self.target, envelope, self.options.yes, confirm)
         if self.options.clear_faults:
             self.drive.clear_faults()
 
@@ -221,20 +211,17 @@ class LiveRun:
                     f"{self._on_host} needs every PWM period"
                     + (f" and the channels {', '.join(missing)}" if missing else "")
                 )
-        if self.drive.offers_edges:
-            self.drive.set_edges()
-        else:
+        if not self.drive.offers_edges:
             self.screen.note("no Hall edges: the drive does not offer them (feature EDGES)")
         try:
-            self.drive.set_samples(channels, decimation)
+            self.rig.configure([channels], decimation, slower=options.fit and not needed)
         except DoesNotFit as error:
             if needed:
                 few = ",".join(needed)
                 raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
-            if not options.fit or not error.decimation:
-                raise
-            self.drive.set_samples(channels, error.decimation)
-            self.screen.note(f"--fit: {len(channels)} channels at {identity.pwm_hz / error.decimation:g} Hz")
+            raise
+        if self.rig.decimation != decimation:
+            self.screen.note(f"--fit: {len(channels)} channels at {self.rig.rate:g} Hz")
         return channels
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
@@ -288,14 +275,8 @@ class LiveRun:
             estimators = Estimators(options.estimate, parameters, identity.tick_hz, identity.pwm_hz)
             augmenter = Augmenter(estimators, channels)
         stats = RunStatistics(self.drive.number, observers)
-        info = RunInfo(
-            tick_hz=identity.tick_hz,
-            pwm_hz=identity.pwm_hz,
-            channels=(*channels, *(augmenter.channels if augmenter else ())),
-            parameters=parameters,
-            identity=describe(identity) | {"target": self.target, "hallbench": __version__},
-            node=identity.node,
-        )
+        streamed = (*channels, *(augmenter.channels if augmenter else ()))
+        info = run_info(self.drive, self.target, streamed, parameters)
         self._clock = self.drive.clock_fit()
         outputs = self._outputs = Outputs(
             info,
@@ -359,7 +340,8 @@ class LiveRun:
             self._interrupted(self.make_safe)
         self._interrupted(self._stop_streams)
         if acts and stats.faults and not self.tripped:  # in the last moment
-            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{self._starved(self.drive)}"
+            why = self.rig.drive.starved(self._watchdog)
+            self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{why}"
         if self.tripped and exit_code == 0:
             result, exit_code = self.tripped, 1
         if exit_code == 0:
@@ -386,14 +368,6 @@ class LiveRun:
             return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. `bench hall check {again}` looks for the cause", 1
         unseen = self._judge.unverified()
         return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
-
-    def _starved(self, node: Node) -> str:
-        """Why the watchdog of `node` has tripped, if it has and the reason is here, as the end of a sentence."""
-        heartbeat = self.client.heartbeats.get(node.number)
-        if heartbeat is None or not heartbeat.faults & Fault.WATCHDOG:
-            return ""
-        watchdog = self._watchdog if node is self.drive else WATCHDOG
-        return f": {why}" if (why := self.client.starved(node.number, watchdog)) else ""
 
     def _stop_streams(self) -> None:
         with suppress(HbpError):
@@ -428,12 +402,9 @@ class LiveRun:
     # -- the motor ----------------------------------------------------------------------------------------------
 
     def energise(self) -> None:
-        """Arm and start the nodes that the acts need: the load machine first, so that it holds the shaft."""
-        for node in (self.load, self.drive):
-            if node is not None:
-                self._energised.append(node)
-                node.arm()
-                node.start()
+        """Arm and start what the acts need: the load machine first, so that it holds the shaft."""
+        for machine in reversed(self.rig.machines):
+            machine.energise()
 
     def perform(self, act: Act, end: float, stats: RunStatistics) -> None:
         """One act: angle source, load and speed, then watch until the client's clock says `end`."""
@@ -443,13 +414,13 @@ class LiveRun:
             try:
                 if act.source is not None:
                     self.drive.set("observer", act.source)
-                if self.load is not None:
-                    self.load.torque(self._torque_constant() * act.load_a)
-                if self._energised:
+                if self.rig.load is not None:
+                    self.rig.load.torque(self._torque_constant() * act.load_a)
+                if self.rig.drive.on:
                     self.drive.speed(act.speed_rpm * RPM)
                     if self._judge is not None:
                         self._judge.ask(act.speed_rpm)
-            except (HbpError, NodeError) as error:
+            except (HbpError, BenchError) as error:
                 self._trip(str(error))
         self.watch(end, stats)
 
@@ -469,19 +440,16 @@ class LiveRun:
         Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
         """
         failure: Exception | None = None
-        while self._energised:
-            node = self._energised[-1]
-            try:
-                node.stop()
-            except OutputsMayBeOn as error:
-                self.unsafe = self.unsafe or str(error)
-                self.note(str(error), "CRITICAL")
-            except DriveFailed as error:
-                self.tripped = self.tripped or str(error)
-                self.note(str(error), "ERROR")
-            except Exception as error:  # of a sink: the outputs were seen to be off all the same
-                failure, self.client.sinks = failure or error, [self._notes]
-            self._energised.pop()
+        for error in () if self.unsafe else self.rig.off():
+            match error:
+                case OutputsMayBeOn():
+                    self.unsafe = self.unsafe or str(error)
+                    self.note(str(error), "CRITICAL")
+                case DriveFailed():
+                    self.tripped = self.tripped or str(error)
+                    self.note(str(error), "ERROR")
+                case _:  # of a sink: the outputs were seen to be off all the same
+                    failure, self.client.sinks = failure or error, [self._notes]
         if failure is not None:
             raise failure
 
@@ -489,8 +457,8 @@ class LiveRun:
 
     def _look(self, stats: RunStatistics) -> None:
         now = self.client.now()
-        if self._outputs is not None and self._outputs.failure is not None:
-            raise self._outputs.failure
+        if self._outputs is not None:
+            self._outputs.check()
         if self.client.health.down_since is None:
             while self._rebooted:
                 node = self._rebooted.pop()
@@ -498,16 +466,13 @@ class LiveRun:
                     self._clock, self._next_clock = None, now
                     self._trip("the drive has rebooted")
                     self.drive.resume_streams()
-                elif self.load is not None and node == self.load.number:
+                elif any(node == machine.node.number for machine in self.rig.machines):
                     self._trip("the load machine has rebooted")
             self._look_at_samples(now, stats)
-            faulty = next((node for node in self._energised if node.state == DriveState.FAULT), None)
-            if faulty is not None and not self.tripped:
-                what = "the drive" if faulty is self.drive else "the load machine"
-                self._trip(f"{what} tripped: {faulty.fault_text()}{self._starved(faulty)}")
-            for energised in tuple(self._energised):
-                if why := energised.astray():
-                    self._trip(f"{'the drive' if energised is self.drive else 'the load machine'}: {why}")
+            for machine in () if self.unsafe else reversed(self.rig.machines):
+                watchdog = self._watchdog if machine is self.rig.drive else WATCHDOG
+                if why := machine.trouble(watchdog):
+                    self._trip(f"{machine.title}{why}")
             if now >= self._next_clock and not self.client.session.busy:
                 self._next_clock = now + CLOCK_PERIOD
                 try:
@@ -584,7 +549,7 @@ def run(
             target = link.name
         live = LiveRun(options, link, target, screen)
         try:
-            live.connect()
+            live.look()
             channels, acts = live.configure(), live.acts()
             live.check(acts, confirm)
             return live.go(channels, acts, report, hold)

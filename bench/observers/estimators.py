@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.chunks import breaks
 from bench.errors import BenchError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
@@ -226,7 +227,9 @@ class Estimators:
         if len(chunk):
             if self._inputs.edges(chunk):
                 self._edges_lost = self._edges_lost[:0]
-            self._edges_lost = np.concatenate([self._edges_lost, chunk.tick[_breaks(chunk.index, self._next_edge)]])
+            self._edges_lost = np.concatenate(
+                [self._edges_lost, chunk.tick[breaks(chunk.index, expected=self._next_edge)]]
+            )
             self._next_edge = int(chunk.index[-1]) + 1
 
     def samples(self, chunk: SampleChunk) -> dict[str, Estimate]:
@@ -236,7 +239,7 @@ class Estimators:
         if self._next_index is None:
             self.restarts["start"] += 1
             reset[0] = True
-        lost = _breaks(chunk.index, self._next_index)
+        lost = breaks(chunk.index, expected=self._next_index)
         self._next_index = int(chunk.index[-1]) + 1
         known = int(np.searchsorted(self._edges_lost, chunk.tick[-1], side="right"))
         after = np.searchsorted(chunk.tick, self._edges_lost[:known])
@@ -304,9 +307,3 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
 def _require(what: str, names: Sequence[str]) -> None:
     if names:
         raise BenchError(f"{what} needs {', '.join(names)}, which the drive does not tell")
-
-
-def _breaks(index: NDArray[np.int64], expected: int | None) -> NDArray[np.int64]:
-    """Positions before which records are missing, of running numbers that should begin with `expected` (None: any)."""
-    first = [] if expected is None or index[0] == expected else [0]
-    return np.concatenate([np.array(first, np.int64), np.flatnonzero(np.diff(index) != 1) + 1])

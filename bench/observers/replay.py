@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
 
 from bench import __version__
+from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
@@ -40,7 +41,6 @@ BEGAN = {
 """Why observers began anew, in words, by the keys of `Estimators.restarts`."""
 ENDS_EARLY = "the recording ends early: it was cut short, or is still being written"
 ALIASES = {"k_p": "k_p_vt", "k_i": "k_i_vt"}
-Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 
 
 @dataclass(frozen=True)
@@ -238,13 +238,3 @@ def _feed(run: Run, sinks: AugmentedSinks, sink: FileSink) -> None:
     for (tick, text), level in zip(run.notes, run.levels, strict=True):
         if not any(tick == at and text.startswith(begin) for at, begin in ours):  # `mark` writes its own
             sink.note(text, level, tick)
-
-
-def part(chunk: Chunk, first: int, last: int) -> Chunk:
-    """Records [first, last) of a chunk, with the gaps between them and the one before the first."""
-    gaps = tuple(replace(gap, position=gap.position - first) for gap in chunk.gaps if first <= gap.position < last)
-    names = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index") if isinstance(chunk, EdgeChunk) else _SAMPLE
-    return replace(chunk, gaps=gaps, **{name: getattr(chunk, name)[first:last] for name in names})
-
-
-_SAMPLE = ("index", "tick", "raw")

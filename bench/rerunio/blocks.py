@@ -8,20 +8,15 @@ a live view has to drop do not spoil the account.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from bench.analysis.chunks import Chunk, index_step
 from bench.device.counters import DeviceCounters
 from bench.rerunio import schema
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 StreamKey = tuple[object, ...]
-Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
 
 
 @dataclass(slots=True)
@@ -173,55 +168,6 @@ class BlockBuilder:
         return block
 
 
-def index_step(config: StreamConfig) -> int:
-    """How far the index advances from record to record of a stream."""
-    return config.decimation if config.channels else 1
-
-
 def stream_key(config: StreamConfig) -> StreamKey:
     """What makes two configurations one stream: all but the number that the device gave them."""
     return config.node, config.stream, config.event, config.decimation, config.channels
-
-
-def join_samples(chunks: Sequence[SampleChunk]) -> SampleChunk:
-    """Join chunks of one stream into one, gaps in place."""
-    if len(chunks) == 1:
-        return chunks[0]
-    return SampleChunk(
-        config=chunks[0].config,
-        index=np.concatenate([chunk.index for chunk in chunks]),
-        tick=np.concatenate([chunk.tick for chunk in chunks]),
-        raw=_join_records([chunk.raw for chunk in chunks]),
-        gaps=_joined_gaps(chunks),
-    )
-
-
-def _join_records(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """Concatenate structured arrays as plain bytes: numpy would compare and promote every field (13 us a part)."""
-    plain = np.dtype((np.void, parts[0].dtype.itemsize))
-    return np.concatenate([part.view(plain) for part in parts]).view(parts[0].dtype)
-
-
-def join_edges(chunks: Sequence[EdgeChunk]) -> EdgeChunk:
-    """Join chunks of one edge stream into one, gaps in place."""
-    if len(chunks) == 1:
-        return chunks[0]
-    return EdgeChunk(
-        config=chunks[0].config,
-        tick=np.concatenate([chunk.tick for chunk in chunks]),
-        hall_old=np.concatenate([chunk.hall_old for chunk in chunks]),
-        hall_new=np.concatenate([chunk.hall_new for chunk in chunks]),
-        illegal=np.concatenate([chunk.illegal for chunk in chunks]),
-        encoder=np.concatenate([chunk.encoder for chunk in chunks]),
-        index=np.concatenate([chunk.index for chunk in chunks]),
-        gaps=_joined_gaps(chunks),
-    )
-
-
-def _joined_gaps(chunks: Sequence[SampleChunk] | Sequence[EdgeChunk]) -> tuple[Gap, ...]:
-    gaps: list[Gap] = []
-    start = 0
-    for chunk in chunks:
-        gaps += [Gap(start + g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps]
-        start += len(chunk)
-    return tuple(gaps)

@@ -18,10 +18,11 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from bench.analysis.position import wrap
+from bench.analysis.chunks import Chunk, breaks, index_step, join
+from bench.analysis.position import position_error
 from bench.device.counters import DeviceCounters
 from bench.rerunio import markdown, schema, states
-from bench.rerunio.blocks import Block, Chunk, StreamKey, index_step, join_edges, join_samples, stream_key
+from bench.rerunio.blocks import Block, StreamKey, stream_key
 from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.plane import Plane
 from bench.rerunio.plots import left_out, trend_lines
@@ -97,9 +98,9 @@ class RunLog:
     def _block(self, block: Block) -> None:
         self._losses |= block.losses
         for stream, edges in self._by_stream(block.edges):
-            self._edges(stream, join_edges(edges))
+            self._edges(stream, join(edges))
         for stream, samples in self._by_stream(block.samples):
-            self._samples(stream, join_samples(samples))
+            self._samples(stream, join(samples))
         self._hall_lanes()
         for node, event in block.events:
             self._event(node, event)
@@ -235,7 +236,7 @@ class RunLog:
         if reference is None:
             return {}
         return {
-            name: (wrap(values[reference] - values[name]) * schema.DEG).astype(np.float32, copy=False)
+            name: (position_error(values[reference], values[name]) * schema.DEG).astype(np.float32, copy=False)
             for name in self.run.position_estimates
         }
 
@@ -414,7 +415,7 @@ def _any(components: Mapping[str, Any]) -> rr.AnyValues:
 def _bookkeeping(chunk: SampleChunk | EdgeChunk) -> dict[str, pa.Array]:
     """Sparse columns that make index and gaps exact: a value on the first row of each stretch, null elsewhere."""
     n = len(chunk)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(chunk.index) != index_step(chunk.config)) + 1])
+    starts = np.concatenate([[0], breaks(chunk.index, index_step(chunk.config))])
     columns = {schema.INDEX: _sparse(n, starts, chunk.index[starts])}
     if chunk.gaps:
         rows = np.array([gap.position for gap in chunk.gaps])

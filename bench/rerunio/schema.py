@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.channels import reference_angle
+from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
@@ -73,7 +75,6 @@ DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
 SPEED_REFERENCE = "omega_ref"
 
 _NS = 1_000_000_000
-RPM = 60 / (2 * math.pi)
 DEG = 180 / math.pi
 
 
@@ -225,8 +226,7 @@ class RunInfo:
     @cached_property
     def n_p(self) -> int | None:
         """Pole pairs, if the drive says, and says a whole number from 1 up."""
-        n_p = self.parameters.get("n_p", math.nan)
-        return int(n_p) if n_p >= 1 and n_p % 1 == 0 else None
+        return pole_pairs(self.parameters)
 
     @property
     def i_max(self) -> float | None:
@@ -270,7 +270,7 @@ class RunInfo:
     @cached_property
     def position_reference(self) -> str | None:
         """The channel that position estimates are compared with."""
-        return next(iter(self._flagged(Flag.REFERENCE, Unit.RAD)), None)
+        return reference_angle(self.channels) or None
 
     @cached_property
     def speeds(self) -> tuple[str, ...]:
@@ -291,7 +291,7 @@ class RunInfo:
     @property
     def speed_factor(self) -> float:
         """Factor from electrical rad/s to `speed_unit`."""
-        return RPM / self.n_p if self.n_p else 1.0
+        return 1.0 / (RPM * self.n_p) if self.n_p else 1.0
 
     def to_json(self) -> dict[str, Any]:
         """All of it as plain JSON, for the recording."""

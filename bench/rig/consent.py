@@ -6,38 +6,33 @@ Nothing here sends a command. A simulated drive needs no act; everything else ne
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from dataclasses import replace
 
 from bench.analysis.units import RPM
+from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import BenchError, UnsafeError
+from bench.rig.connection import SIM, load_target, open_load_machine, open_target
+from bench.rig.envelope import Envelope
+from bench.rig.needs import NEEDS, require
+from bench.rig.settings import Settings
 from protocol.messages import Feature
 
 FLOAT32 = 1e-7  # to which a drive rounds its parameters, as a share
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What is asked of the motor, at most: mechanical r/min, and A of load and of phase current (peak)."""
-
-    speed_rpm: float
-    load_a: float = 0.0
-    current_a: float = math.inf
-    """Whoever asks for less than the drive's `i_max` lowers that before the drive is energised."""
-
-
-def check_limits(drive: Node, plan: Plan) -> None:
-    """Raise BenchError, naming value and limit, if the plan exceeds what the drive allows."""
-    if math.isfinite(plan.current_a):
-        _check(drive, "--current", plan.current_a, "i_max", 1.0, "A")
-    _check(drive, "--speed", plan.speed_rpm, "omega_m_max", RPM, "r/min")
-    _check(drive, "--load", plan.load_a, "i_max", 1.0, "A")
+def check_limits(drive: Node, envelope: Envelope) -> None:
+    """Raise BenchError, naming value and limit, if the envelope exceeds what the drive allows."""
+    _check(drive, "--current", envelope.current, "i_max", 1.0, "A")
+    _check(drive, "--speed", envelope.speed_rpm, "omega_m_max", RPM, "r/min")
+    _check(drive, "--load", envelope.load, "i_max", 1.0, "A")
 
 
 def _check(drive: Node, option: str, value: float, parameter: str, unit: float, symbol: str) -> None:
     """`unit`: what one `symbol` is in the parameter's own unit. A drive without the parameter sets no limit here."""
-    if not drive.has_parameter(parameter):
+    if math.isinf(value) or not drive.has_parameter(parameter):
         return
     limit = drive.parameter(parameter).value / unit
     if not abs(value) <= limit * (1.0 + FLOAT32):
@@ -46,20 +41,58 @@ def _check(drive: Node, option: str, value: float, parameter: str, unit: float, 
         )
 
 
-def require_consent(drive: Node, target: str, plan: Plan, yes: bool, confirm: Callable[[str], bool] | None) -> None:
+def require_consent(
+    drive: Node, target: str, envelope: Envelope, yes: bool, confirm: Callable[[str], bool] | None
+) -> None:
     """Raise UnsafeError unless the drive is simulated, `yes` was given, or `confirm` answers the question with True.
 
     `confirm` is None where nobody can be asked.
     """
     if drive.identity.features & Feature.SIMULATED or yes:
         return
-    most = min(drive.parameter("i_max").value, plan.current_a) if drive.has_parameter("i_max") else None
+    most = min(drive.parameter("i_max").value, envelope.current) if drive.has_parameter("i_max") else None
     current = "its own limit" if most is None else f"{most:g} A"
     what = (
         f"{drive.identity.name} (boot {drive.identity.boot_id:08x}) on {target}: "
-        f"up to {abs(plan.speed_rpm):g} r/min, phase current up to {current}"
+        f"up to {abs(envelope.speed_rpm):g} r/min, phase current up to {current}"
     )
     if confirm is None:
         raise UnsafeError(f"will not spin {what}: nobody to ask, give --yes if the shaft is clear")
     if not confirm(f"Spin {what}. Is the shaft clear?"):
         raise UnsafeError("not confirmed: the drive was not energised")
+
+
+def require_agreement(
+    target: str,
+    settings: Settings,
+    envelope: Envelope,
+    yes: bool,
+    confirm: Callable[[str], bool] | None,
+    needs: Collection[str] = (),
+) -> None:
+    """Raise UnsafeError unless what turns is simulated or somebody agrees to the most that the tests ask of it.
+
+    A load machine on a link of its own is a question of its own. `confirm` asks a person, None where there is nobody.
+    `needs`: applications of `bench.rig.needs`, whose needs come first. BenchError and HbpError where there is no such
+    machine.
+    """
+    if target == SIM:
+        return
+    with ExitStack() as stack:
+        link = open_target(target, settings)
+        stack.callback(link.close)
+        client = Client(link)
+        drive = Node(client, client.connect().node)
+        for what in needs:
+            require(drive, what, NEEDS[what])
+        require_consent(drive, target, _at_most(drive, envelope), yes, confirm)
+        if machine := load_target(settings):
+            load = open_load_machine(machine, stack)
+            at_most = _at_most(load, Envelope(envelope.speed_rpm))
+            require_consent(load, f"{machine}, the load machine", at_most, yes, confirm)
+
+
+def _at_most(node: Node, envelope: Envelope) -> Envelope:
+    """The envelope with what the machine lets one ask for, where that is slower."""
+    most = node.parameter("omega_m_max").value if node.has_parameter("omega_m_max") else math.inf
+    return replace(envelope, speed_rpm=min(envelope.speed_rpm, most / RPM))

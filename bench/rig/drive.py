@@ -1,8 +1,8 @@
-"""The drive as an acceptance test sees it: start, set points, parameters that are put back.
+"""The drive of a rig: start, set points, parameters that are put back.
 
-It keeps to what the test announced (its `Envelope`), because that is what a person agreed to: set points are checked
-here, and the drive's own `i_max` is lowered for the test, so that no speed controller goes beyond it. Nothing here
-looks at samples.
+It keeps to what was announced (its `Envelope`), because that is what a person agreed to: set points are checked here,
+and the drive's own `i_max` is lowered meanwhile, so that no speed controller goes beyond it. Nothing here looks at
+samples.
 """
 
 from __future__ import annotations
@@ -10,22 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
 from bench.errors import BenchError, DriveFailed
 from bench.rig.envelope import Envelope
-from bench.rig.recorder import Recorder
-from bench.rig.restore import not_put_back, put_back, try_all
+from bench.rig.machine import Machine, require_announced, require_announced_speed
+from bench.rig.restore import try_all
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
 from protocol.signals import SOURCE_NAMES
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+UNITS = {"rad/s": 1.0, "r/min": RPM}
+"""Of a speed, in mechanical rad/s."""
 
 
 class DriveTripped(BenchError):
@@ -34,23 +33,26 @@ class DriveTripped(BenchError):
     exit_code = 1
 
 
-class Drive:
-    """Node `node`, within `envelope`. `defaults` are its parameters as they were before the test."""
+class Drive(Machine):
+    """Node `node`, within `envelope`."""
 
-    def __init__(self, node: Node, recorder: Recorder, envelope: Envelope, parameters: Mapping[str, float]) -> None:
-        self.node = node
-        self.parameters = dict(parameters)
+    title = "the drive"
+
+    def __init__(self, node: Node, envelope: Envelope) -> None:
+        super().__init__(node, envelope)
+        self.parameters: dict[str, float] = {}
         """As they are now, by name, in their units."""
         self.changed: dict[str, float] = {}
-        """Those that the test has set, as it last set them."""
-        self._before = dict(parameters)
-        self._touched: dict[str, float] = {}  # in the order in which they were set, as they were before
-        self._recorder = recorder
-        self._envelope = envelope
+        """Those that were set, as they were last set."""
+        self._initial: dict[str, float] = {}
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
         self._told = Fault(0)  # faults that a DriveTripped was raised for
         self._left = Fault(0)  # faults that stay latched
+
+    def learn(self, parameters: dict[str, float]) -> None:
+        """These are its parameters before anything is set."""
+        self.parameters, self._initial = dict(parameters), dict(parameters)
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
@@ -68,14 +70,13 @@ class Drive:
         return 1.5 * self.n_p * self.parameters["psi_f_hat"]
 
     @property
-    def state(self) -> DriveState:
-        """By the last heartbeat."""
-        return self.node.state
+    def faults(self) -> tuple[str, ...]:
+        """Names of the faults that it has reported since they were last forgotten."""
+        return tuple(fault_names(self._faults))
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """Names of the faults that it has reported in this test."""
-        return tuple(fault_names(self._recorder.faults))
+    def _faults(self) -> Fault:
+        return self.node.client.faults.get(self.node.number, Fault(0))
 
     # -- what it does -------------------------------------------------------------------------------------------
 
@@ -84,8 +85,7 @@ class Drive:
         if observer is not None:
             self.observe(observer)
         with self._trips_first():
-            self.node.arm()
-            self.node.start()
+            self.energise()
 
     def observe(self, observer: str) -> None:
         """Change the angle source that the control uses; also while it runs."""
@@ -93,24 +93,28 @@ class Drive:
             raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
         self.set("observer", float(SOURCE_NAMES[observer]))
 
-    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False) -> None:
-        """Set the speed reference, mechanical rad/s (RPM times r/min); its confirmation is awaited unless `unless`."""
-        require_announced_speed("speed", omega_m, self._envelope)
+    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False, unit: str = "rad/s") -> None:
+        """Set the speed reference, mechanical, in `unit` (rad/s or r/min); its confirmation is awaited unless `unless`.
+
+        Raises BenchError beyond what was announced, DriveTripped, and KeyError for another unit.
+        """
+        omega_m *= UNITS[unit]
+        require_announced_speed("speed", omega_m, self.envelope)
         with self._trips_first():
             self.node.speed(omega_m, unless)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Set current references, A, peak-valued."""
-        _within("current", math.hypot(i_q, i_d), self._envelope.current, "A", "current")
+        require_announced("current", math.hypot(i_q, i_d), self.envelope.current, "A", "current")
         with self._trips_first():
             self.node.current(i_q, i_d)
 
-    def stop(self) -> None:
-        """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
+    def stop(self) -> DriveState:
+        """See `Machine.stop`."""
         try:
-            self.node.stop()
+            return super().stop()
         except DriveFailed:
-            self._expected |= self._recorder.faults  # what its watchdog did is no news of its own
+            self._expected |= self._faults  # what its watchdog did is no news of its own
             raise
 
     def set(self, name: str, value: float) -> None:
@@ -118,7 +122,7 @@ class Drive:
         if self.parameters.get(name) == value:
             return
         if name == "i_max":
-            _within(name, value, self._envelope.current, "A", "current")
+            require_announced(name, value, self.envelope.current, "A", "current")
         with self._trips_first():
             self._set(name, value)
         self.changed[name] = self.parameters[name]
@@ -131,63 +135,58 @@ class Drive:
             yield
         finally:
             self._may_trip = False
-            self._expected |= self._recorder.faults
+            self._expected |= self._faults
 
     def forget_faults(self) -> None:
         """STOP and clear what is latched. BenchError if a cause persists."""
         self.stop()
-        if self._recorder.faults:
+        if self._faults:
             self.node.clear_faults()
             self.node.next_heartbeat()
-            self._recorder.faults = self._expected = self._told = Fault(0)
+            self.node.client.faults.pop(self.node.number, None)
+            self._expected = self._told = Fault(0)
 
     def leave_faults(self) -> None:
         """What is latched stays, because its cause persists: no news any more, and not for the rig to clear."""
-        self._left = self._recorder.faults
+        self._left = self._faults
         self._expected |= self._left
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
     def limit_current(self) -> None:
         """Of an idle drive: lower its `i_max`, if it has one, to the announced current; `restore` puts it back."""
-        if self._envelope.current < self.parameters.get("i_max", -math.inf):
-            self._set("i_max", self._envelope.current)
+        if self.envelope.current < self.parameters.get("i_max", -math.inf):
+            self._set("i_max", self.envelope.current)
 
     def look(self) -> None:
         """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
-        if self._recorder.faults & ~self._expected and not self._may_trip:
-            self._told |= self._recorder.faults
+        if self._faults & ~self._expected and not self._may_trip:
+            self._told |= self._faults
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
         if why := self.node.astray():
             raise DriveTripped(f"the drive: {why}")
 
     def look_at_the_end(self) -> None:
         """Raise DriveTripped for a trip against expectation that none was raised for yet."""
-        if self._recorder.faults & ~self._told:
+        if self._faults & ~self._told:
             self.look()
 
     def _starved(self) -> str:
         """Why the watchdog may have run out, if it was starved from here."""
-        if not self._recorder.faults & Fault.WATCHDOG:
-            return ""
-        why = self.node.client.starved(self.node.number, self.parameters.get("watchdog", WATCHDOG))
-        return f": {why}; let a test compute after drive.stop(), not while the drive runs" if why else ""
+        why = self.starved(self.parameters.get("watchdog", WATCHDOG))
+        return f"{why}; let a test compute after drive.stop(), not while the drive runs" if why else ""
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before.
 
         All of it is tried; the first error is raised at the end.
         """
-        clear = [self.node.clear_faults] if clear_faults and self._recorder.faults & ~self._left else []
-        try_all([*clear, lambda: put_back(self.node, self._touched)])
-
-    def not_put_back(self) -> str:
-        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
-        return not_put_back(self._touched)
+        clear = [self.node.clear_faults] if clear_faults and self._faults & ~self._left else []
+        try_all([*clear, self.put_back])
 
     def _set(self, name: str, value: float) -> None:
-        if name in self._before:
-            self._touched.setdefault(name, self._before[name])  # before it is: whatever happens, it is put back
+        if name in self._initial:
+            self._before.setdefault(name, self._initial[name])  # before it is: whatever happens, it is put back
         self.parameters[name] = self.node.set(name, value)
 
     @contextmanager
@@ -198,16 +197,3 @@ class Drive:
         except (BenchError, HbpError):
             self.look()
             raise
-
-
-def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:
-    """Raise BenchError if `omega_m`, mechanical rad/s, is beyond the speed that the test announced."""
-    _within(what, abs(omega_m) / RPM, envelope.speed_rpm, "r/min", "speed_rpm")
-
-
-def _within(what: str, value: float, limit: float, unit: str, argument: str) -> None:
-    if not value <= limit * (1 + 1e-9):
-        raise BenchError(
-            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
-            f"@energises({argument}=…)"
-        )

@@ -25,13 +25,12 @@ from typing import Protocol
 
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.errors import BenchError, NodeError
-from bench.rig.drive import require_announced_speed
+from bench.errors import BenchError
 from bench.rig.envelope import Envelope
-from bench.rig.restore import not_put_back, put_back, try_all
+from bench.rig.machine import Machine, require_announced_speed
+from bench.rig.restore import not_put_back, try_all
 from protocol.errors import HbpError
-from protocol.links import open_link
-from protocol.messages import DriveState, Role
+from protocol.messages import DriveState
 
 TORQUE, SPEED = "torque", "speed"
 LOAD_SPEED = "load.speed"
@@ -51,17 +50,16 @@ class Load(Protocol):
         """Leave the shaft alone; from any state, as often as one likes."""
 
 
-class NodeLoad:
+class NodeLoad(Machine):
     """A load machine that speaks HBP: node 2 on the drive's link, or a device on a link of its own."""
 
+    title = "the load machine"
     abilities = frozenset((TORQUE, SPEED))
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
-        self.node = node
-        self._envelope = envelope
-        self._on = False
+        super().__init__(node, envelope)
+        self._armed = False
         self._told = False  # that it has tripped since it is on
-        self._changed: dict[str, float] = {}  # in the order in which they were set, as they were before
 
     @property
     def client(self) -> Client:
@@ -70,42 +68,51 @@ class NodeLoad:
 
     def torque(self, tau: float) -> None:
         """See `Load`."""
-        self._energise()
+        self.start()
         self.node.torque(tau)
 
     def speed(self, omega_m: float) -> None:
-        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what the test announced."""
-        require_announced_speed(LOAD_SPEED, omega_m, self._envelope)
-        self._energise()
+        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what was announced."""
+        require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
+        self.start()
         self.node.speed(omega_m)
+
+    def start(self) -> None:
+        """Arm and start, if it is not on. BenchError if it is, and has tripped."""
+        if self.on:
+            self.look()
+            return
+        self._armed = False
+        self.energise()
+        self._armed = True
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter; `off` puts back what it was."""
-        self._changed.setdefault(name, self.node.parameter(name).value)
+        self._before.setdefault(name, self.node.parameter(name).value)
         self.node.set(name, value)
 
     def off(self) -> None:
         """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
-        try_all([self._stop, lambda: put_back(self.node, self._changed)])
+        try_all([self._stop, self.put_back])
 
     def not_put_back(self) -> str:
-        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
-        return not_put_back(self._changed, " in the load machine")
+        """See `Machine.not_put_back`."""
+        return not_put_back(self._before, " in the load machine")
 
     def look(self) -> None:
         """Raise BenchError if it has tripped while it was on, or does not run as it should."""
-        if self._on and self.node.state == DriveState.FAULT:
+        if self.on and self.node.state == DriveState.FAULT:
             self._told = True
             raise self._tripped()
-        if self._on and (why := self.node.astray()):
+        if self.on and (why := self.node.astray()):
             raise BenchError(f"the load machine: {why}")
 
     def _stop(self) -> None:
-        if not self._on:
+        if not self.on:
             return
-        state = self.node.stop()
-        told, self._on, self._told = self._told, False, False
-        if state == DriveState.FAULT:
+        state = self.stop()
+        told, self._told = self._told, False
+        if state == DriveState.FAULT and self._armed:  # a fault that was there before is not this test's to clear
             self.node.next_heartbeat()  # it names the fault
             tripped = self._tripped()
             self.node.clear_faults()
@@ -115,29 +122,6 @@ class NodeLoad:
     def _tripped(self) -> BenchError:
         where = f"node {self.node.number} on {self.client.link.name}"
         return BenchError(f"the load machine, {where}, tripped: {self.node.fault_text()}")
-
-    def _energise(self) -> None:
-        if self._on:
-            self.look()
-            return
-        self._on = True  # before it is: whatever happens, off() sends STOP
-        try:
-            self.node.arm()
-        except NodeError:  # refused: a fault that was there before is not this test's to clear
-            self._on = False
-            raise
-        self.node.start()
-
-
-def open_load_machine(target: str, stack: ExitStack) -> Node:
-    """The load machine on a link of its own, which `stack` closes. BenchError for what is none, HbpError if silent."""
-    link = open_link(target)
-    stack.callback(link.close)
-    client = Client(link)
-    hello = client.connect()
-    if hello.role != Role.LOAD:
-        raise BenchError(f"{target} answers as {hello.role.name}, not as a load machine")
-    return Node(client, hello.node)
 
 
 class PersonLoad:

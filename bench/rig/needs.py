@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bench.analysis.channels import flagged
+from bench.analysis.channels import flagged, reference_angle
 from bench.analysis.units import pole_pairs
 from bench.device.node import Node
 from bench.errors import NodeError
@@ -48,9 +48,7 @@ def lacks(node: Node, need: str) -> str:
         case "feature":
             return "" if Feature[name] & node.identity.features else f"the feature {name}"
         case "encoder":
-            return (
-                "" if flagged(channels, Unit.RAD, Flag.REFERENCE) else "an encoder (an angle with the flag REFERENCE)"
-            )
+            return "" if reference_angle(channels) else "an encoder (an angle with the flag REFERENCE)"
         case "speed":
             has = flagged(channels, Unit.RAD_PER_S, Flag.REFERENCE, Flag.ESTIMATE)
             return "" if has else "a speed with the flag REFERENCE or ESTIMATE"

@@ -8,13 +8,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.acceptance.results import Verdict
 from bench.analysis.percentiles import Percentiles
 from bench.device.client import Sink
-from bench.errors import BenchError, RecordingError
+from bench.errors import RecordingError
 from bench.rerunio.schema import RunInfo
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
@@ -80,9 +80,12 @@ class Outputs:
         save: Path | None,
         overwrite: bool,
         viewer: str,
-        web_port: int | None,
-        host_time: Callable[[float], float | None],
+        web_port: int | None = None,
+        host_time: Callable[[float], float | None] | None = None,
+        wait: bool = False,
     ) -> None:
+        """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time."""
+        self._told = False
         self.file: FileSink | None = None
         self.view: LiveView | None = None
         self._recording: _Recording | None = None
@@ -91,7 +94,7 @@ class Outputs:
         if save is not None:
             from bench.rerunio.sinks import FileSink
 
-            self.file = FileSink(save, run, overwrite=overwrite, live_drops=self.live_drops)
+            self.file = FileSink(save, run, overwrite=overwrite, wait=wait, live_drops=self.live_drops)
             self._recording = _Recording(self.file)
         if viewer != "none":
             from bench.rerunio.viewer import LiveView
@@ -102,7 +105,7 @@ class Outputs:
                 if self.file is not None:
                     self.file.close()
                 raise
-        for sink in self._block_sinks():
+        for sink in self._block_sinks() if host_time else ():
             sink.host_time = host_time
 
     def _block_sinks(self) -> list[Any]:
@@ -119,6 +122,25 @@ class Outputs:
         """Why the recording has failed, None as long as it has not."""
         return None if self._recording is None else self._recording.failure
 
+    def check(self) -> None:
+        """Raise RecordingError, once, if the recording has failed."""
+        if self.failure is not None and not self._told:
+            self._told = True
+            raise self.failure
+
+    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict) -> None:
+        """See `FileSink.mark`; nothing without a recording."""
+        if self.file is not None:
+            self.file.mark(name, first_tick, last_tick, verdict)
+
+    def summary(self, markdown: str) -> None:
+        """The text that a reader of recording and view sees first."""
+        if self.view is not None:
+            self.view.sink.summary(markdown)
+        if self._recording is not None:
+            file = self._recording.file
+            self._recording.attempt(lambda: file.summary(markdown))
+
     def live_drops(self) -> int:
         """Blocks that the live view has lost."""
         return self.view.sink.dropped_blocks if self.view else 0
@@ -131,12 +153,9 @@ class Outputs:
 
     def end_recording(self, summary: str) -> None:
         """Put `summary` (markdown) into recording and view, and finish the file."""
-        if self.view is not None:
-            self.view.sink.summary(summary)
+        self.summary(summary)
         if self._recording is not None:
-            file = self._recording.file
-            self._recording.attempt(lambda: file.summary(summary))
-            self._recording.attempt(file.close)
+            self._recording.attempt(self._recording.file.close)
 
     def recorded(self) -> dict[str, Any]:
         """What the recording holds, as plain data."""
@@ -166,6 +185,5 @@ class Outputs:
         """End the live view, and the recording if the run has not come to its regular end."""
         if self.view is not None:
             self.view.close()
-        if self.file is not None:
-            with suppress(BenchError):  # what ended the run matters more
-                self.file.close()
+        if self._recording is not None:
+            self._recording.attempt(self._recording.file.close)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.analysis.capture import Capture, no_edges, part_of_edges, part_of_samples
+from bench.analysis.capture import Capture
+from bench.analysis.chunks import between, join, lost_stretches, no_edges
 from bench.device.client import SinkBase
 from bench.device.counters import DeviceCounters
 from bench.errors import BenchError
-from bench.rerunio.blocks import join_edges, join_samples
-from protocol.codes import Fault
-from protocol.messages import DeviceEvent, Heartbeat
-from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+from protocol.messages import Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted
 
 MAX_TICK = 1 << 62  # that no device reaches
@@ -27,8 +26,6 @@ class Recorder(SinkBase):
     def __init__(self, drive: int, tick_hz: int) -> None:
         self.tick_hz = tick_hz
         self.device = DeviceCounters()
-        self.faults = Fault(0)
-        """Faults that the drive reported since they were last forgotten."""
         self.dropped: list[tuple[int, int, str]] = []
         """Stretches, from tick to tick, in which something was lost, in words."""
         self._drive = drive
@@ -40,32 +37,21 @@ class Recorder(SinkBase):
 
     def samples(self, chunk: SampleChunk) -> None:
         """Keep samples."""
-        for gap in chunk.gaps:
-            before = self._tick_before(chunk, gap)
-            after = int(chunk.tick[gap.position])
-            self.dropped.append((before, after, f"{gap.lost_samples} samples were lost before {self._at(after)}"))
+        before = self.newest if self._samples else int(chunk.tick[0])
+        self.dropped += lost_stretches(chunk, before, self.tick_hz)
         self._samples.append(chunk)
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Keep edges."""
-        for gap in chunk.gaps:
-            before = int(chunk.tick[gap.position - 1]) if gap.position else self._last_edge
-            after = int(chunk.tick[gap.position]) if gap.position < len(chunk) else before
-            self.dropped.append((before, after, f"{gap.lost_samples} Hall edges were lost before {self._at(after)}"))
+        self.dropped += lost_stretches(chunk, self._last_edge, self.tick_hz)
         if len(chunk):
             self._last_edge = int(chunk.tick[-1])
         self._edges.append(chunk)
 
     def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Follow the drive's own counts and faults."""
+        """Follow the drive's own counts."""
         if node == self._drive:
             self.device.add(heartbeat)
-            self.faults |= heartbeat.faults
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Remember faults."""
-        if node == self._drive:
-            self.faults |= event.faults
 
     def missing(self, node: int, samples: int, edges: int) -> None:
         """Remember what was lost at the end of the streams."""
@@ -102,8 +88,8 @@ class Recorder(SinkBase):
         chunks = [c for c in self._samples if c.tick[-1] >= first and c.tick[0] <= last]
         if not chunks:
             raise BenchError(f"no sample between {self._at(first)} and {self._at(last)}")
-        samples = join_samples([part_of_samples(chunk, first, last) for chunk in chunks])
-        edges = join_edges([part_of_edges(chunk, first, last) for chunk in self._edges])
+        samples = join([between(chunk, first, last) for chunk in chunks])
+        edges = join([between(chunk, first, last) for chunk in self._edges])
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample came after {self._at(self.newest)}"))
@@ -112,11 +98,6 @@ class Recorder(SinkBase):
     def count(self) -> tuple[int, int]:
         """Samples and edges so far."""
         return sum(len(c) for c in self._samples), sum(len(c) for c in self._edges)
-
-    def _tick_before(self, chunk: SampleChunk, gap: Gap) -> int:
-        if gap.position:
-            return int(chunk.tick[gap.position - 1])
-        return self.newest if self._samples else int(chunk.tick[0])
 
     def _at(self, tick: int) -> str:
         return f"{tick / self.tick_hz:.4f} s"

@@ -1,46 +1,47 @@
-"""One test's connection to the bench: drive, load, streams, recording; and the end of it, with everything off.
+"""A bench at work: drive, load, streams, recording; and the end of it, with everything off.
 
-A `Rig` is opened for a test and closed after it, on a simulated drive in virtual time as on hardware. `close` stops
+A `Rig` is opened for a run and closed after it, on a simulated drive in virtual time as on hardware. `close` stops
 what may turn, puts parameters back and finishes the recording, whatever happened before; it raises what went wrong
 only when all of that has been tried. It never waits without polling: what turns is watched, and its watchdog fed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Self
 
-from bench import __version__
-from bench.analysis.capture import Capture, no_edge_stream
-from bench.analysis.channels import flagged, speed_channel
+from bench.analysis.capture import Capture
+from bench.analysis.channels import reference_angle, speed_channel
+from bench.analysis.chunks import no_edge_stream
 from bench.analysis.verdict import Verdict
 from bench.device.client import POLL, Client, Sink
 from bench.device.description import describe
-from bench.device.node import LOAD, Node
+from bench.device.node import Node
 from bench.device.safety import is_off, says
-from bench.errors import BenchError, DoesNotFit, Interrupted, OutputsMayBeOn
-from bench.rerunio.schema import RunInfo
+from bench.errors import BenchError, Interrupted, OutputsMayBeOn
+from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
-from bench.rig.loads import Load, NodeLoad, OwnLoads, PersonLoad, open_load_machine
+from bench.rig.loads import Load, NodeLoad, OwnLoads, PersonLoad
+from bench.rig.machine import Machine
+from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
+from bench.rig.outputs import Outputs
 from bench.rig.person import Ask
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
 from bench.rig.settings import Settings
-from protocol.canmap.host import CanWire
+from bench.rig.streams import configure
 from protocol.descriptor import Channel
-from protocol.errors import NoReply
+from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import DriveState, Role
-from protocol.signals import Flag, Unit
-
-if TYPE_CHECKING:
-    from bench.rerunio.sinks import FileSink
+from protocol.signals import Flag
+from protocol.streams import StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
 LATE = 1.0  # s that samples of a stretch may come after its end
@@ -58,63 +59,189 @@ class Plan:
     envelope: Envelope = field(default_factory=Envelope)
     ask: Ask | None = None
     """None where nobody can be asked."""
-    recording: Path | None = None
     virtual: bool = False
     """Time passes as fast as it can be computed."""
-    title: str = ""
-    channels: frozenset[str] = frozenset()
-    """Channels that the test needs, also such as a drive streams on request only."""
-    needs: tuple[str, ...] = ()
-    """Applications of `bench.rig.needs`, without whose needs the rig is not made."""
+    passive: bool = False
+    """Nothing is energised, and state, faults and parameters are left alone."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
 
 
+@dataclass(frozen=True)
+class Recording:
+    """What is kept of a run: the file, and what it says of itself beside drive and bench."""
+
+    path: Path | None = None
+    about: dict[str, str] = field(default_factory=dict)
+    viewer: str = "none"
+    overwrite: bool = True
+
+
 class Rig:
-    """See the module. Raises BenchError and HbpError; use it as a context manager."""
+    """See the module. Raises BenchError and HbpError; use it as a context manager.
+
+    A new one is connected to the drive, and has done nothing to it. `prepare` does what most runs begin with.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.at_end: list[Callable[[], None]] = []
         """What is done when the drive has been stopped."""
-        self._file: FileSink | None = None
+        self.channels: tuple[Channel, ...] = ()
+        self.decimation = 1
+        self.load: Load | None = None
+        self.before: tuple[ParameterValue, ...] = ()
+        """The drive's parameters before the run."""
+        self.outputs: Outputs | None = None
+        self._prepared = False
         self._signals: list[int] | None = None  # that came while it is closed; None before that
         with ExitStack() as stack:
             link = plan.link()
             stack.callback(link.close)
             self.client = Client(link)
-            hello = self.client.connect()
-            if hello.role != Role.DRIVE:
-                raise BenchError(f"{plan.target} answers as {hello.role.name}, not as a drive")
-            node = Node(self.client, hello.node)
-            for what in plan.needs:
-                require(node, what, NEEDS[what])
-            self._require_rest(node)
-            self.before = tuple(_parameters(node))
-            """The drive's parameters before the test."""
-            parameters = {p.name: p.value for p in self.before}
-            self.recorder = Recorder(hello.node, hello.tick_hz)
-            self.drive = Drive(node, self.recorder, plan.envelope, parameters)
-            self.load = self._find_load(stack)
-            if self.load is not None:
-                self.at_end.append(self.load.off)
-            self.channels, self.rate = self._stream(node)
-            self.client.sinks = [self.recorder, *self._open_recording(parameters)]
-            stack.callback(self._close_recording)
-            node.start_streams()
-            self.wait(2 * POLL)
+            node = find_drive(self.client, plan.target)
+            self.drive = Drive(node, plan.envelope)
+            self.recorder = Recorder(node.number, node.identity.tick_hz)
             self._stack = stack.pop_all()
-        try:
-            self.drive.limit_current()
-        except BaseException:
-            self.close()
-            raise
 
-    def __enter__(self) -> Rig:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    # -- before anything moves ----------------------------------------------------------------------------------
+
+    def prepare(
+        self,
+        channels: Sequence[tuple[Channel, ...]] | None = None,
+        recording: Recording | None = None,
+        needed: frozenset[str] = frozenset(),
+    ) -> Self:
+        """Find the load, stream `channels` (see `configure`; None: what a drive has, with those `needed`) and record.
+
+        The drive must be at rest, but in a passive rig. Closed where that fails. Raises BenchError and HbpError.
+        """
+        try:
+            node = self.drive.node
+            if not self.plan.passive:
+                self.require_rest()
+            node.stop_streams()
+            self.before = tuple(_parameters(node))
+            self.drive.learn({p.name: p.value for p in self.before})
+            if not self.plan.passive:
+                self.load = self._find_load()
+            if self.load is not None:
+                self.at_end.append(self.load.off)
+            self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
+            self._record(recording or Recording())
+            node.start_streams()
+            self.wait(2 * POLL)
+        except BaseException:
+            self._stack.close()
+            raise
+        self._prepared = True
+        if not self.plan.passive:
+            try:
+                self.drive.limit_current()
+            except BaseException:
+                self.close()
+                raise
+        return self
+
+    def require(self, *applications: str) -> None:
+        """Raise NodeError unless the drive has what these applications of `bench.rig.needs` need."""
+        for what in applications:
+            require(self.drive.node, what, NEEDS[what])
+
+    def require_rest(self) -> None:
+        """Raise BenchError unless the drive says that its outputs are off and that it has no fault."""
+        node, target = self.drive.node, self.plan.target
+        heartbeat = node.next_heartbeat()
+        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
+            raise BenchError(
+                f"{target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
+                "(bench live --clear-faults)"
+            )
+        if heartbeat is None:
+            raise BenchError(f"{target} sends no heartbeat: whether its outputs are off is not known")
+        if not is_off(heartbeat):
+            raise BenchError(f"{target} is not at rest ({says(heartbeat)}): another host is using it")
+
+    def configure(
+        self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
+    ) -> StreamConfig:
+        """Configure edges, and samples as `bench.rig.streams.configure` does; returns the stream of edges."""
+        node = self.drive.node
+        edges = node.set_edges() if node.offers_edges else no_edge_stream(node.number)
+        self.channels, self.decimation = configure(node, choices, decimation, slower)
+        return edges
+
+    def load_machine(self) -> NodeLoad | None:
+        """The load machine at node 2 of the drive's link, if there is one; BenchError for a node of another kind."""
+        node = second_node(self.client)
+        if node is None:
+            return None
+        if node.identity.role != Role.LOAD:
+            where = f"node {node.number} on {self.plan.target}"
+            raise BenchError(f"{where} is {node.identity.name}, not a load machine")
+        return NodeLoad(node, self.plan.envelope)
+
+    def _find_load(self) -> Load | None:
+        kind, settings = self.plan.settings.load, self.plan.settings
+        if kind == "none":
+            return None
+        if kind == "node":
+            return self.load_machine()
+        if kind == "person":
+            return PersonLoad(self.ask) if self.plan.ask is not None else None
+        if target := load_target(settings):
+            node = open_load_machine(target, self._stack)
+            self.client.beside.append(node.client)
+            node.client.beside.append(self.client)
+            return NodeLoad(node, self.plan.envelope)
+        directory = settings.path.parent if settings.path else Path()
+        return self.plan.own_loads.get(kind, directory, self.plan.envelope)
+
+    def _most_channels(self, needed: frozenset[str]) -> list[tuple[Channel, ...]]:
+        """The most channels, and the fewest that a measurement can do with."""
+        unasked = Flag.TRUTH | Flag.ON_REQUEST
+        known = self.drive.node.descriptor.channels
+        channels = tuple(c for c in known if c.name in needed or not c.flags & unasked)
+        wanted = needed.union(CORE)
+        core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
+        return [channels, core]
+
+    def _record(self, recording: Recording) -> None:
+        plan = self.plan
+        info = run_info(self.drive.node, plan.target, self.channels, self.drive.parameters, **recording.about)
+        self.outputs = Outputs(info, recording.path, recording.overwrite, recording.viewer, wait=plan.virtual)
+        self._stack.callback(self._close_outputs, self.outputs)
+        sinks: list[Sink] = [self.recorder, *self.outputs.sinks]
+        self.client.sinks = sinks
+
+    @staticmethod
+    def _close_outputs(outputs: Outputs) -> None:
+        outputs.close()
+        outputs.check()
+
+    # -- the end ------------------------------------------------------------------------------------------------
+
+    @property
+    def machines(self) -> list[Machine]:
+        """What has a watchdog: the drive, and a load that is a node."""
+        return [self.drive, *([self.load] if isinstance(self.load, NodeLoad) else [])]
+
+    def off(self) -> list[Exception]:
+        """Outputs off, and seen to be off, of all that is on; what could not be done, in that order."""
+        failures: list[Exception] = []
+        for machine in self.machines:
+            if machine.on:
+                try:
+                    machine.stop()
+                except Exception as error:
+                    failures.append(error)
+        return failures
 
     def rest(self) -> None:
         """Off at once what has a watchdog. What cannot be done is told by `close`, which tries again."""
@@ -151,16 +278,24 @@ class Rig:
                 return False
             return True
 
-        stopped = attempt(self.drive.stop)
-        trip = self._late_trip() if stopped else None
-        for step in self.at_end:
-            attempt(step)
-        attempt(lambda: self.drive.restore(clear_faults=stopped))
-        attempt(self.drive.node.stop_streams)
+        trip: DriveTripped | None = None
+        prepared, self._prepared = self._prepared, False
+        if not prepared:
+            failures += self.off()
+        elif not self.plan.passive:
+            stopped = attempt(self.drive.stop)
+            trip = self._late_trip() if stopped else None
+            for step in self.at_end:
+                attempt(step)
+            attempt(lambda: self.drive.restore(clear_faults=stopped))
+            attempt(self.drive.node.stop_streams)
+        else:
+            with suppress(HbpError):
+                self.drive.node.stop_streams()
         attempt(self._stack.close)
         if not failures:
             return trip
-        left = self.drive.not_put_back() + (self.load.not_put_back() if isinstance(self.load, NodeLoad) else "")
+        left = "".join(machine.not_put_back() for machine in self.machines)
         if unsafe := [str(failure) for failure in failures if isinstance(failure, OutputsMayBeOn)]:
             return OutputsMayBeOn(f"{unsafe[0]}{left}")
         words = f"the bench could not be left as it was: {failures[0]}{left}"
@@ -220,6 +355,10 @@ class Rig:
             raise BenchError(f"no DATA for {SILENCE:g} s on {self.client.link.name}")
         return self.recorder.capture(first, last, self.drive.parameters)
 
+    def latest(self, channel: str) -> float:
+        """The newest value of a channel, in its unit. BenchError before the first sample, or without that channel."""
+        return self.recorder.latest(channel)
+
     def ask(self, words: str) -> None:
         """Ask a person to do something, and go on until it is done; virtual time stands still meanwhile.
 
@@ -250,6 +389,10 @@ class Rig:
 
     def _poll(self, timeout: float) -> None:
         self._turn(timeout)
+        if self.outputs is not None:
+            self.outputs.check()
+        if self.plan.passive:
+            return
         if self.client.health.reboots:
             raise DriveTripped("the drive has rebooted")
         self.drive.look()
@@ -259,9 +402,14 @@ class Rig:
     # -- what it has --------------------------------------------------------------------------------------------
 
     @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return self.drive.node.identity.pwm_hz / self.decimation
+
+    @property
     def has_encoder(self) -> bool:
         """Whether the drive streams a reference position."""
-        return bool(flagged(self.channels, Unit.RAD, Flag.REFERENCE))
+        return bool(reference_angle(self.channels))
 
     @property
     def speed_channel(self) -> str:
@@ -287,7 +435,7 @@ class Rig:
         return {key: ", ".join(value) if isinstance(value, list) else str(value) for key, value in about.items()}
 
     def quality(self) -> Quality:
-        """What the data of the whole test are worth."""
+        """What the data of the whole run are worth."""
         samples, edges = self.recorder.count()
         losses = self.client.losses(self.drive.node.number)
         return Quality(
@@ -307,105 +455,19 @@ class Rig:
 
     def mark(self, name: str, span: tuple[float, float], verdict: Verdict) -> None:
         """Show in the recording that `name` was measured in `span`, device time in s, and how that ended."""
-        if self._file is not None:
+        if self.outputs is not None:
             first, last = (round(t * self.recorder.tick_hz) for t in span)
-            self._file.mark(name, first, last, verdict)
+            self.outputs.mark(name, first, last, verdict)
 
     def note(self, text: str, level: str = "INFO") -> None:
-        """A line in the recording's log."""
+        """A line in the log of recording and dashboard."""
         for sink in self.client.sinks:
             sink.note(text, level)
 
     def summary(self, markdown: str) -> None:
         """The text that a viewer of the recording reads first."""
-        if self._file is not None:
-            self._file.summary(markdown)
-
-    def _open_recording(self, parameters: dict[str, float]) -> list[Sink]:
-        if self.plan.recording is None:
-            return []
-        from bench.rerunio.sinks import FileSink
-
-        identity = self.drive.node.identity
-        about = describe(identity) | {"target": self.plan.target, "hallbench": __version__, "test": self.plan.title}
-        info = RunInfo(
-            tick_hz=identity.tick_hz,
-            pwm_hz=identity.pwm_hz,
-            channels=self.channels,
-            parameters=parameters,
-            identity=about,
-            node=identity.node,
-        )
-        self._file = FileSink(self.plan.recording, info, overwrite=True, wait=self.plan.virtual)
-        return [self._file]
-
-    def _close_recording(self) -> None:
-        if self._file is not None:
-            self._file.close()
-
-    # -- before anything moves ----------------------------------------------------------------------------------
-
-    def _require_rest(self, node: Node) -> None:
-        heartbeat = node.next_heartbeat()
-        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
-            raise BenchError(
-                f"{self.plan.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
-                "(bench live --clear-faults)"
-            )
-        if heartbeat is None:
-            raise BenchError(f"{self.plan.target} sends no heartbeat: whether its outputs are off is not known")
-        if not is_off(heartbeat):
-            raise BenchError(f"{self.plan.target} is not at rest ({says(heartbeat)}): another host is using it")
-        node.stop_streams()
-
-    def _find_load(self, stack: ExitStack) -> Load | None:
-        kind, settings = self.plan.settings.load, self.plan.settings
-        if kind == "none":
-            return None
-        if kind == "node":
-            node = Node(self.client, LOAD)
-            return NodeLoad(node, self.plan.envelope) if self._answers(node) else None
-        if kind == "person":
-            return PersonLoad(self.ask) if self.plan.ask is not None else None
-        if ".py:" in kind:
-            directory = settings.path.parent if settings.path else Path()
-            return self.plan.own_loads.get(kind, directory, self.plan.envelope)
-        node = open_load_machine(kind, stack)
-        self.client.beside.append(node.client)
-        node.client.beside.append(self.client)
-        return NodeLoad(node, self.plan.envelope)
-
-    def _answers(self, node: Node) -> bool:
-        hello = self.client.hello
-        on_can = isinstance(self.client.session.wire, CanWire)
-        if hello is not None and hello.nodes < LOAD and not on_can:
-            return False
-        try:
-            return node.identity.role == Role.LOAD
-        except NoReply:
-            return False
-
-    def _stream(self, node: Node) -> tuple[tuple[Channel, ...], float]:
-        """Configure edges and the most channels that fit; returns them and their rate in Hz."""
-        self.recorder.expect(node.set_edges() if node.offers_edges else no_edge_stream(node.number))
-        needed = self.plan.channels
-        unasked = Flag.TRUTH | Flag.ON_REQUEST
-        channels = tuple(c for c in node.descriptor.channels if c.name in needed or not c.flags & unasked)
-        wanted = needed.union(CORE)
-        core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
-        decimation = 1
-        try:
-            node.set_samples(channels, 1)
-        except DoesNotFit:
-            channels = core
-            try:
-                node.set_samples(channels, 1)
-            except DoesNotFit as error:
-                if not error.decimation:
-                    raise
-                decimation = error.decimation
-                node.set_samples(channels, decimation)
-        return channels, node.identity.pwm_hz / decimation
+        if self.outputs is not None:
+            self.outputs.summary(markdown)
 
 
 @dataclass

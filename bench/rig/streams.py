@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 
-from bench.errors import BenchError
+from bench.device.node import Node
+from bench.errors import BenchError, DoesNotFit
+from protocol.descriptor import Channel
 from protocol.streams import MAX_DECIMATION
 
 _TOLERANCE = 1e-4  # rates are printed with six digits
@@ -21,3 +25,26 @@ def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
         near = pwm_hz / max(decimation, 1)
         raise BenchError(f"--rate {rate_hz:g} Hz is not the PWM rate over a whole number; the nearest is {near:g} Hz")
     return decimation
+
+
+def configure(
+    node: Node, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
+) -> tuple[tuple[Channel, ...], int]:
+    """Configure the sample stream with the first of `choices` that the link carries at `decimation`.
+
+    With `slower` the last one may come at the highest rate that fits. Returns channels and decimation. Raises
+    DoesNotFit, with what would fit, and NodeError for channels or a rate that the node refuses.
+    """
+    for channels in choices[:-1]:
+        with suppress(DoesNotFit):
+            node.set_samples(channels, decimation)
+            return channels, decimation
+    channels = choices[-1]
+    try:
+        node.set_samples(channels, decimation)
+    except DoesNotFit as error:
+        if not slower or not error.decimation:
+            raise
+        decimation = error.decimation
+        node.set_samples(channels, decimation)
+    return channels, decimation

@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import __version__
-from bench.analysis.position import wrap
+from bench.analysis.position import position_error
+from bench.analysis.units import RPM
 from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
 from bench.observers.estimators import did_you_mean, entry_of
 from bench.score import phases
 from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
-from bench.score.phases import RPM, speed_bins
+from bench.score.phases import speed_bins
 from bench.score.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
 from sim.observers.catalogue import CATALOGUE
 
@@ -178,7 +179,7 @@ class _Pool:
         self._parts = [(track, stretch) for track in tracks for stretch in track.stretches]
         self._theta = self._join(lambda track, stretch: stretch.theta)
         self._omega = self._join(lambda track, stretch: stretch.omega)
-        self._rpm_by = self._join(lambda track, stretch: np.full(len(stretch.t), RPM / track.pole_pairs))
+        self._rpm_by = self._join(lambda track, stretch: np.full(len(stretch.t), 1.0 / (RPM * track.pole_pairs)))
         masks = {name: self._mask(name) for name in ("moving", "steady", "transient", "start_up", "reversal")}
         steady = np.flatnonzero(masks["steady"])
         sector = sector_of_angle(self._theta[steady])
@@ -195,7 +196,7 @@ class _Pool:
 
     def figures(self, name: str) -> Figures:
         """All figures of one observer."""
-        radians = wrap(self._theta - self._join(lambda track, stretch: stretch.estimates[name].theta))
+        radians = position_error(self._theta, self._join(lambda track, stretch: stretch.estimates[name].theta))
         degrees = np.degrees(radians)
         slip = (self._omega - self._join(lambda track, stretch: stretch.estimates[name].omega)) * self._rpm_by
         steady = self._where["steady"]

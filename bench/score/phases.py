@@ -12,6 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.units import RPM
+
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -25,7 +27,6 @@ BEFORE_START, START_UP = 0.01, 0.3  # s before and after the start that count as
 REVERSAL = 0.1  # s before and after zero speed that count as reversal
 SPEED_EDGES = (0.0, 75.0, 150.0, 350.0, 750.0, 1500.0, 2500.0, 4000.0, 7500.0, 15000.0, 35000.0, 75000.0)
 """r/min; none at a round speed, so that one that is held falls into one bin."""
-RPM = 60.0 / (2.0 * np.pi)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def speed_of(theta: F64, rate: float) -> F64:
 
 def phases_of(omega: F64, usable: Flags, rate: float, pole_pairs: int) -> Phases:
     """Phases of the electrical speed `omega` (n,) rad/s, `rate` a second without a gap, where `usable` (n,) is set."""
-    rpm = omega * RPM / pole_pairs
+    rpm = omega / (RPM * pole_pairs)
     n = len(rpm)
     direction = np.where(np.abs(rpm) > MOVING_RPM, np.sign(rpm), 0.0).astype(np.int64)
     start_up, reversal = np.zeros(n, bool), np.zeros(n, bool)

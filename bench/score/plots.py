@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.analysis.position import wrap
+from bench.analysis.position import position_error
+from bench.analysis.units import RPM
 from bench.reports.style import (
     BLACK,
     BLUE,
@@ -24,7 +25,6 @@ from bench.reports.style import (
     new_figure,
 )
 from bench.score.board import Figures
-from bench.score.phases import RPM
 from bench.score.tracks import Track
 
 F64 = NDArray[np.float64]
@@ -41,8 +41,8 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
     begin = float(track.stretches[0].t[0])
     for k, stretch in enumerate(track.stretches):
         t = stretch.t - begin
-        degrees = np.degrees(wrap(stretch.theta - stretch.estimates[name].theta))
-        rpm = RPM / track.pole_pairs
+        degrees = np.degrees(position_error(stretch.theta, stretch.estimates[name].theta))
+        rpm = 1.0 / (RPM * track.pole_pairs)
         for omega, colour, words in ((stretch.estimates[name].omega, BLUE, name), (stretch.omega, BLACK, "encoder")):
             label = "" if k else words
             speed.plot(*_envelope(t, omega * rpm), color=colour, linewidth=LINE_WIDTH, label=label)
@@ -57,7 +57,7 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
 
 def _limit(ax: Axes, track: Track, name: str, begin: float) -> None:
     """Make the axis of the error cover `SHOWN` percent of the samples in motion, and tell a peak beyond it."""
-    sizes = [np.abs(np.degrees(wrap(s.theta - s.estimates[name].theta))) for s in track.stretches]
+    sizes = [np.abs(np.degrees(position_error(s.theta, s.estimates[name].theta))) for s in track.stretches]
     moving = np.concatenate([size[s.phases.moving] for size, s in zip(sizes, track.stretches, strict=True)])
     if not len(moving):
         return
@@ -79,7 +79,7 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
     stretches = [s for track in tracks if name in track.kinds for s in track.stretches]
     theta = np.concatenate([s.theta[s.phases.steady] for s in stretches])
     estimated = np.concatenate([s.estimates[name].theta[s.phases.steady] for s in stretches])
-    error = np.degrees(wrap(theta - estimated))
+    error = np.degrees(position_error(theta, estimated))
     figure, (ax,) = new_figure(height=2.4)
     width = 2.0 * math.pi / ANGLE_BINS
     bins = np.minimum((np.mod(theta, 2.0 * math.pi) / width).astype(np.int64), ANGLE_BINS - 1)

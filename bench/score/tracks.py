@@ -8,16 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.channels import reference_angle
+from bench.analysis.chunks import contiguous, part
 from bench.analysis.position import states
 from bench.errors import BenchError
 from bench.observers.estimators import Estimate, Estimators, all_for
-from bench.observers.replay import ENDS_EARLY, not_replayable, part, readable_run
+from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
 from bench.rerunio.recording import Run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
@@ -79,8 +80,8 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
     """
     run = readable_run(path)
     samples = run.samples
-    reference = next((c.name for c in samples.config.channels if c.flags & Flag.REFERENCE and c.unit == Unit.RAD), None)
-    if reference is None:
+    reference = reference_angle(samples.config.channels)
+    if not reference:
         raise BenchError(f"{path} cannot be scored: no reference angle; there must be an encoder: record theta_enc")
     notes = [ENDS_EARLY] if ends_early(path) else []
     rate = run.info.pwm_hz / samples.config.decimation
@@ -116,7 +117,7 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
     stretches, dropped = [], 0
     theta = samples.physical(reference)
     t = samples.tick / run.info.tick_hz
-    for rows in _contiguous(samples):
+    for rows in contiguous(samples):
         if rows.stop - rows.start < LEAST * rate:
             dropped += rows.stop - rows.start
             continue
@@ -185,9 +186,3 @@ def _run_again(run: Run, estimators: Estimators) -> dict[str, Estimate]:
         name: Estimate(np.concatenate([p[name].theta for p in pieces]), np.concatenate([p[name].omega for p in pieces]))
         for name in (entry.name for entry in estimators.entries)
     }
-
-
-def _contiguous(samples: SampleChunk) -> list[slice]:
-    breaks = np.flatnonzero(np.diff(samples.index) != samples.config.decimation) + 1
-    bounds = [0, *breaks.tolist(), len(samples)]
-    return [slice(a, b) for a, b in pairwise(bounds)]

@@ -21,7 +21,7 @@ ACCEPT = "accept TARGET -k stop_500 --yes"
 REAL_LINKS = tuple(pytest.param(link, marks=pytest.mark.real_links) for link in ("pty", "tcp", "slcan", "virtual"))
 LINKS = ("bytes", "CAN", *REAL_LINKS)
 CAN = ("CAN", "slcan", "virtual")
-OPENED = ("bench.live.run", "bench.device.description", "bench.rig.targets")
+OPENED = ("bench.live.run", "bench.device.description", "bench.rig.connection")
 """Modules that open a link."""
 PATIENCE = 30.0  # s that a command may take at most
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bench.analysis.chunks import join, part
 from bench.device.client import Client, SinkBase
 from bench.device.node import DRIVE, LOAD, Node
 from bench.errors import DoesNotFit
@@ -16,8 +16,6 @@ from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
     from bench.observers.estimators import HostObservers
-
-EDGE_FIELDS = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
 
 
 class Collector(SinkBase):
@@ -49,20 +47,12 @@ class Collector(SinkBase):
     def all_samples(self) -> SampleChunk:
         chunks = [chunk for chunk in self.chunks if isinstance(chunk, SampleChunk)]
         assert not any(chunk.gaps for chunk in chunks)
-        return replace(
-            chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in ("index", "tick", "raw")}
-        )
+        return join(chunks)
 
     def all_edges(self) -> EdgeChunk:
         chunks = [chunk for chunk in self.chunks if isinstance(chunk, EdgeChunk)]
         assert not any(chunk.gaps for chunk in chunks)
-        return replace(chunks[0], **{name: np.concatenate([getattr(c, name) for c in chunks]) for name in EDGE_FIELDS})
-
-
-def cut(chunk, first: int, last: int):
-    """Records [first, last) of a chunk without gaps."""
-    names = EDGE_FIELDS if isinstance(chunk, EdgeChunk) else ("index", "tick", "raw")
-    return replace(chunk, **{name: getattr(chunk, name)[first:last] for name in names})
+        return join(chunks)
 
 
 def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts: np.ndarray) -> tuple[int, int]:
@@ -71,10 +61,10 @@ def feed(observers: HostObservers, samples: SampleChunk, edges: EdgeChunk, cuts:
     for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
         if first == last:
             continue
-        piece = cut(samples, first, last)
+        piece = part(samples, first, last)
         due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right"))
         if due > sent:
-            observers.edges(cut(edges, sent, due))
+            observers.edges(part(edges, sent, due))
             sent = due
         n, bad = observers.compare(piece)
         compared += n

@@ -229,7 +229,7 @@ def test_a_link_that_is_lost_for_good_leaves_what_heartbeats_had_told(network: s
 
 def test_an_acceptance_test_counts_what_is_lost_at_its_end_too() -> None:
     link = Lossy(simulated())
-    with Rig(Plan(lambda: link, "virtual")) as rig:
+    with Rig(Plan(lambda: link, "virtual")).prepare() as rig:
         rig.drive.start("encoder")
         rig.drive.speed(50.0)
         rig.wait(0.4)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect import Bench, Collector, cut, feed
+from collect import Bench, Collector, feed
 from virtual_run import WatchedLink, run, simulated
 
+from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
@@ -54,9 +55,9 @@ def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run
     cuts = np.sort(np.random.default_rng(4).choice(len(samples), 200, replace=False))
     pieces, sent = [], 0
     for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
-        piece = cut(samples, first, last)
+        piece = part(samples, first, last)
         due = int(np.searchsorted(edges.tick, piece.tick[-1], side="right")) if len(piece) else sent
-        estimators.edges(cut(edges, sent, due))
+        estimators.edges(part(edges, sent, due))
         sent = due
         if len(piece):
             pieces.append(estimators.samples(piece))
@@ -151,16 +152,16 @@ def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> No
     gap = int(resets[0]) + 3000
     assert gap + 1000 < resets[1]
     observers = host_observers(bench)
-    before = cut(samples, 0, gap)
+    before = part(samples, 0, gap)
     covered = int(np.searchsorted(edges.tick, before.tick[-1], side="right"))
-    observers.edges(cut(edges, 0, covered))
+    observers.edges(part(edges, 0, covered))
     assert observers.compare(before) == (gap - resets[0], 0)
     if kind == "samples":
-        observers.edges(cut(edges, covered, len(edges)))
-        after = replace(cut(samples, gap + 100, len(samples)), gaps=(Gap(0, 100, 5, False),))
+        observers.edges(part(edges, covered, len(edges)))
+        after = replace(part(samples, gap + 100, len(samples)), gaps=(Gap(0, 100, 5, False),))
     else:
-        observers.edges(replace(cut(edges, covered + 2, len(edges)), gaps=(Gap(0, 2, 1, False),)))
-        after = cut(samples, gap, len(samples))
+        observers.edges(replace(part(edges, covered + 2, len(edges)), gaps=(Gap(0, 2, 1, False),)))
+        after = part(samples, gap, len(samples))
     compared, differ = observers.compare(after)
     assert compared == len(samples) - resets[1]
     assert differ == 0
@@ -180,7 +181,7 @@ def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
     observers = host_observers(bench)
     observers.edges(edges)
     assert observers.compare(holed) == (gap - reset, 0)
-    later = cut(samples, len(samples) - 10, len(samples))
+    later = part(samples, len(samples) - 10, len(samples))
     assert observers.compare(later) == (0, 0)
 
 
@@ -217,13 +218,13 @@ def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> No
     assert len(edges) > 200
     last = int(np.searchsorted(samples.tick, edges.tick[100], side="right"))
     estimators = Estimators(["avg"], info.parameters, info.tick_hz, info.pwm_hz)
-    estimators.edges(cut(edges, 0, 50))
-    estimators.edges(cut(edges, 60, 101))
-    estimators.edges(cut(edges, 190, 200))  # lost before it, and not covered by any sample before the reboot
-    estimators.samples(cut(samples, 0, last))
+    estimators.edges(part(edges, 0, 50))
+    estimators.edges(part(edges, 60, 101))
+    estimators.edges(part(edges, 190, 200))  # lost before it, and not covered by any sample before the reboot
+    estimators.samples(part(samples, 0, last))
     assert estimators.restarts["lost_edges"] == 1
     start = samples.tick[0]
-    estimators.edges(replace(cut(edges, 0, 101), tick=edges.tick[:101] - start))
-    found = estimators.samples(replace(cut(samples, 0, last), tick=samples.tick[:last] - start))
+    estimators.edges(replace(part(edges, 0, 101), tick=edges.tick[:101] - start))
+    found = estimators.samples(replace(part(samples, 0, last), tick=samples.tick[:last] - start))
     assert len(found["average_speed"].theta) == last
     assert estimators.restarts["lost_edges"] == 2  # the second is the new clock's first edge, whose number goes back

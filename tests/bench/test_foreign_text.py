@@ -116,7 +116,7 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
         code = 0
         with ExitStack() as stack:
             stack.enter_context(reached_by(Talking(device)))
-            for opener in ("bench.rig.targets.open_link", "protocol.links.open_link"):
+            for opener in ("bench.rig.connection.open_link", "protocol.links.open_link"):
                 stack.enter_context(patch(opener, lambda target: Talking(device)))
             with Terminal() as terminal:
                 terminal.type(reply)

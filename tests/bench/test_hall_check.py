@@ -127,7 +127,7 @@ def reached(device: SimulatedDevice, on_call: object = None) -> Iterator[list[Wa
         links.append(WatchedLink(device, on_call or (lambda number: None)))  # type: ignore[arg-type]
         return links[-1]
 
-    with patch("bench.rig.targets.open_link", link):
+    with patch("bench.rig.connection.open_link", link):
         yield links
 
 

@@ -30,7 +30,7 @@ REAL = Motor(delta_deg=TABLE_I, hysteresis_deg=0.5, jitter_deg=0.05)
 
 
 def learn(device: SimulatedDevice, *arguments: str) -> None:
-    with patch("bench.rig.targets.open_link", lambda target: VirtualLink(device)):
+    with patch("bench.rig.connection.open_link", lambda target: VirtualLink(device)):
         main(["hall", "learn", TARGET, *arguments])
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from collect import cut
 
+from bench.analysis.chunks import part
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.observers.estimators import Estimators, raw_counts
-from bench.observers.replay import part, replay
+from bench.observers.replay import replay
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.sinks import FileSink
 from protocol.signals import Flag, Status
@@ -95,12 +95,12 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     assert run.samples.raw["status"][gap] & 7 == 3  # running
     first, second = part(run.samples, 0, gap), part(run.samples, gap, len(run.samples))
     due = int(np.searchsorted(run.edges.tick, first.tick[-1], side="right"))
-    edges = [cut(run.edges, 0, due), cut(run.edges, due, len(run.edges))]
+    edges = [part(run.edges, 0, due), part(run.edges, due, len(run.edges))]
     if lost == "samples":
         second = replace(part(run.samples, gap + width, len(run.samples)), gaps=(Gap(0, width, 12, False),))
         anew = gap
     else:
-        edges[1] = replace(cut(run.edges, due + 2, len(run.edges)), gaps=(Gap(0, 2, 1, False),))
+        edges[1] = replace(part(run.edges, due + 2, len(run.edges)), gaps=(Gap(0, 2, 1, False),))
         anew = int(np.searchsorted(run.samples.tick, edges[1].tick[0]))
     sink = FileSink(tmp_path / "gap.rrd", run.info, wait=True)
     for edge_chunk, samples in zip(edges, (first, second), strict=True):
@@ -116,7 +116,7 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     at_once = Estimators(["vector_tracking"], run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
     rest = part(samples, anew, len(samples))
     later = int(np.searchsorted(run.edges.tick, samples.tick[anew - 1], side="right"))  # edges in the gap count
-    at_once.edges(replace(cut(run.edges, later, len(run.edges)), gaps=()))
+    at_once.edges(replace(part(run.edges, later, len(run.edges)), gaps=()))
     expected = at_once.samples(replace(rest, gaps=()))["vector_tracking"]
     channel = samples.config.channel("theta_vt_host")
     differ = raw_counts(channel, expected.theta) != rest.raw["theta_vt_host"]

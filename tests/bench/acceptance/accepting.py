@@ -150,7 +150,7 @@ class Accepting:
         with ExitStack() as stack:
             if link is not None:
                 options = {"target": f"serial:{self.directory}/tty"} | options
-                stack.enter_context(patch("bench.rig.targets.open_link", link.open))
+                stack.enter_context(patch("bench.rig.connection.open_link", link.open))
             given = AcceptOptions(**({"tests": (file,)} | options))  # type: ignore[arg-type]
             run, code = accept(given, self.screen)
         return Run(run, code, self.screen)

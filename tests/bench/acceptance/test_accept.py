@@ -21,7 +21,7 @@ from virtual_run import simulated
 from bench.acceptance.accept import closing_lines
 from bench.acceptance.results import run_from_json
 from bench.errors import BenchError
-from bench.rig.targets import alone_on
+from bench.rig.lock import alone_on
 from protocol.messages import DriveState
 
 TESTS = '''

@@ -15,7 +15,8 @@ from virtual_run import simulated
 
 from bench.acceptance.measuring import Running
 from bench.acceptance.results import Verdict
-from bench.analysis.capture import Capture, part_of_edges
+from bench.analysis.capture import Capture
+from bench.analysis.chunks import between
 from bench.analysis.limits import Limits
 from bench.analysis.units import RPM
 from bench.errors import BenchError
@@ -30,7 +31,7 @@ RATE, TICK_HZ, PERIOD = 16_000, 20_000_000, 1250
 def clean() -> Capture:
     """0.2 s at 500 r/min."""
     link = SpoiltLink(simulated())
-    with Rig(Plan(link.open, "virtual")) as rig:  # type: ignore[arg-type]
+    with Rig(Plan(link.open, "virtual")).prepare() as rig:  # type: ignore[arg-type]
         rig.drive.start("vector-tracking")
         rig.drive.speed(500 * RPM)
         rig.wait(0.6)
@@ -65,7 +66,7 @@ def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> N
 
 def without_edges(capture: Capture, after: int) -> Capture:
     """The edges after a tick are lost, and no later one has told of a gap."""
-    return replace(capture, edges=part_of_edges(capture.edges, 0, after))
+    return replace(capture, edges=between(capture.edges, 0, after))
 
 
 @pytest.mark.parametrize("lost", [1, 2, 30])

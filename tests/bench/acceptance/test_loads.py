@@ -20,13 +20,14 @@ from bench.acceptance.requirements import missing
 from bench.analysis.units import RPM
 from bench.device.node import Node
 from bench.errors import BenchError, UnsafeError
+from bench.rig.consent import require_agreement
 from bench.rig.drive import DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.loads import NodeLoad, OwnLoad, PersonLoad, own_load
+from bench.rig.lock import alone_on
 from bench.rig.person import Answered, Ask
 from bench.rig.rig import Plan, Rig
 from bench.rig.settings import Settings
-from bench.rig.targets import alone_on, require_agreement
 from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.messages import DriveState, Fault
 from sim.config.params import load_params
@@ -95,7 +96,7 @@ def test_forces(drive, load):
 
 @contextmanager
 def rig_with(load: str, link: SpoiltLink, **plan: object) -> Iterator[Rig]:
-    with Rig(Plan(link.open, "virtual", Settings(load=load), **plan)) as rig:  # type: ignore[arg-type]
+    with Rig(Plan(link.open, "virtual", Settings(load=load), **plan)).prepare() as rig:  # type: ignore[arg-type]
         yield rig
 
 
@@ -556,7 +557,7 @@ def test_a_file_with_an_error_in_it_is_one_line(tmp_path: Path) -> None:
 def test_a_device_on_a_link_of_its_own_must_be_a_load_machine() -> None:
     link, other = SpoiltLink(simulated()), SpoiltLink(simulated(seed=2))
     with (
-        patch("bench.rig.loads.open_link", other.open),
+        patch("bench.rig.connection.open_link", other.open),
         pytest.raises(BenchError, match=r"^tcp:brake:7000 answers as DRIVE, not as a load machine$"),
         rig_with("tcp:brake:7000", link),
     ):
@@ -596,8 +597,8 @@ def test_a_load_machine_on_a_link_of_its_own_brakes_the_drive() -> None:
     drive, load = (OneNode(link, node, frames, deframer) for node in (1, 2))
     link.reopen()
     with (
-        patch("bench.rig.loads.open_link", lambda target: load),
-        Rig(Plan(lambda: drive, "virtual", Settings(load="tcp:brake:7000"))) as rig,
+        patch("bench.rig.connection.open_link", lambda target: load),
+        Rig(Plan(lambda: drive, "virtual", Settings(load="tcp:brake:7000"))).prepare() as rig,
     ):
         assert isinstance(rig.load, NodeLoad)
         rig.drive.start("vector-tracking")
@@ -625,8 +626,8 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
         return "load machine" not in question
 
     with (
-        patch("bench.rig.targets.open_link", link.open),
-        patch("bench.rig.loads.open_link", lambda target: OneNode(other, 2, frames, deframer)),
+        patch("bench.rig.connection.open_link", link.open),
+        patch("bench.rig.connection.open_link", lambda target: OneNode(other, 2, frames, deframer)),
         pytest.raises(UnsafeError, match="not confirmed"),
     ):
         require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)

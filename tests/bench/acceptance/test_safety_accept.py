@@ -16,7 +16,7 @@ from virtual_run import at_rest, physical, simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
-from bench.rig.targets import alone_on
+from bench.rig.lock import alone_on
 from protocol.messages import DriveState, Fault
 
 PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")  # other programs may want the machine

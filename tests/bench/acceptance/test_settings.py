@@ -11,8 +11,8 @@ from virtual_run import simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
+from bench.rig.connection import target_of
 from bench.rig.settings import Settings, read_settings
-from bench.rig.targets import target_of
 
 TESTS = """
 @limit("spread", "deg", lo=1, hi=2)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from bench.rerunio.blocks import BlockBuilder, join_edges, join_samples
+from bench.analysis.chunks import join
+from bench.rerunio.blocks import BlockBuilder
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 
 
@@ -40,13 +41,13 @@ def test_without_samples_a_block_closes_by_the_hosts_clock() -> None:
 
 def test_joined_chunks_are_the_whole_with_gaps_in_place(made: synthetic.SyntheticRun) -> None:
     chunks = [replace(c, gaps=(Gap(3, 5, 1, True),)) if k == 2 else c for k, c in enumerate(sample_chunks(made, 100))]
-    whole = join_samples(chunks)
+    whole = join(chunks)
     assert whole.raw.dtype == made.raw.dtype
     assert (whole.raw == made.raw).all()
     assert (whole.tick == made.tick).all()
     assert (whole.index == made.index).all()
     assert whole.gaps == (Gap(203, 5, 1, True),)
-    edges = join_edges([chunk for chunk in made.chunks() if isinstance(chunk, EdgeChunk)])
+    edges = join([chunk for chunk in made.chunks() if isinstance(chunk, EdgeChunk)])
     assert (edges.tick == made.edge_tick[: len(edges)]).all()
     assert (np.diff(edges.index) == 1).all()
 

@@ -1,0 +1,79 @@
+"""What a rig is connected to: a target's link, the drive at its end, and a load machine on this link or another.
+
+`sim` is the simulated drive in virtual time, in this process but behind a link like every other; a new one for every
+rig. Everything else is a target string of a link. Nothing here energises anything.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from zlib import crc32
+
+from bench.device.client import Client
+from bench.device.node import LOAD, Node
+from bench.errors import BenchError
+from bench.rig.settings import LOADS, Settings
+from protocol.errors import NoReply
+from protocol.links import Link, open_link
+from protocol.messages import Role
+
+SIM = "sim"
+
+
+def target_of(given: str | None, settings: Settings) -> str:
+    """By option, environment, bench.toml; else the simulated drive."""
+    return given or os.environ.get("BENCH_TARGET") or settings.target or SIM
+
+
+def open_target(target: str, settings: Settings, name: str = "") -> Link:
+    """A link to `target`; for `sim` to a drive whose noise is that of `name`.
+
+    Raises LinkError, and BenchError for figures that the simulated drive cannot have, or a load machine that is not on
+    its shaft.
+    """
+    if target != SIM:
+        return open_link(target)
+    if machine := load_target(settings):
+        raise BenchError(f"load '{machine}' is not on the simulated drive's shaft: set load = \"node\", or a target")
+    from sim.ports.virtual import ConfigError, open_virtual
+
+    try:
+        return open_virtual(settings.config, {}, crc32(name.encode()))
+    except ConfigError as error:
+        raise BenchError(str(error)) from None
+
+
+def load_target(settings: Settings) -> str:
+    """Target of a load machine on a link of its own; empty where the load is another one."""
+    return "" if settings.load in LOADS or ".py:" in settings.load else settings.load
+
+
+def find_drive(client: Client, target: str) -> Node:
+    """The drive at the other end. BenchError for what is none, HbpError if nothing answers."""
+    hello = client.connect()
+    if hello.role != Role.DRIVE:
+        raise BenchError(f"{target} answers as {hello.role.name}, not as a drive")
+    return Node(client, hello.node)
+
+
+def second_node(client: Client) -> Node | None:
+    """Node 2 on the drive's link, if it is there; on a bus only asking can tell."""
+    node = Node(client, LOAD)
+    if client.hello is not None and client.hello.nodes < LOAD and not client.session.wire.shared:
+        return None
+    try:
+        return node if node.identity.node else None
+    except NoReply:
+        return None
+
+
+def open_load_machine(target: str, stack: ExitStack) -> Node:
+    """The load machine on a link of its own, which `stack` closes. BenchError for what is none, HbpError if silent."""
+    link = open_link(target)
+    stack.callback(link.close)
+    client = Client(link)
+    hello = client.connect()
+    if hello.role != Role.LOAD:
+        raise BenchError(f"{target} answers as {hello.role.name}, not as a load machine")
+    return Node(client, hello.node)

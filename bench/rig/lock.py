@@ -1,0 +1,52 @@
+"""Nobody else meanwhile: a lock on each target, so that no two programs of this bench turn one motor."""
+
+from __future__ import annotations
+
+import getpass
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from bench.errors import BenchError
+from bench.rig.connection import SIM
+
+
+@contextmanager
+def alone_on(*targets: str) -> Iterator[None]:
+    """Hold the locks on targets, at most as long as this process lives; `sim` and none need none.
+
+    BenchError if another process holds one.
+    """
+    with ExitStack() as stack:
+        for target in targets:
+            if target not in (SIM, ""):
+                stack.enter_context(_held(target))
+        yield
+
+
+@contextmanager
+def _held(target: str) -> Iterator[None]:
+    from filelock import FileLock, Timeout
+
+    name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"
+    lock = FileLock(Path(tempfile.gettempdir()) / name)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise BenchError(f"{target} is in use by another acceptance run: wait for its end") from None
+    except OSError as error:  # a symbolic link in its place is not followed
+        why = error.strerror or error
+        raise BenchError(f"cannot lock {target} for this run: {lock.lock_file}: {why}; remove that file") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _resolved(target: str) -> str:
+    """The target without what may be written in several ways: a serial port by its device, no options."""
+    kind, _, rest = target.partition(":")
+    place = rest.partition("?")[0]
+    return f"{kind}:{Path(place).resolve() if kind == 'serial' else place}"

@@ -1,0 +1,90 @@
+"""A node that can turn the shaft, drive or load machine: energised, watched, switched off, its parameters put back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bench.analysis.units import RPM
+from bench.device.client import WATCHDOG
+from bench.device.node import Node
+from bench.errors import BenchError, OutputsMayBeOn
+from bench.rig.envelope import Envelope
+from bench.rig.restore import not_put_back, put_back
+from protocol.codes import Fault
+from protocol.messages import DriveState
+
+
+class Machine:
+    """Node `node`, within `envelope`."""
+
+    title = "the machine"
+    agreed: Callable[[], None] = staticmethod(lambda: None)
+    """Called before it is energised; raises where nobody agrees to that."""
+
+    def __init__(self, node: Node, envelope: Envelope) -> None:
+        self.node = node
+        self.envelope = envelope
+        self.on = False
+        """From before it is armed until it was seen to be off."""
+        self._before: dict[str, float] = {}  # parameters that were set, in that order, as they were before
+
+    @property
+    def state(self) -> DriveState:
+        """By the last heartbeat."""
+        return self.node.state
+
+    def energise(self) -> None:
+        """Arm and start. NodeError where it refuses, DriveFailed where it does not do what it answers."""
+        self.agreed()
+        self.on = True  # before it is: whatever happens, it gets a STOP
+        self.node.arm()
+        self.node.start()
+
+    def stop(self) -> DriveState:
+        """Outputs off, from any state, and seen to be off. Raises DriveFailed or OutputsMayBeOn."""
+        was, self.on = self.on, False
+        try:
+            return self.node.stop()
+        except OutputsMayBeOn:
+            self.on = was
+            raise
+
+    def trouble(self, watchdog: float = WATCHDOG) -> str:
+        """Why it does not run as it should, while it is on, to follow `title`; empty while it does.
+
+        `watchdog`: s that it waits for ALIVE.
+        """
+        if not self.on:
+            return ""
+        if self.node.state == DriveState.FAULT:
+            return f" tripped: {self.node.fault_text()}{self.starved(watchdog)}"
+        return f": {why}" if (why := self.node.astray()) else ""
+
+    def starved(self, watchdog: float = WATCHDOG) -> str:
+        """Why its watchdog has run out, if it has and the reason is here, as the end of a sentence."""
+        client = self.node.client
+        if not client.faults.get(self.node.number, Fault(0)) & Fault.WATCHDOG:
+            return ""
+        return f": {why}" if (why := client.starved(self.node.number, watchdog)) else ""
+
+    def put_back(self) -> None:
+        """Every parameter as it was before. All of it is tried; the first error is raised at the end."""
+        put_back(self.node, self._before)
+
+    def not_put_back(self) -> str:
+        """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
+        return not_put_back(self._before)
+
+
+def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:
+    """Raise BenchError if `omega_m`, mechanical rad/s, is beyond the speed that was announced."""
+    require_announced(what, abs(omega_m) / RPM, envelope.speed_rpm, "r/min", "speed_rpm")
+
+
+def require_announced(what: str, value: float, limit: float, unit: str, argument: str) -> None:
+    """Raise BenchError if `value` is beyond what was announced by that argument."""
+    if not value <= limit * (1 + 1e-9):
+        raise BenchError(
+            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
+            f"@energises({argument}=…)"
+        )
