@@ -8,20 +8,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from protocol.errors import DeviceDefect, VersionError
 from protocol.framing import MAJOR
 from protocol.messages import BlobReply, HelloReply, ParamReply, Payload
 from protocol.signals import RawType
 
-if TYPE_CHECKING:
-    from protocol.descriptor import Channel
-
 RECORD_BYTES = 32
 MAX_RECORDS = 4096
 MAX_DESCRIPTOR = MAX_RECORDS * RECORD_BYTES
 MIN_RX_MAX = 128  # payload bytes that either side takes at least
+
+
+class _Record(Protocol):
+    """A record of a descriptor."""
+
+    @property
+    def id(self) -> int: ...
+
+    @property
+    def name(self) -> str: ...
 
 
 def check_reply(message: Payload, node: int) -> None:
@@ -67,7 +74,7 @@ def check_channel(raw_type: int, scale: float, offset: float, name: str, whose: 
         )
 
 
-def check_names(kind: str, records: Iterable[Channel], whose: str) -> None:
+def check_names(kind: str, records: Iterable[_Record], whose: str) -> None:
     """Check that no `kind` (channel, parameter) is without a name and none has the id or the name of another."""
     seen: set[int | str] = set()
     for record in records:

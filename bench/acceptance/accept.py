@@ -13,15 +13,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pytest
 
 from bench.acceptance import plugin
+from bench.acceptance.collected import RESULT, SCREEN, Screen, is_acceptance_test
 from bench.acceptance.measuring import value_text
 from bench.acceptance.results import Measurement, RunResult, Verdict, tightest, untested
 from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
-from bench.analysis.limits import Limits
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.settings import read_settings
@@ -50,29 +50,11 @@ class AcceptOptions:
     json: Path | None = None
     bench_toml: Path | None = None
     config: Path | None = None
+    operator: str | None = None
     jobs: int = 1
     yes: bool = False
     allow_skipped: bool = False
     list_only: bool = False
-
-
-class Screen(Protocol):
-    """Where progress goes."""
-
-    def note(self, text: str) -> None:
-        """A line that stays."""
-
-    def progress(self, text: str) -> None:
-        """The line that tells what is going on now."""
-
-    def listed(self, name: str, limits: Limits) -> None:
-        """A measurement and its limits, where only those were asked for."""
-
-    def pause(self) -> None:
-        """Somebody is about to be asked something."""
-
-    def resume(self) -> None:
-        """It goes on."""
 
 
 class _Teller:
@@ -90,7 +72,7 @@ class _Teller:
 
     def pytest_configure(self, config: pytest.Config) -> None:
         """Who asks something needs the screen."""
-        config.stash[plugin.SCREEN] = self.screen
+        config.stash[SCREEN] = self.screen
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """A file that cannot be read as tests."""
@@ -102,7 +84,7 @@ class _Teller:
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Show what there is, where only that was asked for."""
-        items = [item for item in session.items if plugin.is_acceptance_test(item)]
+        items = [item for item in session.items if is_acceptance_test(item)]
         self._total = len(items)
         if self._list_only and items:
             try:
@@ -121,7 +103,7 @@ class _Teller:
         """Say how it ended."""
         result = carried_result(report)
         if result is None:
-            if report.failed and not hasattr(report, plugin.RESULT):
+            if report.failed and not hasattr(report, RESULT):
                 self.screen.note(f"ERROR   {report.nodeid}: not an acceptance test, but it failed")
             return
         self._done += 1
@@ -208,6 +190,7 @@ def _arguments(options: AcceptOptions) -> list[str]:
         ("--bench-json", options.json),
         ("--bench-toml", options.bench_toml),
         ("--bench-config", options.config),
+        ("--bench-operator", options.operator),
         ("-n", options.jobs if options.jobs > 1 else None),
     )
     for name, value in given:

@@ -6,33 +6,25 @@ test asks for one of its fixtures, and changes nothing for tests that ask for no
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bench.acceptance.collected import RESULT, RIG, RUNNING, SCREEN, is_acceptance_test
 from bench.acceptance.marks import MARKS
 
 if TYPE_CHECKING:
-    from bench.acceptance.accept import Screen
     from bench.acceptance.faults import HallFaults
     from bench.acceptance.fixtures import Record
-    from bench.acceptance.measuring import Running
     from bench.acceptance.session import BenchSession
     from bench.rig.drive import Drive
     from bench.rig.loads import Load
     from bench.rig.rig import Rig
 
 SESSION: pytest.StashKey[BenchSession] = pytest.StashKey()
-RUNNING: pytest.StashKey[Running] = pytest.StashKey()
-RIG: pytest.StashKey[Rig] = pytest.StashKey()
-SCREEN: pytest.StashKey[Screen] = pytest.StashKey()  # of `bench accept`
-RESULT = "hallbench"  # attribute of an acceptance test's reports; the last one's carries its result
 SHORT = "--target"
-FIXTURE = "_hallbench_rig"  # whoever asks for it, directly or not, is an acceptance test
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -45,6 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
     group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
+    group.addoption("--bench-operator", metavar="NAME", help="who runs this, for the report")
     group.addoption("--bench-yes", action="store_true", help="the shaft is clear: energise a physical drive")
     group.addoption("--bench-allow-skipped", action="store_true", help="PASS, not INCOMPLETE, where tests were skipped")
     group.addoption("--bench-report", metavar="DIR", help="write report.html, figures and recordings there")
@@ -122,11 +115,6 @@ def session_of(config: pytest.Config) -> BenchSession:
         with Held():  # it registers itself: a second one could not
             config.stash[SESSION] = BenchSession(config)
     return config.stash[SESSION]
-
-
-def is_acceptance_test(item: pytest.Item) -> bool:
-    """Whether a test asks for the bench."""
-    return FIXTURE in getattr(item, "fixturenames", ())
 
 
 # -- collection -----------------------------------------------------------------------------------------------------
@@ -265,25 +253,3 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
     finally:
         if SESSION in session.config.stash and not session.config.option.collectonly:
             session.config.stash[SESSION].finish()
-
-
-def names_of(node_ids: Iterable[str]) -> dict[str, str]:
-    """Name of each test by node id: without `test_`, and with its file where two have the same."""
-    short = {node_id: _function(node_id).removeprefix("test_") for node_id in node_ids}
-    often = Counter(short.values())
-    return {node_id: name if often[name] == 1 else long_name(node_id) for node_id, name in short.items()}
-
-
-def long_name(node_id: str) -> str:
-    """With its file, whatever else is run."""
-    return f"{_file(node_id).removeprefix('test_')}.{_function(node_id).removeprefix('test_')}"
-
-
-def _function(node_id: str) -> str:
-    """With what is in brackets."""
-    path, bracket, parameters = node_id.partition("[")
-    return path.rpartition("::")[2] + bracket + parameters
-
-
-def _file(node_id: str) -> str:
-    return Path(node_id.partition("::")[0]).stem

@@ -99,6 +99,10 @@ class RunResult:
     rig: Mapping[str, str] = field(default_factory=dict)
     """What the bench has: load, encoder, fault insertion, link …"""
     versions: Mapping[str, str] = field(default_factory=dict)
+    station: str = ""
+    """Which bench it was made on."""
+    operator: str = ""
+    """Who made it."""
     wall_seconds: float = 0.0
     error: str = ""
     """What kept the run from starting or from going on."""

@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from datetime import datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 
-from bench.acceptance import plugin
+from bench.acceptance.collected import RESULT, RIG, RUNNING, SCREEN, long_name, names_of
 from bench.acceptance.judging import NOT_BEGUN, Phase, judge
 from bench.acceptance.marks import announced, declared_limits, needed
 from bench.acceptance.measuring import Running, file_name, require_apart, value_text
@@ -28,6 +26,7 @@ from bench.acceptance.report_files import claim
 from bench.acceptance.requirements import missing
 from bench.acceptance.results import RunResult, TestResult, Verdict, result_from_json, to_json, worst
 from bench.analysis.limits import Limits
+from bench.analysis.versions import versions
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
 from bench.rerunio.markdown import escaped
@@ -80,7 +79,11 @@ class BenchSession:
     def _settings(self) -> Settings:
         option = self.config.option
         settings = read_settings(Path(option.bench_toml) if option.bench_toml else None)
-        return replace(settings, config=Path(option.bench_config)) if option.bench_config else settings
+        return replace(
+            settings,
+            config=Path(option.bench_config) if option.bench_config else settings.config,
+            operator=option.bench_operator or settings.operator,
+        )
 
     @property
     def directory(self) -> Path | None:
@@ -98,14 +101,14 @@ class BenchSession:
     def know(self, items: list[pytest.Item]) -> None:
         """All tests that were found, before any is deselected."""
         self._known = items
-        self._names = plugin.names_of(item.nodeid for item in items)
+        self._names = names_of(item.nodeid for item in items)
 
     def expect(self, node_ids: list[str], others: Collection[str]) -> None:
         """These tests run in other processes; `others` have turned out to be no acceptance tests."""
         if not self.order:
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
         self.order = [node_id for node_id in node_ids if node_id not in others]
-        self._names = plugin.names_of(node_ids)
+        self._names = names_of(node_ids)
 
     def prepare(self, items: list[pytest.Item]) -> None:
         """Names, limits, figures, places, lock and consent; ends the session with one line if anything is amiss."""
@@ -143,7 +146,7 @@ class BenchSession:
         measured = {
             name: [declared.name for declared in declared_limits(item)]
             for item in self._known
-            for name in (self._names[item.nodeid], plugin.long_name(item.nodeid))
+            for name in (self._names[item.nodeid], long_name(item.nodeid))
         }
         self._elsewhere = self.settings.check_names(measured)
 
@@ -185,7 +188,7 @@ class BenchSession:
     @contextmanager
     def _uncaptured(self) -> Iterator[None]:
         capture = self.config.pluginmanager.getplugin("capturemanager")
-        screen = self.config.stash.get(plugin.SCREEN, None)
+        screen = self.config.stash.get(SCREEN, None)
         with nullcontext() if capture is None else capture.global_and_fixture_disabled():
             if screen is not None:
                 screen.pause()
@@ -202,7 +205,7 @@ class BenchSession:
         """Full name and limits, as they hold on this bench, of all that these tests measure."""
         for item in items:
             for limits in declared_limits(item):
-                full, long = (f"{n}.{limits.name}" for n in (self._names[item.nodeid], plugin.long_name(item.nodeid)))
+                full, long = (f"{n}.{limits.name}" for n in (self._names[item.nodeid], long_name(item.nodeid)))
                 yield full, self.settings.apply({full, long}, limits)
 
     # -- one test -----------------------------------------------------------------------------------------------
@@ -228,7 +231,7 @@ class BenchSession:
             own_loads=self._own_loads,
         )
         channels = frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:"))
-        running = item.stash[plugin.RUNNING]
+        running = item.stash[RUNNING]
         path = self._recording(name)
         if path is not None:
             running.recording = path
@@ -277,17 +280,17 @@ class BenchSession:
         phase = self._phases.pop(item.nodeid, NOT_BEGUN).then(phase, call.duration)
         if call.when != "teardown":
             self._phases[item.nodeid] = phase
-            setattr(report, plugin.RESULT, None)  # it is one of ours, and its result comes later
+            setattr(report, RESULT, None)  # it is one of ours, and its result comes later
             return
         result = self._result(item, phase)
         _attach(report, result, self.about)
         report.user_properties.extend((m.name, value_text(m)) for m in result.measurements)
-        if plugin.RIG in item.stash:  # it holds every sample of the test
-            del item.stash[plugin.RIG], item.stash[plugin.RUNNING]
+        if RIG in item.stash:  # it holds every sample of the test
+            del item.stash[RIG], item.stash[RUNNING]
 
     def _result(self, item: pytest.Item, phase: Phase) -> TestResult:
-        running = item.stash.get(plugin.RUNNING, None) or self.running(item)
-        rig = item.stash.get(plugin.RIG, None)
+        running = item.stash.get(RUNNING, None) or self.running(item)
+        rig = item.stash.get(RIG, None)
         if phase.verdict is not Verdict.PASS:
             running.give_up(phase.verdict, phase.why)
         doc = (getattr(item, "obj", None).__doc__ or "").strip()
@@ -320,7 +323,7 @@ class BenchSession:
         """Keep the result that a report carries; with workers it has come from another process."""
         if (result := carried_result(report)) is not None:
             self.results[report.nodeid] = result
-            self.about = self.about or getattr(report, plugin.RESULT)["about"]
+            self.about = self.about or getattr(report, RESULT)["about"]
 
     def crashed(self, report: pytest.TestReport) -> None:
         """Give a report a result, of a test whose process has gone."""
@@ -394,13 +397,9 @@ class BenchSession:
             identity=self.about.get("identity", {}),
             parameters=tuple(ParameterValue(*values) for values in self.about.get("parameters", ())),
             rig=self.about.get("rig", {}),
-            versions={
-                "hallbench": version("hallbench"),
-                "python": platform.python_version(),
-                "numpy": version("numpy"),
-                "pytest": pytest.__version__,
-                "platform": platform.platform(),
-            },
+            versions=versions(),
+            station=self.settings.station,
+            operator=self.settings.operator,
             wall_seconds=(datetime.now().astimezone() - self.began).total_seconds(),
             error=self.error,
             unsafe=self.unsafe,
@@ -416,13 +415,13 @@ class BenchSession:
 
 def carried_result(report: pytest.TestReport) -> TestResult | None:
     """The result that a report of a test's last phase carries."""
-    carried = getattr(report, plugin.RESULT, None)
+    carried = getattr(report, RESULT, None)
     return None if carried is None else result_from_json(json.loads(carried["result"]))
 
 
 def _attach(report: Any, result: TestResult, about: dict[str, Any]) -> None:
     """Text, because a worker's channel carries no subclass of float, such as a limit that numpy computed."""
-    setattr(report, plugin.RESULT, {"result": json.dumps(to_json(result)), "about": about})
+    setattr(report, RESULT, {"result": json.dumps(to_json(result)), "about": about})
 
 
 def _words(running: Running, changed: dict[str, float]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,16 @@ from bench.errors import BenchError
 from protocol.signals import Flag
 from protocol.streams import EdgeChunk, SampleChunk
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
 F64 = NDArray[np.float64]
 
 _NEARLY = 0.998  # share of a sensor's range that counts as all of it: two counts of twelve bits
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Capture:
     """Samples and Hall edges from one device tick to another.
 
@@ -35,6 +40,7 @@ class Capture:
     samples: SampleChunk
     edges: EdgeChunk
     tick_hz: int
+    pwm_hz: int
     parameters: Mapping[str, float] = field(default_factory=dict)
     dropped: tuple[tuple[int, int, str], ...] = ()
     looked_at: frozenset[str] | None = None
@@ -42,6 +48,23 @@ class Capture:
 
     def __len__(self) -> int:
         return len(self.samples)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "Capture of no samples"
+        first, last = self.span
+        what = f"{len(self)} samples of {len(self.names)} channels at {self.sample_rate:g} Hz"
+        return f"Capture of {what}, {len(self.edges)} Hall edges, {first:.3f} … {last:.3f} s"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels, in the drive's order."""
+        return self.samples.raw.dtype.names or ()
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each channel, such as rad/s; empty for a pure number."""
+        return {channel.name: channel.unit.symbol for channel in self.samples.config.channels}
 
     def __getitem__(self, channel: str) -> F64:
         """A channel in its unit, shape (n,). BenchError if it is not streamed."""
@@ -70,8 +93,18 @@ class Capture:
 
     @property
     def rate(self) -> float:
-        """Samples a second."""
+        """Samples a second, as they came."""
         return (len(self) - 1) / float(self.t[-1] - self.t[0])
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples a second, where none is lost."""
+        return self.pwm_hz / self.samples.config.decimation
+
+    @property
+    def edge_t(self) -> F64:
+        """Device time of each Hall edge in s, shape (m,)."""
+        return self.edges.tick / self.tick_hz
 
     def between(self, first: float, last: float) -> Capture:
         """The part from device time `first` to `last` in s, both included."""
@@ -88,6 +121,30 @@ class Capture:
             edges=between(self.edges, first, last),
             dropped=tuple(stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first),
         )
+
+    # -- for other tools ----------------------------------------------------------------------------------------
+
+    def to_arrow(self) -> pa.Table:
+        """A column `t` in s and one for each channel in its unit, float64, which the column's metadata names."""
+        import pyarrow as pa
+
+        columns = {"t": self.t} | {name: self[name] for name in self.names}
+        units = {"t": "s"} | self.units
+        fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
+        return pa.table(list(columns.values()), schema=pa.schema(fields))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A column for each channel in its unit, by the device time `t` in s; `attrs["units"]` has the units.
+
+        Raises BenchError where pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise BenchError("to_pandas() needs pandas: pip install pandas") from None
+        frame = pd.DataFrame({name: self[name] for name in self.names}, index=pd.Index(self.t, name="t"))
+        frame.attrs["units"] = self.units
+        return frame
 
     # -- angles -------------------------------------------------------------------------------------------------
 

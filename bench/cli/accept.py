@@ -46,6 +46,7 @@ class _Screen(Progress):
 @click.option("--bench", "bench_toml", metavar="FILE", type=FILE,
               help="Target, load and limits of this bench (default: ./bench.toml).")  # fmt: skip
 @click.option("--config", metavar="FILE", type=FILE, help="Figures of the simulated drive (TOML).")
+@click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--jobs", metavar="N", type=click.IntRange(1, 64), default=1,
               help="Processes that share the tests; on the simulated drive only; needs pytest-xdist.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")

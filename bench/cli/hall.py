@@ -57,6 +57,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         overwrite_option,
         click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      help="Figures of the simulated drive (TOML)."),
+        click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording."),
         json_option("everything"),
     )):  # fmt: skip
         function = decorate(function)

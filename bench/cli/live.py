@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +78,18 @@ class Observer(click.Choice[str]):
     multiple=True,
     help="Run this observer on the host and show it beside the drive's; see bench replay --list; repeatable.",
 )
-@click.option("--config", type=click.Path(exists=True, dir_okay=False), help="Figures of the simulated drive (TOML).")
+@click.option("--config", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+              help="Figures of the simulated drive (TOML).")  # fmt: skip
+@click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording.")
 @json_option("the summary")
-def command(target: str | None, json_file: Path | None, channels: str | None, config: str | None, **given: Any) -> None:
+def command(
+    target: str | None,
+    json_file: Path | None,
+    channels: str | None,
+    config: Path | None,
+    operator: str,
+    **given: Any,
+) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim. Without TARGET the simulated
@@ -106,7 +116,11 @@ def command(target: str | None, json_file: Path | None, channels: str | None, co
         raise click.UsageError("--channels names none: give names separated by commas")
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config], recordings=["--save"])
-    options = live.LiveOptions(target=target, channels=names, config=config, **given)
+    from bench.rig.settings import read_settings
+
+    station = read_settings(None)
+    settings = replace(station, operator=operator or station.operator, config=config)
+    options = live.LiveOptions(target=target, channels=names, settings=settings, **given)
     from bench.cli.output import Progress, print_summary
     from bench.live.summary import Summary
 

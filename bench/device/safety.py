@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from bench.device.client import Client
 from bench.errors import DriveFailed, OutputsMayBeOn
 from protocol.codes import fault_names
 from protocol.errors import HbpError, LinkError, NoReply, Refused
-from protocol.messages import Command, DriveState, Heartbeat
-
-if TYPE_CHECKING:
-    from bench.device.client import Client
-    from bench.device.node import Node
+from protocol.messages import Command, DriveState, Heartbeat, HelloReply
 
 TRIES = 3  # STOPs that are sent, each repeated by the session while it is not answered
 HEARTBEATS = 0.35  # s: three heartbeats, of which one at least must have come
@@ -27,6 +24,20 @@ DARK = 3  # heartbeats in a row
 QUIET = 1.0  # s without a heartbeat after which the state of a running node is not known
 NO_WATCHDOG = 0xFFFF  # `watchdog_ms` of a watchdog that is not at work
 OFF = (DriveState.BOOT, DriveState.IDLE, DriveState.FAULT)
+
+
+class Node(Protocol):
+    """What is needed of a node to stop it and to watch it; see `bench.device.node`."""
+
+    client: Client
+    number: int
+
+    @property
+    def identity(self) -> HelloReply:
+        """Who it is."""
+
+    def command(self, command: Command) -> DriveState:
+        """Send a state command and return the state after it."""
 
 
 def is_off(heartbeat: Heartbeat) -> bool:

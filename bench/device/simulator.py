@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -29,10 +30,10 @@ class EmbeddedDrive:
     with the child's own words if it does not start.
     """
 
-    def __init__(self, config: str | None = None, note: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, config: Path | str | None = None, note: Callable[[str], None] = lambda text: None) -> None:
         self.target = ""
         self._note = note
-        arguments = ("--config", config) if config else PATIENT
+        arguments = ("--config", str(config)) if config else PATIENT
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,

@@ -17,7 +17,7 @@ from bench.device.node import Node
 from bench.files import check_output
 from bench.hall.passive import watch, watched
 from bench.hall.reference import EMF_CHANNELS
-from bench.hall.trace import capture_of
+from bench.hall.trace import recorded
 from bench.hall.turning import Turned, Turner
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import check_limits, require_agreement
@@ -25,7 +25,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.rig import Plan, Recording, Rig
-from bench.rig.settings import Settings
+from bench.rig.settings import Settings, read_settings
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class Options:
     yes: bool = False
     config: Path | None = None
     """Figures of the simulated drive."""
+    operator: str = ""
     save: Path | None = None
     overwrite: bool = False
     write: bool = False
@@ -86,11 +87,13 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     if options.recorded:
         from bench.rerunio.recording import read_run
 
-        yield Source(Turned(capture_of(read_run(options.source)), "recorded"), None)
+        yield Source(Turned(recorded(read_run(options.source)), "recorded"), None)
         return
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
-    settings = Settings(config=options.config, load="none" if options.passive else "node")
+    station = read_settings(None)
+    operator, load = options.operator or station.operator, "none" if options.passive else "node"
+    settings = Settings(station=station.station, operator=operator, config=options.config, load=load)
     plan = Plan(
         lambda: open_target(options.source, settings, "hall"),
         options.source,

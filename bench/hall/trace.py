@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from bench.analysis.capture import Capture
 from bench.analysis.position import states
 from bench.errors import BenchError
-from bench.rig.recorder import Recorder
 from protocol.codes import DriveState
 
 if TYPE_CHECKING:
@@ -96,19 +95,13 @@ class Trace:
         return self.capture.parameters.get(name)
 
 
-def capture_of(run: Run) -> Capture:
+def recorded(run: Run) -> Capture:
     """The whole of a recording. BenchError where it holds no samples with Hall codes, or no Hall edges."""
-    try:
-        samples, edges = run.samples, run.edges
-    except KeyError:
-        raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: record both") from None
-    recorder = Recorder(run.info.node, run.info.tick_hz)
-    recorder.expect(edges.config)
-    if not len(samples):
-        raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
-    recorder.samples(samples)
-    recorder.edges(edges)
-    return recorder.capture(int(samples.tick[0]), int(samples.tick[-1]), run.info.parameters)
+    if not run.edge_streams or not run.streams:
+        raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: record both")
+    from bench.rerunio.recording import capture_of
+
+    return capture_of(run)
 
 
 def trace(capture: Capture) -> Trace:

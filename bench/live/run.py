@@ -10,7 +10,7 @@ import math
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -31,6 +31,7 @@ from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs
 from bench.rig.rig import Plan, Rig
+from bench.rig.settings import Settings
 from bench.rig.streams import decimation_of
 from protocol.codes import fault_names
 from protocol.descriptor import Channel
@@ -70,7 +71,8 @@ class LiveOptions:
     estimate: tuple[str, ...] = ()
     """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
     web_port: int | None = None
-    config: str | None = None
+    settings: Settings = field(default_factory=Settings)
+    """Of the station; of them only who and where it is, and the simulated drive's configuration."""
 
     @property
     def embedded(self) -> bool:
@@ -276,7 +278,7 @@ class LiveRun:
             augmenter = Augmenter(estimators, channels)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*channels, *(augmenter.channels if augmenter else ()))
-        info = run_info(self.drive, self.target, streamed, parameters)
+        info = run_info(self.drive, self.target, streamed, parameters, options.settings)
         self._clock = self.drive.clock_fit()
         outputs = self._outputs = Outputs(
             info,
@@ -364,7 +366,7 @@ class LiveRun:
         if implausible := self._judge.implausible(stats.errors):
             again = self.target
             if self.options.embedded:  # that address is of a child of this command
-                again = "sim" + (f" --config {self.options.config}" if self.options.config else "")
+                again = "sim" + (f" --config {config}" if (config := self.options.settings.config) else "")
             return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. `bench hall check {again}` looks for the cause", 1
         unseen = self._judge.unverified()
         return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
@@ -542,7 +544,7 @@ def run(
         stack.enter_context(signals_as_exceptions())
         target = options.target or "sim"
         if options.embedded:
-            target = stack.enter_context(EmbeddedDrive(options.config, screen.note)).target
+            target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)
         if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say

@@ -16,8 +16,8 @@ from uuid import uuid4
 
 import numpy as np
 
-from bench import __version__
 from bench.analysis.chunks import part
+from bench.analysis.versions import program_version
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
@@ -99,7 +99,7 @@ def replay(
     info = replace(
         run.info,
         channels=(*run.info.channels, *augmenter.channels),
-        identity={**run.info.identity, "replayed": f"{path.name} by hallbench {__version__}", **_told(values)},
+        identity={**run.info.identity, "replayed": f"{path.name} by hallbench {program_version()}", **_told(values)},
         recording_id=uuid4().hex,
     )
     whole = out.resolve()

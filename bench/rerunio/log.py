@@ -375,9 +375,16 @@ def identity_text(run: schema.RunInfo) -> str:
         ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
         ("PWM", f"{run.pwm_hz / 1e3:g} kHz"),
     ]
-    rows += [(key, ", ".join(map(str, v)) if isinstance(v, list) else v) for key, v in run.identity.items()]
+    rows += [(key, plain(value)) for key, value in run.identity.items()]
     rows += [("not shown", why) for why in left_out(run)]
     return f"### Run in progress\n\n{markdown.table(('', ''), rows)}"
+
+
+def plain(value: object) -> str:
+    """A value of plain data on one line."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {plain(inner)}" for key, inner in value.items())
+    return ", ".join(map(plain, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def health_text(values: Mapping[str, int]) -> str:

@@ -18,6 +18,8 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from bench.analysis.capture import Capture
+from bench.analysis.chunks import lost_stretches, no_edge_stream, no_edges
 from bench.analysis.verdict import Verdict
 from bench.errors import BenchError
 from bench.rerunio import schema
@@ -102,6 +104,19 @@ def read_run(path: str | Path) -> Run:
         summary=_last_text(summaries, "TextDocument:text") if summaries else "",
         marks=_marks(tables.get(f"/{schema.ACCEPTANCE}", [])),
     )
+
+
+def capture_of(run: Run) -> Capture:
+    """The whole of a recording as a capture. BenchError where it holds no samples of the drive."""
+    samples = run.streams.get(schema.FAST)
+    if samples is None or not len(samples):
+        raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
+    info = run.info
+    edges = run.edge_streams.get(schema.HALL, no_edges(no_edge_stream(info.node)))
+    first, last = int(samples.tick[0]), int(samples.tick[-1])
+    lost = (*lost_stretches(samples, first, info.tick_hz), *lost_stretches(edges, -1, info.tick_hz))
+    capture = Capture(samples, edges, info.tick_hz, info.pwm_hz, info.parameters, lost)
+    return capture.ticks(first, last)
 
 
 def _tables(path: Path) -> tuple[str, dict[str, list[pa.RecordBatch]]]:

@@ -37,6 +37,8 @@ class Drive(Machine):
     """Node `node`, within `envelope`."""
 
     title = "the drive"
+    starts_by_itself = False
+    """Whether a set point starts it, as it does in a notebook."""
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
         super().__init__(node, envelope)
@@ -100,14 +102,20 @@ class Drive(Machine):
         """
         omega_m *= UNITS[unit]
         require_announced_speed("speed", omega_m, self.envelope)
+        self._start_by_itself()
         with self._trips_first():
             self.node.speed(omega_m, unless)
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Set current references, A, peak-valued."""
         require_announced("current", math.hypot(i_q, i_d), self.envelope.current, "A", "current")
+        self._start_by_itself()
         with self._trips_first():
             self.node.current(i_q, i_d)
+
+    def _start_by_itself(self) -> None:
+        if self.starts_by_itself and not self.on:
+            self.start()
 
     def stop(self) -> DriveState:
         """See `Machine.stop`."""

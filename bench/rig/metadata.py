@@ -1,34 +1,63 @@
-"""What a recording says of its run: which drive, which bench, which program."""
+"""What a recording says of its run: which drive, which bench, who, which programs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
+from bench.analysis.versions import PROGRAM, program_version, versions
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.rerunio.schema import AnyChannel, RunInfo
-
-
-def program_version() -> str:
-    """Of this program."""
-    try:
-        return version("hallbench")
-    except PackageNotFoundError:  # a source tree that was never installed
-        return "0+unknown"
+from bench.rig.settings import Settings
 
 
 def run_info(
-    drive: Node, target: str, channels: tuple[AnyChannel, ...], parameters: Mapping[str, float], **more: Any
+    drive: Node,
+    target: str,
+    channels: tuple[AnyChannel, ...],
+    parameters: Mapping[str, float],
+    settings: Settings,
+    **more: Any,
 ) -> RunInfo:
     """Of a run of `drive`, reached by `target`, that streams `channels`; `more`: what else tells what it was."""
     identity = drive.identity
+    about = describe(identity) | {"target": target, PROGRAM: program_version()} | about_bench(settings) | more
     return RunInfo(
         tick_hz=identity.tick_hz,
         pwm_hz=identity.pwm_hz,
         channels=channels,
         parameters=parameters,
-        identity=describe(identity) | {"target": target, "hallbench": program_version(), **more},
+        identity=about | {"versions": versions()},
         node=identity.node,
     )
+
+
+def about_bench(settings: Settings) -> dict[str, Any]:
+    """Station and operator, where they are told, and what the simulated drive has that is not its default, by key."""
+    about: dict[str, Any] = {}
+    if settings.station:
+        about["station"] = settings.station
+    if settings.operator:
+        about["operator"] = settings.operator
+    if settings.config is not None:
+        about["configuration"] = {"file": str(settings.config), **changed_keys(settings.config)}
+    return about
+
+
+def changed_keys(path: Path) -> dict[str, Any]:
+    """What a configuration of the simulated drive puts in the place of defaults, by dotted key; empty if unreadable."""
+    try:
+        return dict(_leaves(tomllib.loads(path.read_text())))
+    except (OSError, ValueError):  # whoever opens the drive says what is wrong with it
+        return {}
+
+
+def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value

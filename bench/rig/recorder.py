@@ -23,8 +23,8 @@ MAX_TICK = 1 << 62  # that no device reaches
 class Recorder(SinkBase):
     """Everything that node `drive` streams, from now on; its edges come as `expect` said."""
 
-    def __init__(self, drive: int, tick_hz: int) -> None:
-        self.tick_hz = tick_hz
+    def __init__(self, drive: int, tick_hz: int, pwm_hz: int) -> None:
+        self.tick_hz, self.pwm_hz = tick_hz, pwm_hz
         self.device = DeviceCounters()
         self.dropped: list[tuple[int, int, str]] = []
         """Stretches, from tick to tick, in which something was lost, in words."""
@@ -93,7 +93,7 @@ class Recorder(SinkBase):
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample came after {self._at(self.newest)}"))
-        return Capture(samples, edges, self.tick_hz, dict(parameters), tuple(dropped))
+        return Capture(samples, edges, self.tick_hz, self.pwm_hz, dict(parameters), tuple(dropped))
 
     def count(self) -> tuple[int, int]:
         """Samples and edges so far."""

@@ -28,7 +28,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
 from bench.rig.loads import Load, NodeLoad, OwnLoads, PersonLoad
 from bench.rig.machine import Machine
-from bench.rig.metadata import run_info
+from bench.rig.metadata import changed_keys, run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs
 from bench.rig.person import Ask
@@ -101,7 +101,7 @@ class Rig:
             self.client = Client(link)
             node = find_drive(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
-            self.recorder = Recorder(node.number, node.identity.tick_hz)
+            self.recorder = Recorder(node.number, node.identity.tick_hz, node.identity.pwm_hz)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -214,7 +214,8 @@ class Rig:
 
     def _record(self, recording: Recording) -> None:
         plan = self.plan
-        info = run_info(self.drive.node, plan.target, self.channels, self.drive.parameters, **recording.about)
+        parameters = self.drive.parameters
+        info = run_info(self.drive.node, plan.target, self.channels, parameters, plan.settings, **recording.about)
         self.outputs = Outputs(info, recording.path, recording.overwrite, recording.viewer, wait=plan.virtual)
         self._stack.callback(self._close_outputs, self.outputs)
         sinks: list[Sink] = [self.recorder, *self.outputs.sinks]
@@ -426,8 +427,13 @@ class Rig:
             "encoder": "yes" if self.has_encoder else "no",
             "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
             "bench.toml": str(self.plan.settings.path or "none"),
-            "configuration": str(self.plan.settings.config or "default") if self.plan.virtual else "of the drive",
+            "configuration": self._configuration() if self.plan.virtual else "of the drive",
         }
+
+    def _configuration(self) -> str:
+        config = self.plan.settings.config
+        changed = "" if config is None else ", ".join(f"{key} = {value}" for key, value in changed_keys(config).items())
+        return "default" if config is None else f"{config}: {changed or 'nothing changed'}"
 
     def identity(self) -> dict[str, str]:
         """The drive for the report."""

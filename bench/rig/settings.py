@@ -1,6 +1,8 @@
 """`bench.toml`: what stays the same from run to run on one bench.
 
     target = "serial:/dev/ttyACM0"     # as on the command line; "sim" is the simulated drive in virtual time
+    station = "bench 3"                # which bench this is, for recordings and reports
+    operator = "A. Person"             # who runs it; --operator says it for one run
     config = "my-motor.toml"           # figures of the simulated drive, where target is "sim"
 
     [rig]
@@ -30,7 +32,7 @@ from protocol.errors import TargetError
 from protocol.links.target import parse_target
 
 FILE = "bench.toml"
-_TOP = {"target": str, "config": str, "rig": dict, "limits": dict}
+_TOP = {"target": str, "station": str, "operator": str, "config": str, "rig": dict, "limits": dict}
 _RIG = {"load": str, "person": bool}
 LOADS = ("node", "none", "person")
 MUCH_ALIKE = 0.85  # from this ratio on (difflib) a name is taken for another that is misspelt
@@ -42,6 +44,10 @@ class Settings:
 
     path: Path | None = None
     target: str = ""
+    station: str = ""
+    """Which bench this is."""
+    operator: str = ""
+    """Who runs it."""
     config: Path | None = None
     load: str = "node"
     person: bool = False
@@ -109,6 +115,8 @@ def read_settings(path: Path | None) -> Settings:
     return Settings(
         path=file,
         target=data.get("target", ""),
+        station=data.get("station", ""),
+        operator=data.get("operator", ""),
         config=None if config is None else file.parent / config,
         load=load,
         person=rig.get("person", False),

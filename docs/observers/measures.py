@@ -25,7 +25,7 @@ from bench.analysis.waveforms import thd_by_angle
 from bench.observers.estimators import Estimators
 from bench.observers.replay import readable_run
 from bench.rerunio.recording import Run
-from bench.score.phases import phases_of, speed_of
+from bench.scoring.phases import phases_of, speed_of
 from protocol.signals import AngleSource
 from sim.config.params import load_params
 from sim.observers import sample

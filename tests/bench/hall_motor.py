@@ -81,7 +81,7 @@ def capture(motor: Motor) -> Capture:
         np.zeros(n, np.uint16), np.arange(n, dtype=np.int64), (),
     )  # fmt: skip
     parameters = {"n_p": float(motor.n_p), "R_s_hat": R_S, "L_s_hat": L_S} | motor.parameters
-    return Capture(samples, chunk, TICK_HZ, parameters)
+    return Capture(samples, chunk, TICK_HZ, PWM_HZ, parameters)
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,13 +6,13 @@ import contextlib
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 
 import click
 import pytest
 from processes import ENVIRONMENT, LIMIT
 from virtual_run import WatchedLink, reached_by, simulated
 
-from bench import __version__
 from bench.cli import cli, main
 from bench.cli.live import Observer
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
@@ -42,7 +42,7 @@ def test_help_has_an_example_that_parses(capsys: pytest.CaptureFixture[str], com
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench(capsys, "--version")[0] == f"bench, version {__version__}\n"
+    assert bench(capsys, "--version")[0] == f"bench, version {version('hallbench')}\n"
 
 
 def test_the_observer_of_a_run_may_be_written_either_way() -> None:

@@ -23,11 +23,11 @@ from bench.errors import BenchError
 from bench.observers.replay import part
 from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
-from bench.score import expect
-from bench.score.board import Scoreboard, flat, score
-from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
-from bench.score.report import as_html
-from bench.score.table import HEADERS, LEGEND, as_text
+from bench.scoring import expect
+from bench.scoring.board import Scoreboard, flat, score
+from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
+from bench.scoring.report import as_html
+from bench.scoring.table import HEADERS, LEGEND, as_text
 from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
 

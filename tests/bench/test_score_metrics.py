@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
-from bench.score.phases import phases_of, speed_bins, speed_of
+from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
+from bench.scoring.phases import phases_of, speed_bins, speed_of
 
 RATE = 16_000.0
 N_P = 6

@@ -18,7 +18,7 @@ from bench.observers.replay import WINDOW, part, replay
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
-from bench.score.board import score
+from bench.scoring.board import score
 from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
 from sim.ports.virtual import VirtualLink

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
-from bench.score.board import Figures, Scoreboard, flat
+from bench.scoring.board import Figures, Scoreboard, flat
 
 HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
 LEGEND = (

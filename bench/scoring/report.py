@@ -11,10 +11,10 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bench.reports.style import save
-from bench.score.board import PHASES, Figures, Scoreboard, partly
-from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
-from bench.score.table import HEADERS, LEGEND, row
-from bench.score.tracks import Track
+from bench.scoring.board import PHASES, Figures, Scoreboard, partly
+from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
+from bench.scoring.table import HEADERS, LEGEND, row
+from bench.scoring.tracks import Track
 
 COLUMNS = ("n", "bias", "std", "rms", "max", "p99")
 NAMES = {
@@ -111,7 +111,7 @@ def _figure(value: float | int | None) -> str:
 
 def _environment() -> Environment:
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader("bench.score", ""), PackageLoader("bench.acceptance.report", "")]),
+        loader=ChoiceLoader([PackageLoader("bench.scoring", ""), PackageLoader("bench.acceptance.report", "")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

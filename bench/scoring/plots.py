@@ -24,8 +24,8 @@ from bench.reports.style import (
     legend_above,
     new_figure,
 )
-from bench.score.board import Figures
-from bench.score.tracks import Track
+from bench.scoring.board import Figures
+from bench.scoring.tracks import Track
 
 F64 = NDArray[np.float64]
 POINTS = 3000  # of a line over time: minimum and maximum of as many stretches, so that no peak is lost

@@ -22,7 +22,7 @@ from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
 from bench.rerunio.recording import Run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
-from bench.score.phases import Phases, phases_of, speed_of
+from bench.scoring.phases import Phases, phases_of, speed_of
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import SampleChunk

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import __version__
 from bench.analysis.position import position_error
 from bench.analysis.units import RPM
+from bench.analysis.versions import program_version
 from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
 from bench.observers.estimators import did_you_mean, entry_of
-from bench.score import phases
-from bench.score.metrics import Pair, error_figures, lag_by_speed, lag_in_time
-from bench.score.phases import speed_bins
-from bench.score.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
+from bench.scoring import phases
+from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
+from bench.scoring.phases import speed_bins
+from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
 from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Scoreboard:
     def as_json(self) -> dict[str, Any]:
         """All of it as plain data; what cannot be told is null."""
         return {
-            "hallbench": __version__,
+            "hallbench": program_version(),
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
             "definitions": {
                 "error": "actual less estimated",

@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.errors import BenchError
 from bench.observers.estimators import did_you_mean
-from bench.score.board import PHASES, Scoreboard, flat
+from bench.scoring.board import PHASES, Scoreboard, flat
 
 WRITTEN = (*PHASES, "speed", "lag")  # groups of figures that are written; the cost of a step is the machine's
 NOT_WRITTEN = ("n", "events")
