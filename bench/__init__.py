@@ -1,8 +1,5 @@
 """The host side: client, sinks and command line of the bench."""
 
-from importlib.metadata import PackageNotFoundError, version
+from protocol import __version__
 
-try:
-    __version__ = version("hallbench")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
+__all__ = ["__version__"]
