@@ -281,11 +281,6 @@ class Rig:
             "configuration": str(self.plan.settings.config or "default") if self.plan.virtual else "of the drive",
         }
 
-    def identity(self) -> dict[str, str]:
-        """The drive for the report."""
-        about = describe(self.drive.node.identity)
-        return {key: ", ".join(value) if isinstance(value, list) else str(value) for key, value in about.items()}
-
     def quality(self) -> Quality:
         """What the data of the whole test are worth."""
         samples, edges = self.recorder.count()
