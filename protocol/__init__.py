@@ -3,3 +3,10 @@
 `SPEC.md` beside this file is the normative text. The core takes bytes and times as arguments: it does no I/O
 and reads no clock; only `protocol.links` touches the outside world.
 """
+
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("hallbench")  # of all three packages
+except PackageNotFoundError:  # a source tree that was never installed
+    __version__ = "0+unknown"

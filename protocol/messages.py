@@ -70,10 +70,13 @@ class Hello(Request):
 
 @dataclass(frozen=True, slots=True)
 class HelloReply(Message):
-    """What the device is. `rx_max`, `tx_max`: payload bytes; `nodes`: the link has nodes 1..nodes."""
+    """What the device is. `rx_max`, `tx_max`: payload bytes; `nodes`: the link has nodes 1..nodes.
+
+    `serial`: of its electronics; `build`: of its firmware. Both may be empty: not told.
+    """
 
     TYPE = MessageType.HELLO
-    _LAYOUT = struct.Struct("<IIBBHH2xIIIIBBBB16s16s")
+    _LAYOUT = struct.Struct("<IIBBHH2xIIIIBBBB16s16s24s24s")
     nonce: int
     boot_id: int
     major: int
@@ -90,12 +93,16 @@ class HelloReply(Message):
     nodes: int
     name: str
     firmware: str
+    serial: str
+    build: str
     _CONVERT = {  # noqa: RUF012
         "features": Feature,
         "state": DriveState,
         "role": Role,
         "name": text_from_wire,
         "firmware": text_from_wire,
+        "serial": text_from_wire,
+        "build": text_from_wire,
     }
 
     @property

@@ -17,3 +17,14 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """So many of a thing: 1 outage, 2 outages."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def told(value: object) -> str:
+    """A value of what a device says of itself, for people: yes or no, a list's items or "none", text or "not told"."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {told(inner)}" for key, inner in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value)) or "none"
+    return str(value) or "not told"

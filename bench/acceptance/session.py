@@ -27,6 +27,7 @@ from bench.acceptance.requirements import missing
 from bench.acceptance.results import RunResult, TestResult, Verdict, result_from_json, to_json, worst
 from bench.analysis.limits import Limits
 from bench.analysis.versions import versions
+from bench.device.description import describe
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
 from bench.rerunio.markdown import escaped
@@ -242,7 +243,7 @@ class BenchSession:
         with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
             if not self.about:
                 self.about = {
-                    "identity": rig.identity(),
+                    "identity": describe(rig.drive.node.identity),
                     "parameters": [[p.name, p.value, p.default, p.unit] for p in rig.before],
                     "rig": rig.describe() | self._limits_elsewhere(),
                 }

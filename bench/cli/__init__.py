@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 
 import click
 
-from bench.analysis.versions import program_version
 from bench.cli.streams import OutputClosed, note, standard_streams
 from bench.errors import BenchError, Interrupted
 from bench.rig.interrupts import none_dropped
+from protocol import __version__
 from protocol.text import printable
 
 _COMMANDS = {
@@ -51,7 +51,7 @@ class _LazyGroup(click.Group):
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(program_version(), prog_name="bench")
+@click.version_option(__version__, prog_name="bench")
 def cli() -> None:
     """Hardware-in-the-loop bench for PMSM drives with low-resolution Hall sensors.
 

@@ -10,6 +10,7 @@ import click
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo
 from bench.cli.target import TARGET
+from protocol.text import told
 
 _NO_ADAPTERS = {"virtual", "udp_multicast", "serial", "slcan", "socketcand"}
 """Interfaces of python-can that have no adapter to find, or only serial ports, which are listed anyway."""
@@ -39,7 +40,7 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
         )
     else:
         rows, advice = _nodes(target)
-        headers, keys = ["node", "role", "name", "firmware", "state", "boot"], list(_NODE)
+        headers, keys = ["node", "role", "name", "firmware", "serial", "build", "state", "boot"], list(_NODE)
         nothing = f"nobody who speaks HBP answered on {target}: {advice}"
     if json_file is not None:
         write_json(json_file, rows)
@@ -48,13 +49,14 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
     elif rows:
         from bench.cli.output import table
 
-        table(headers, [[str(row[key]) for key in keys] for row in rows])
+        shown = str if target is None else told
+        table(headers, [[shown(row[key]) for key in keys] for row in rows])
     if not rows and target is not None:
         raise click.ClickException(nothing)
 
 
 _PORT = ("target", "description", "usb_id", "serial_number")
-_NODE = ("node", "role", "name", "firmware", "state", "boot_id")
+_NODE = ("node", "role", "name", "firmware", "serial", "build", "state", "boot_id")
 
 
 def _serial_ports() -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ import click
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
-from protocol.text import counted
+from protocol.text import counted, told
 
 
 @click.command("info")
@@ -52,7 +52,7 @@ def _show(target: str, node: dict[str, Any]) -> None:
 
     identity, health = node["identity"], node["health"]
     title = f"node {identity['node']}: {identity['name']} ({identity['role']}) on {target}"
-    pairs(title, [[key.replace("_", " "), _text(value)] for key, value in (identity | health).items()])
+    pairs(title, [[key.replace("_", " "), told(value)] for key, value in (identity | health).items()])
     echo()
     table(
         ["channel", "id", "unit", "type", "scale", "flags"],
@@ -87,11 +87,3 @@ def _show_bus(target: str, bus: dict[str, Any]) -> None:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.6g}"
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    return str(value)

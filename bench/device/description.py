@@ -125,6 +125,8 @@ def describe(identity: HelloReply) -> dict[str, Any]:
     return {
         "name": identity.name,
         "firmware": identity.firmware,
+        "serial": identity.serial,
+        "build": identity.build,
         "node": identity.node,
         "role": identity.role.name.lower(),
         "boot_id": f"{identity.boot_id:08x}",

@@ -17,7 +17,6 @@ from uuid import uuid4
 import numpy as np
 
 from bench.analysis.chunks import part
-from bench.analysis.versions import program_version
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
@@ -26,6 +25,7 @@ from bench.rerunio import markdown, schema
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.sinks import FileSink
+from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.observers import sample
@@ -99,7 +99,7 @@ def replay(
     info = replace(
         run.info,
         channels=(*run.info.channels, *augmenter.channels),
-        identity={**run.info.identity, "replayed": f"{path.name} by hallbench {program_version()}", **_told(values)},
+        identity={**run.info.identity, "replayed": f"{path.name} by hallbench {__version__}", **_told(values)},
         recording_id=uuid4().hex,
     )
     whole = out.resolve()

@@ -30,7 +30,7 @@ from bench.rerunio.trend import Rows, TrendBinner
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
-from protocol.text import printable
+from protocol.text import printable, told
 
 REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
@@ -375,16 +375,9 @@ def identity_text(run: schema.RunInfo) -> str:
         ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
         ("PWM", f"{run.pwm_hz / 1e3:g} kHz"),
     ]
-    rows += [(key, plain(value)) for key, value in run.identity.items()]
+    rows += [(key, told(value)) for key, value in run.identity.items()]
     rows += [("not shown", why) for why in left_out(run)]
     return f"### Run in progress\n\n{markdown.table(('', ''), rows)}"
-
-
-def plain(value: object) -> str:
-    """A value of plain data on one line."""
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {plain(inner)}" for key, inner in value.items())
-    return ", ".join(map(plain, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def health_text(values: Mapping[str, int]) -> str:

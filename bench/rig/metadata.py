@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.analysis.versions import PROGRAM, program_version, versions
+from bench.analysis.versions import PROGRAM, versions
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.rerunio.schema import AnyChannel, RunInfo
 from bench.rig.settings import Settings
+from protocol import __version__
 
 
 def run_info(
@@ -24,7 +25,7 @@ def run_info(
 ) -> RunInfo:
     """Of a run of `drive`, reached by `target`, that streams `channels`; `more`: what else tells what it was."""
     identity = drive.identity
-    about = describe(identity) | {"target": target, PROGRAM: program_version()} | about_bench(settings) | more
+    about = describe(identity) | {"target": target, PROGRAM: __version__} | about_bench(settings) | more
     return RunInfo(
         tick_hz=identity.tick_hz,
         pwm_hz=identity.pwm_hz,

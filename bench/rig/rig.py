@@ -18,7 +18,6 @@ from bench.analysis.channels import reference_angle, speed_channel
 from bench.analysis.chunks import no_edge_stream
 from bench.analysis.verdict import Verdict
 from bench.device.client import POLL, Client, Sink
-from bench.device.description import describe
 from bench.device.node import Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, Interrupted, OutputsMayBeOn
@@ -434,11 +433,6 @@ class Rig:
         config = self.plan.settings.config
         changed = "" if config is None else ", ".join(f"{key} = {value}" for key, value in changed_keys(config).items())
         return "default" if config is None else f"{config}: {changed or 'nothing changed'}"
-
-    def identity(self) -> dict[str, str]:
-        """The drive for the report."""
-        about = describe(self.drive.node.identity)
-        return {key: ", ".join(value) if isinstance(value, list) else str(value) for key, value in about.items()}
 
     def quality(self) -> Quality:
         """What the data of the whole run are worth."""

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from bench.analysis.position import position_error
 from bench.analysis.units import RPM
-from bench.analysis.versions import program_version
 from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
 from bench.observers.estimators import did_you_mean, entry_of
@@ -29,6 +28,7 @@ from bench.scoring import phases
 from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
 from bench.scoring.phases import speed_bins
 from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
+from protocol import __version__
 from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Scoreboard:
     def as_json(self) -> dict[str, Any]:
         """All of it as plain data; what cannot be told is null."""
         return {
-            "hallbench": program_version(),
+            "hallbench": __version__,
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
             "definitions": {
                 "error": "actual less estimated",

@@ -18,7 +18,8 @@ from protocol.signals import Parameter, Signal
 class Identity:
     """What HELLO says of a device. `boot_id` differs from boot to boot; tick_hz is a multiple of pwm_hz.
 
-    `tick0`, in the replies to STREAM_SET: the tick of PWM period 0.
+    `tick0`, in the replies to STREAM_SET: the tick of PWM period 0. `name` and `firmware` are cut to 16 bytes, `serial`
+    and `build` to 24.
     """
 
     node: int
@@ -32,6 +33,8 @@ class Identity:
     rx_max: int = MAX_PAYLOAD
     tx_max: int = MAX_PAYLOAD
     tick0: int = 0
+    serial: str = ""
+    build: str = ""
 
 
 class DeviceApp(Protocol):

@@ -286,6 +286,8 @@ class DeviceSession:
             nodes=self.nodes,
             name=identity.name,
             firmware=identity.firmware,
+            serial=identity.serial,
+            build=identity.build,
         )
 
     def _time_sync(self, request: TimeSync) -> TimeSyncReply:

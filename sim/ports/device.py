@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
+from protocol import __version__
 from protocol.device.session import DeviceSession, Identity
 from protocol.device.state import WATCHDOG_OFF
 from protocol.device.tx import TxQueue
@@ -22,9 +23,11 @@ from protocol.messages import Fault, Feature, Role
 from sim.config.params import BenchParams
 from sim.drive.apps import DriveApp, LoadApp
 from sim.drive.machine import SimulatedBench
+from sim.numba_cache import source_hash
 from sim.ports.networks import ByteNetwork, Network
 
 FIRMWARE = "hallbench-sim"
+BUILD = f"{__version__}-{source_hash()[:12]}"
 TX_BYTES = 1 << 22  # of a byte link in virtual time: nothing is dropped however long a step
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 
@@ -67,8 +70,9 @@ class SimulatedDevice:
 
         def identity(node: int, role: Role, name: str, features: Feature) -> Identity:
             return Identity(
-                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features, tick0=clock.start_tick
-            )
+                node, role, name, FIRMWARE, boot, clock.tick_hz, clock.pwm_hz, features, tick0=clock.start_tick,
+                serial=f"SIM-{node:04}", build=BUILD,
+            )  # fmt: skip
 
         commit = Feature.COMMIT if store is not None else Feature(0)
         drive = DriveApp(self.bench, store)

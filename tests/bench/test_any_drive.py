@@ -119,7 +119,9 @@ def test_a_healthy_drive(link: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert re.search("lost by index +0 samples, 0 edges", ran.text)
         assert device.motor.fastest == pytest.approx(300 * tau / 60, rel=0.05)
         assert device.state == State.IDLE
-        assert bench(INFO, device, capsys).code == 0
+        ran = bench(INFO, device, capsys)
+        assert ran.code == 0
+        assert "serial 33FFD8054D48383611571943 build 9f2c61e-dirty" in ran.text
 
 
 @pytest.mark.real_time
@@ -151,6 +153,7 @@ def test_own_names_are_shown(link: str, capsys: pytest.CaptureFixture[str]) -> N
         ran = bench(INFO, device, capsys)
     assert ran.code == 0, ran.text
     assert all(re.search(rf"^{row} ", ran.out, re.M) for row in ROWS), ran.out
+    assert re.search("serial +not told\n +build +not told\n", ran.out)
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -208,6 +211,7 @@ def test_a_recording_of_a_drive_of_its_own_names(tmp_path: Path, capsys: pytest.
             assert not re.search(UNTRUE, ran.text)
     recorded = read_run(run)
     assert [channel.name for channel in recorded.info.channels] == [row.name for row in OWN.channels]
+    assert (recorded.info.identity["serial"], recorded.info.identity["build"]) == ("", "")
 
 
 # -- drives that lack something ---------------------------------------------------------------------------------

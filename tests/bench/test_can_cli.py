@@ -70,6 +70,7 @@ def test_devices_lists_the_nodes_of_a_bus(capsys: pytest.CaptureFixture[str], fd
         (1, "drive", "IDLE", "simulated drive"),
         (2, "load", "IDLE", "load machine"),
     ]
+    assert [n["serial"] for n in nodes] == ["SIM-0001", "SIM-0002"]
     out, _ = bench(capsys, "devices", fd)
     assert "load machine" in out
     _, err = bench(capsys, "devices", "can:virtual/empty", code=2)

@@ -6,7 +6,8 @@ import contextlib
 import json
 import subprocess
 import sys
-from importlib.metadata import version
+from dataclasses import replace
+from unittest.mock import patch
 
 import click
 import pytest
@@ -15,6 +16,7 @@ from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import cli, main
 from bench.cli.live import Observer
+from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
@@ -42,7 +44,7 @@ def test_help_has_an_example_that_parses(capsys: pytest.CaptureFixture[str], com
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench(capsys, "--version")[0] == f"bench, version {version('hallbench')}\n"
+    assert bench(capsys, "--version")[0] == f"bench, version {__version__}\n"
 
 
 def test_the_observer_of_a_run_may_be_written_either_way() -> None:
@@ -69,6 +71,8 @@ def test_info_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert (info["target"], drive["identity"]["role"], load["identity"]["role"]) == ("serial:x", "drive", "load")
     assert drive["identity"]["boot_id"] == f"{link.device.drive.identity.boot_id:08x}"
     assert drive["identity"]["pwm_hz"] == 16000
+    assert [node["identity"]["serial"] for node in (drive, load)] == ["SIM-0001", "SIM-0002"]
+    assert drive["identity"]["build"].startswith(f"{__version__}-")
     assert "simulated" in drive["identity"]["features"]
     assert [c["name"] for c in drive["channels"]] == [c.name for c in DRIVE_CHANNELS]
     assert [c["name"] for c in load["channels"]] == [c.name for c in LOAD_CHANNELS]
@@ -88,6 +92,20 @@ def test_info_for_people_is_plain_when_piped(capsys: pytest.CaptureFixture[str])
     assert "node 1: simulated drive (drive) on serial:x" in out
     for name in ("theta_vt", "psi_f_hat", "rad/s"):
         assert name in out
+    assert [line.split()[-1] for line in out.splitlines() if line.startswith("  serial ")] == ["SIM-0001", "SIM-0002"]
+
+
+def test_devices_tells_drives_apart_by_serial_and_build(capsys: pytest.CaptureFixture[str]) -> None:
+    device = simulated()
+    device.drive.identity = replace(device.drive.identity, serial="33FFD8054D48383611571943", build="9f2c61e µ")
+    device.load.identity = replace(device.load.identity, serial="", build="")
+    with patch("protocol.links.open_link", lambda target: WatchedLink(device)):
+        rows = json.loads(bench(capsys, "devices", "serial:x", "--json")[0])
+        out, _ = bench(capsys, "devices", "serial:x")
+    assert [(row["serial"], row["build"]) for row in rows] == [("33FFD8054D48383611571943", "9f2c61e µ"), ("", "")]
+    drive, load = out.splitlines()[1:]
+    assert "  33FFD8054D48383611571943  9f2c61e µ  IDLE" in drive
+    assert load.count("not told") == 2
 
 
 def test_live_as_json_is_all_that_goes_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Self
@@ -28,6 +29,10 @@ from sim.ports.device import SimulatedDevice
 
 NAME = "\x1b]0;pwn\x07[red]x"
 FIRMWARE = "\u202e\x9b2J|`<b>"
+SERIAL = "\x1b[2J|`<u>\u202e"
+SERIAL_SHOWN = r"\x1b[2J|`<u>\u202e"
+BUILD = "\x9d0;pwn\x9c\r\n[red]"
+BUILD_SHOWN = r"\x9d0;pwn\x9c\r\n[red]"
 CHANNEL = "\x1b[2J|`<i>[red]"
 CHANNEL_SHOWN = r"\x1b[2J|`<i>[red]"
 PARAMETER = "\x1b[35;5mp\r"
@@ -42,7 +47,7 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
     session = device.drive
     features = session.identity.features
     session.identity = replace(
-        session.identity, name=NAME, firmware=FIRMWARE,
+        session.identity, name=NAME, firmware=FIRMWARE, serial=SERIAL, build=BUILD,
         features=features if simulates else features & ~Feature.SIMULATED,
     )  # fmt: skip
     told = session.descriptor
@@ -150,13 +155,14 @@ def test_info_and_devices(on_terminal: Callable[..., tuple[int, str]]) -> None:
     assert code == 0
     assert harmless(text)
     for shown in (
-        r"\x1b]0;pwn\x07[red]x", r"\u202e\x9b2J|`<b>", CHANNEL_SHOWN, r"\x1b[35;5mp\r"
+        r"\x1b]0;pwn\x07[red]x", r"\u202e\x9b2J|`<b>", SERIAL_SHOWN, BUILD_SHOWN, CHANNEL_SHOWN, r"\x1b[35;5mp\r"
     ):  # fmt: skip
         assert shown in text
     code, text = on_terminal(device, "devices", "serial:x")
     assert code == 0
     assert harmless(text)
-    assert r"\x1b]0;pwn\x07[red]x" in text
+    for shown in (r"\x1b]0;pwn\x07[red]x", SERIAL_SHOWN, BUILD_SHOWN):
+        assert shown in text
 
 
 def test_a_usb_device_that_names_itself_so(
@@ -185,6 +191,7 @@ def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -
     assert r"\x1b]0;pwn\x07[red]x \u202e\x9b2J|`<b> on serial:x" in text
     assert r"all is well\r\x1b[7A\x1b[2Kerror: \u2066none\x00\x9d0;pwn\x9c <script>" in text
     run = read_run("run.rrd")
+    assert (run.info.identity["serial"], run.info.identity["build"]) == (SERIAL_SHOWN, BUILD_SHOWN)
     assert CHANNEL_SHOWN in {channel.name for channel in run.info.channels}
     assert len(run.samples.physical(CHANNEL_SHOWN)) == len(run.samples) > 0
     assert r"\x1b[35;5mp\r" in run.info.parameters
@@ -218,7 +225,9 @@ def test_the_report_of_accept(on_terminal: Callable[..., tuple[int, str]]) -> No
     assert harmless(page)
     assert r"\x1b]0;pwn\x07[red]x" in page
     assert "|`&lt;b&gt;" in page
-    for tag in ("<b>", "<i>[red]", "<script"):
+    assert escape(SERIAL_SHOWN) in page
+    assert BUILD_SHOWN in page
+    for tag in ("<b>", "<u>", "<i>[red]", "<script"):
         assert tag not in page
     assert sorted(str(path) for path in Path("out").rglob("*.rrd")) == ["out/recordings/it.rrd"]
     assert harmless(read_run("out/recordings/it.rrd").summary)

@@ -37,7 +37,7 @@ from tests.devices.spec import (
     Type,
 )
 from tests.devices.streams import Stream
-from tests.devices.vocabulary import Vocabulary, text16
+from tests.devices.vocabulary import Vocabulary, text16, text24
 
 TICK_HZ = 1_000_000
 HEARTBEAT_TICKS = TICK_HZ // 10
@@ -48,7 +48,7 @@ I_MAX = 8.0  # A, and
 OMEGA_M_MAX = 300.0  # mechanical rad/s, without parameters of these names
 MOST_LATE = 5.0  # s of samples that are caught up
 
-HELLO = struct.Struct("<IIBBHHxxIIIIBBBB16s16s")
+HELLO = struct.Struct("<IIBBHHxxIIIIBBBB16s16s24s24s")
 HEARTBEAT = struct.Struct("<QIIIIIHHHHBBxxI")
 SET = struct.Struct("<BBHHH")
 INFO = struct.Struct("<BBBBHHHHHxxQH")
@@ -265,7 +265,8 @@ class Device:
             "tx_max": min(rx_max, MAX_PAYLOAD), "features": int(self.vocabulary.features),
             "schema_crc": crc32(self.descriptor()), "tick_hz": TICK_HZ, "pwm_hz": self.pwm_hz, "state": self.state,
             "node": self.node, "role": int(Role.DRIVE), "nodes": 1, "name": text16(self.vocabulary.name),
-            "firmware": text16(self.vocabulary.firmware),
+            "firmware": text16(self.vocabulary.firmware), "serial": text24(self.vocabulary.serial),
+            "build": text24(self.vocabulary.build),
         }  # fmt: skip
 
     def time_sync(self, message: Message, peer: Peer) -> bytes:

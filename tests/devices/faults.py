@@ -434,7 +434,7 @@ TITLE, CLEAR, OVERRIDE = "\x1b]0;owned\x07", "\x1b[2J\x1b[H", "\u202egnp.evird"
 
 @fault("control-characters")
 class ControlCharacters(Device):
-    """Window title, clear screen, right-to-left and new lines in name, firmware, names of channels and LOG."""
+    """Window title, clear screen, right-to-left and new lines in all texts of HELLO, names of channels and LOG."""
 
     beats = 0
 
@@ -443,7 +443,10 @@ class ControlCharacters(Device):
         kept, last = vocabulary.channels[: -len(names)], vocabulary.channels[-len(names) :]
         channels = (*kept, *(replace(row, name=name) for row, name in zip(last, names, strict=False)))
         parameters = (*vocabulary.parameters, replace(vocabulary.parameters[0], id=900, name=CLEAR))
-        own = replace(vocabulary, name=TITLE + "!", firmware=CLEAR + "1.0", channels=channels, parameters=parameters)
+        own = replace(
+            vocabulary, name=TITLE + "!", firmware=CLEAR + "1.0", serial=OVERRIDE, build="2\n" + TITLE,
+            channels=channels, parameters=parameters,
+        )  # fmt: skip
         super().__init__(own, **options)
 
     def heartbeat(self) -> None:
@@ -460,7 +463,8 @@ class BadUtf8(Device):
     def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
         first, *rest = vocabulary.channels
         channels = (replace(first, name=b"\xff\xfe" + text16(first.name)[:6]), *rest)
-        super().__init__(replace(vocabulary, name=b"dr\xc3ive \xff", firmware=b"\x80", channels=channels), **options)
+        own = replace(vocabulary, name=b"dr\xc3ive \xff", firmware=b"\x80", serial=b"\xff" * 24, build=b"\xe2\x82")
+        super().__init__(replace(own, channels=channels), **options)
 
     def heartbeat(self) -> None:
         super().heartbeat()

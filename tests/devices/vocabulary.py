@@ -72,6 +72,8 @@ class Vocabulary:
     modes: tuple[Mode, ...] = (Mode.SPEED,)
     pole_pairs: int = 4
     """Of the motor itself; what a parameter `n_p` says of it is another matter."""
+    serial: str | bytes = ""
+    build: str | bytes = ""
 
     def without(self, *names: str, features: Feature | None = None) -> Vocabulary:
         """The same less these channels and parameters, and with these features only."""
@@ -93,6 +95,11 @@ def _record(number: int, raw: int, unit: int, flags: int, scale: float, name: st
 def text16(text: str | bytes) -> bytes:
     """`text` as it stands in 16 bytes."""
     return (text.encode() if isinstance(text, str) else text)[:16].ljust(16, b"\0")
+
+
+def text24(text: str | bytes) -> bytes:
+    """`text` as it stands in 24 bytes."""
+    return (text.encode() if isinstance(text, str) else text)[:24].ljust(24, b"\0")
 
 
 def _full_channels() -> tuple[Channel, ...]:
@@ -136,6 +143,8 @@ FULL = Vocabulary(
     ),
     features=Feature.EDGES,
     modes=(Mode.SPEED, Mode.CURRENT),
+    serial="33FFD8054D48383611571943",
+    build="9f2c61e-dirty",
 )
 """Names of the simulated drive, as far as a drive without its plant can have them."""
 

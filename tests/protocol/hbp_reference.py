@@ -56,8 +56,8 @@ def fields(*values: tuple[str, object]) -> bytes:
     for kind, value in values:
         if kind == "f32":
             out += struct.pack("<f", value)
-        elif kind == "text16":
-            out += str(value).encode().ljust(16, b"\0")
+        elif kind in ("text16", "text24"):
+            out += str(value).encode().ljust(int(kind[4:]), b"\0")
         elif kind == "pad":
             out += b"\0" * int(str(value))
         elif kind == "bytes":

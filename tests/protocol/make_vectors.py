@@ -110,33 +110,41 @@ def messages() -> list[dict[str, object]]:
         {"nonce": 0x12345678, "major_min": 1, "major_max": 1, "rx_max": 1024},
         F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)),
     )
-    add(
-        "HelloReply",
-        (0x01, rep, 1, 1),
-        {
-            "nonce": 0x12345678,
-            "boot_id": 0xCAFE0001,
-            "major": 1,
-            "minor": 0,
-            "rx_max": 1024,
-            "tx_max": 512,
-            "features": 7,
-            "schema_crc": 0xCBF43926,
-            "tick_hz": 20_000_000,
-            "pwm_hz": 16_000,
-            "state": 1,
-            "node": 1,
-            "role": 1,
-            "nodes": 2,
-            "name": "drive",
-            "firmware": "0.1.0",
-        },
-        F(
-            ("u32", 0x12345678), ("u32", 0xCAFE0001), ("u8", 1), ("u8", 0), ("u16", 1024), ("u16", 512),
-            ("pad", 2), ("u32", 7), ("u32", 0xCBF43926), ("u32", 20_000_000), ("u32", 16_000),
-            ("u8", 1), ("u8", 1), ("u8", 1), ("u8", 2), ("text16", "drive"), ("text16", "0.1.0"),
-        ),
-    )  # fmt: skip
+    for name, firmware, serial, build in (
+        ("drive", "0.1.0", "33FFD8054D48383611571943", "9f2c61e-dirty"),
+        ("drive", "", "", ""),
+        ("Ω" * 8, "0123456789abcdef", "µ" * 12, "€" * 8),
+    ):
+        add(
+            "HelloReply",
+            (0x01, rep, 1, 1),
+            {
+                "nonce": 0x12345678,
+                "boot_id": 0xCAFE0001,
+                "major": 1,
+                "minor": 0,
+                "rx_max": 1024,
+                "tx_max": 512,
+                "features": 7,
+                "schema_crc": 0xCBF43926,
+                "tick_hz": 20_000_000,
+                "pwm_hz": 16_000,
+                "state": 1,
+                "node": 1,
+                "role": 1,
+                "nodes": 2,
+                "name": name,
+                "firmware": firmware,
+                "serial": serial,
+                "build": build,
+            },
+            F(
+                ("u32", 0x12345678), ("u32", 0xCAFE0001), ("u8", 1), ("u8", 0), ("u16", 1024), ("u16", 512),
+                ("pad", 2), ("u32", 7), ("u32", 0xCBF43926), ("u32", 20_000_000), ("u32", 16_000),
+                ("u8", 1), ("u8", 1), ("u8", 1), ("u8", 2), ("text16", name), ("text16", firmware),
+                ("text24", serial), ("text24", build),
+            ),
+        )  # fmt: skip
     add("TimeSync", (0x02, req, 2, 1), {}, b"")
     add(
         "TimeSyncReply",
@@ -667,7 +675,7 @@ def can_messages() -> list[dict[str, object]]:
 
     for fd in (False, True):
         form = "FD" if fd else "classic"
-        for n in (0, 1, 2, 3, 4, 10, 56, 57, 58, 120, 1024):
+        for n in (0, 1, 2, 3, 4, 10, 56, 57, 58, 116, 120, 1024):
             add(f"{form}, {n} bytes", fd, on(to_host(), can_frames(reply(n), fd, n % 32)), [reply(n)])
         add(f"{form}, 29 bits", fd, on(to_host(2, True), can_frames(reply(30, 6, 2), fd, 3)), [reply(30, 6, 2)], True)
         a, b = can_frames(reply(200), fd, 4), can_frames(reply(150, 6, 2), fd, 9)

@@ -118,6 +118,20 @@ def test_hello_tells_who_it_is_and_changes_nothing(device: Device) -> None:
     assert reply.state is DriveState.RUNNING
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, ("", "")),
+        ({"serial": "33FFD8054D48383611571943", "build": "9f2c61e"}, ("33FFD8054D48383611571943", "9f2c61e")),
+        ({"serial": "0123456789" * 3, "build": "µ" * 13}, ("012345678901234567890123", "µ" * 12)),
+    ],
+)
+def test_serial_and_build_are_told_in_the_smallest_frame_and_cut(given: dict[str, str], told: tuple[str, str]) -> None:
+    reply = Wire(small_link(**given)[0]).ask(Hello(1, rx_max=128))
+    assert (reply.serial, reply.build) == told
+    assert len(reply.pack()) == 116
+
+
 def test_descriptor_is_read_in_parts(device: Device) -> None:
     wire, session, _ = device
     wire.ask(Hello(1, rx_max=128))

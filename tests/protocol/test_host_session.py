@@ -266,6 +266,13 @@ def test_a_hello_that_cannot_be_is_refused(changes: dict[str, object], words: st
     assert not host.hellos
 
 
+def test_a_hello_without_serial_and_build_is_too_short() -> None:
+    host = HostSession()
+    host.connect(5, 0.0)
+    host.receive_data(b"\0" + reply(1, 1, hello_reply(5)[:68]), 0.01)
+    assert "HelloReply of 68 bytes, expected 116" in unusable(host)
+
+
 def test_a_hello_that_is_only_odd_connects() -> None:
     host = HostSession()
     host.connect(5, 0.0)

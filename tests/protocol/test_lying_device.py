@@ -34,6 +34,7 @@ EXTREMES: dict[str, list[object]] = {
     "Q": [0, 1, 1 << 32, (1 << 62) - 1, 1 << 62, (1 << 64) - 1],
     "f": [0.0, -1.0, 0.5, 1e-45, 3e38, NAN, INF, -INF],
     "16s": [bytes(16), b"\xff" * 16, b"\x1b[2J\n\r\t\x07\xe2\x80\xae", b"x" * 16],
+    "24s": [bytes(24), b"\xff" * 24, b"\x1b[2J\n\r\t\x07\xe2\x80\xae", b"x" * 24],
 }
 
 

@@ -42,7 +42,7 @@ def test_round_trip(message: m.Payload) -> None:
     st.sampled_from(
         sorted({*m.REQUESTS.values(), *m.REPLIES.values(), *m.UNSOLICITED.values(), m.ErrorReply}, key=str)
     ),
-    st.binary(max_size=80),
+    st.binary(max_size=128),
 )
 def test_any_bytes_unpack_or_are_refused(kind: type[m.Payload], payload: bytes) -> None:
     try:
@@ -62,6 +62,24 @@ def test_a_request_has_its_exact_length_and_a_reply_may_grow() -> None:
     assert m.ParamStored.unpack(reply.pack() + b"later") == reply
     with pytest.raises(m.PayloadError):
         m.ParamStored.unpack(reply.pack()[:-1])
+
+
+@pytest.mark.parametrize(
+    ("raw", "text"),
+    [
+        (b"33FFD8054D48383611571943", "33FFD8054D48383611571943"),
+        (bytes(24), ""),
+        (b"old\0left over", "old"),
+        (b"\xff" * 24, "\ufffd" * 24),
+        (b"a" * 23 + b"\xce", "a" * 23 + "\ufffd"),  # half a letter
+        (b"v\x1b[2J\r\xe2\x80\xae", r"v\x1b[2J\r\u202e"),
+    ],
+)
+def test_serial_and_build_are_text_whatever_comes(raw: bytes, text: str) -> None:
+    reply = m.HelloReply.unpack(bytes(68) + raw.ljust(24, b"\0") + bytes(24))
+    assert (reply.serial, reply.build) == (text, "")
+    reply = m.HelloReply.unpack(bytes(92) + raw.ljust(24, b"\0"))
+    assert (reply.serial, reply.build) == ("", text)
 
 
 def test_hello_may_grow_in_a_later_major() -> None:

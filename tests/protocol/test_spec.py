@@ -17,7 +17,7 @@ from protocol.validity import RECORD_BYTES
 
 TEXT = make_spec.SPEC.read_text(encoding="utf-8")
 TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "StreamInfo": "u16 each", "Log": "text"}
-CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text16"}
+CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text16", "24s": "text24"}
 
 
 def test_generated_tables_are_current() -> None:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from bench.acceptance.results import Measurement, Verdict
 from bench.analysis.limits import Limits
 from protocol.signals import SOURCE_NAMES
+from protocol.text import told
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
 MOST_DECIMALS = 9
@@ -133,13 +134,7 @@ def labelled(key: str, value: object) -> tuple[str, str]:
 
 def plain(value: object) -> str:
     """A value of plain data, for people."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(plain, value)) or NOTHING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:g}"
-    return str(value) or NOTHING
+    return f"{value:g}" if isinstance(value, float) else told(value)
 
 
 def setting(value: float, name: str) -> str:

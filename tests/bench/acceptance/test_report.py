@@ -287,6 +287,9 @@ def test_parameters_that_differ_from_their_defaults_come_first(tmp_path: Path) -
         ("schema_crc", "4d977534", "schema CRC 4d977534"),
         ("tick_hz", "unknown", "tick hz unknown"),
         ("features", ["edges", "simulated"], "features edges, simulated"),
+        ("features", [], "features none"),
+        ("serial", "33FFD8054D48383611571943", "serial 33FFD8054D48383611571943"),
+        ("build", "", "build not told"),
     ],
 )
 def test_labels_of_plain_data(tmp_path: Path, key: str, value: object, text: str) -> None:

@@ -110,9 +110,9 @@ def test_values_that_are_not_finite_are_recorded_without_a_word(tmp_path: Path) 
     "name", ["a|b", "line\nbreak", "a\x1b[2Jb", "`code`", "[link](http://x)", "![image](http://x)", "<b>"]
 )
 def test_a_name_cannot_break_out_of_its_cell(name: str) -> None:
-    document = identity_text(synthetic.run_info(identity={"name": name, "features": ["edges", "commit"]}))
+    document = identity_text(synthetic.run_info(identity={"name": name, "features": ["edges", "commit"], "build": ""}))
     rows = [line for line in document.splitlines() if line.startswith("| name |")]
     assert len(rows) == 1
     for character in "|`[]<":
         assert f" {character}" not in rows[0].removeprefix("| name |").removesuffix(" |")
-    assert "| features | edges, commit |" in document
+    assert "| features | edges, commit |\n| build | not told |" in document

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,9 @@ def test_both_nodes_say_who_they_are() -> None:
     assert (drive.node, drive.role, drive.name) == (1, Role.DRIVE, "simulated drive")
     assert (load.node, load.role, load.name) == (2, Role.LOAD, "load machine")
     assert drive.firmware == load.firmware == "hallbench-sim"
+    assert (drive.serial, load.serial) == ("SIM-0001", "SIM-0002")
+    assert re.fullmatch(re.escape(version("hallbench")) + "-[0-9a-f]{12}", drive.build)
+    assert drive.build == load.build == make(seed=9)[0].connect().build
     assert drive.nodes == load.nodes == 2
     assert drive.boot_id == load.boot_id
     assert (drive.tick_hz, drive.pwm_hz, drive.ticks_per_period) == (20_000_000, 16_000, 1250)
