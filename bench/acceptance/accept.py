@@ -21,7 +21,7 @@ from bench.acceptance import plugin
 from bench.acceptance.collected import RESULT, SCREEN, Screen, is_acceptance_test
 from bench.acceptance.measuring import value_text
 from bench.acceptance.results import Measurement, RunResult, Verdict, tightest, untested
-from bench.acceptance.session import LIMITS_ELSEWHERE, carried_result
+from bench.acceptance.session import LIMITS_ELSEWHERE
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.settings import read_settings
@@ -101,12 +101,13 @@ class _Teller:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Say how it ended."""
-        result = carried_result(report)
-        if result is None:
+        carried = getattr(report, RESULT, None)
+        if carried is None:
             if report.failed and not hasattr(report, RESULT):
                 self.screen.note(f"ERROR   {report.nodeid}: not an acceptance test, but it failed")
             return
         self._done += 1
+        result = carried.result
         text = f"{result.verdict:7} {result.name}"
         if result.verdict is Verdict.PASS:
             text += _tightest(result.measurements)

@@ -239,6 +239,26 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     return report
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_report_to_serializable() -> Generator[None, Any, Any]:
+    """Make the result text, where the report goes to another process."""
+    data = yield
+    if data is not None and data.get(RESULT) is not None:
+        data[RESULT] = data[RESULT].to_text()
+    return data
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_report_from_serializable() -> Generator[None, Any, Any]:
+    """Make a result of the text again."""
+    report = yield
+    if isinstance(text := getattr(report, RESULT, None), str):
+        from bench.acceptance.results import Carried
+
+        setattr(report, RESULT, Carried.from_text(text))
+    return report
+
+
 # -- the end --------------------------------------------------------------------------------------------------------
 
 

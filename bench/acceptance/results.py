@@ -1,14 +1,16 @@
 """What an acceptance run finds, as plain data: limits, measurements, tests, and the run that holds them.
 
-Everything here goes to JSON and back (`to_json`, `from_json`). Nothing here measures, draws or talks to a drive.
+A run goes to JSON and back (`to_json`, `run_from_json`). Nothing here measures, draws or talks to a drive.
 """
 
 from __future__ import annotations
 
+import base64
 import math
+import pickle
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
 
 from bench.analysis.limits import Limits
 from bench.analysis.verdict import Verdict, worst
@@ -17,7 +19,7 @@ from bench.rig.quality import ParameterValue, Quality
 
 __all__ = [
     "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
-    "result_from_json", "run_from_json", "to_json", "untested", "worst",
+    "run_from_json", "to_json", "untested", "worst",
 ]  # fmt: skip
 
 
@@ -151,46 +153,48 @@ def untested(run: RunResult) -> list[str]:
     return lines
 
 
-def to_json(result: TestResult | RunResult) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What was tested, and on which bench: of the first test that reached the drive."""
+
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    parameters: tuple[ParameterValue, ...] = ()
+    rig: Mapping[str, str] = field(default_factory=dict)
+
+
+class Carried(NamedTuple):
+    """What the report of a test's last phase carries to whoever collects the reports."""
+
+    result: TestResult
+    setup: Setup
+
+    def to_text(self) -> str:
+        """For another process of this program; its channel carries text, and no subclass of float."""
+        return base64.b64encode(pickle.dumps(self)).decode("ascii")
+
+    @staticmethod
+    def from_text(text: str) -> Carried:
+        """What `to_text` made; of a process of this program only, because it is unpickled."""
+        carried = pickle.loads(base64.b64decode(text))
+        assert isinstance(carried, Carried)
+        return carried
+
+
+def to_json(run: RunResult) -> dict[str, Any]:
     """Plain data for `json.dumps`: no NaN, no tuples, verdicts as strings, margins spelled out."""
-    plain = _plain(asdict(result))
+    plain = _plain(asdict(run))
     assert isinstance(plain, dict)
-    tests = plain["tests"] if isinstance(result, RunResult) else [plain]
-    sources = result.tests if isinstance(result, RunResult) else (result,)
-    for test, source in zip(tests, sources, strict=True):
+    for test, source in zip(plain["tests"], run.tests, strict=True):
         for written, measurement in zip(test["measurements"], source.measurements, strict=True):
             written["margin"] = _plain(measurement.margin)
     return plain
 
 
-def result_from_json(data: Mapping[str, Any]) -> TestResult:
-    """What `to_json` made of a test."""
-    values = dict(data)
-    values["verdict"] = Verdict(values["verdict"])
-    values["measurements"] = tuple(_measurement(m) for m in values["measurements"])
-    values["figures"] = tuple(Figure(**f) for f in values["figures"])
-    quality = Quality(**values["quality"])
-    values["quality"] = replace(quality, remarks=tuple(quality.remarks))
-    return TestResult(**values)
-
-
 def run_from_json(data: Mapping[str, Any]) -> RunResult:
     """What `to_json` made of a run."""
-    values = dict(data)
-    values["verdict"] = Verdict(values["verdict"])
-    values["tests"] = tuple(result_from_json(test) for test in values["tests"])
-    values["parameters"] = tuple(ParameterValue(**p) for p in values["parameters"])
-    return RunResult(**values)
+    from pydantic import TypeAdapter
 
-
-def _measurement(data: Mapping[str, Any]) -> Measurement:
-    values = {key: value for key, value in data.items() if key != "margin"}
-    values["limits"] = Limits(**values["limits"])
-    values["verdict"] = Verdict(values["verdict"])
-    if isinstance(values["value"], str):  # NaN, inf
-        values["value"] = float(values["value"])
-    values["span"] = None if values["span"] is None else tuple(values["span"])
-    return Measurement(**values)
+    return TypeAdapter(RunResult).validate_python(data)
 
 
 def _plain(value: Any) -> Any:

@@ -24,7 +24,7 @@ from bench.acceptance.marks import announced, declared_limits, needed
 from bench.acceptance.measuring import Running, file_name, require_apart, value_text
 from bench.acceptance.report_files import claim
 from bench.acceptance.requirements import missing
-from bench.acceptance.results import RunResult, TestResult, Verdict, result_from_json, to_json, worst
+from bench.acceptance.results import Carried, RunResult, Setup, TestResult, Verdict, to_json, worst
 from bench.analysis.limits import Limits
 from bench.analysis.versions import versions
 from bench.device.description import describe
@@ -37,7 +37,7 @@ from bench.rig.consent import require_agreement
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.loads import OwnLoads
 from bench.rig.lock import alone_on
-from bench.rig.quality import ParameterValue, Quality
+from bench.rig.quality import Quality
 from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.settings import Settings, read_settings
 from protocol.errors import HbpError
@@ -58,8 +58,7 @@ class BenchSession:
         self.target = target_of(config.option.bench_target, self.settings)
         self.results: dict[str, TestResult] = {}
         """By node id."""
-        self.about: dict[str, Any] = {}
-        """Identity, parameters and rig, as plain data, from the first test that reached the drive."""
+        self.setup = Setup()
         self.began = datetime.now().astimezone()
         self.order: list[str] = []
         """Node ids of the tests, where they run in other processes."""
@@ -241,12 +240,9 @@ class BenchSession:
             path.unlink(missing_ok=True)  # an earlier run's
         recording = Recording(path, {"test": name})
         with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
-            if not self.about:
-                self.about = {
-                    "identity": describe(rig.drive.node.identity),
-                    "parameters": [[p.name, p.value, p.default, p.unit] for p in rig.before],
-                    "rig": rig.describe() | self._limits_elsewhere(),
-                }
+            if not self.setup.identity:
+                about = rig.describe() | self._limits_elsewhere()
+                self.setup = Setup(describe(rig.drive.node.identity), rig.before, about)
             yield rig
             rig.summary(_words(running, rig.drive.changed))
 
@@ -284,7 +280,7 @@ class BenchSession:
             setattr(report, RESULT, None)  # it is one of ours, and its result comes later
             return
         result = self._result(item, phase)
-        _attach(report, result, self.about)
+        setattr(report, RESULT, Carried(result, self.setup))
         report.user_properties.extend((m.name, value_text(m)) for m in result.measurements)
         if RIG in item.stash:  # it holds every sample of the test
             del item.stash[RIG], item.stash[RUNNING]
@@ -322,14 +318,15 @@ class BenchSession:
 
     def collect(self, report: pytest.TestReport) -> None:
         """Keep the result that a report carries; with workers it has come from another process."""
-        if (result := carried_result(report)) is not None:
-            self.results[report.nodeid] = result
-            self.about = self.about or getattr(report, RESULT)["about"]
+        carried: Carried | None = getattr(report, RESULT, None)
+        if carried is not None:
+            self.results[report.nodeid] = carried.result
+            self.setup = self.setup if self.setup.identity else carried.setup
 
     def crashed(self, report: pytest.TestReport) -> None:
         """Give a report a result, of a test whose process has gone."""
         result = self._unknown(report.nodeid, Phase(Verdict.ERROR, str(report.longrepr)))
-        _attach(report, result, {})
+        setattr(report, RESULT, Carried(result, Setup()))
 
     def _unknown(self, node_id: str, phase: Phase) -> TestResult:
         """The result of a test that another process knows."""
@@ -395,9 +392,9 @@ class BenchSession:
             target=self.target,
             verdict=verdict,
             tests=tuple(tests),
-            identity=self.about.get("identity", {}),
-            parameters=tuple(ParameterValue(*values) for values in self.about.get("parameters", ())),
-            rig=self.about.get("rig", {}),
+            identity=self.setup.identity,
+            parameters=self.setup.parameters,
+            rig=self.setup.rig,
             versions=versions(),
             station=self.settings.station,
             operator=self.settings.operator,
@@ -412,17 +409,6 @@ class BenchSession:
             return True
         verdicts = {test.verdict for test in tests} | {m.verdict for test in tests for m in test.measurements}
         return verdict is Verdict.PASS and Verdict.SKIPPED in verdicts and not self.config.option.bench_allow_skipped
-
-
-def carried_result(report: pytest.TestReport) -> TestResult | None:
-    """The result that a report of a test's last phase carries."""
-    carried = getattr(report, RESULT, None)
-    return None if carried is None else result_from_json(json.loads(carried["result"]))
-
-
-def _attach(report: Any, result: TestResult, about: dict[str, Any]) -> None:
-    """Text, because a worker's channel carries no subclass of float, such as a limit that numpy computed."""
-    setattr(report, RESULT, {"result": json.dumps(to_json(result)), "about": about})
 
 
 def _words(running: Running, changed: dict[str, float]) -> str:

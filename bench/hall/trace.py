@@ -101,7 +101,8 @@ def recorded(run: Run) -> Capture:
         raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: record both")
     from bench.rerunio.recording import capture_of
 
-    return capture_of(run)
+    whole = capture_of(run)
+    return whole.ticks(int(whole.samples.tick[0]), int(whole.samples.tick[-1]))
 
 
 def trace(capture: Capture) -> Trace:

@@ -16,13 +16,14 @@ from uuid import uuid4
 
 import numpy as np
 
-from bench.analysis.chunks import part
+from bench.analysis.capture import Capture
+from bench.analysis.chunks import no_edge_stream, part
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
 from bench.observers.estimators import INPUTS, Estimators, all_for, entry_of, unfit
 from bench.rerunio import markdown, schema
-from bench.rerunio.recording import Run, read_run
+from bench.rerunio.recording import Run, capture_of, read_run
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.sinks import FileSink
 from protocol import __version__
@@ -82,7 +83,7 @@ def replay(
         raise BenchError(f"{out} is no file that can be replaced: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
     run = readable_run(path)
-    if why := not_replayable(run):
+    if why := not_replayable(capture_of(run)):
         raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
     parameters = {**run.info.parameters, **values}
@@ -129,6 +130,21 @@ def replay(
     return result
 
 
+def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, float]) -> Capture:
+    """See `bench.estimate`."""
+    name = entry_of(observer).name
+    if why := not_replayable(capture):
+        raise BenchError(f"{name} cannot be run on this capture: {why}")
+    parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
+    augmenter = Augmenter(
+        Estimators([name], parameters, capture.tick_hz, capture.pwm_hz), capture.samples.config.channels
+    )
+    if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
+        raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
+    augmenter.estimators.edges(capture.edges)
+    return replace(capture, samples=augmenter.samples(capture.samples))
+
+
 def readable_run(path: Path) -> Run:
     """Read a recording with samples of the drive and one clock. BenchError says why it is none."""
     run = read_run(path)
@@ -142,9 +158,10 @@ def readable_run(path: Path) -> Run:
     return run
 
 
-def not_replayable(run: Run) -> str:
-    """Why observers cannot be run on a recording, in words; empty if they can."""
-    return unfit(run.samples.config) or ("" if schema.HALL in run.edge_streams else "it has no Hall edges")
+def not_replayable(capture: Capture) -> str:
+    """Why observers cannot be run on a capture, in words; empty if they can."""
+    streamed = capture.edges.config != no_edge_stream(capture.edges.config.node)
+    return unfit(capture.samples.config) or ("" if streamed else "it has no Hall edges")
 
 
 def checked_settings(

@@ -113,10 +113,9 @@ def capture_of(run: Run) -> Capture:
         raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
     info = run.info
     edges = run.edge_streams.get(schema.HALL, no_edges(no_edge_stream(info.node)))
-    first, last = int(samples.tick[0]), int(samples.tick[-1])
-    lost = (*lost_stretches(samples, first, info.tick_hz), *lost_stretches(edges, -1, info.tick_hz))
-    capture = Capture(samples, edges, info.tick_hz, info.pwm_hz, info.parameters, lost)
-    return capture.ticks(first, last)
+    before = int(samples.tick[0])
+    lost = (*lost_stretches(samples, before, info.tick_hz), *lost_stretches(edges, -1, info.tick_hz))
+    return Capture(samples, edges, info.tick_hz, info.pwm_hz, info.parameters, lost)
 
 
 def _tables(path: Path) -> tuple[str, dict[str, list[pa.RecordBatch]]]:

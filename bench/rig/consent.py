@@ -57,7 +57,9 @@ def require_consent(
         f"up to {abs(envelope.speed_rpm):g} r/min, phase current up to {current}"
     )
     if confirm is None:
-        raise UnsafeError(f"will not spin {what}: nobody to ask, give --yes if the shaft is clear")
+        raise UnsafeError(
+            f"will not spin {what}: nobody to ask, give --yes (in Python: yes=True) if the shaft is clear"
+        )
     if not confirm(f"Spin {what}. Is the shaft clear?"):
         raise UnsafeError("not confirmed: the drive was not energised")
 
@@ -85,14 +87,14 @@ def require_agreement(
         drive = Node(client, client.connect().node)
         for what in needs:
             require(drive, what, NEEDS[what])
-        require_consent(drive, target, _at_most(drive, envelope), yes, confirm)
+        require_consent(drive, target, at_most(drive, envelope), yes, confirm)
         if machine := load_target(settings):
             load = open_load_machine(machine, stack)
-            at_most = _at_most(load, Envelope(envelope.speed_rpm))
-            require_consent(load, f"{machine}, the load machine", at_most, yes, confirm)
+            most = at_most(load, Envelope(envelope.speed_rpm))
+            require_consent(load, f"{machine}, the load machine", most, yes, confirm)
 
 
-def _at_most(node: Node, envelope: Envelope) -> Envelope:
+def at_most(node: Node, envelope: Envelope) -> Envelope:
     """The envelope with what the machine lets one ask for, where that is slower."""
     most = node.parameter("omega_m_max").value if node.has_parameter("omega_m_max") else math.inf
     return replace(envelope, speed_rpm=min(envelope.speed_rpm, most / RPM))

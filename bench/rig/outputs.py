@@ -15,6 +15,7 @@ from bench.acceptance.results import Verdict
 from bench.analysis.percentiles import Percentiles
 from bench.device.client import Sink
 from bench.errors import RecordingError
+from bench.files import check_output
 from bench.rerunio.schema import RunInfo
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
@@ -92,6 +93,7 @@ class Outputs:
         if viewer == "auto":
             viewer = "native" if has_display() else "web"
         if save is not None:
+            check_output(save, str(save), overwrite, recording=True)
             from bench.rerunio.sinks import FileSink
 
             self.file = FileSink(save, run, overwrite=overwrite, wait=wait, live_drops=self.live_drops)

@@ -8,7 +8,7 @@ only when all of that has been tried. It never waits without polling: what turns
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -62,6 +62,8 @@ class Plan:
     """Time passes as fast as it can be computed."""
     passive: bool = False
     """Nothing is energised, and state, faults and parameters are left alone."""
+    held: AbstractContextManager[object] = field(default_factory=nullcontext)
+    """What is held as long as the rig is open: the lock on its target."""
     own_loads: OwnLoads = field(default_factory=OwnLoads)
     """What outlives the rig: objects of the user's load classes."""
 
@@ -95,6 +97,7 @@ class Rig:
         self._prepared = False
         self._signals: list[int] | None = None  # that came while it is closed; None before that
         with ExitStack() as stack:
+            stack.enter_context(plan.held)
             link = plan.link()
             stack.callback(link.close)
             self.client = Client(link)

@@ -12,13 +12,14 @@ import math
 import os
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.capture import Capture
 from bench.analysis.position import position_error
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import sector_of_angle
@@ -81,7 +82,7 @@ class Scoreboard:
             "observers": self.pooled,
             "files": [
                 {
-                    "path": str(track.path),
+                    "path": track.path,
                     "started": track.started,
                     "recorded_by": track.recorded_by,
                     "samples": track.samples,
@@ -92,30 +93,33 @@ class Scoreboard:
                     "restarts": track.restarts,
                     "front_end_ns": track.front_ns,
                     "notes": list(track.notes),
-                    "observers": self.by_file[str(track.path)],
+                    "observers": self.by_file[track.path],
                 }
                 for track in self.tracks
             ],
         }
 
 
-def score(paths: Sequence[Path], observers: Sequence[str] = ()) -> Scoreboard:
-    """Score recordings: all estimates in them and all observers, or those named.
+def score(sources: Sequence[Path | Capture], observers: Sequence[str] = ()) -> Scoreboard:
+    """Score recordings or captures: all estimates in them and all observers, or those named.
 
     Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
     cannot be read or scored, and for a name that is nowhere.
     """
     recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
     again = [_observer(name) for name in observers if not _is_recorded(name)]
-    tracks = tuple(load(path, again if observers else None) for path in dict.fromkeys(paths))
+    apart = list({id(source) if isinstance(source, Capture) else source: source for source in sources}.values())
+    tracks = tuple(load(source, again if observers else None) for source in apart)
+    if len({track.path for track in tracks}) < len(tracks):  # captures
+        tracks = tuple(replace(track, path=f"{track.path} {k}") for k, track in enumerate(tracks, 1))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
     if missing := [name for name in recorded if name not in names]:
         nearest = did_you_mean(missing[0], names)
         raise BenchError(f"no recording has the estimate '{missing[0]}'{nearest}; there are {', '.join(names)}")
     if observers:
         names = [name for name in names if name in (*recorded, *again)]
-    by_file = {str(track.path): _ranked(names, [track]) for track in tracks}
-    pooled = _ranked(names, tracks) if len(tracks) > 1 else by_file[str(tracks[0].path)]
+    by_file = {track.path: _ranked(names, [track]) for track in tracks}
+    pooled = _ranked(names, tracks) if len(tracks) > 1 else by_file[tracks[0].path]
     board = Scoreboard(tracks, pooled, by_file)
     if not any(figures["moving"]["n"] for figures in pooled.values()):
         still = f"in no sample does the shaft turn faster than {phases.MOVING_RPM:g} r/min" if pooled else ""

@@ -62,7 +62,7 @@ def as_html(board: Scoreboard) -> str:
                     (
                         track.path,
                         _provenance(track),
-                        [row(name, f) for name, f in board.by_file[str(track.path)].items()],
+                        [row(name, f) for name, f in board.by_file[track.path].items()],
                     )
                     for track in board.tracks
                 ],

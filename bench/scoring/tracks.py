@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import contiguous, part
 from bench.analysis.position import states
+from bench.analysis.units import pole_pairs
 from bench.errors import BenchError
 from bench.observers.estimators import Estimate, Estimators, all_for
 from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
-from bench.rerunio.recording import Run
+from bench.rerunio.recording import capture_of
 from bench.rerunio.salvage import ends_early
 from bench.rerunio.schema import HOST_SUFFIX
 from bench.scoring.phases import Phases, phases_of, speed_of
@@ -48,7 +50,7 @@ class Stretch:
 class Track:
     """One recording. `kinds`: who made each estimate."""
 
-    path: Path
+    path: str
     rate: float
     """Samples a second."""
     pole_pairs: int
@@ -57,13 +59,13 @@ class Track:
     step_ns: dict[str, float]
     """What a step of each observer run here took on this machine, beside the front end's."""
     front_ns: float | None
-    started: str
-    """Date and time of the recording, as it tells them."""
-    recorded_by: str
-    """Version of the host that recorded it; empty if it does not tell."""
     dropped: int
     """Samples in stretches too short to be of use."""
     lost: int
+    started: str = ""
+    """Date and time of the recording, as it tells them."""
+    recorded_by: str = ""
+    """Version of the host that recorded it; empty if it does not tell."""
     restarts: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -73,34 +75,41 @@ class Track:
         return sum(len(stretch.t) for stretch in self.stretches)
 
 
-def load(path: Path, names: Sequence[str] | None) -> Track:
-    """Read a recording and run the observers `names` on it; None: all that the drive's parameters suffice for.
+def load(source: Path | Capture, names: Sequence[str] | None) -> Track:
+    """Take a recording or a capture and run the observers `names` on it; None: all that its parameters suffice for.
 
     Raises BenchError where it has no encoder, no samples, or a clock that goes back.
     """
-    run = readable_run(path)
-    samples = run.samples
+    if isinstance(source, Capture):
+        return _track(source, names, "the capture", [])
+    run = readable_run(source)
+    track = _track(capture_of(run), names, str(source), [ENDS_EARLY] if ends_early(source) else [])
+    return replace(track, started=run.info.started, recorded_by=str(run.info.identity.get("hallbench", "")))
+
+
+def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list[str]) -> Track:
+    samples, parameters = capture.samples, capture.parameters
     reference = reference_angle(samples.config.channels)
     if not reference:
         raise BenchError(f"{path} cannot be scored: no reference angle; there must be an encoder: record theta_enc")
-    notes = [ENDS_EARLY] if ends_early(path) else []
-    rate = run.info.pwm_hz / samples.config.decimation
-    if (fastest := _fastest(run)) >= math.pi * rate:
+    n_p = pole_pairs(parameters)
+    rate = capture.sample_rate
+    if (fastest := _fastest(capture)) >= math.pi * rate:
         raise BenchError(
             f"{path} cannot be scored: at {rate:g} samples a second an electrical speed of {fastest:.0f} rad/s is half "
             f"a turn or more from one to the next, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
         )
     found, kinds = _recorded(samples)
     estimators = None
-    if why := not_replayable(run):
+    if why := not_replayable(capture):
         notes.append(f"no observer could be run on it: {why}")
     else:
         if names is None:
-            names, left_out = all_for(run.info.parameters)
+            names, left_out = all_for(parameters)
             notes += [f"left out, {words}" for words in left_out]
         if names:
-            estimators = Estimators(names, run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
-            found |= _run_again(run, estimators)
+            estimators = Estimators(names, parameters, capture.tick_hz, capture.pwm_hz)
+            found |= _run_again(capture, estimators)
             kinds |= dict.fromkeys(names, HOST)
     if not found:
         raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
@@ -111,36 +120,17 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
             usable = running
         else:
             notes.append("the drive was never RUNNING: all samples count")
-    pole_pairs = run.info.n_p or 1
-    if run.info.n_p is None:
+    if n_p is None:
         notes.append("the pole pairs are not known: r/min are electrical")
-    stretches, dropped = [], 0
-    theta = samples.physical(reference)
-    t = samples.tick / run.info.tick_hz
-    for rows in contiguous(samples):
-        if rows.stop - rows.start < LEAST * rate:
-            dropped += rows.stop - rows.start
-            continue
-        omega = speed_of(theta[rows], rate)
-        stretches.append(
-            Stretch(
-                t[rows],
-                theta[rows],
-                omega,
-                phases_of(omega, usable[rows], rate, pole_pairs),
-                {name: Estimate(e.theta[rows], e.omega[rows]) for name, e in found.items()},
-            )
-        )
+    stretches, dropped = _stretches(capture, capture[reference], usable, found, n_p or 1)
     return Track(
         path=path,
         rate=rate,
-        pole_pairs=pole_pairs,
-        stretches=tuple(stretches),
+        pole_pairs=n_p or 1,
+        stretches=stretches,
         kinds=kinds,
         step_ns={} if estimators is None else {n: 1e9 * s / estimators.steps for n, s in estimators.seconds.items()},
         front_ns=None if estimators is None else 1e9 * estimators.front_seconds / estimators.steps,
-        started=run.info.started,
-        recorded_by=str(run.info.identity.get("hallbench", "")),
         dropped=dropped,
         lost=sum(gap.lost_samples for gap in samples.gaps),
         restarts={} if estimators is None else estimators.restarts,
@@ -148,16 +138,32 @@ def load(path: Path, names: Sequence[str] | None) -> Track:
     )
 
 
-def _fastest(run: Run) -> float:
+def _stretches(
+    capture: Capture, theta: F64, usable: NDArray[np.bool_], found: dict[str, Estimate], n_p: int
+) -> tuple[tuple[Stretch, ...], int]:
+    """The stretches without a gap that are long enough, and how many samples are in others."""
+    rate, stretches, dropped = capture.sample_rate, [], 0
+    for rows in contiguous(capture.samples):
+        if rows.stop - rows.start < LEAST * rate:
+            dropped += rows.stop - rows.start
+            continue
+        omega = speed_of(theta[rows], rate)
+        estimates = {name: Estimate(e.theta[rows], e.omega[rows]) for name, e in found.items()}
+        phases = phases_of(omega, usable[rows], rate, n_p)
+        stretches.append(Stretch(capture.t[rows], theta[rows], omega, phases, estimates))
+    return tuple(stretches), dropped
+
+
+def _fastest(capture: Capture) -> float:
     """The largest electrical speed that the recording tells, rad/s: the reference's, or the largest estimate.
 
     Without either it is what the drive permits, and 0 where it does not tell.
     """
-    channels = [c for c in run.samples.config.channels if c.unit == Unit.RAD_PER_S]
+    channels = [c for c in capture.samples.config.channels if c.unit == Unit.RAD_PER_S]
     for flag in (Flag.REFERENCE, Flag.ESTIMATE):
         if told := [c.name for c in channels if c.flags & flag]:
-            return max(float(np.abs(run.samples.physical(name)).max()) for name in told)
-    return (run.info.n_p or 1) * run.info.parameters.get("omega_m_max", 0.0)
+            return max(float(np.abs(capture[name]).max()) for name in told)
+    return (pole_pairs(capture.parameters) or 1) * capture.parameters.get("omega_m_max", 0.0)
 
 
 def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]]:
@@ -178,10 +184,10 @@ def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]
     return found, kinds
 
 
-def _run_again(run: Run, estimators: Estimators) -> dict[str, Estimate]:
-    estimators.edges(run.edges)
-    n = len(run.samples)
-    pieces = [estimators.samples(part(run.samples, k, min(k + PIECE, n))) for k in range(0, n, PIECE)]
+def _run_again(capture: Capture, estimators: Estimators) -> dict[str, Estimate]:
+    estimators.edges(capture.edges)
+    n = len(capture)
+    pieces = [estimators.samples(part(capture.samples, k, min(k + PIECE, n))) for k in range(0, n, PIECE)]
     return {
         name: Estimate(np.concatenate([p[name].theta for p in pieces]), np.concatenate([p[name].omega for p in pieces]))
         for name in (entry.name for entry in estimators.entries)
