@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.acceptance.results import Verdict
 from bench.analysis.percentiles import Percentiles
+from bench.analysis.verdict import Verdict
 from bench.device.client import Sink
 from bench.errors import RecordingError
 from bench.files import check_output
