@@ -9,7 +9,7 @@ import numpy as np
 from bench.analysis.chunks import join, part
 from bench.device.client import Client, SinkBase
 from bench.device.node import DRIVE, LOAD, Node
-from bench.errors import DoesNotFit
+from bench.rig.streams import configure
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
@@ -86,12 +86,7 @@ class Bench:
         """Stream edges and samples; returns the decimation, which is a larger one where the link carries no more."""
         self.drive.stop_streams()
         self.drive.set_edges()
-        channels = self.drive.channels(names)
-        try:
-            self.drive.set_samples(channels, decimation)
-        except DoesNotFit as error:
-            decimation = error.decimation
-            self.drive.set_samples(channels, decimation)
+        _, decimation = configure(self.drive, [self.drive.channels(names)], decimation, slower=True)
         self.drive.start_streams()
         return decimation
 
