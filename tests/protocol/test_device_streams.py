@@ -12,7 +12,7 @@ from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
 from protocol.errors import Refused
 from protocol.framing import Deframer, encoded_length
-from protocol.messages import ErrorCode, Feature, StreamEvent, StreamReply, StreamSet
+from protocol.messages import ErrorCode, StreamEvent, StreamReply, StreamSet
 from protocol.streams import (
     OVERRUN,
     STREAM_HEADER,
@@ -234,22 +234,6 @@ def test_drops_are_remembered_after_their_stream_is_gone() -> None:
     assert device.session.heartbeat().tx_dropped == dropped
 
 
-def test_a_frame_is_never_cut_short_by_a_limit() -> None:
-    device = Device()
-    config, _ = device.start(pwm())
-    device.push(0, 1000)
-    data = []
-    while len(device.link.tx):
-        data.append(device.link.data_to_send(7))
-    assert {len(part) for part in data[:-1]} == {7}
-    deframer = Deframer()
-    frames = [raw for part in data for raw in deframer.feed(part)]
-    assert deframer.counters.bad == 0
-    chunk = SampleDecoder(config, TICKS, TickReference()).decode([raw for raw in frames if raw[0] == 0x40])
-    assert isinstance(chunk, SampleChunk)
-    assert len(chunk) == 1000
-
-
 def test_replies_overtake_streams_but_not_inside_a_frame() -> None:
     device = Device()
     device.start(pwm())
@@ -269,22 +253,6 @@ def refusal(device: Device, request: StreamSet, tx_max: int = 1024) -> tuple[int
     with pytest.raises(Refused) as caught:
         device.session.streams.configure(request, tx_max)
     return caught.value.code, caught.value.detail
-
-
-def test_what_cannot_be_streamed_is_refused() -> None:
-    device = Device()
-    assert refusal(device, pwm(stream=4)) == (ErrorCode.OUT_OF_RANGE, 3)
-    assert refusal(device, pwm(decimation=0)) == (ErrorCode.BAD_VALUE, 0)
-    assert refusal(device, pwm(())) == (ErrorCode.BAD_VALUE, 0)
-    assert refusal(device, pwm((1, 99))) == (ErrorCode.UNKNOWN_ID, 99)
-    assert refusal(device, pwm((1, 2, 1))) == (ErrorCode.BAD_VALUE, 1)
-    assert refusal(device, StreamSet(0, StreamEvent.SLOW, 1, 1, (1,))) == (ErrorCode.NOT_SUPPORTED, 1)
-    assert refusal(device, StreamSet(0, StreamEvent.EDGES, 1, 1, (1,))) == (ErrorCode.BAD_VALUE, 1)
-    assert refusal(device, pwm(), tx_max=20) == (ErrorCode.DOES_NOT_FIT, 4)
-    device.start(pwm())
-    assert refusal(device, pwm()) == (ErrorCode.BUSY, 0)
-    blind = Device(features=Feature(0))
-    assert refusal(blind, StreamSet(0, StreamEvent.EDGES, 1, 1)) == (ErrorCode.NOT_SUPPORTED, 2)
 
 
 def test_each_configuration_has_another_number() -> None:

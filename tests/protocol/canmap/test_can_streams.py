@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from can_pair import CLASSIC, FD, HZ, TICKS, CanPair
 
-from protocol.canmap.frame import CAN_RECORD, ERROR, EXTENDED, BusRates
+from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import MAX_HELD
 from protocol.canmap.layout import sample_layout
 from protocol.canmap.plan import BusPlan
@@ -91,44 +91,6 @@ def test_lost_frames_are_counted_exactly(rates: BusRates, names: tuple[str, ...]
     assert edges.samples + edges.lost_by_index == bus.edges_made
 
 
-@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
-def test_doubled_frames_are_counted_and_change_nothing(
-    rates: BusRates, names: tuple[str, ...], decimation: int
-) -> None:
-    bus = pair(rates, names, decimation)
-    doubled = []
-
-    def double(records: np.ndarray) -> np.ndarray:
-        doubled.append(int((kinds(records) >= 4).sum()))
-        return np.repeat(records, 2)
-
-    bus.spoil = double
-    bus.run(3000, tuple(range(1, 3000, 31)))
-    got = bus.samples()
-    assert (np.diff(got.index) == decimation).all()
-    assert sum(d.counters.out_of_order for d in bus.decoders.values()) == sum(doubled)
-    assert [d.counters.lost_by_index for d in bus.decoders.values()] == [0, 0]
-    assert bus.wire.counters.duplicates >= 1
-
-
-def test_groups_of_a_sample_may_come_apart_and_are_joined() -> None:
-    bus = pair(CLASSIC, ALL, 40)
-    held: list[np.ndarray] = []
-
-    def delay(records: np.ndarray) -> np.ndarray:
-        """The second group comes three exchanges later."""
-        second = records["id"] == bus.decoders[0].ids[1]
-        held.append(records[second])
-        return np.concatenate([records[~second], *([held.pop(0)] if len(held) > 3 else [])])
-
-    bus.spoil = delay
-    bus.run(8000)
-    got = bus.samples()
-    assert (np.diff(got.index) == 40).all()
-    assert got.index[-1] > 7000
-    assert bus.decoders[0].counters.lost_by_index == 0
-
-
 def test_a_group_that_never_comes_costs_its_samples_and_no_memory() -> None:
     bus = pair(CLASSIC, ALL, 40)
     bus.run(400)
@@ -164,27 +126,20 @@ def test_edges_that_come_after_their_samples_are_marked() -> None:
     assert [(gap.lost_samples, gap.lost_frames) for gap in gaps] == [(0, 0), (0, 0)]
 
 
-def test_the_counter_of_classic_frames_wraps() -> None:
-    bus = pair(CLASSIC, ("hall",), 1)
-    bus.run(150_000, portion=1600)
-    got = bus.samples()
-    assert (np.diff(got.index) == 1).all()
-    assert got.index[-1] >= 149_990
-
-
-@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 10.0, 65536 * 3 / 16000])
+@pytest.mark.parametrize("silent", ["the bus", "the streams"])
+@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 8.3, 65536 * 3 / 16000])
 @pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
 def test_after_a_silence_the_gap_is_exact(
-    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
+    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float, silent: str
 ) -> None:
-    """However long, a whole turn of the counter included: the next heartbeat says what time it is."""
+    """However long, a whole turn of the counter included: heartbeats, or the next one, say what time it is."""
     bus = pair(rates, names, decimation)
-    bus.run(3200, tuple(range(1, 3200, 100)))
-    bus.spoil = lambda records: records[:0]
+    bus.run(3200, tuple(range(1, 3200, 16)))
+    bus.spoil = lambda records: records[(kinds(records) < 4) & (silent == "the streams")]
     n = round(silence * 16000)
-    bus.run(n, tuple(range(1, n, 100)), portion=1600)
+    bus.run(n, tuple(range(1, n, 16)), portion=1600)
     bus.spoil = lambda records: records
-    bus.run(3200, tuple(range(1, 3200, 100)))
+    bus.run(3200, tuple(range(1, 3200, 16)))
     got, counters = bus.samples(), bus.decoders[0].counters
     assert got.index[-1] > bus.periods - 10 * decimation
     assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
@@ -192,6 +147,8 @@ def test_after_a_silence_the_gap_is_exact(
     edges = bus.decoders[1].counters
     assert edges.samples + edges.lost_by_index == bus.edges_made
     assert bus.edges()[-1].index[-1] == bus.edges_made - 1
+    for chunk in bus.edges():
+        assert (chunk.tick % 4096 == chunk.encoder).all()
 
 
 def test_what_a_stalled_host_reads_late_is_whole() -> None:
@@ -294,48 +251,6 @@ def test_a_new_configuration_has_slots_of_its_own() -> None:
     assert len(slots) == 24
 
 
-def test_frames_of_a_wrong_length_or_between_the_samples_are_malformed() -> None:
-    bus = pair(FD, ALL, 40)
-    bus.run(800)
-
-    def damage(records: np.ndarray) -> np.ndarray:
-        extra = records[kinds(records) >= 5].copy()
-        extra["length"] = 8
-        odd = records[kinds(records) >= 5].copy()
-        odd["data"][:, 0] += 1
-        return np.concatenate([records, extra, odd])
-
-    bus.spoil = damage
-    bus.run(4000)
-    counters = bus.decoders[0].counters
-    assert counters.malformed > 10
-    bus.samples()
-
-
-def test_foreign_traffic_and_error_frames_are_counted_and_ignored() -> None:
-    bus = pair(CLASSIC, ("hall",), 1)
-    rng = np.random.default_rng(5)
-    sent = 0
-
-    def add(records: np.ndarray) -> np.ndarray:
-        nonlocal sent
-        noise = np.zeros(40, CAN_RECORD)
-        noise["id"][:20] = 0x700 + rng.integers(0, 0x100, 20)
-        noise["id"][20:30] = EXTENDED | rng.integers(0, 1 << 28, 10)
-        noise["id"][30:] = ERROR | 8
-        noise["length"] = 8
-        noise["data"][:, :8] = rng.integers(0, 256, (40, 8))
-        sent += 10
-        return np.concatenate([noise, records])
-
-    bus.spoil = add
-    bus.run(4000)
-    assert (np.diff(bus.samples().index) == 1).all()
-    assert bus.wire.counters.error_frames == sent
-    assert bus.wire.counters.foreign == 3 * sent
-    assert bus.wire.counters.bad == 0
-
-
 @pytest.mark.parametrize(("rates", "names"), [(CLASSIC, ("hall",)), (FD, ALL)])
 def test_forged_frames_of_the_stream_lie_near_the_present_and_do_not_stop_it(
     rates: BusRates, names: tuple[str, ...]
@@ -356,27 +271,6 @@ def test_forged_frames_of_the_stream_lie_near_the_present_and_do_not_stop_it(
     assert all(abs(int(chunk.index[-1]) - newest) < 40_000 for chunk in bus.chunks[0])
     assert bus.chunks[0][-1].index[-1] > newest - 100
     assert bus.edges()[-1].index[-1] == bus.edges_made - 1
-
-
-@pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
-@pytest.mark.parametrize("silence", [0.25, 1.0, 4.2, 8.3])
-def test_streams_that_pause_while_heartbeats_go_on(
-    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
-) -> None:
-    bus = pair(rates, names, decimation)
-    bus.run(3200, tuple(range(1, 3200, 16)))
-    bus.spoil = lambda records: records[kinds(records) < 4]
-    n = round(silence * 16000)
-    bus.run(n, tuple(range(1, n, 16)), portion=800)
-    bus.spoil = lambda records: records
-    bus.run(3200, tuple(range(1, 3200, 16)))
-    got, counters = bus.samples(), bus.decoders[0].counters
-    assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
-    assert got.index[-1] > bus.periods - 10 * decimation
-    edges = bus.decoders[1].counters
-    assert edges.samples + edges.lost_by_index == bus.edges_made
-    for chunk in bus.edges():
-        assert (chunk.tick % 4096 == chunk.encoder).all()
 
 
 def test_frames_that_waited_in_the_device_are_given_up_there() -> None:

@@ -24,6 +24,7 @@ import can
 import can.interfaces
 import numpy as np
 import pytest
+from can_rows import records
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, REMOTE, BusRates
 from protocol.canmap.host import CanWire
@@ -39,14 +40,6 @@ from protocol.messages import Hello
 from sim.ports.slcan_port import SlcanPort
 
 CHANNELS = (f"test-{n}" for n in itertools.count())
-
-
-def records(*frames: tuple[int, bytes, int]) -> bytes:
-    rows = np.zeros(len(frames), CAN_RECORD)
-    for row, (number, data, flags) in zip(rows, frames, strict=True):
-        row["id"], row["length"], row["flags"] = number, len(data), flags
-        row["data"][: len(data)] = list(data)
-    return rows.tobytes()
 
 
 def read(link: CanLink, n: int, timeout: float = 5.0, settle: float = 0.0) -> np.ndarray:
@@ -661,30 +654,6 @@ def test_an_adapter_that_refuses_its_rate_is_not_opened(adapter: tuple[int, str]
     os.close(kept)
 
 
-def test_slcan_has_few_bit_rates(adapter: tuple[int, str]) -> None:
-    with pytest.raises(TargetError, match=r"refuses these options: bitrate 123456 .* choose one of .*500000"):
-        open_link(f"can:slcan/{adapter[1]}?bitrate=123456")
-
-
-# LAWICEL's S and s (for an SJA1000's registers at 8 MHz), CANable 2.0's Y
-@pytest.mark.parametrize(
-    ("query", "commands"),
-    [
-        ("", [b"S8"]),
-        ("?fd=1", [b"S8", b"Y5"]),
-        ("?fd=1&bitrate=500000", [b"S6", b"Y5"]),
-        ("?fd=1&data_bitrate=2000000", [b"S8", b"Y2"]),
-        ("?f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1", [b"s0014"]),
-    ],
-)
-def test_slcan_is_always_told_its_rates(
-    bare: Path, adapter: tuple[int, str], query: str, commands: list[bytes]
-) -> None:
-    link = open_link(f"can:slcan/{adapter[1]}{query}")
-    assert os.read(adapter[0], 100).split(b"\r") == [b"", b"C", *commands, b"O", b""]
-    link.close()
-
-
 def obey(port: SlcanPort) -> bytes:
     """Let the emulated adapter read what the host has written."""
     assert select.select(port.read_fds(), [], [], 5.0)[0]
@@ -882,11 +851,6 @@ def test_values_of_a_configuration_that_mean_nothing(bare: Path, line: str, said
     assert str(caught.value) == f"can:slcan//dev/ttyNONE: python-can does not accept this configuration: {said}"
 
 
-def test_a_wait_that_is_no_number(bare: Path) -> None:
-    with pytest.raises(TargetError, match="refuses these options: sleep_after_open must be a number of seconds"):
-        open_link("can:slcan//dev/ttyNONE?sleep_after_open=abc")
-
-
 CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"
 
 
@@ -921,22 +885,3 @@ def test_python_can_is_told_the_rates_that_are_its_to_set(bare: Path, target: st
     elif timing is not None:
         arguments["timing"] = (timing.bitrate,)
     assert {key: arguments[key] for key in ("bitrate", "data_bitrate", "timing") if key in arguments} == told
-
-
-def test_a_configured_rate_comes_before_the_usual_one(bare: Path) -> None:
-    (bare / "can.conf").write_text("[default]\nbitrate = 250000\n\n[fd]\nfd = True\ndata_bitrate = 2000000\n")
-    assert bus_arguments(CanTarget("ixxat", "0"))["bitrate"] == 250_000
-    arguments = bus_arguments(CanTarget("ixxat", "0", context="fd"))
-    assert (arguments["bitrate"], arguments["data_bitrate"]) == (250_000, 2_000_000)
-
-
-@pytest.mark.parametrize("interface", ["pcan", "kvaser"])
-def test_drivers_that_take_fd_rates_as_timing_get_it(bare: Path, interface: str) -> None:
-    """python-can's pcan reads none of `bitrate`, `data_bitrate` on an FD bus: it needs every segment."""
-    target = CanTarget(interface, "0", (("fd", "1"), ("bitrate", "1000000"), ("data_bitrate", "5000000")))
-    timing = bus_arguments(target)["timing"]
-    assert isinstance(timing, can.BitTimingFd)
-    # a bit is 1 + tseg1 + tseg2 time quanta of brp clocks
-    assert timing.f_clock / timing.nom_brp / (1 + timing.nom_tseg1 + timing.nom_tseg2) == 1_000_000
-    assert timing.f_clock / timing.data_brp / (1 + timing.data_tseg1 + timing.data_tseg2) == 5_000_000
-    assert "timing" not in bus_arguments(CanTarget(interface, "0", (("bitrate", "1000000"),)))

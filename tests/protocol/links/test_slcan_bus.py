@@ -15,20 +15,14 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from can_rows import CLASSIC_MESSAGES, FD_MESSAGES, frame, record_of
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FD_LENGTHS, FDF, BusRates
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, BusRates
 from protocol.links.slcan_bus import SlcanBus
 from sim.ports.slcan_port import SlcanPort
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
-
-
-def frame(number: int, data: bytes = b"", flags: int = 0) -> bytes:
-    made = np.zeros(1, CAN_RECORD)
-    made["id"], made["length"], made["flags"] = number, len(data), flags
-    made["data"][0, : len(data)] = list(data)
-    return made.tobytes()
 
 
 def untimed(records: bytes) -> bytes:
@@ -79,27 +73,8 @@ def fd(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
     port.close()
 
 
-CLASSIC_MESSAGES = [
-    *(can.Message(arbitration_id=0x100 + n, is_extended_id=False, data=bytes(range(n))) for n in range(9)),
-    can.Message(arbitration_id=0x1ABCDEF5, data=b"\x0d\x07"),
-    can.Message(arbitration_id=3, is_extended_id=False, is_remote_frame=True, dlc=8),
-]
-FD_MESSAGES = [
-    can.Message(arbitration_id=5, is_extended_id=extended, is_fd=True, bitrate_switch=brs, data=bytes(range(n)))
-    for n in FD_LENGTHS
-    for extended in (False, True)
-    for brs in (False, True)
-]
-
-
 def records_of(messages: list[can.Message]) -> bytes:
-    records = np.zeros(len(messages), CAN_RECORD)
-    for record, msg in zip(records, messages, strict=True):
-        record["id"] = msg.arbitration_id | msg.is_extended_id << 31 | msg.is_remote_frame << 30
-        record["flags"] = msg.is_fd * FDF | msg.bitrate_switch * BRS
-        record["length"] = msg.dlc
-        record["data"][: len(msg.data)] = list(msg.data)
-    return records.tobytes()
+    return b"".join(record_of(msg).tobytes() for msg in messages)
 
 
 @pytest.mark.parametrize(("kind", "messages"), [("classic", CLASSIC_MESSAGES), ("fd", CLASSIC_MESSAGES + FD_MESSAGES)])
@@ -401,15 +376,6 @@ def test_unplug_ends_an_endless_wait(classic: tuple[SlcanPort, SlcanBus]) -> Non
     with pytest.raises(can.CanOperationError, match="ttyCAN is gone"):
         bus.recv()
     timer.join()
-
-
-def test_an_adapter_that_takes_nothing_is_an_error(
-    classic: tuple[SlcanPort, SlcanBus], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, bus = classic
-    monkeypatch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
-    with pytest.raises(can.CanOperationError, match=r"ttyCAN took \d+ of 440000 bytes in 0.02 s"):
-        bus.send_records(frame(1, bytes(8)) * 20_000)
 
 
 def test_a_cut_line_is_ended_before_the_next_one(

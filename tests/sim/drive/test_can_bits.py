@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from can_rows import record
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,13 +13,6 @@ from sim.ports.can_bits import arbitration, count_bits, frame_bits, frame_second
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
-
-
-def record(can_id: int, data: bytes = b"", flags: int = 0, length: int | None = None) -> np.ndarray:
-    row = np.zeros(1, CAN_RECORD)
-    row["id"], row["flags"], row["length"] = can_id, flags, len(data) if length is None else length
-    row["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
-    return row
 
 
 def bits_of(row: np.ndarray) -> tuple[int, int]:

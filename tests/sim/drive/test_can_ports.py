@@ -12,29 +12,16 @@ import tty
 from collections.abc import Iterator
 
 import can
-import numpy as np
 import pytest
+from can_rows import parts, records
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
+from protocol.canmap.frame import BRS, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import can_open, open_link
 from protocol.links.can import CanLink
 from sim.ports.can_ports import QUIET, BusPort, SocketcandPort
 
 RATES = BusRates()
-
-
-def records(*frames: tuple[int, bytes, int], when: float = 0.0) -> bytes:
-    rows = np.zeros(len(frames), CAN_RECORD)
-    for row, (number, data, flags) in zip(rows, frames, strict=True):
-        row["id"], row["length"], row["flags"], row["time"] = number, len(data), flags, when
-        row["data"][: len(data)] = list(data)
-    return rows.tobytes()
-
-
-def parts(data: bytes) -> list[tuple[int, bytes, int]]:
-    rows = np.frombuffer(data, CAN_RECORD)
-    return [(int(row["id"]), bytes(row["data"][: row["length"]]), int(row["flags"])) for row in rows]
 
 
 CLASSIC = [

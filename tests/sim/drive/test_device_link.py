@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from pathlib import Path
@@ -206,15 +205,6 @@ def test_watchdog_is_on_time_in_one_long_advance() -> None:
     assert 0.200 * 16000 <= off <= 0.202 * 16000
 
 
-def test_arm_lapses() -> None:
-    host, device = make()
-    hello = host.connect()
-    host.command(Command.ARM, hello.boot_id)
-    host.run(5.1)
-    assert device.drive.state is DriveState.IDLE
-    assert (EventCode.ARM_LAPSED, 5.0) in host.codes()
-
-
 @pytest.mark.parametrize(
     ("node", "mode", "value", "value2", "expected"),
     [
@@ -386,27 +376,6 @@ def test_a_full_queue_drops_whole_frames_and_says_so() -> None:
     assert loss.overruns == 1
     counted = loss.samples + loss.lost_by_index
     assert host.samples[1, 0][-1].index[-1] - host.samples[1, 0][0].index[0] + 1 == counted
-
-
-def test_a_slow_line_refuses_what_does_not_fit() -> None:
-    host, _ = make(network=ByteNetwork(TxQueue(capacity=115200 / 10)))
-    with pytest.raises(Refused) as caught:
-        host.stream(edges=False)
-    which, fits = code(caught)
-    assert which is ErrorCode.DOES_NOT_FIT
-    host.stream(edges=False, decimation=int(fits))
-
-
-def test_random_bytes_change_nothing() -> None:
-    network = ByteNetwork(TxQueue())
-    host, device = make(network=network)
-    host.connect()
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        device.receive(rng.bytes(1000))
-    assert device.drive.state is DriveState.IDLE
-    assert host.connect().state is DriveState.IDLE
-    assert dataclasses.asdict(network.deframer.counters)["bad_crc"] > 0
 
 
 def test_frames_sent_are_whole_frames_however_the_bytes_are_cut() -> None:

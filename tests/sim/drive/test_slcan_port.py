@@ -14,19 +14,23 @@ import can
 import numpy as np
 import pytest
 from can.interfaces.slcan import slcanBus
+from can_rows import frame, record
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, EXTENDED, FDF, BusRates
+from protocol.canmap.frame import (
+    BRS,
+    CAN_RECORD,
+    ERROR,
+    ERROR_CONTROLLER,
+    ERROR_PROTOCOL,
+    EXTENDED,
+    FDF,
+    REMOTE,
+    BusRates,
+)
 from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
-
-
-def frame(number: int, data: bytes = b"", flags: int = 0, time: float = 0.0) -> bytes:
-    made = np.zeros(1, CAN_RECORD)
-    made["id"], made["length"], made["flags"], made["time"] = number, len(data), flags, time
-    made["data"][0, : len(data)] = list(data)
-    return made.tobytes()
 
 
 class Host:
@@ -138,14 +142,6 @@ def test_bytes_cut_anywhere(classic: Host) -> None:
     typed = b"O\rt1232AA55\rt1240\r"
     sent = b"".join(classic.types(typed[k : k + 1]) for k in range(len(typed)))
     assert sent == frame(0x123, b"\xaa\x55") + frame(0x124)
-
-
-def test_a_damaged_line_gets_one_bell(classic: Host) -> None:
-    classic.types(b"O\rt12\r")
-    classic.types(b"V\r")
-    classic.types(b"?\r")
-    classic.must_see(b"\r\aV1013\r\a")
-    assert classic.port.refused == 2
 
 
 def test_frames_of_the_bus_reach_the_host(fd: Host) -> None:
@@ -318,20 +314,13 @@ def test_python_can_as_host() -> None:
         deadline = time.monotonic() + 5.0
         while len(b"".join(sent)) < 160 and time.monotonic() < deadline:
             time.sleep(0.001)
-    wanted = np.frombuffer(
-        frame(0x1234567 | EXTENDED, b"\x01\x02\x03", FDF | BRS) + frame(0x40000012), CAN_RECORD
-    ).copy()
-    wanted["length"][1] = 2
-    assert b"".join(sent) == wanted.tobytes()
+    switched, remote = frame(0x1234567 | EXTENDED, b"\x01\x02\x03", FDF | BRS), record(0x12 | REMOTE, length=2)
+    assert b"".join(sent) == switched + remote.tobytes()
     port.write(frame(0x321, bytes(range(48)), FDF))
     got = None
     while got is None:  # answers to what was sent come first
         got = bus.recv(1.0)
-    assert (got.arbitration_id, got.is_fd, got.bitrate_switch, bytes(got.data)) == (
-        0x321,
-        True,
-        False,
-        bytes(range(48)),
-    )
+    assert (got.arbitration_id, got.is_fd, got.bitrate_switch) == (0x321, True, False)
+    assert bytes(got.data) == bytes(range(48))
     bus.shutdown()
     port.close()
