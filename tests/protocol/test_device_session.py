@@ -441,8 +441,10 @@ def test_two_nodes_on_one_link() -> None:
     wire.ask(ParamSet(101, 9.0), tid=900, node=1)
     wire.ask(ParamSet(101, 9.0), tid=900, node=2)
     assert first_app.values["gain"] == second_app.values["gain"] == 9.0
-    with pytest.raises(ValueError, match="node 2 is taken"):
-        link.add(SmallDrive(), identity(node=2))
+    link.add(SmallDrive(), identity(node=255))
+    for taken in (2, 256):
+        with pytest.raises(ValueError, match=f"node {taken} is taken or not in 1..255"):
+            link.add(SmallDrive(), identity(node=taken))
 
 
 def test_events_leave_room_for_replies(device: Device) -> None:

@@ -104,6 +104,7 @@ def test_a_block_holds_what_fits_and_waits_no_longer_than_asked() -> None:
     assert device.start(pwm(latency=1, stream=1))[1].block == 16  # 1 ms at 16 kHz
     assert device.start(pwm(latency=1, decimation=10, stream=2))[1].block == 1
     assert device.start(pwm(latency=0, stream=3))[1].block == 1
+    assert refusal(Device(), pwm(), tx_max=20) == (ErrorCode.DOES_NOT_FIT, 4)
 
 
 def test_a_partial_block_goes_out_when_it_is_late() -> None:

@@ -71,16 +71,6 @@ def test_memory_is_bounded_without_delimiters() -> None:
     assert len(deframer.feed(wire)) == 1
 
 
-def test_reset_drops_half_a_frame() -> None:
-    wire = encode_frame(Frame(2, 1, 3, 0, b"\x01\x02\x03\x04"))
-    deframer = Deframer()
-    deframer.feed(wire[:8])
-    deframer.reset()
-    assert deframer.feed(wire[8:]) == []
-    assert deframer.counters.bad == 0
-    assert len(deframer.feed(wire)) == 1
-
-
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(LocalProtocolError, match="1025 bytes: a frame carries at most 1024"):
         encode_frame(Frame(1, 1, 1, 0, bytes(1025)))

@@ -84,14 +84,14 @@ def test_a_device_with_neither_channels_nor_parameters(info) -> None:
         node_of(link).channels(None)
 
 
-def test_255_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_nodes_of_a_link(monkeypatch: pytest.MonkeyPatch) -> None:
     device = DeviceLink()
-    for number in range(1, 256):
-        device.add(SmallDrive(), identity(node=number))
+    for number in range(1, 41):
+        device.add(Other(), identity(node=number))
     device.advance(0)
     monkeypatch.setattr(inspect, "open_link", lambda target: LyingLink(device=device))
     found = inspect.inspect_link("tcp:x:1")
-    assert [node["identity"]["node"] for node in found["nodes"]] == list(range(1, 256))
+    assert [node["identity"]["node"] for node in found["nodes"]] == list(range(1, 41))
     assert not found["unread"]
 
 

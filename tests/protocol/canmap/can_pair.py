@@ -99,10 +99,9 @@ class CanPair:
         self.host.connect(nonce, self.now)
         self.exchange()
 
-    def ask(self, message: Request, node: int = 1, exchanges: int = 1) -> Payload:
+    def ask(self, message: Request, node: int = 1) -> Payload:
         self.host.request(message, node, self.now)
-        for _ in range(exchanges):
-            self.exchange()
+        self.exchange()
         answer = next(e for e in reversed(self.events) if isinstance(e, ReplyReceived | RequestRefused))
         return answer.message if isinstance(answer, ReplyReceived) else answer.error
 

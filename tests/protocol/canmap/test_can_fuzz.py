@@ -82,7 +82,7 @@ def test_mutated_traffic_gives_no_wrong_value(rates: BusRates) -> None:
         return np.repeat(records, copies * keep)
 
     bus.spoil = spoil
-    while mutated < 500:
+    while mutated < 300:
         bus.run(1600, tuple(range(1, 1600, 40)))
     bus.spoil = lambda records: records
     bus.run(4800)

@@ -176,7 +176,7 @@ def test_hosts_on_a_bus_do_not_start_with_the_same_tid() -> None:
     assert 0 not in tids
 
 
-@pytest.mark.parametrize("tick", [1 << 62, (1 << 62) + 1, 1 << 63, (1 << 64) - 1])
+@pytest.mark.parametrize("tick", [1 << 62, (1 << 64) - 1])
 def test_a_heartbeat_from_the_end_of_time_is_no_heartbeat(tick: int) -> None:
     bus = CanPair(FD)
     heartbeat = Heartbeat(tick, 1, 0, 0, 0, 0, 0, 0, 0, 0, DriveState.IDLE, False)  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ import can
 import can.interfaces
 import numpy as np
 import pytest
+from can_ends import opened, read
 from can_rows import records
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, REMOTE, BusRates
@@ -42,33 +43,27 @@ from sim.ports.slcan_port import SlcanPort
 CHANNELS = (f"test-{n}" for n in itertools.count())
 
 
-def read(link: CanLink, n: int, timeout: float = 5.0, settle: float = 0.0) -> np.ndarray:
-    data, deadline = b"", time.monotonic() + timeout
-    while len(data) < n * CAN_RECORD.itemsize and time.monotonic() < deadline:
-        data += link.read(0.1, settle)
-    return np.frombuffer(data, CAN_RECORD)
-
-
 class Ends:
     """A link, and python-can's bus at the other end."""
 
-    def __init__(self, query: str = "") -> None:
-        channel = next(CHANNELS)
-        self.bus = can.Bus(interface="virtual", channel=channel, ignore_config=True)
-        link = open_link(f"can:virtual/{channel}{query}")
-        assert isinstance(link, CanLink)
-        self.link = link
+    def __init__(self, link: CanLink, bus: can.BusABC) -> None:
+        self.link, self.bus = link, bus
 
-    def close(self) -> None:
-        self.link.close()
-        self.bus.shutdown()
+
+@contextlib.contextmanager
+def connected(query: str) -> Iterator[Ends]:
+    channel = next(CHANNELS)
+    with (
+        can.Bus(interface="virtual", channel=channel, ignore_config=True) as bus,
+        opened(f"can:virtual/{channel}{query}") as link,
+    ):
+        yield Ends(link, bus)
 
 
 @pytest.fixture
 def ends() -> Iterator[Ends]:
-    made = Ends()
-    yield made
-    made.close()
+    with connected("") as made:
+        yield made
 
 
 FRAMES = [
@@ -117,9 +112,8 @@ def test_order_and_names(ends: Ends) -> None:
 
 
 def test_rates_node_and_form_are_the_target_s() -> None:
-    ends = Ends("?fd=1&bitrate=500000&data_bitrate=2000000&node=7&ext=1")
-    assert (ends.link.rates, ends.link.node, ends.link.extended) == (BusRates(500_000, 2_000_000), 7, True)
-    ends.close()
+    with connected("?fd=1&bitrate=500000&data_bitrate=2000000&node=7&ext=1") as ends:
+        assert (ends.link.rates, ends.link.node, ends.link.extended) == (BusRates(500_000, 2_000_000), 7, True)
 
 
 # class 2 (to a device), node, number of the host; behind "HB" where identifiers are long
@@ -133,14 +127,13 @@ def test_rates_node_and_form_are_the_target_s() -> None:
     ],
 )
 def test_a_hello_goes_out_with_the_numbers_of_node_and_host(query: str, number: int, extended: bool) -> None:
-    ends = Ends(query)
-    ends.link.write(ends.link.wire().encode(Frame(Hello.TYPE, 1, 1, 0, Hello(7).pack())))
-    assert ends.link.health.sent > 0
-    for _ in range(ends.link.health.sent):
-        got = ends.bus.recv(5.0)
-        assert got is not None
-        assert (got.arbitration_id, got.is_extended_id) == (number, extended)
-    ends.close()
+    with connected(query) as ends:
+        ends.link.write(ends.link.wire().encode(Frame(Hello.TYPE, 1, 1, 0, Hello(7).pack())))
+        assert ends.link.health.sent > 0
+        for _ in range(ends.link.health.sent):
+            got = ends.bus.recv(5.0)
+            assert got is not None
+            assert (got.arbitration_id, got.is_extended_id) == (number, extended)
 
 
 # include/uapi/linux/can/error.h: class in the identifier, controller's state in data[1]
@@ -331,6 +324,12 @@ def wayward(monkeypatch: pytest.MonkeyPatch) -> type[Wayward]:
     return Bus
 
 
+@pytest.fixture
+def link(wayward: type[Wayward]) -> Iterator[CanLink]:
+    with opened("can:wayward/7") as made:
+        yield made
+
+
 def os_failure(number: int) -> can.CanOperationError:
     """What python-can's socketcan raises."""
     error = can.CanOperationError(f"Failed: {errno.errorcode[number]}", number)
@@ -342,8 +341,7 @@ def message(number: int) -> can.Message:
     return can.Message(arbitration_id=number, is_extended_id=False)
 
 
-def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward], link: CanLink) -> None:
     # python-can's socketcand puts a whole traceback into its error
     wayward.plan += [message(1), message(2), can.CanOperationError("pulled out\nTraceback: File …")]
     assert read(link, 2)["id"].tolist() == [1, 2]
@@ -355,11 +353,9 @@ def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward]) -> Non
     link.reopen()
     wayward.plan.append(message(3))
     assert read(link, 1)["id"].tolist() == [3]
-    link.close()
 
 
-def test_frames_that_can_cannot_have_are_counted(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_frames_that_can_cannot_have_are_counted(wayward: type[Wayward], link: CanLink) -> None:
     wayward.plan += [
         message(0x800),
         can.Message(arbitration_id=1, data=bytes(9)),
@@ -368,20 +364,16 @@ def test_frames_that_can_cannot_have_are_counted(wayward: type[Wayward]) -> None
     ]
     assert read(link, 1)["id"].tolist() == [5]
     assert (link.health.malformed, link.health.received) == (3, 1)
-    link.close()
 
 
-def test_error_frames_of_drivers_without_linux_bits_are_other(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_error_frames_of_drivers_without_linux_bits_are_other(wayward: type[Wayward], link: CanLink) -> None:
     wayward.plan.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))  # no bus-off here
     assert read(link, 1)["id"].tolist() == [ERROR]
     assert link.health.error_frames["other"] == 1
     assert not link.health.bus_off
-    link.close()
 
 
-def test_a_state_of_bus_off_is_reported_once_and_the_link_stays(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_a_state_of_bus_off_is_reported_once_and_the_link_stays(wayward: type[Wayward], link: CanLink) -> None:
     wayward.state_now = can.BusState.ERROR
     assert read(link, 1)["id"].tolist() == [ERROR | 0x40]
     assert link.health.bus_off
@@ -390,7 +382,6 @@ def test_a_state_of_bus_off_is_reported_once_and_the_link_stays(wayward: type[Wa
     assert read(link, 1)["id"].tolist() == [ERROR | 0x100]
     assert not link.health.bus_off
     assert (link.health.error_frames["bus-off"], link.health.error_frames["restarted"]) == (1, 1)
-    link.close()
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), LinkNotFound("no"), OSError(errno.ENETDOWN, "down")])
@@ -423,8 +414,6 @@ def test_after_a_stall_records_are_no_younger_than_the_last_look(
     wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(can_link, "MISTRUST", 1.0)
-    opened = time.monotonic()
-    link = CanLink(CanTarget("wayward", "7"))
     began: list[float] = []
 
     def stall() -> can.Message:
@@ -432,19 +421,19 @@ def test_after_a_stall_records_are_no_younger_than_the_last_look(
         time.sleep(STALL)
         return message(1)
 
-    wayward.plan += [stall, message(2), error_message()]
-    rows = read(link, 3)
-    assert opened <= rows["time"].max() <= began[0]
-    wayward.plan.append(message(4))
-    assert read(link, 1)["time"][0] <= began[0]
-    assert fresh_again(link, lambda: wayward.plan.append(message(5)))
-    assert time.monotonic() >= began[0] + STALL + 1.0
-    link.close()
+    before = time.monotonic()
+    with opened("can:wayward/7") as link:
+        wayward.plan += [stall, message(2), error_message()]
+        rows = read(link, 3)
+        assert before <= rows["time"].max() <= began[0]
+        wayward.plan.append(message(4))
+        assert read(link, 1)["time"][0] <= began[0]
+        assert fresh_again(link, lambda: wayward.plan.append(message(5)))
+        assert time.monotonic() >= began[0] + STALL + 1.0
 
 
 def test_a_short_pause_is_no_stall(wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can_link, "STALL", 30.0)
-    link = CanLink(CanTarget("wayward", "7"))
     paused: list[float] = []
 
     def pause() -> can.Message:
@@ -452,13 +441,12 @@ def test_a_short_pause_is_no_stall(wayward: type[Wayward], monkeypatch: pytest.M
         paused.append(time.monotonic())
         return message(1)
 
-    wayward.plan.append(pause)
-    assert read(link, 1)["time"][0] >= paused[0]
-    link.close()
+    with opened("can:wayward/7") as link:
+        wayward.plan.append(pause)
+        assert read(link, 1)["time"][0] >= paused[0]
 
 
-def test_a_full_transmit_buffer_is_tried_again(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_a_full_transmit_buffer_is_tried_again(wayward: type[Wayward], link: CanLink) -> None:
     refusals = iter([os_failure(errno.ENOBUFS)] * 5)
 
     def send() -> None:
@@ -468,14 +456,12 @@ def test_a_full_transmit_buffer_is_tried_again(wayward: type[Wayward]) -> None:
     wayward.on_send = staticmethod(send)
     link.write(records((1, b"", 0), (2, b"", 0)))
     assert link.health.sent == 2
-    link.close()
 
 
 def test_a_transmit_buffer_that_stays_full_fails_the_write(
-    wayward: type[Wayward], monkeypatch: pytest.MonkeyPatch
+    wayward: type[Wayward], link: CanLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(can_link, "WRITE_TIMEOUT", 0.03)
-    link = CanLink(CanTarget("wayward", "7"))
     sends = itertools.count()
 
     def send() -> None:
@@ -487,11 +473,9 @@ def test_a_transmit_buffer_that_stays_full_fails_the_write(
         link.write(records((1, b"", 0), (2, b"", 0), (3, b"", 0)))
     assert not isinstance(caught.value, LinkClosed)
     assert link.health.sent == 1
-    link.close()
 
 
-def test_a_refused_frame_is_an_error_and_a_dead_socket_a_loss(wayward: type[Wayward]) -> None:
-    link = CanLink(CanTarget("wayward", "7"))
+def test_a_refused_frame_is_an_error_and_a_dead_socket_a_loss(wayward: type[Wayward], link: CanLink) -> None:
 
     def fail(error: Exception) -> None:
         raise error
@@ -505,7 +489,6 @@ def test_a_refused_frame_is_an_error_and_a_dead_socket_a_loss(wayward: type[Wayw
         link.write(records((1, b"", 0)))
     with pytest.raises(LinkClosed, match="Broken pipe"):
         link.read(0.0)
-    link.close()
 
 
 @pytest.mark.parametrize(
@@ -613,29 +596,25 @@ def test_after_a_stall_frames_of_slcan_are_no_younger_either(
         return receive(self, timeout, settle)
 
     monkeypatch.setattr(SlcanBus, "recv_records", stalled)
-    link = open_link(f"can:slcan/{name}")
-    assert isinstance(link, CanLink)
-    ordered.append(b"t0010\rt0020\r")
-    assert read(link, 2)["time"].max() <= began[0]
-    assert fresh_again(link, lambda: os.write(master, b"t0030\r") and None)
-    link.close()
+    with opened(f"can:slcan/{name}") as link:
+        ordered.append(b"t0010\rt0020\r")
+        assert read(link, 2)["time"].max() <= began[0]
+        assert fresh_again(link, lambda: os.write(master, b"t0030\r") and None)
 
 
 def test_text_that_is_no_slcan_is_no_loss(adapter: tuple[int, str]) -> None:
     master, name = adapter
-    link = open_link(f"can:slcan/{name}")
-    assert isinstance(link, CanLink)
-    os.set_blocking(master, False)
-    deadline = time.monotonic() + 1.2  # more than twice what tells a dead connection
-    while time.monotonic() < deadline:
-        with contextlib.suppress(BlockingIOError):
-            os.write(master, b"no\rframe\r" * 200)
-        assert link.read(0.0) == b""
-    os.set_blocking(master, True)
-    os.write(master, b"\rt0010\r")
-    assert read(link, 1)["id"].tolist() == [1]
-    assert link.health.malformed > 1000
-    link.close()
+    with opened(f"can:slcan/{name}") as link:
+        os.set_blocking(master, False)
+        deadline = time.monotonic() + 1.2  # more than twice what tells a dead connection
+        while time.monotonic() < deadline:
+            with contextlib.suppress(BlockingIOError):
+                os.write(master, b"no\rframe\r" * 200)
+            assert link.read(0.0) == b""
+        os.set_blocking(master, True)
+        os.write(master, b"\rt0010\r")
+        assert read(link, 1)["id"].tolist() == [1]
+        assert link.health.malformed > 1000
 
 
 def test_an_adapter_that_refuses_its_rate_is_not_opened(adapter: tuple[int, str]) -> None:
@@ -675,16 +654,14 @@ def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
     assert port.mismatched == 1  # it does run at those
     before.shutdown()
     obey(port)
-    link = open_link(f"can:slcan/{path}{query}")
-    assert isinstance(link, CanLink)
-    assert link.rates == rates
-    assert obey(port) == b""
-    link.write(frame)
-    assert obey(port) == frame
-    port.write(frame)
-    assert read(link, 1)["id"].tolist() == [0x123]
-    assert (port.mismatched, port.refused) == (1, 0)
-    link.close()
+    with opened(f"can:slcan/{path}{query}") as link:
+        assert link.rates == rates
+        assert obey(port) == b""
+        link.write(frame)
+        assert obey(port) == frame
+        port.write(frame)
+        assert read(link, 1)["id"].tolist() == [0x123]
+        assert (port.mismatched, port.refused) == (1, 0)
     port.close()
 
 
@@ -735,14 +712,10 @@ def test_configuration_by_environment(bare: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("CAN_INTERFACE", "virtual")
     monkeypatch.setenv("CAN_CHANNEL", "by-environment")
     monkeypatch.setenv("CAN_BITRATE", "250000")
-    bus = can.Bus(interface="virtual", channel="by-environment")
-    link = open_link("can:")
-    assert isinstance(link, CanLink)
-    bus.send(message(9))
-    assert read(link, 1)["id"].tolist() == [9]
-    assert (link.name, link.rates) == ("can:virtual/by-environment", BusRates(250_000))
-    link.close()
-    bus.shutdown()
+    with can.Bus(interface="virtual", channel="by-environment") as bus, opened("can:") as link:
+        bus.send(message(9))
+        assert read(link, 1)["id"].tolist() == [9]
+        assert (link.name, link.rates) == ("can:virtual/by-environment", BusRates(250_000))
 
 
 def test_configuration_by_file_and_context(bare: Path) -> None:
@@ -750,18 +723,13 @@ def test_configuration_by_file_and_context(bare: Path) -> None:
         "[default]\ninterface = virtual\nchannel = by-file\nbitrate = 500000\n\n"
         "[bench]\nchannel = by-context\nfd = True\ndata_bitrate = 2000000\n"
     )
-    link = open_link("can:")
-    assert isinstance(link, CanLink)
-    assert (link.name, link.rates) == ("can:virtual/by-file", BusRates(500_000))
-    link.close()
-    link = open_link("can:?context=bench&node=3")
-    assert isinstance(link, CanLink)
-    assert (link.name, link.rates, link.node) == ("can:virtual/by-context", BusRates(500_000, 2_000_000), 3)
-    link.close()
-    link = open_link("can:virtual/by-target?bitrate=125000")  # the target comes first
-    assert isinstance(link, CanLink)
-    assert (link.name, link.rates) == ("can:virtual/by-target", BusRates(125_000))
-    link.close()
+    for target, name, rates, node in (
+        ("can:", "by-file", BusRates(500_000), 1),
+        ("can:?context=bench&node=3", "by-context", BusRates(500_000, 2_000_000), 3),
+        ("can:virtual/by-target?bitrate=125000", "by-target", BusRates(125_000), 1),  # the target comes first
+    ):
+        with opened(target) as link:
+            assert (link.name, link.rates, link.node) == (f"can:virtual/{name}", rates, node)
 
 
 def test_a_configuration_that_cannot_be_read(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -864,7 +832,9 @@ CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"
         ("can:slcan//dev/ttyACM0?fd=1", {"bitrate": 1_000_000, "data_bitrate": 5_000_000}),
         ("can:ixxat/0?fd=1&bitrate=500000", {"bitrate": 500_000, "data_bitrate": 5_000_000}),
         ("can:vector/0?fd=1&data_bitrate=2000000", {"bitrate": 1_000_000, "data_bitrate": 2_000_000}),
+        # python-can's pcan reads none of `bitrate`, `data_bitrate` on an FD bus: it needs every segment
         ("can:pcan/PCAN_USBBUS1?fd=1", {"timing": (1_000_000, 5_000_000)}),
+        ("can:kvaser/0?fd=1", {"timing": (1_000_000, 5_000_000)}),
         (f"can:pcan/PCAN_USBBUS1?{CLASSIC_TIMING}", {"timing": (1_000_000,)}),
         (f"can:slcan//dev/ttyACM0?{CLASSIC_TIMING}", {"timing": (1_000_000,)}),
         ("can:socketcan/can0", {}),

@@ -341,18 +341,6 @@ def test_missing_and_held_ports(tmp_path: Path, classic: tuple[SlcanPort, SlcanB
         SlcanBus(path_of(classic[0]))
 
 
-def test_another_bit_rate_than_the_bus(tmp_path: Path) -> None:
-    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = opened(port, bitrate=500_000)
-    port.write(frame(1) * 3)
-    bus.send(CLASSIC_MESSAGES[0])
-    while port.mismatched < 4 and select.select(port.read_fds(), [], [], 5.0)[0]:
-        assert port.read() == b""
-    assert bus.recv_records(0.02) == b""
-    bus.shutdown()
-    port.close()
-
-
 def test_unplug_delivers_what_had_come_and_then_names_the_port(classic: tuple[SlcanPort, SlcanBus]) -> None:
     port, bus = classic
     port.write(frame(1) + frame(2) + frame(3))

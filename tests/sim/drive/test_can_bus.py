@@ -122,11 +122,13 @@ def test_of_two_with_one_identifier_the_first_attached_sends_and_it_is_counted()
     assert bus.collisions == 1
 
 
-def test_a_better_frame_waits_for_the_end_of_the_one_under_way() -> None:
+@pytest.mark.parametrize("bits", [50, PLAIN_BITS], ids=["under way", "as it ends"])
+def test_a_better_frame_waits_for_the_end_of_the_one_under_way(bits: int) -> None:
     bus, first, second = pair()
     listener = Node(bus, "listener")
     first.queue.extend([PLAIN, PLAIN])
-    bus.advance(50 * BIT)
+    bus.advance(bits / 1_000_000)
+    assert listener.ids == [0x555] * (bits == PLAIN_BITS)
     second.queue.append(frame(0))
     bus.advance(0.01)
     assert listener.ids == [0x555, 0, 0x555]
@@ -229,17 +231,6 @@ def drive(step: float | None) -> tuple[list[float], list[int], tuple[float, ...]
 @pytest.mark.parametrize("step", [1e-4, 7.3e-6, 0.033])
 def test_the_size_of_the_steps_makes_no_difference(step: float) -> None:
     assert drive(step) == drive(None)
-
-
-def test_what_comes_as_a_frame_ends_takes_part_in_the_next_arbitration() -> None:
-    bus, first, second = pair()
-    listener = Node(bus, "listener")
-    first.queue.extend([PLAIN, PLAIN])
-    bus.advance(PLAIN_BITS / 1_000_000)
-    assert listener.ids == [0x555]
-    second.queue.append(frame(0))
-    bus.advance(0.01)
-    assert listener.ids == [0x555, 0, 0x555]
 
 
 @pytest.mark.parametrize("delay", [PLAIN_BITS / 1_000_000, 0.002], ids=["as a frame ends", "on an idle bus"])

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import can
 import pytest
+from can_ends import opened, read
 from can_rows import parts, records
 
 from protocol.canmap.frame import BRS, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
@@ -74,69 +75,17 @@ def server() -> Iterator[Server]:
     made.stop()
 
 
-def opened(target: str) -> CanLink:
-    link = open_link(target)
-    assert isinstance(link, CanLink)
-    return link
-
-
-def read(link: CanLink, n: int) -> bytes:
-    data, deadline = b"", time.monotonic() + 10.0
-    while len(data) < n * RECORD_BYTES and time.monotonic() < deadline:
-        data += link.read(0.1)
-    return data
-
-
 def test_our_link_and_the_server_understand_each_other(server: Server) -> None:
     target = server.port.target
     assert target == f"can:socketcand/can0?host=127.0.0.1&port={server.port._address[1]}&bitrate=1000000"
-    link = opened(target)
-    link.write(records(*CLASSIC))
-    assert server.wait(len(CLASSIC)) == CLASSIC
-    server.write(records(*CLASSIC, when=12.5))
-    assert parts(read(link, len(CLASSIC))) == CLASSIC
-    assert (link.name, link.rates, server.port.malformed) == ("can:socketcand/can0", RATES, 0)
-    link.close()
-
-
-def test_python_can_reads_and_writes_the_same(server: Server) -> None:
-    port = server.port._address[1]
-    bus = can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port, ignore_config=True)
-    server.now += 2 * QUIET
-    server.write(records(*CLASSIC, when=1234.000001))
-    for number, data, _ in CLASSIC:
-        message = bus.recv(5.0)
-        assert message is not None
-        assert (message.arbitration_id, message.is_extended_id) == (number & ~EXTENDED, bool(number & EXTENDED))
-        assert (bytes(message.data), message.dlc, message.timestamp) == (data, len(data), 1234.000001)
-        bus.send(message)
-    assert server.wait(len(CLASSIC)) == CLASSIC
-    bus.shutdown()
-
-
-def test_error_frames_pass_with_their_kind(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    server.write(records((ERROR | 0x40, bytes(8), 0), (ERROR | 0x20, bytes(8), 0)))
-    assert [number for number, _, _ in parts(read(link, 2))] == [ERROR | 0x40, ERROR | 0x20]
-    assert (link.health.error_frames["bus-off"], link.health.error_frames["no ack"]) == (1, 1)
-    link.close()
-
-
-def test_a_burst_passes_whole(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    n = 20_000
-    sent = records(*((k % 0x800, k.to_bytes(8, "little"), 0) for k in range(n)))
-    at = 0
-    got = bytearray()
-    while at < len(sent):
-        at += server.write(sent[at : at + 100 * RECORD_BYTES])
-        got += link.read(0.0)
-    got += read(link, n - len(got) // RECORD_BYTES)
-    assert parts(bytes(got)) == parts(sent)
-    assert link.health.dropped == 0
-    link.close()
+    errors = [(ERROR | 0x40, bytes(8), 0), (ERROR | 0x20, bytes(8), 0)]
+    with opened(target) as link:
+        link.write(records(*CLASSIC))
+        assert server.wait(len(CLASSIC)) == CLASSIC
+        server.write(records(*CLASSIC, *errors, when=12.5))
+        assert parts(read(link, len(CLASSIC) + 2))[:-2] == CLASSIC
+        assert (link.health.error_frames["bus-off"], link.health.error_frames["no ack"]) == (1, 1)
+        assert (link.name, link.rates, server.port.malformed) == ("can:socketcand/can0", RATES, 0)
 
 
 def read_empty(link: CanLink) -> None:
@@ -318,48 +267,45 @@ def test_fd_is_refused() -> None:
 
 
 def test_a_second_client_is_sent_away(server: Server) -> None:
-    first = opened(server.port.target)
-    with pytest.raises(LinkBusy, match="is another program connected"):
+    with opened(server.port.target), pytest.raises(LinkBusy, match="is another program connected"):
         open_link(server.port.target)
     assert server.port.refused == 1
-    first.close()
-    second = opened(server.port.target)
-    second.write(records((5, b"", 0)))
-    assert server.wait(1) == [(5, b"", 0)]
-    second.close()
+    with opened(server.port.target) as second:
+        second.write(records((5, b"", 0)))
+        assert server.wait(1) == [(5, b"", 0)]
 
 
 def test_a_server_that_dies_closes_the_link(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    server.write(records((1, b"tail", 0)))
-    server.stop()
-    started = time.monotonic()
-    assert parts(read(link, 1)) == [(1, b"tail", 0)]
-    with pytest.raises(LinkClosed, match="can:socketcand/can0 was"):
-        read_empty(link)
-    assert time.monotonic() - started < 5.0
-    with pytest.raises(LinkClosed):
-        link.write(records((1, b"", 0)))
-    assert "reads can:socketcand/can0" not in {thread.name for thread in threading.enumerate()}  # python-can would spin
-    with pytest.raises(LinkNotFound, match="nothing listens"):
-        link.reopen()
+    with opened(server.port.target) as link:
+        server.now += 2 * QUIET
+        server.write(records((1, b"tail", 0)))
+        server.stop()
+        started = time.monotonic()
+        assert parts(read(link, 1)) == [(1, b"tail", 0)]
+        with pytest.raises(LinkClosed, match="can:socketcand/can0 was"):
+            read_empty(link)
+        assert time.monotonic() - started < 5.0
+        with pytest.raises(LinkClosed):
+            link.write(records((1, b"", 0)))
+        names = {thread.name for thread in threading.enumerate()}
+        assert "reads can:socketcand/can0" not in names  # python-can would spin
+        with pytest.raises(LinkNotFound, match="nothing listens"):
+            link.reopen()
 
 
 def test_unplug_plug_and_reopen(server: Server) -> None:
-    link = opened(server.port.target)
-    with server._lock:
-        server.port.unplug()
-        assert server.port.read_fds() == []
-        assert server.port.write(records((1, b"", 0))) == RECORD_BYTES
-    with pytest.raises(LinkClosed):
-        read_empty(link)
-    with server._lock:
-        server.port.plug()
-    link.reopen()
-    link.write(records((6, b"", 0)))
-    assert server.wait(1) == [(6, b"", 0)]
-    link.close()
+    with opened(server.port.target) as link:
+        with server._lock:
+            server.port.unplug()
+            assert server.port.read_fds() == []
+            assert server.port.write(records((1, b"", 0))) == RECORD_BYTES
+        with pytest.raises(LinkClosed):
+            read_empty(link)
+        with server._lock:
+            server.port.plug()
+        link.reopen()
+        link.write(records((6, b"", 0)))
+        assert server.wait(1) == [(6, b"", 0)]
 
 
 def test_nothing_listens() -> None:
@@ -439,16 +385,15 @@ FD = [(0x10, bytes(range(64)), FDF | BRS), (0x11 | EXTENDED, bytes(12), FDF), (E
 def test_a_virtual_bus_with_our_link_at_the_other_end(channel: str) -> None:
     rates = BusRates(500_000, 2_000_000)
     port = BusPort.virtual(channel, rates, extended=True)
-    link = opened(port.target)
-    assert (link.name, link.rates, link.extended) == (f"can:virtual/{channel}", rates, True)
-    link.write(records(*CLASSIC, *FD))
-    assert parts(port.read()) == [*CLASSIC, *FD]
-    assert port.read() == b""
-    sent = records(*CLASSIC, *FD)
-    assert port.write(sent) == len(sent)
-    assert parts(read(link, len(CLASSIC) + len(FD))) == [*CLASSIC, *FD]
-    assert port.read_fds() == []
-    link.close()
+    frames = [*CLASSIC, *FD]
+    with opened(port.target) as link:
+        assert (link.name, link.rates, link.extended) == (f"can:virtual/{channel}", rates, True)
+        link.write(records(*frames))
+        assert parts(port.read()) == frames
+        assert port.read() == b""
+        assert port.write(records(*frames)) == len(frames) * RECORD_BYTES
+        assert parts(read(link, len(frames))) == frames
+        assert port.read_fds() == []
     port.close()
 
 

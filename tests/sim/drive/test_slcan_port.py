@@ -138,12 +138,6 @@ def test_frames_leave_in_order_only_while_open(classic: Host) -> None:
     classic.must_see(b"\a\rz\rZ\r\r\a\rz\rz\r")  # and no frame of its own
 
 
-def test_bytes_cut_anywhere(classic: Host) -> None:
-    typed = b"O\rt1232AA55\rt1240\r"
-    sent = b"".join(classic.types(typed[k : k + 1]) for k in range(len(typed)))
-    assert sent == frame(0x123, b"\xaa\x55") + frame(0x124)
-
-
 def test_frames_of_the_bus_reach_the_host(fd: Host) -> None:
     records = frame(0x123, b"\x01\x02") + frame(5 | EXTENDED, bytes(12), FDF) + frame(6, b"\xff", FDF | BRS)
     assert fd.port.write(records) == len(records)

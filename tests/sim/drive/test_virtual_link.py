@@ -9,7 +9,6 @@ import pytest
 from small_host import SmallHost
 
 from protocol.errors import LinkClosed
-from protocol.links import Link
 from protocol.messages import SetpointMode, StreamStop
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EDGE_RECORD
@@ -36,12 +35,6 @@ def test_it_opens_from_a_file_and_dotted_keys(tmp_path: Path) -> None:
     assert SmallHost(link).connect().boot_id == SmallHost(VirtualLink.of(load_params(), 5)).connect().boot_id
     with pytest.raises(ConfigError, match="R_s must be > 0"):
         open_virtual(None, {"motor.R_s": -1.0}, 0)
-
-
-def test_it_is_a_link() -> None:
-    link: Link = VirtualLink.of(PARAMS)
-    assert link.clock() == 0.0
-    assert link.name == "virtual:"
 
 
 def test_a_wait_takes_its_virtual_time_and_no_more() -> None:
