@@ -211,13 +211,6 @@ def test_strangers_are_counted_and_dropped(host: HostSession) -> None:
     assert len(events(host)) == 1
 
 
-def test_a_refusal_is_an_event(host: HostSession) -> None:
-    tid = host.request(ParamGet(5), 1, 1.0)
-    error = ErrorReply(ErrorCode.UNKNOWN_ID, MessageType.PARAM_GET, 5.0)
-    host.receive_data(reply(MessageType.PARAM_GET, tid, error.pack(), flags=REPLY | ERROR), 1.01)
-    assert events(host) == [RequestRefused(tid, 1, error)]
-
-
 def unusable(host: HostSession) -> str:
     """What is wrong with the reply that the host has just had: nothing else happened, and it does not ask again."""
     (event,) = events(host)

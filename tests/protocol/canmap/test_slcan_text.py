@@ -49,13 +49,9 @@ def test_lines_by_hand(line: bytes, frame: Records) -> None:
     assert parser.feed(line, 12.5).tobytes() == with_time(frame, 12.5).tobytes()
     assert parser.feed(line[:1] + line[1:].lower(), 0.0).tobytes() == frame.tobytes()
     assert (parser.malformed, parser.replies) == (0, [])
-
-
-@pytest.mark.parametrize(("line", "frame"), TABLE, ids=IDS)
-def test_time_stamps_are_written_and_read_past(line: bytes, frame: Records) -> None:
     stamped = line[:-1] + b"EA5F\r"  # 59.999 s
     assert encode(with_time(frame, 179.9995), stamped=True) == stamped
-    assert SlcanParser().feed(stamped, 0.0).tobytes() == frame.tobytes()
+    assert SlcanParser().feed(stamped, 0.0).tobytes() == frame.tobytes()  # read past
 
 
 def with_time(records: Records, time: float) -> Records:

@@ -528,12 +528,6 @@ def test_an_interface_that_is_down_is_not_found(wayward: type[Wayward]) -> None:
         open_link("can:wayward/can0")
 
 
-def test_unknown_keyword(wayward: type[Wayward]) -> None:
-    with pytest.raises(TargetError, match=r"can:wayward/7: .*wayward refuses these options: .*'keywrod'"):
-        open_link("can:wayward/7?keywrod=1")
-    open_link("can:wayward/7?keyword=1").close()
-
-
 @pytest.fixture
 def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """No configuration of python-can's, and an empty home."""
@@ -668,6 +662,36 @@ def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
 # What is not here, and python-can's configuration
 
 
+@pytest.mark.parametrize(
+    ("target", "match"),
+    [
+        ("can:wayward/7?keywrod=1", r"can:wayward/7: .*wayward refuses these options: .*'keywrod'"),
+        ("can:socketcn/can0", r"can:socketcn/can0: .*no interface 'socketcn': did you mean socketcan\?"),
+        ("can:zzz/can0", r"it knows .*pcan, .*virtual"),
+        ("can:virtual/x?port=first", "does not accept this configuration: Port config must be a number"),
+        ("can:", "no CAN interface is named.*set CAN_INTERFACE"),
+    ],
+)
+def test_targets_that_mean_nothing_here(wayward: type[Wayward], bare: Path, target: str, match: str) -> None:
+    with pytest.raises(TargetError, match=match):
+        open_link(target)
+    open_link("can:wayward/7?keyword=1").close()
+
+
+@pytest.mark.parametrize(
+    "target", [f"can:{interface}//dev/ttyNONE" for interface in ("robotell", "seeedstudio", "slcan")]
+)
+def test_missing_ports(target: str) -> None:
+    with pytest.raises(LinkNotFound, match=f"{target}.*"):
+        open_link(target)
+
+
+@pytest.mark.skipif(not hasattr(socket, "PF_CAN"), reason="SocketCAN is Linux's")
+def test_no_such_socketcan_interface() -> None:
+    with pytest.raises(LinkNotFound, match="can:socketcan/nocan0 cannot be opened: "):
+        open_link("can:socketcan/nocan0")
+
+
 @pytest.mark.parametrize("interface", ["pcan", "kvaser", "ixxat", "gs_usb", "neovi", "cantact", "systec"])
 def test_missing_drivers(interface: str, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(LinkNotFound) as caught:
@@ -677,35 +701,6 @@ def test_missing_drivers(interface: str, capfd: pytest.CaptureFixture[str]) -> N
     assert text.endswith("driver installed?")
     assert "\n" not in text
     assert capfd.readouterr() == ("", "")  # python-can's own reports
-
-
-@pytest.mark.parametrize("interface", ["robotell", "seeedstudio", "slcan"])
-def test_missing_serial_ports(interface: str) -> None:
-    with pytest.raises(LinkNotFound, match=rf"can:{interface}//dev/ttyNONE.*"):
-        open_link(f"can:{interface}/dev/ttyNONE")
-
-
-@pytest.mark.skipif(not hasattr(socket, "PF_CAN"), reason="SocketCAN is Linux's")
-def test_no_such_socketcan_interface() -> None:
-    with pytest.raises(LinkNotFound, match="can:socketcan/nocan0 cannot be opened: "):
-        open_link("can:socketcan/nocan0")
-
-
-def test_unknown_interface() -> None:
-    with pytest.raises(TargetError, match=r"can:socketcn/can0: .*no interface 'socketcn': did you mean socketcan\?"):
-        open_link("can:socketcn/can0")
-    with pytest.raises(TargetError, match=r"it knows .*pcan, .*virtual"):
-        open_link("can:zzz/can0")
-
-
-def test_a_value_that_python_can_refuses() -> None:
-    with pytest.raises(TargetError, match="does not accept this configuration: Port config must be a number"):
-        open_link("can:virtual/x?port=first")
-
-
-def test_nothing_named_anywhere(bare: Path) -> None:
-    with pytest.raises(TargetError, match=r"no CAN interface is named.*set CAN_INTERFACE"):
-        open_link("can:")
 
 
 def test_configuration_by_environment(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:

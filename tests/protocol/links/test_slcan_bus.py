@@ -78,7 +78,7 @@ def records_of(messages: list[can.Message]) -> bytes:
 
 
 @pytest.mark.parametrize(("kind", "messages"), [("classic", CLASSIC_MESSAGES), ("fd", CLASSIC_MESSAGES + FD_MESSAGES)])
-def test_messages_both_ways(kind: str, messages: list[can.Message], request: pytest.FixtureRequest) -> None:
+def test_messages_and_records_both_ways(kind: str, messages: list[can.Message], request: pytest.FixtureRequest) -> None:
     port, bus = request.getfixturevalue(kind)
     for msg in messages:
         bus.send(msg)
@@ -89,22 +89,18 @@ def test_messages_both_ways(kind: str, messages: list[can.Message], request: pyt
         assert got is not None
         assert got.equals(msg, timestamp_delta=None), f"{got} is not {msg}"
         assert abs(got.timestamp - time.time()) < 5.0
-    assert (bus.refused, bus.malformed, port.refused, port.mismatched) == (0, 0, 0, 0)
-
-
-def test_records_both_ways(fd: tuple[SlcanPort, SlcanBus]) -> None:
-    port, bus = fd
-    records = records_of(CLASSIC_MESSAGES + FD_MESSAGES)
+    records = records_of(messages)
     bus.send_records(records)
-    assert sent_by_host(port, len(records) // 80) == records
+    assert sent_by_host(port, len(messages)) == records
     before = time.monotonic()
     port.write(records)
-    got = b""
-    while len(got) < len(records) and (more := bus.recv_records(5.0, settle=0.001)):
-        got += more
-    assert untimed(got) == records
-    times = np.frombuffer(got, CAN_RECORD)["time"]
+    rows = b""
+    while len(rows) < len(records) and (more := bus.recv_records(5.0, settle=0.001)):
+        rows += more
+    assert untimed(rows) == records
+    times = np.frombuffer(rows, CAN_RECORD)["time"]
     assert before <= times.min() <= times.max() <= time.monotonic()
+    assert (bus.refused, bus.malformed, port.refused, port.mismatched) == (0, 0, 0, 0)
 
 
 def test_nothing_there_is_empty_within_the_timeout(classic: tuple[SlcanPort, SlcanBus]) -> None:
@@ -332,13 +328,6 @@ def test_hardware_handshake(raw: tuple[int, str]) -> None:
             attributes = termios.tcgetattr(master)
             assert bool(attributes[2] & termios.CRTSCTS) == rtscts
             assert attributes[6][termios.VMIN] == 1  # an empty read means that the port is gone, never nothing to read
-
-
-def test_missing_and_held_ports(tmp_path: Path, classic: tuple[SlcanPort, SlcanBus]) -> None:
-    with pytest.raises(can.CanInitializationError, match=r"no port .*ttyNONE"):
-        SlcanBus(str(tmp_path / "ttyNONE"))
-    with pytest.raises(can.CanInitializationError, match=r"ttyCAN is held by another program"):
-        SlcanBus(path_of(classic[0]))
 
 
 def test_unplug_delivers_what_had_come_and_then_names_the_port(classic: tuple[SlcanPort, SlcanBus]) -> None:

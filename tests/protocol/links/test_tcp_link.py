@@ -67,19 +67,6 @@ def test_a_peer_that_goes_without_a_word_may_be_held_by_another_program(server: 
         link.read(5.0)
 
 
-def test_reopen_reaches_the_same_server(server: socket.socket) -> None:
-    link, peer = connect(server)
-    peer.close()
-    with pytest.raises(LinkClosed):
-        link.read(5.0)
-    link.reopen()
-    again, _ = server.accept()
-    again.sendall(b"again")
-    assert link.read(5.0) == b"again"
-    again.close()
-    link.close()
-
-
 def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ESI, EXTENDED, FD_LENGTHS, FDF, REMOTE, BusRates
-from sim.ports.can_bits import arbitration, count_bits, frame_bits, frame_seconds
+from sim.ports.can_bits import count_bits, frame_bits, frame_seconds
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
@@ -185,11 +185,3 @@ def test_one_frame_and_many_agree() -> None:
 
 def test_no_records_take_no_time() -> None:
     assert frame_seconds(np.zeros(0, CAN_RECORD), CLASSIC).shape == (0,)
-
-
-def test_arbitration_bits_written_out() -> None:
-    assert arbitration(0x555) == int("10101010101" + "0" + "0" + 19 * "0", 2)
-    assert arbitration(0x555 | REMOTE) == int("10101010101" + "1" + "0" + 19 * "0", 2)
-    extended = 0b10101010101 << 18 | 0b110011001100110011 | EXTENDED
-    assert arbitration(extended) == int("10101010101" + "1" + "1" + "110011001100110011" + "0", 2)
-    assert arbitration(extended | REMOTE) == arbitration(extended) + 1

@@ -155,17 +155,6 @@ def test_a_saturated_bus_carries_one_frame_per_frame_time(rates: BusRates, row: 
     assert bus.busy_seconds == pytest.approx(bus.frames * seconds)
 
 
-def test_the_lesser_identifier_gets_what_is_left() -> None:
-    bus = SimulatedBus(CLASSIC)
-    bus.babble(0x010, 0.6)
-    got: list[int] = []
-    bus.attach(lambda: PLAIN, lambda row: got.append(len(row)), "low")
-    bus.advance(1.0)
-    assert bus.busy_seconds == pytest.approx(1.0, abs=2e-4)
-    low_frames = bus.frames - len(got)
-    assert low_frames * PLAIN_BITS * BIT == pytest.approx(0.4, abs=2e-3)
-
-
 @pytest.mark.parametrize("load", [0.05, 0.8, 1.0])
 @pytest.mark.parametrize("rates", [CLASSIC, FD])
 def test_a_babbling_node_takes_its_share_in_equal_steps(load: float, rates: BusRates) -> None:
@@ -530,28 +519,20 @@ def test_an_answer_from_within_a_sink_goes_out_next() -> None:
 
 
 @pytest.mark.parametrize(
-    "row",
+    ("rates", "row"),
     [
-        b"\0" * 79,
-        frame(ERROR | 0x20, bytes(8)),
-        frame(0x800),
-        frame(0x10, bytes(9)),
-        frame(0x10, bytes(64), FDF),
+        (CLASSIC, b"\0" * 79),
+        (CLASSIC, frame(ERROR | 0x20, bytes(8))),
+        (CLASSIC, frame(0x800)),
+        (CLASSIC, frame(0x10, bytes(9))),
+        (CLASSIC, frame(0x10, bytes(64), FDF)),
+        (FD, frame(0x10, bytes(9), FDF)),
+        (FD, frame(0x10 | REMOTE, b"", FDF)),
     ],
-    ids=["short record", "error frame", "12-bit identifier", "9 bytes", "CAN FD"],
+    ids=["short record", "error frame", "12-bit identifier", "9 bytes", "CAN FD", "9 bytes of CAN FD", "remote CAN FD"],
 )
-def test_what_a_classic_bus_cannot_carry_is_counted_and_skipped(row: bytes) -> None:
-    bus, first, second = pair()
-    first.queue.extend([row, PLAIN])
-    bus.advance(0.01)
-    assert (bus.rejected, second.ids) == (1, [0x555])
-
-
-@pytest.mark.parametrize(
-    "row", [frame(0x10, bytes(9), FDF), frame(0x10 | REMOTE, b"", FDF)], ids=["9 bytes", "remote frame"]
-)
-def test_what_a_can_fd_bus_cannot_carry_is_counted_and_skipped(row: bytes) -> None:
-    bus, first, second = pair(FD)
+def test_what_a_bus_cannot_carry_is_counted_and_skipped(rates: BusRates, row: bytes) -> None:
+    bus, first, second = pair(rates)
     first.queue.extend([row, PLAIN])  # a classic frame goes on a CAN FD bus too
     bus.advance(0.01)
     assert (bus.rejected, second.ids) == (1, [0x555])

@@ -308,27 +308,19 @@ def test_unplug_plug_and_reopen(server: Server) -> None:
         assert server.wait(1) == [(6, b"", 0)]
 
 
-def test_nothing_listens() -> None:
+def test_targets_that_no_server_has(server: Server) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         number = listener.getsockname()[1]
-    with pytest.raises(LinkNotFound, match=f"can:socketcand/can0: nothing listens on port {number} of 127.0.0.1"):
-        open_link(f"can:socketcand/can0?host=127.0.0.1&port={number}")
-
-
-def test_no_server_named() -> None:
-    with pytest.raises(TargetError, match=r"names no server: write can:socketcand/can0\?host="):
-        open_link("can:socketcand/can0?host=127.0.0.1")
-    with pytest.raises(
-        TargetError, match=r"can:socketcand names no bus of the server: write can:socketcand/can0\?host="
+    bus, here = "can:socketcand/can0", "host=127.0.0.1"
+    for target, kind, match in (
+        (f"{bus}?{here}&port={number}", LinkNotFound, f"{bus}: nothing listens on port {number} of 127.0.0.1"),
+        (f"{bus}?{here}", TargetError, rf"names no server: write {bus}\?host="),
+        (f"can:socketcand?{here}&port=29536", TargetError, rf"can:socketcand names no bus .* write {bus}\?host="),
+        (f"{bus}?{here}&port=29536&fd=1", TargetError, f"{bus}: python-can's socketcand has no CAN FD frames: leave"),
+        (server.port.target.replace("can0", "can9"), LinkNotFound, "^can:socketcand/can9: the server has no bus can9$"),
     ):
-        open_link("can:socketcand?host=127.0.0.1&port=29536")
-
-
-def test_a_target_with_fd() -> None:
-    with pytest.raises(
-        TargetError, match=r"can:socketcand/can0: python-can's socketcand has no CAN FD frames: leave fd"
-    ):
-        open_link("can:socketcand/can0?host=127.0.0.1&port=29536&fd=1")
+        with pytest.raises(kind, match=match):
+            open_link(target)
 
 
 @pytest.mark.parametrize(
@@ -360,11 +352,6 @@ def test_servers_that_are_no_socketcand(monkeypatch: pytest.MonkeyPatch, greetin
     serving.join()
     for each in (listener, *clients):
         each.close()
-
-
-def test_a_wrong_channel_is_named(server: Server) -> None:
-    with pytest.raises(LinkNotFound, match=r"^can:socketcand/can9: the server has no bus can9$"):
-        open_link(server.port.target.replace("can0", "can9"))
 
 
 # Any bus of python-can's

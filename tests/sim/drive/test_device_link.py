@@ -280,23 +280,12 @@ def test_a_fault_whose_cause_stays_is_not_cleared() -> None:
     assert device.drive.state is DriveState.FAULT
 
 
-def test_commit_survives_a_boot(tmp_path: Path) -> None:
-    store = tmp_path / "drive.json"
-    host, _ = make(store=store)
-    assert host.connect().features & Feature.COMMIT
-    host.set("k_p_vt", 777.0)
-    host.request(ParamCommit())
-    assert [path.name for path in tmp_path.iterdir()] == ["drive.json"]
-    host, _ = make(store=store)
-    reply = host.get("k_p_vt")
-    assert (reply.value, reply.default) == (777.0, 1268.0)
-
-
 @pytest.mark.parametrize("limit", ["lo", "hi"])
 def test_every_parameter_takes_its_limits_and_keeps_them(tmp_path: Path, limit: str) -> None:
     store = tmp_path / "drive.json"
     host, device = make(store=store)
-    host.connect()
+    assert host.connect().features & Feature.COMMIT
+    default = host.get("k_p_vt").default
     stored = {}
     for parameter in DRIVE_PARAMETERS:
         if not parameter.flags & Flag.READ_ONLY:
@@ -306,6 +295,8 @@ def test_every_parameter_takes_its_limits_and_keeps_them(tmp_path: Path, limit: 
     host.request(ParamCommit())
     host, _ = make(store=store)
     assert {name: host.get(name).value for name in stored} == stored
+    assert host.get("k_p_vt").default == default  # of the configuration
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.json"]
 
 
 def test_commit_without_a_store_or_a_place_to_write_is_refused(tmp_path: Path) -> None:

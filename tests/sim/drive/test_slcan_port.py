@@ -1,20 +1,16 @@
-"""The emulated slcan adapter: its answers as LAWICEL's, frames both ways, python-can's slcan as its host."""
+"""The emulated slcan adapter: its answers as LAWICEL's, frames both ways, faults."""
 
 from __future__ import annotations
 
 import os
 import select
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
-from can.interfaces.slcan import slcanBus
-from can_rows import frame, record
+from can_rows import frame
 
 from protocol.canmap.frame import (
     BRS,
@@ -24,7 +20,6 @@ from protocol.canmap.frame import (
     ERROR_PROTOCOL,
     EXTENDED,
     FDF,
-    REMOTE,
     BusRates,
 )
 from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
@@ -272,49 +267,3 @@ def test_unplugged_it_vanishes_and_comes_back_closed(tmp_path: Path) -> None:
     host.port.write(frame(3))
     host.must_see(b"\rz\rt0030\r")
     host.close()
-
-
-@contextmanager
-def served(port: SlcanPort) -> Iterator[list[bytes]]:
-    """Serve the port in a thread: the list of what the host sent grows."""
-    sent: list[bytes] = []
-    stop = threading.Event()
-
-    def serve() -> None:
-        while not stop.is_set():
-            select.select(port.read_fds(), [], [], 0.01)
-            if records := port.read():
-                sent.append(records)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield sent
-    finally:
-        stop.set()
-        thread.join()
-
-
-def test_python_can_as_host() -> None:
-    port = SlcanPort(None, FD)
-    timing = can.BitTimingFd.from_sample_point(80_000_000, 1_000_000, 80.0, 5_000_000, 80.0)
-    path = port.target.removeprefix("can:slcan/").partition("?")[0]
-    with served(port) as sent:
-        bus = slcanBus(path, sleep_after_open=0, timing=timing)
-        assert bus.get_version(5.0) == (10, 13)
-        assert bus.get_serial_number(5.0) == "SIM1"
-        bus.send(can.Message(arbitration_id=0x1234567, data=b"\x01\x02\x03", is_fd=True, bitrate_switch=True))
-        bus.send(can.Message(arbitration_id=0x12, is_extended_id=False, is_remote_frame=True, dlc=2))
-        deadline = time.monotonic() + 5.0
-        while len(b"".join(sent)) < 160 and time.monotonic() < deadline:
-            time.sleep(0.001)
-    switched, remote = frame(0x1234567 | EXTENDED, b"\x01\x02\x03", FDF | BRS), record(0x12 | REMOTE, length=2)
-    assert b"".join(sent) == switched + remote.tobytes()
-    port.write(frame(0x321, bytes(range(48)), FDF))
-    got = None
-    while got is None:  # answers to what was sent come first
-        got = bus.recv(1.0)
-    assert (got.arbitration_id, got.is_fd, got.bitrate_switch) == (0x321, True, False)
-    assert bytes(got.data) == bytes(range(48))
-    bus.shutdown()
-    port.close()
