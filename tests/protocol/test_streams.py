@@ -16,7 +16,6 @@ from protocol.messages import StreamEvent, StreamReply, StreamSet
 from protocol.streams import (
     DISCONTINUITY,
     EdgeDecoder,
-    SampleChunk,
     SampleDecoder,
     StreamConfig,
     TickReference,
@@ -111,7 +110,6 @@ def test_a_gap_of_more_than_65536_frames_is_counted_in_full() -> None:
     decoder.decode(run_of_frames(1))
     later = run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1)
     chunk = decoder.decode(later)
-    assert isinstance(chunk, SampleChunk)
     assert chunk.gaps[0].lost_frames == lost
     assert chunk.gaps[0].lost_samples == lost * BLOCK
 
@@ -123,7 +121,6 @@ def test_ticks_unwrap_against_a_fresh_reference_after_a_long_pause() -> None:
     pause = 1_000_000_000_000  # 14 hours: 232 wraps; the heartbeats went on
     reference_.tick = pause - 2_000_000
     chunk = decoder.decode(run_of_frames(1, pause // TICKS, pause, 1))
-    assert isinstance(chunk, SampleChunk)
     assert chunk.tick[0] == pause
 
 
@@ -137,7 +134,6 @@ def test_unwrapping_takes_the_nearest(ahead: int) -> None:
 def test_physical_values() -> None:
     decoder = SampleDecoder(config(), TICKS, TickReference())
     chunk = decoder.decode(run_of_frames(2))
-    assert isinstance(chunk, SampleChunk)
     assert len(chunk) == 8
     assert chunk.physical("i_a").tolist() == [(k - 1000) / 1024 for k in range(8)]
     assert chunk.physical("i_a").dtype == np.float64
@@ -167,7 +163,6 @@ def test_what_a_frame_says_besides_its_samples(seq: int, late: int, flags: int, 
     decoder = SampleDecoder(config(), TICKS, TickReference())
     frames = [*run_of_frames(1), data_frame(seq, BLOCK, BLOCK * TICKS + late, samples(BLOCK, BLOCK), flags)]
     chunk = decoder.decode(frames)
-    assert isinstance(chunk, SampleChunk)
     assert [(g.position, g.lost_samples, g.lost_frames) for g in chunk.gaps] == gaps
     assert (decoder.counters.lost_by_index, decoder.counters.lost_by_seq) == (0, seq - 1)
     assert chunk.tick.tolist() == [k * TICKS + late * (k >= BLOCK) for k in range(2 * BLOCK)]
@@ -209,7 +204,6 @@ def test_edge_loss_is_exact(batches: list[int], arrives: list[bool], before: int
         return
     decoder = EdgeDecoder(StreamConfig.of(1, request, reply, DESCRIPTOR), TickReference())
     chunk = decoder.decode(got)
-    assert chunk is not None
     assert len(chunk) == decoder.counters.samples
     assert (chunk.tick == 1_000_003 * chunk.index).all()
     assert (chunk.hall_old == chunk.index % 8).all()

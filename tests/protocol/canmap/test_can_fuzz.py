@@ -81,10 +81,8 @@ def test_mutated_traffic_gives_no_wrong_value(rates: BusRates) -> None:
         keep = ~(lengths & stream & (records["length"] == bus.decoders[0]._layout.length(0)))
         return np.repeat(records, copies * keep)
 
-    bus.spoil = spoil
     while mutated < 300:
-        bus.run(1600, tuple(range(1, 1600, 40)))
-    bus.spoil = lambda records: records
+        bus.run(1600, tuple(range(1, 1600, 40)), spoil=spoil)
     bus.run(4800)
     got, counters = bus.samples(), bus.decoders[0].counters
     assert counters.samples + counters.lost_by_index == got.index[-1] - got.index[0] + 1

@@ -28,7 +28,6 @@ from protocol.messages import (
     SetpointMode,
     StateCommand,
     StreamEvent,
-    StreamReply,
     StreamSet,
     TimeSync,
 )
@@ -150,7 +149,6 @@ def test_a_reply_that_was_meant_for_another_host_settles_nothing() -> None:
     host.receive_data(reply(102), 0.1)
     event = host.next_event()
     assert isinstance(event, ReplyReceived)
-    assert isinstance(event.message, ParamReply)
     assert event.message.id == 102
 
 
@@ -208,8 +206,6 @@ def test_edge_streams_never_share_a_slot() -> None:
     bus = CanPair(FD)
     bus.connect()
     first = bus.ask(StreamSet(0, StreamEvent.EDGES, 1, 20))
-    assert isinstance(first, StreamReply)
     for _ in range(40):
         other = bus.ask(StreamSet(1, StreamEvent.EDGES, 1, 20))
-        assert isinstance(other, StreamReply)
         assert other.slot != first.slot

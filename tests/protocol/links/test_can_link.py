@@ -84,7 +84,6 @@ FRAMES = [
 def test_frames_pass_both_ways(ends: Ends, message: can.Message, frame: tuple[int, bytes, int]) -> None:
     ends.link.write(records(frame))
     got = ends.bus.recv(5.0)
-    assert got is not None
     assert got.equals(message, timestamp_delta=None, check_channel=False)
     before = time.monotonic()
     ends.bus.send(message)
@@ -132,7 +131,6 @@ def test_a_hello_goes_out_with_the_numbers_of_node_and_host(query: str, number: 
         assert ends.link.health.sent > 0
         for _ in range(ends.link.health.sent):
             got = ends.bus.recv(5.0)
-            assert got is not None
             assert (got.arbitration_id, got.is_extended_id) == (number, extended)
 
 
@@ -554,7 +552,6 @@ def adapter() -> Iterator[tuple[int, str]]:
 def test_slcan_is_opened_with_our_own_bus(adapter: tuple[int, str]) -> None:
     master, name = adapter
     link = open_link(f"can:slcan/{name}?bitrate=500000")
-    assert isinstance(link, CanLink)
     assert (link.name, link.rates) == (f"can:slcan/{name}", BusRates(500_000))
     assert b"S6\r" in os.read(master, 100)
     os.write(master, b"t1232AABB\rtXYZ\r\aT000000070\r")
@@ -609,22 +606,6 @@ def test_text_that_is_no_slcan_is_no_loss(adapter: tuple[int, str]) -> None:
         os.write(master, b"\rt0010\r")
         assert read(link, 1)["id"].tolist() == [1]
         assert link.health.malformed > 1000
-
-
-def test_an_adapter_that_refuses_its_rate_is_not_opened(adapter: tuple[int, str]) -> None:
-    master, name = adapter
-    kept = os.open(name, os.O_RDWR | os.O_NOCTTY)  # or the thread would find the pty gone before it is opened
-
-    def refuse() -> None:
-        os.read(master, 100)
-        os.write(master, b"\r\r\a\r")
-
-    thread = threading.Thread(target=refuse)
-    thread.start()
-    with pytest.raises(LinkError, match=rf"^can:slcan/{name}: the adapter refused the bit rate 750000 \(S7\)$"):
-        open_link(f"can:slcan/{name}?bitrate=750000")
-    thread.join()
-    os.close(kept)
 
 
 def obey(port: SlcanPort) -> bytes:
@@ -842,7 +823,6 @@ CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"
 )
 def test_python_can_is_told_the_rates_that_are_its_to_set(bare: Path, target: str, told: dict[str, object]) -> None:
     named = parse_target(target)
-    assert isinstance(named, CanTarget)
     arguments = bus_arguments(named)
     timing = arguments.pop("timing", None)
     if isinstance(timing, can.BitTimingFd):

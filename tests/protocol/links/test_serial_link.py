@@ -100,7 +100,6 @@ def test_port_held_by_another_process(port: Port) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", code, f"serial:{port.path}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == b"open\n"
         with pytest.raises(LinkBusy, match=r"ttyBENCH is held by another program"):
             open_link(f"serial:{port.path}")

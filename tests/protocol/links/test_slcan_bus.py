@@ -31,10 +31,6 @@ def untimed(records: bytes) -> bytes:
     return made.tobytes()
 
 
-def path_of(port: SlcanPort) -> str:
-    return port.target.removeprefix("can:slcan/").partition("?")[0]
-
-
 def sent_by_host(port: SlcanPort, count: int) -> bytes:
     """The next `count` frames that the host sends to the bus."""
     records = b""
@@ -45,32 +41,30 @@ def sent_by_host(port: SlcanPort, count: int) -> bytes:
     return records
 
 
-def opened(port: SlcanPort, **keywords: object) -> SlcanBus:
-    """A bus on this adapter, which reads the commands that open its channel and answers them."""
+@contextmanager
+def opened(path: Path, rates: BusRates, **keywords: object) -> Iterator[tuple[SlcanPort, SlcanBus]]:
+    """An adapter, and a bus on it: the adapter has read the commands that open its channel, and answered them."""
+    port = SlcanPort(path / "ttyCAN", rates)
     obeying = threading.Thread(target=sent_by_host, args=(port, 0))
     obeying.start()
-    bus = SlcanBus(path_of(port), **keywords)
+    bus = SlcanBus(str(path / "ttyCAN"), **keywords)
     obeying.join()
     assert port.refused == 0
-    return bus
+    yield port, bus
+    bus.shutdown()
+    port.close()
 
 
 @pytest.fixture
 def classic(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
-    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = opened(port, bitrate=1_000_000)
-    yield port, bus
-    bus.shutdown()
-    port.close()
+    with opened(tmp_path, CLASSIC, bitrate=1_000_000) as ends:
+        yield ends
 
 
 @pytest.fixture
 def fd(tmp_path: Path) -> Iterator[tuple[SlcanPort, SlcanBus]]:
-    port = SlcanPort(tmp_path / "ttyCAN", FD)
-    bus = opened(port, bitrate=1_000_000, fd=True, data_bitrate=5_000_000)
-    yield port, bus
-    bus.shutdown()
-    port.close()
+    with opened(tmp_path, FD, bitrate=1_000_000, fd=True, data_bitrate=5_000_000) as ends:
+        yield ends
 
 
 def records_of(messages: list[can.Message]) -> bytes:
@@ -86,7 +80,6 @@ def test_messages_and_records_both_ways(kind: str, messages: list[can.Message], 
     assert port.write(records_of(messages)) == 80 * len(messages)
     for msg in messages:
         got = bus.recv(5.0)
-        assert got is not None
         assert got.equals(msg, timestamp_delta=None), f"{got} is not {msg}"
         assert abs(got.timestamp - time.time()) < 5.0
     records = records_of(messages)
@@ -127,7 +120,6 @@ def test_messages_then_records_lose_nothing(classic: tuple[SlcanPort, SlcanBus])
     port, bus = classic
     port.write(frame(1) + frame(2) + frame(3))
     first = bus.recv(5.0)
-    assert first is not None
     assert first.arbitration_id == 1
     rest = b""
     while len(rest) < 160 and (more := bus.recv_records(5.0)):
@@ -153,17 +145,14 @@ def test_frames_that_do_not_fit_the_bus(classic: tuple[SlcanPort, SlcanBus]) -> 
 
 
 def test_refused_frames_are_counted(tmp_path: Path) -> None:
-    port = SlcanPort(tmp_path / "ttyCAN", CLASSIC)
-    bus = opened(port, fd=True)  # this adapter has no CAN FD
-    for msg in FD_MESSAGES[:3]:
-        bus.send(msg)
-    while port.refused < 3 and select.select(port.read_fds(), [], [], 5.0)[0]:
-        assert port.read() == b""
-    port.write(frame(1))
-    assert untimed(bus.recv_records(5.0)) == frame(1)
-    assert bus.refused == 3
-    bus.shutdown()
-    port.close()
+    with opened(tmp_path, CLASSIC, fd=True) as (port, bus):  # this adapter has no CAN FD
+        for msg in FD_MESSAGES[:3]:
+            bus.send(msg)
+        while port.refused < 3 and select.select(port.read_fds(), [], [], 5.0)[0]:
+            assert port.read() == b""
+        port.write(frame(1))
+        assert untimed(bus.recv_records(5.0)) == frame(1)
+        assert bus.refused == 3
 
 
 @pytest.fixture
@@ -458,7 +447,6 @@ def test_notifier_and_logger(fd: tuple[SlcanPort, SlcanBus], tmp_path: Path) -> 
         port.write(records_of(messages))
         got = [reader.get_message(5.0) for _ in messages]
     for msg, heard in zip(messages, got, strict=True):
-        assert heard is not None
         assert heard.equals(msg, timestamp_delta=None)
     with can.LogReader(tmp_path / "log.blf") as logged:
         for msg, kept in zip(messages, logged, strict=True):

@@ -132,20 +132,6 @@ def test_what_comes_out_is_what_the_bench_recorded() -> None:
     assert (edges == recorded.edges).all()
 
 
-def test_the_run_does_not_depend_on_the_size_of_the_steps() -> None:
-    def run(step: float) -> np.ndarray:
-        host = SmallHost(VirtualLink.of(PARAMS, seed=2, step=step), wait=0.02)
-        host.stream()
-        host.start()
-        host.setpoint(SetpointMode.SPEED, 40.0)
-        host.run(0.4)
-        return np.concatenate([chunk.raw for chunk in host.samples[1, 0]])[:6000]
-
-    first = run(0.001)
-    assert len(first) == 6000
-    assert (first == run(0.02)).all()
-
-
 def test_ticks_and_index_run_over_32_bits_without_a_break() -> None:
     start = 2**32 - 1250 * 8000 - 625
     host = SmallHost(VirtualLink.of(load_params(None, {"clock.start_tick": start})))
