@@ -177,16 +177,6 @@ def test_time_is_that_of_the_end_of_the_line() -> None:
     assert parser.feed(b"20\r", 2.0)["time"].tolist() == [2.0]
 
 
-def test_byte_by_byte_is_the_same_as_whole() -> None:
-    text = b"".join(line for line, _ in TABLE) + b"z\r\aF00\r" + b"\r".join(DAMAGED) + b"\r"
-    whole, single = SlcanParser(), SlcanParser()
-    expected = whole.feed(text, 0.0)
-    frames = joined([single.feed(text[k : k + 1], 0.0) for k in range(len(text))])
-    assert frames.tobytes() == expected.tobytes() == joined([frame for _, frame in TABLE]).tobytes()
-    assert single.malformed == whole.malformed == len(DAMAGED)
-    assert [reply.text for reply in single.replies] == [reply.text for reply in whole.replies] == [b"z", b"\a", b"F00"]
-
-
 @st.composite
 def frames(draw: st.DrawFn) -> Records:
     extended, kind = draw(st.booleans()), draw(st.sampled_from(["data", "remote", "fd", "brs"]))
@@ -253,10 +243,10 @@ LINES = st.tuples(
 ).map(b"".join)
 
 
-@given(st.lists(LINES, max_size=60).map(b"".join))
-def test_rubbish_is_read_as_the_rules_say(text: bytes) -> None:
+@given(st.lists(LINES, max_size=60).map(b"".join), st.integers(0, 600))
+def test_rubbish_is_read_as_the_rules_say(text: bytes, cut: int) -> None:
     parser = SlcanParser()
-    count = len(parser.feed(text, 0.0))
+    count = sum(len(parser.feed(piece, 0.0)) for piece in (text[:cut], text[cut:]))
     lines = re.findall(rb"([^\r\a]*)([\r\a])", text)
     ended = [line for line, end in lines if end == b"\r"]
     belled = [line for line, end in lines if end == b"\a"]

@@ -194,9 +194,17 @@ def test_what_cannot_be_read_is_counted_and_no_frame(port: SocketcandPort, text:
     assert client.hear() == b"< echo >"  # and no answer to the other
 
 
-def test_no_frame_follows_the_handshake_too_closely() -> None:
+@pytest.fixture
+def timed() -> Iterator[tuple[SocketcandPort, list[float]]]:
+    """A port, and its clock."""
     now = [0.0]
-    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    made = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    yield made, now
+    made.close()
+
+
+def test_no_frame_follows_the_handshake_too_closely(timed: tuple[SocketcandPort, list[float]]) -> None:
+    port, now = timed
     frame = records((0x1, b"", 0))
     client = Client(port)
     assert port.write(frame) == len(frame)  # nobody there
@@ -214,12 +222,10 @@ def test_no_frame_follows_the_handshake_too_closely() -> None:
     second.say(b"< send 123 0 >")  # who speaks has read the last answer
     port.write(frame)
     assert second.hear() == b"< frame 001 0.000000  >"
-    port.close()
 
 
-def test_a_client_that_reads_nothing_is_bounded() -> None:
-    now = [0.0]
-    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+def test_a_client_that_reads_nothing_is_bounded(timed: tuple[SocketcandPort, list[float]]) -> None:
+    port, now = timed
     client = Client(port)
     client.shake_hands()
     now[0] = QUIET
@@ -239,7 +245,6 @@ def test_a_client_that_reads_nothing_is_bounded() -> None:
         port.read()
     datas = [bytes.fromhex(each.split()[-1].decode()) for each in text.split(b">")[:-1]]
     assert datas == [k.to_bytes(8, "little") for k in range(taken)]
-    port.close()
 
 
 def test_frames_without_a_form_are_counted(port: SocketcandPort) -> None:
