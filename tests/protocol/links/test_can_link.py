@@ -18,7 +18,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import can
 import can.interfaces
@@ -43,11 +43,9 @@ from sim.ports.slcan_port import SlcanPort
 CHANNELS = (f"test-{n}" for n in itertools.count())
 
 
-class Ends:
-    """A link, and python-can's bus at the other end."""
-
-    def __init__(self, link: CanLink, bus: can.BusABC) -> None:
-        self.link, self.bus = link, bus
+class Ends(NamedTuple):
+    link: CanLink
+    bus: can.BusABC  # python-can's, at the other end
 
 
 @contextlib.contextmanager

@@ -69,14 +69,6 @@ def test_settle_collects() -> None:
     assert len(data) > 0.03 * 16000 * 50
 
 
-def test_a_reply_costs_no_time() -> None:
-    link = quiet()
-    host = SmallHost(link)
-    host.connect()
-    host.descriptor()
-    assert link.clock() == 0.0
-
-
 def test_long_waits_lose_nothing() -> None:
     host = SmallHost(link := VirtualLink.of(PARAMS))
     host.stream()
