@@ -76,7 +76,7 @@ class LyingLink:
 class LyingCanLink(LyingLink):
     """A sound small drive on a CAN FD bus, whose messages `lie` changes; its stream frames are as they should be."""
 
-    def __init__(self, lie: Lie) -> None:
+    def __init__(self, lie: Lie = lambda frame: frame) -> None:
         self._can = CanDevice(SmallDrive(), identity(boot_id=0xB0071D), CAN_FD)
         self._can.advance(0)
         link = DeviceLink(self._can.tx)
