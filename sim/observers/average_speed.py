@@ -14,6 +14,7 @@ Source: (1)-(2) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,15 @@ from sim.observers.transforms import wrap
 
 HALF_SECTOR = SECTOR_WIDTH / 2.0
 FASTEST = 1.5  # of the largest speed reference: no pair of edges makes more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that the front end takes."""
+
+    n_p: float
+    omega_m_max: float  # mechanical rad/s
+    hall_timeout: float  # s
 
 
 class Params(NamedTuple):
@@ -53,10 +63,10 @@ State = hall_speed.State
 init = hall_speed.init
 
 
-def make_params(tick_hz: float, *, n_p: float, omega_m_max: float, hall_timeout: float) -> Params:
-    """Constants from the drive's parameters of the same names (rad/s mechanical, s)."""
-    omega_max = float(n_p) * float(omega_m_max)
-    return Params(hall_speed.make_params(tick_hz, hall_timeout, FASTEST * omega_max), omega_max)
+def make_params(tick_hz: float, drive: Settings) -> Params:
+    """Constants for a counter of `tick_hz` Hz."""
+    omega_max = float(drive.n_p) * float(drive.omega_m_max)
+    return Params(hall_speed.make_params(tick_hz, drive.hall_timeout, FASTEST * omega_max), omega_max)
 
 
 @kernel

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from protocol.signals import DRIVE_CHANNELS
 from sim.observers import sample, vector_tracking, vector_tracking_q15
-from sim.observers.bank import FRONT_PARAMETERS
-from sim.observers.catalogue import CATALOGUE
+from sim.observers.catalogue import CATALOGUE, chosen
 from tests.benchmarks.table import Row
 from tests.sim.observers import q15_harness
 from tests.sim.test_accuracy import PWM_HZ, VECTOR, column, forced, running
@@ -56,7 +55,7 @@ def _recorded(rpm: int, i_q: float) -> tuple[dict[str, float], sample.Samples, N
     scale = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
     names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
     n = len(got.samples)
-    front = sample.make_params(TICK_HZ, **{name: bench.parameters[name] for name in FRONT_PARAMETERS})
+    front = sample.make_params(TICK_HZ, chosen(sample.Settings, bench.parameters))
     tick = got.tick + np.arange(n, dtype=np.int64) * (TICK_HZ // PWM_HZ)
     _, seen = sample.run(
         front,

@@ -9,11 +9,7 @@ from sim.drive import tick_protection as protection
 from sim.drive.machine import SimulatedBench
 
 RPM = 2 * np.pi / 60
-PARAMS = protection.make_params(
-    16000.0, 6.0, True,
-    i_trip=16.0, omega_m_trip=400.0, omega_trip_time=1e-3, u_dc_min=12.0, u_dc_max=32.0,
-    hall_fault_time=5e-3, hall_fault_count=40, hall_fault_leak=0.5, hall_turns=6.0, hall_emf=0.3,
-)  # fmt: skip
+PARAMS = protection.make_params(16000.0, 6.0, True, load_params().firmware.protection)
 QUIET = protection.Sensed(0.0, 0.0, 24.0, 1, 0, 1, 0.0, 0.0)
 
 

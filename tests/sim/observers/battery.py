@@ -113,7 +113,7 @@ class Tape:
         seen = {name: raw[name] * SCALE[name] for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q", "i_q_ref")}
         i_q_err = seen.pop("i_q_ref") - np.r_[0.0, seen.pop("i_q")[:-1]]
         hall = np.ascontiguousarray(raw["hall"])
-        front = sample.make_params(TICK_HZ, **chosen(sample.make_params, self.bench.parameters))
+        front = sample.make_params(TICK_HZ, chosen(sample.Settings, self.bench.parameters))
         inputs = (tick, hall, *seen.values(), i_q_err, edge_tick, edge_hall, reset)
         truth = (log[:, LOG_FIELDS.index(name)].copy() for name in ("theta_e", "omega_e"))
         return Recording(

@@ -13,6 +13,7 @@ from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
 from sim.drive.tick import LOG_FIELDS
 from sim.observers import sample
+from sim.observers.catalogue import chosen
 
 RPM = 2 * math.pi / 60
 SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
@@ -75,7 +76,7 @@ class Run:
         u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (raw[name] * SCALE[name] for name in INPUTS)
         reset = (raw["status"] & Status.OBSERVERS_RESET) != 0
         _, samples = sample.run(
-            sample.make_params(clock.tick_hz, **{k: drive[k] for k in ("n_p", "omega_m_max", "hall_timeout")}),
+            sample.make_params(clock.tick_hz, chosen(sample.Settings, drive)),
             sample.init(),
             self.parts[0].tick + np.arange(raw.size, dtype=np.int64) * clock.period_ticks,
             raw["hall"].copy(),

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from ideal_motor import (
     CODES,
-    N_P,
     PAPER_EDGES,
     PWM_HZ,
     TICK_HZ,
     TICKS,
     constant,
     error_deg,
+    own,
     rpm,
     sectors,
     signals,
@@ -16,7 +16,7 @@ from ideal_motor import (
 
 from sim.observers import average_speed
 
-PARAMS = average_speed.make_params(TICK_HZ, n_p=N_P, omega_m_max=314.159, hall_timeout=0.2)
+PARAMS = average_speed.make_params(TICK_HZ, own(average_speed))
 
 
 def run(s):

@@ -13,6 +13,7 @@ from ideal_motor import (
     constant,
     error_deg,
     glitch,
+    own,
     rpm,
     samples,
     sectors,
@@ -25,13 +26,12 @@ from sim.observers import hall_vector
 J = 2e-4
 BW = 10.0
 W = 2 * math.pi * BW
-MODEL = {"n_p": N_P, "psi_f_hat": PSI_F, "J_hat": J, "bw_hall_vector": BW}
 PER_AMPERE = 1.5 * N_P**2 * PSI_F / J  # rad/s2 of electrical acceleration
 SPEEDS = [500.0, 1000.0, 3000.0, -500.0, -3000.0]
 
 
 def estimate(s, reset=None, observer=hall_vector, **model):
-    return track(observer, observer.make_params(PWM_HZ, **{**MODEL, **model}), s, reset)
+    return track(observer, observer.make_params(PWM_HZ, own(observer, **model)), s, reset)
 
 
 def loop(omega):

@@ -2,29 +2,19 @@
 
 import numpy as np
 import pytest
-from ideal_motor import DRIVE, PWM_HZ, TABLE_I, error_deg
+from ideal_motor import PWM_HZ, TABLE_I, error_deg
 from replay import Run
 
 from sim.observers import edge_learning, learned_edges
+from sim.observers.catalogue import CATALOGUE
 
-NEEDS = (
-    "n_p",
-    "omega_m_max",
-    "hall_timeout",
-    "R_s_hat",
-    "L_s_hat",
-    "psi_f_hat",
-    "omega_on",
-    "omega_off",
-    "bw_omega_lpf",
-)
 HYSTERESIS = 0.25  # deg, half of it: an edge is met later forwards
 
 
 def estimates(run):
     """Last state, estimates, errors in degrees by stretch, and those of vector tracking."""
     seen = run.telemetry()
-    params = learned_edges.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in NEEDS})
+    params = CATALOGUE["learned_edges"].make_params(PWM_HZ, run.bench.parameters)
     state, out = learned_edges.run(params, learned_edges.init(), seen.samples, seen.reset)
     own = {mark: error_deg(seen.theta[part], out.theta[part]) for mark, part in run.marks.items()}
     other = {mark: error_deg(seen.theta[part], seen.theta_vt[part]) for mark, part in run.marks.items()}
@@ -81,8 +71,3 @@ def test_both_directions_have_their_own_places():
     up, down = (np.degrees([edge_learning.delta(state.edges, b, way) for b in range(6)]) for way in (1, -1))
     assert up - down == pytest.approx(-2 * HYSTERESIS, abs=0.35)
     assert out.learned[-1] == 12
-
-
-def test_the_parameters_are_those_of_the_drive():
-    assert set(NEEDS) <= set(DRIVE)
-    assert set(NEEDS) <= set(Run().bench.parameters)

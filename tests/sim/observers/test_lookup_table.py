@@ -11,6 +11,7 @@ from ideal_motor import (
     constant,
     error_deg,
     glitch,
+    own,
     rpm,
     samples,
     sectors,
@@ -27,7 +28,7 @@ SPEEDS = [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0]
 
 
 def params(offsets_deg=TABLE_I, downwards_deg=None):
-    return lookup_table.make_params(PWM_HZ, **LIMITS, **table(offsets_deg, downwards_deg))
+    return lookup_table.make_params(PWM_HZ, own(lookup_table, **table(offsets_deg, downwards_deg)))
 
 
 def passed_edges(s):
@@ -207,6 +208,6 @@ def test_a_table_that_leaves_a_sector_no_width():
 def test_an_entry_that_is_not_given_is_that_of_an_ideal_sensor():
     entries = table()
     del entries["edge_down_4"]
-    params = lookup_table.make_params(PWM_HZ, **LIMITS, **entries)
+    params = lookup_table.make_params(PWM_HZ, lookup_table.Settings(**LIMITS, **entries))
     assert params.down[3] == pytest.approx(np.pi)
     assert params.down[2] != pytest.approx(2 * np.pi / 3)

@@ -16,6 +16,7 @@ from ideal_motor import (
     edges,
     error_deg,
     glitch,
+    own,
     rpm,
     samples,
     sectors,
@@ -25,13 +26,12 @@ from ideal_motor import (
 
 from sim.observers import programmable_filter
 
-NAMES = ("R_s_hat", "L_s_hat", "psi_f_hat", "omega_on", "omega_off", "bw_omega_lpf")
 SPEEDS = [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0]
 
 
 def estimate(s, reset=None, **drive):
-    given = {name: {**DRIVE, **drive}[name] for name in NAMES}
-    return track(programmable_filter, programmable_filter.make_params(PWM_HZ, **given), s, reset)
+    params = programmable_filter.make_params(PWM_HZ, own(programmable_filter, **drive))
+    return track(programmable_filter, params, s, reset)
 
 
 def last(s, out, turns=3.0):

@@ -23,7 +23,8 @@ from sim.observers.sample import Samples
 
 
 def estimate(s, exact_inverse=True, **drive):
-    params = bank.make_params(TICK_HZ, PWM_HZ, exact_inverse=exact_inverse, **{**DRIVE, **drive})
+    params = bank.make_params(TICK_HZ, PWM_HZ, **{**DRIVE, **drive})
+    params = params._replace(vector_tracking=params.vector_tracking._replace(exact_inverse=int(exact_inverse)))
     return bank.run(params, bank.init(), *s.arguments())[1]
 
 
@@ -33,7 +34,7 @@ def track(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_
     `start`: initial estimate (default: the true angle). Returns the estimates at samples 1, 2, ...
     """
     n = theta.size
-    params = vector_tracking.make_params(PWM_HZ, **own(vector_tracking.make_params, **drive))
+    params = vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive))
     rotor = np.exp(1j * theta)
     i = 1j * np.broadcast_to(i_q, n) * rotor
     before = np.r_[0, np.arange(n - 1)]

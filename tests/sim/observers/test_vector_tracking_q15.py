@@ -20,10 +20,8 @@ from sim.observers import sample, vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 
 MILLI = 1 / 1024
-NAMES = ("R_s_hat", "L_s_hat", "psi_f_hat", "k_p_vt", "k_i_vt", "tau_max", "omega_on", "omega_off", "bw_omega_lpf")
-OWN = {name: DRIVE[name] for name in NAMES}
-FRONT = sample.make_params(TICK_HZ, **own(sample.make_params))
-PARAMS = q15.make_params(PWM_HZ, **OWN)
+FRONT = sample.make_params(TICK_HZ, own(sample))
+PARAMS = q15.make_params(PWM_HZ, own(q15))
 TURN = 1 << 32
 
 
@@ -42,8 +40,8 @@ def both(s, hall_factor=1.0, **drive):
     """Estimates of the fixed-point and of the floating-point observer, the Hall speed wrong by a factor."""
     samples, reset = seen(s), np.zeros(s.tick.size, np.bool_)
     samples = samples._replace(hall=samples.hall._replace(omega=hall_factor * samples.hall.omega))
-    fixed = q15.make_params(PWM_HZ, **{**OWN, **drive})
-    params = vector_tracking.make_params(PWM_HZ, **own(vector_tracking.make_params, **drive))
+    fixed = q15.make_params(PWM_HZ, own(q15, **drive))
+    params = vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive))
     return (
         q15.run(fixed, q15.init(), samples, reset)[1],
         vector_tracking.run(params, vector_tracking.init(), samples, reset)[1],
@@ -306,8 +304,8 @@ def test_constants_of_table_ii_by_hand():
 )
 def test_constants_that_do_not_fit_are_the_largest_that_do(name, value, largest):
     """The limits that docs/fixed-point.md names; L_s_hat's is that of the 16-bit impedance."""
-    at_limit = q15.make_params(PWM_HZ, **{**OWN, name: largest})
-    beyond = q15.make_params(PWM_HZ, **{**OWN, name: value})
+    at_limit = q15.make_params(PWM_HZ, own(q15, **{name: largest}))
+    beyond = q15.make_params(PWM_HZ, own(q15, **{name: value}))
     if name == "L_s_hat":
         assert beyond.q.z_now == 32767
     for mine, its in zip(beyond.q, at_limit.q, strict=True):
@@ -429,12 +427,12 @@ def test_full_scale_saturates_and_a_larger_base_does_not():
     small = quantised(signals(constant(rpm(500)), 0.3, edges_deg=PAPER_EDGES))
     large = small._replace(**{k: 20 * getattr(small, k) for k in ("u_alpha", "u_beta", "i_a", "i_b", "i_c")})
     samples, reset = seen(large), np.zeros(small.tick.size, np.bool_)
-    more = {**OWN, "psi_f_hat": 20 * OWN["psi_f_hat"]}
-    wide = q15.make_params(PWM_HZ, **more, base_u=640.0, base_i=640.0)
+    more = own(q15, psi_f_hat=20 * DRIVE["psi_f_hat"])
+    wide = q15.make_params(PWM_HZ, more, base_u=640.0, base_i=640.0)
     assert wide.q == PARAMS.q
     _, out = q15.run(wide, q15.init(), samples, reset)
     _, same = q15.run(PARAMS, q15.init(), seen(small), reset)
     assert np.array_equal(out.theta, same.theta)
-    narrow = q15.make_params(PWM_HZ, **more)
+    narrow = q15.make_params(PWM_HZ, more)
     counts = np.array([q15.counts(narrow, sample.at(samples, k))[:4] for k in range(100)])
     assert np.abs(counts).max() == INT16

@@ -17,7 +17,7 @@ from ideal_motor import (
 
 from sim.observers import zeroth_order
 
-PARAMS = zeroth_order.make_params(PWM_HZ)
+PARAMS = zeroth_order.make_params(PWM_HZ, zeroth_order.Settings())
 
 
 def expected_error(edges_deg):
