@@ -162,12 +162,6 @@ class SimulatedBench:
         cold = self.outputs_on and source and not known >> source - 1 & 1
         self._source_from = self.n + round(WARM_UP * self.params.clock.pwm_hz) if cold else 0
 
-    def enable(self, on: bool = True) -> None:
-        """Go from IDLE through ARMED to RUNNING, or back to IDLE."""
-        if on:
-            self.enter_state(DriveState.ARMED)
-        self.enter_state(DriveState.RUNNING if on else DriveState.IDLE)
-
     def enter_state(self, state: DriveState) -> None:
         """Follow the drive's state; without a setpoint yet.
 

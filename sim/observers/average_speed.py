@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers import hall_speed
 from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.transforms import wrap
@@ -45,22 +45,11 @@ class Params(NamedTuple):
     omega_max: float  # largest electrical speed, rad/s
 
 
-class Estimate(NamedTuple):
-    """One period's result."""
-
-    theta: float  # electrical rad in [-pi, pi)
-    omega: float  # omega_h, electrical rad/s
-
-
 class Estimates(NamedTuple):
     """A run's results, one element a sample."""
 
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-
-
-State = hall_speed.State
-init = hall_speed.init
+    theta: NDArray[np.float64]  # electrical rad in [-pi, pi)
+    omega: NDArray[np.float64]  # omega_h, electrical rad/s
 
 
 def make_params(tick_hz: float, drive: Settings) -> Params:
@@ -88,47 +77,3 @@ def position(params: Params, hall: hall_speed.Estimate) -> float:
     else:
         travel = min(abs(hall.omega) * hall.age, SECTOR_WIDTH)
     return wrap(centre(hall.sector) + hall.direction * (travel - HALF_SECTOR))
-
-
-@kernel
-def step(
-    params: Params,
-    state: State,
-    tick: int,
-    hall: int,
-    edge_ticks: NDArray[np.int64],
-    edge_halls: NDArray[np.uint8],
-    first: int,
-    last: int,
-) -> tuple[State, Estimate]:
-    """One control period: edges [first, last) of the arrays, then the sample at `tick` with code `hall`."""
-    state, front = hall_speed.step(params.hall, state, tick, hall, edge_ticks, edge_halls, first, last)
-    return state, Estimate(position(params, front), front.omega)
-
-
-@jit
-def run(
-    params: Params,
-    state: State,
-    tick: NDArray[np.int64],
-    hall: NDArray[np.uint8],
-    edge_tick: NDArray[np.int64],
-    edge_hall: NDArray[np.uint8],
-    reset: NDArray[np.bool_],
-) -> tuple[State, Estimates]:
-    """`step` over n samples; arguments as in `hall_speed.run`."""
-    n = tick.shape[0]
-    m = edge_tick.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
-    first = 0
-    for k in range(n):
-        last = first
-        while last < m and edge_tick[last] <= tick[k]:
-            last += 1
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, tick[k], hall[k], edge_tick, edge_hall, first, last)
-        first = last
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-    return state, out

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from rig import RPM, Rig
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from sim.config.params import load_params
 from sim.drive import tick_protection as protection
-from sim.drive.machine import SimulatedBench
 
-RPM = 2 * np.pi / 60
 PARAMS = protection.make_params(16000.0, 6.0, True, load_params().firmware.protection)
 QUIET = protection.Sensed(0.0, 0.0, 24.0, 1, 0, 1, 0.0, 0.0)
 
@@ -64,7 +63,7 @@ def test_a_back_emf_against_the_hall_sensors_trips_after_its_turns():
 
 
 def drive(observer=2, **overrides):
-    bench = SimulatedBench(load_params(None, {"firmware.observer": observer, **overrides}), 1)
+    bench = Rig(1, **{"firmware.observer": observer, **overrides})
     bench.enable()
     bench.load_enter_state(DriveState.RUNNING)
     return bench
@@ -73,9 +72,7 @@ def drive(observer=2, **overrides):
 def forced(rpm, observer=2):
     """The drive at 2 A on a shaft that the load machine turns."""
     bench = drive(observer)
-    bench.load_setpoint(SetpointMode.SPEED, rpm * RPM)
-    bench.setpoint(SetpointMode.CURRENT, 2.0)
-    bench.advance(16_000)
+    bench.forced(rpm, 2.0, 1.0)
     assert bench.faults == 0
     return bench
 
@@ -83,10 +80,8 @@ def forced(rpm, observer=2):
 def loaded(rpm, torque, observer=2):
     """The drive at a speed against a torque."""
     bench = drive(observer)
-    bench.setpoint(SetpointMode.SPEED, rpm * RPM)
-    bench.advance(12_000)
-    bench.load_setpoint(SetpointMode.TORQUE, torque)
-    bench.advance(8_000)
+    bench.spin(rpm, 0.75)
+    bench.spin(rpm, 0.5, torque)
     assert bench.faults == 0
     assert bench.truth.omega_m == pytest.approx(rpm * RPM, rel=0.25)
     return bench
@@ -155,7 +150,7 @@ def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
 
 
 def test_skipped_sectors_alone_trip():
-    bench = SimulatedBench(load_params(None, {"mechanics.theta_0_deg": 30.0}), 1)  # code 1; 2 with a and b exchanged
+    bench = Rig(1, **{"mechanics.theta_0_deg": 30.0})  # code 1; 2 with a and b exchanged
     bench.enter_state(DriveState.ARMED)
     for k in range(1, 51):
         bench.set_load_param("hall_swap", k % 2)

@@ -2,33 +2,26 @@ import numpy as np
 import pytest
 from ideal_motor import (
     CODES,
+    DRIVE,
+    N_P,
     PAPER_EDGES,
     PWM_HZ,
     TICK_HZ,
     TICKS,
     constant,
     error_deg,
-    own,
     rpm,
+    samples,
     sectors,
     signals,
 )
 
 from sim.observers import average_speed
 
-PARAMS = average_speed.make_params(TICK_HZ, own(average_speed))
-
 
 def run(s):
-    return average_speed.run(
-        PARAMS,
-        average_speed.init(),
-        s.tick,
-        s.hall,
-        s.edge_tick,
-        s.edge_hall,
-        np.zeros(s.tick.size, bool),
-    )[1]
+    seen = samples(s)
+    return average_speed.Estimates(seen.theta_avg, seen.hall.omega)
 
 
 def stays_in_sector(s, out):
@@ -93,7 +86,7 @@ def test_from_standstill_in_each_sector_both_ways(sector, sign):
     assert np.abs(error_deg(centre, out.theta[:first])).max() < 1e-9
     assert np.abs(error[:first]).max() <= 30 + 1e-9
     # exact at the edge, but for the time since: at most one period at the speeds there
-    assert abs(error[first]) < np.degrees(0.5 * PARAMS.omega_max / PWM_HZ)
+    assert abs(error[first]) < np.degrees(0.5 * N_P * DRIVE["omega_m_max"] / PWM_HZ)
     assert np.abs(error[first:second]).max() <= 30.1
     assert set(out.omega[:second]) == {0.0}
     assert np.sign(out.omega[second]) == sign
