@@ -14,9 +14,9 @@ import numpy as np
 from protocol.signals import AngleSource
 from sim.observers import learned_edges, vector_tracking
 from sim.observers.catalogue import CATALOGUE
+from tests.benchmarks.replay import Run, Telemetry
 from tests.benchmarks.table import Row
 from tests.sim.observers.ideal_motor import error_deg
-from tests.sim.observers.replay import Run, Telemetry
 
 SOURCE = AngleSource.LEARNED_EDGES
 PWM_HZ = 16_000

@@ -107,13 +107,3 @@ def test_a_rotor_that_stops_is_looked_for_in_the_middle_of_its_sector():
     assert np.abs(error_deg(np.radians(60 * (count % 6) + 60), out.theta[waiting])).max() < 1e-6
     assert np.abs(error_deg(np.radians(60 * (count % 6) + 30), out.theta[over])).max() < 1e-9
     assert set(out.omega[over]) == {0.0}
-
-
-def test_reversal_keeps_the_angle_inside_the_sector():
-    omega = rpm(100)
-    turn_at = 0.1003
-    s = signals(lambda t: 0.3 + omega * np.where(t < turn_at, t, 2 * turn_at - t), 0.2, fine=10)
-    out = run(s)
-    assert stays_in_sector(s, out)
-    assert np.sign(out.omega[-1]) == -1
-    assert abs(error_deg(s.theta[-1], out.theta[-1])) < 0.1
