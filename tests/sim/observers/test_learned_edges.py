@@ -177,14 +177,6 @@ def test_runs_on_with_two_sensors_and_with_one(broken, speed):
     assert np.abs(error_deg(s.theta, out.theta)[int(1.0 / T_S) :]).max() < (1.2 if speed > 500 else 2.0)
 
 
-def test_a_mended_sensor_is_believed_again():
-    s = signals(constant(rpm(500)), 2.0, edges_deg=PAPER_EDGES)
-    s = with_codes(s, lambda code: code | 2 * (np.arange(code.size) < code.size // 2).astype(np.uint8))
-    _, out = estimate(s)
-    assert out.sensors[s.tick.size // 2 - 10] == 2
-    assert out.sensors[-1] == 0
-
-
 def test_a_sensor_that_moves_is_flagged_followed_and_harms_nothing():
     """Sensor a by 9 deg at 1.5 s."""
     moved = PAPER_EDGES + 9.0 * np.array([0, 0, 1, 0, 0, 1])

@@ -266,10 +266,3 @@ def test_without_a_reference_voltage_it_follows_the_hall_sensors():
     difference = error_deg(samples(s).theta_avg, out.theta)[later]
     assert np.abs(difference).max() < 1e-6
     assert out.omega[-1] == pytest.approx(rpm(500), rel=0.15)
-
-
-def test_currents_only_matter_through_their_stator_vector():
-    """A common part of the three currents (an offset of the sensors' supply) drops out."""
-    s = signals(constant(rpm(500)), 0.1)
-    shifted = s._replace(i_a=s.i_a + 0.25, i_b=s.i_b + 0.25, i_c=s.i_c + 0.25)
-    np.testing.assert_allclose(estimate(shifted).theta, estimate(s).theta, atol=1e-12)
