@@ -224,10 +224,6 @@ class HostSession:
         """Return and forget the oldest event, None if there is none."""
         return self._events.popleft() if self._events else None
 
-    def next_deadline(self) -> float | None:
-        """Return when `tick` must be called at the latest, None if nothing is outstanding."""
-        return None if self._pending is None else self._pending.deadline
-
     def tick(self, now: float) -> None:
         """Repeat or give up the outstanding request, if it is time."""
         pending = self._pending

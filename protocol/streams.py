@@ -382,15 +382,6 @@ def unpack_edges(
     )
 
 
-def pack_edges(tick: I64, hall_old: U8, hall_new: U8, illegal: NDArray[np.bool_], encoder: I64) -> NDArray[np.void]:
-    """Return edges as wire records (EDGE_RECORD): ticks and encoder counts are cut to 32 and 16 bits."""
-    records = np.zeros(len(tick), EDGE_RECORD)
-    records["tick"] = tick & 0xFFFFFFFF
-    records["codes"] = hall_old | hall_new << 3 | np.where(illegal, EDGE_ILLEGAL, 0).astype(np.uint8)
-    records["encoder"] = encoder & 0xFFFF
-    return records
-
-
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:
     """Return start, start + step, … with n members for each (start, n), joined."""
     parts = [np.arange(start, start + n * step, step, dtype=np.int64) for start, n in starts]

@@ -102,7 +102,7 @@ class HostWire(Protocol):
 
 
 class ByteWire:
-    """COBS frames: serial ports, TCP, memory."""
+    """COBS frames: serial ports, TCP."""
 
     shared = False
 

@@ -42,7 +42,12 @@ class Share(click.ParamType[float]):
 @overwrite_option
 @click.option("--margin", type=Share(), default="20%", show_default=True, help="Of --write-expect, on both sides.")
 def command(
-    runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool, margin: float, **files: Path | None
+    runs: tuple[Path, ...],
+    observers: tuple[str, ...],
+    expect: Path | None,
+    overwrite: bool,
+    margin: float,
+    **files: Path | None,
 ) -> None:
     """Score position observers on recordings: errors, lag and cost, ranked.
 
@@ -57,8 +62,7 @@ def command(
       bench score a.rrd b.rrd --html score.html --json score.json
       bench score a.rrd --expect bounds.toml
     """
-    html, json_file, csv_file = files["html"], files["json_file"], files["csv_file"]
-    expect, write_expect = files["expect"], files["write_expect"]
+    html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
     check_files(outputs, overwrite, [*runs, expect])
     from bench.scoring import expect as bounds

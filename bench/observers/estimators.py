@@ -146,10 +146,10 @@ class _Kernels:
     def __init__(
         self, entries: Sequence[Entry], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float
     ) -> None:
-        _require("the Hall front end", missing(sample.make_params, parameters))
+        _require("the Hall front end", missing(sample.Settings, parameters))
         for entry in entries:
             _require(entry.name, entry.missing(parameters))
-        self._front = sample.make_params(tick_hz, **chosen(sample.make_params, parameters))
+        self._front = sample.make_params(tick_hz, chosen(sample.Settings, parameters))
         self._observers = [(entry, entry.make_params(pwm_hz, parameters)) for entry in entries]
         with Held():  # kernels that return a NamedTuple
             self._front_state = sample.init()
@@ -262,7 +262,7 @@ def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[s
 
 def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of all observers that a drive with these parameters has what it takes for, and of the others in words."""
-    front = missing(sample.make_params, parameters)
+    front = missing(sample.Settings, parameters)
     lacking = {name: dict.fromkeys((*front, *entry.missing(parameters))) for name, entry in CATALOGUE.items()}
     left_out = (f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs)
     return tuple(name for name, needs in lacking.items() if not needs), tuple(left_out)

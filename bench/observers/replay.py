@@ -29,8 +29,8 @@ from bench.rerunio.sinks import FileSink
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from protocol.streams import EdgeChunk, SampleChunk
-from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, keyword_parameters
+from sim.observers import catalogue, sample
+from sim.observers.catalogue import CATALOGUE
 
 WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
 BEGAN = {
@@ -168,7 +168,7 @@ def checked_settings(
     settings: Mapping[str, float], observers: Sequence[str], recorded: Mapping[str, float]
 ) -> dict[str, float]:
     """`settings` by the parameters' full names. BenchError for what none of the observers has, or is out of range."""
-    used = set(keyword_parameters(sample.make_params)).union(*(entry_of(name).parameters for name in observers))
+    used = set(catalogue.names(sample.Settings)).union(*(entry_of(name).parameters for name in observers))
     known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
     checked: dict[str, float] = {}
     for given, value in settings.items():

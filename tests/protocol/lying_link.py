@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from small_drive import CHANNELS, TICKS, SmallDrive, identity, samples, small_link
+from small_drive import CHANNELS, TICKS, SmallDrive, identity, pack_edges, samples, small_link
 
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
 from protocol.device.session import DeviceLink, TxQueue
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
-from protocol.streams import pack_edges
 from protocol.wire import ByteWire, HostWire
 
 Lie = Callable[[Frame], Frame]

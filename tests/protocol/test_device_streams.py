@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import CHANNELS, TICKS, SmallDrive, identity, samples, small_link
+from small_drive import CHANNELS, TICKS, SmallDrive, identity, pack_edges, samples, small_link
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
@@ -20,7 +20,6 @@ from protocol.streams import (
     SampleDecoder,
     StreamConfig,
     TickReference,
-    pack_edges,
 )
 
 DESCRIPTOR = Descriptor.of(CHANNELS, [])

@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, samples, small_link
+from small_drive import TICKS, SmallDrive, pack_edges, samples, small_link
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
@@ -31,7 +31,7 @@ from protocol.messages import (
     StreamStart,
     StreamStop,
 )
-from protocol.streams import SampleDecoder, StreamConfig, TickReference, pack_edges
+from protocol.streams import SampleDecoder, StreamConfig, TickReference
 from protocol.wire import StreamFrames
 
 RANDOM = 400_000
@@ -135,7 +135,7 @@ def host_snapshot(host: HostSession) -> object:
     counters = host.counters
     return (
         host.busy, dict(host.hellos), host.round_trip, counters.unexpected_replies, counters.malformed,
-        counters.unknown_types, counters.other_versions, host.next_deadline(),
+        counters.unknown_types, counters.other_versions, str(host._pending),
     )  # fmt: skip
 
 

@@ -106,15 +106,14 @@ begun = time.perf_counter()
 action()
 longest = 2.0 * (time.perf_counter() - begun) + 1e-4
 signal.signal(signal.SIGALRM, stop)
-stopped, end = 0, time.monotonic() + 1.5
-while time.monotonic() < end:
+stopped = 0
+while stopped < 150:
     try:
         signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, longest))
         while True:
             action()
     except Stop:
         stopped += 1
-print(stopped)
 """
 
 
@@ -123,4 +122,3 @@ def test_a_handler_that_raises_while_a_kernel_runs_does_no_harm(action: str) -> 
     """Without `Held` some of them end in a segmentation fault: numba makes NamedTuples by Python code."""
     ended = subprocess.run([sys.executable, "-c", STORM, action], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert int(ended.stdout) > 100

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from small_drive import SmallDrive, identity, samples
+from small_drive import SmallDrive, identity, pack_edges, samples
 
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
@@ -14,7 +14,7 @@ from protocol.descriptor import Descriptor
 from protocol.device.tx import TxQueue
 from protocol.host import Event, HostSession, ReplyReceived, RequestRefused, StreamFrames
 from protocol.messages import BlobRead, Payload, Request, StreamEvent, StreamReply, StreamSet, StreamStart
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig, pack_edges
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
