@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -270,7 +270,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
     `active`: the observers that run (see `bank.Params`).
     """
     has_encoder = bool(p.encoder.present)
-    hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
+    hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
@@ -319,7 +319,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
 
 def _protection(p: BenchParams, drive: Mapping[str, float]) -> dict[str, float]:
     """The figures of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
-    figures: dict[str, float] = asdict(p.firmware.protection)
+    figures: dict[str, float] = dict(p.firmware.protection)
     if not p.encoder.present:
         figures["omega_m_trip"] = min(figures["omega_m_trip"], SHOWN * average_speed.FASTEST * drive["omega_m_max"])
     return figures
