@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -264,7 +264,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
     `active`: the observers that run (see `bank.Params`).
     """
     has_encoder = bool(p.encoder.present)
-    hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
+    hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period

@@ -1,17 +1,13 @@
-"""The simulated bus's ports, with python-can and our own link at the other end; the socketcand text also by hand."""
+"""The socketcand port of the simulated bus, with python-can and our own link at the other end, and by hand."""
 
 from __future__ import annotations
 
-import os
-import pty
 import select
 import socket
 import threading
 import time
-import tty
 from collections.abc import Iterator
 
-import can
 import pytest
 from can_ends import opened, read
 from can_rows import parts, records
@@ -20,7 +16,7 @@ from protocol.canmap.frame import BRS, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOT
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import can_open, open_link
 from protocol.links.can import CanLink
-from sim.ports.can_ports import QUIET, BusPort, SocketcandPort
+from sim.ports.socketcand_port import QUIET, SocketcandPort
 
 RATES = BusRates()
 
@@ -357,76 +353,3 @@ def test_servers_that_are_no_socketcand(monkeypatch: pytest.MonkeyPatch, greetin
     serving.join()
     for each in (listener, *clients):
         each.close()
-
-
-# Any bus of python-can's
-
-
-@pytest.fixture
-def channel() -> str:
-    return f"port-{time.monotonic_ns()}"
-
-
-def virtual(channel: str) -> can.BusABC:
-    return can.Bus(interface="virtual", channel=channel, ignore_config=True)
-
-
-FD = [(0x10, bytes(range(64)), FDF | BRS), (0x11 | EXTENDED, bytes(12), FDF), (ERROR | 0x8, bytes(8), 0)]
-
-
-def test_a_virtual_bus_with_our_link_at_the_other_end(channel: str) -> None:
-    rates = BusRates(500_000, 2_000_000)
-    port = BusPort.virtual(channel, rates, extended=True)
-    frames = [*CLASSIC, *FD]
-    with opened(port.target) as link:
-        assert (link.name, link.rates, link.extended) == (f"can:virtual/{channel}", rates, True)
-        link.write(records(*frames))
-        assert parts(port.read()) == frames
-        assert port.read() == b""
-        assert port.write(records(*frames)) == len(frames) * RECORD_BYTES
-        assert parts(read(link, len(frames))) == frames
-        assert port.read_fds() == []
-    port.close()
-
-
-def test_a_bus_is_unplugged_and_plugged(channel: str) -> None:
-    port = BusPort.virtual(channel, RATES)
-    assert port.target == f"can:virtual/{channel}?bitrate=1000000"
-    other = virtual(channel)
-    port.unplug()
-    port.unplug()
-    other.send(can.Message(arbitration_id=1))
-    assert (port.read(), port.write(records((1, b"", 0))), port.read_fds()) == (b"", RECORD_BYTES, [])
-    port.plug()
-    other.send(can.Message(arbitration_id=2, is_extended_id=False))
-    assert parts(port.read()) == [(2, b"", 0)]
-    port.write(records((3, b"", 0)))
-    message = other.recv(5.0)
-    assert message.arbitration_id == 3
-    other.shutdown()
-    port.close()
-
-
-def test_unreadable_frames_are_counted_and_full_buses_take_no_more(channel: str) -> None:
-    port = BusPort.virtual(channel, RATES)
-    other = can.Bus(interface="virtual", channel=channel, rx_queue_size=2, ignore_config=True)
-    other.send(can.Message(arbitration_id=0x800, is_extended_id=False))
-    other.send(can.Message(arbitration_id=0x1, is_extended_id=False))
-    assert parts(port.read()) == [(1, b"", 0)]
-    assert port.malformed == 1
-    assert port.write(records(*((k, b"", 0) for k in range(5)))) == 2 * RECORD_BYTES
-    other.shutdown()
-    port.close()
-
-
-def test_a_bus_with_a_descriptor_shows_it() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    path = os.ttyname(slave)
-    port = BusPort(lambda: can.Bus(interface="slcan", channel=path, sleep_after_open=0, ignore_config=True), "")
-    os.write(master, b"t1232AABB\r")
-    assert select.select(port.read_fds(), [], [], 5.0)[0]
-    assert parts(port.read()) == [(0x123, b"\xaa\xbb", 0)]
-    port.close()
-    os.close(master)
-    os.close(slave)
