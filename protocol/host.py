@@ -248,9 +248,9 @@ class HostSession:
             else:
                 self._receive(parse_frame(item), now)
 
-    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> Decoder:
+    def decoder(self, config: StreamConfig) -> Decoder:
         """Return a decoder for the frames of a stream, as it was just configured."""
-        return self.wire.decoder(config, tick_hz, pwm_hz, self.tick_reference(config.node))
+        return self.wire.decoder(config, self.tick_reference(config.node))
 
     def _receive(self, frame: Frame, now: float) -> None:
         counters = self.counters

@@ -399,9 +399,9 @@ class Client:
 
     # -- streams ------------------------------------------------------------------------------------------------
 
-    def decode(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> None:
+    def decode(self, config: StreamConfig) -> None:
         """Decode a stream from now on, as it was just configured."""
-        decoder = self.session.decoder(config, tick_hz, pwm_hz)
+        decoder = self.session.decoder(config)
         streams = self._streams.setdefault(config.node, _Streams())
         self._retire(config.node, streams.decoders.pop(config.stream, None))
         streams.decoders[config.stream] = decoder

@@ -38,6 +38,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
 from protocol.links import Link, open_link
 from protocol.signals import SHORT, SOURCE_NAMES
+from protocol.streams import StreamConfig
 
 if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
@@ -199,8 +200,8 @@ class LiveRun:
 
     # -- streaming ----------------------------------------------------------------------------------------------
 
-    def configure(self) -> tuple[Channel, ...]:
-        """Configure samples and edges; returns the channels that will come."""
+    def configure(self) -> StreamConfig:
+        """Configure samples and edges; returns the stream of samples that will come."""
         options, identity = self.options, self.drive.identity
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
@@ -222,9 +223,10 @@ class LiveRun:
                 few = ",".join(needed)
                 raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
             raise
-        if self.rig.decimation != decimation:
+        assert self.rig.samples is not None
+        if self.rig.samples.decimation != decimation:
             self.screen.note(f"--fit: {len(channels)} channels at {self.rig.rate:g} Hz")
-        return channels
+        return self.rig.samples
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
         """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
@@ -252,9 +254,7 @@ class LiveRun:
         offered = {channel.name for channel in self.drive.descriptor.channels}
         return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
 
-    def go(
-        self, channels: tuple[Channel, ...], acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool
-    ) -> Ended:
+    def go(self, stream: StreamConfig, acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool) -> Ended:
         """Stream, perform the acts, switch off, sum up."""
         options, identity = self.options, self.drive.identity
         parameters = self.drive.parameters()
@@ -262,22 +262,21 @@ class LiveRun:
         self._watchdog = parameters.get("watchdog", WATCHDOG)
         if acts:
             offers = self.drive.offers_edges
-            self._judge = Plausibility(self.drive.number, identity.pwm_hz, channels, offers, parameters)
+            self._judge = Plausibility(stream, offers, parameters)
         observers = None
         if options.host_observers:
             from bench.observers.estimators import HostObservers
 
-            names = [channel.name for channel in channels]
-            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz, names)
+            observers = HostObservers(parameters, stream)
         augmenter = None
         if options.estimate:
             from bench.observers.augment import AugmentedSinks, Augmenter
             from bench.observers.estimators import Estimators
 
-            estimators = Estimators(options.estimate, parameters, identity.tick_hz, identity.pwm_hz)
-            augmenter = Augmenter(estimators, channels)
+            estimators = Estimators(options.estimate, parameters, stream)
+            augmenter = Augmenter(estimators, stream.channels)
         stats = RunStatistics(self.drive.number, observers)
-        streamed = (*channels, *(augmenter.channels if augmenter else ()))
+        streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
         self._clock = self.drive.clock_fit()
         outputs = self._outputs = Outputs(
@@ -552,9 +551,9 @@ def run(
         live = LiveRun(options, link, target, screen)
         try:
             live.look()
-            channels, acts = live.configure(), live.acts()
+            stream, acts = live.configure(), live.acts()
             live.check(acts, confirm)
-            return live.go(channels, acts, report, hold)
+            return live.go(stream, acts, report, hold)
         except BaseException as error:
             with undisturbed():
                 live.make_safe()  # in case a second signal came before STOP

@@ -17,7 +17,7 @@ from uuid import uuid4
 import numpy as np
 
 from bench.analysis.capture import Capture
-from bench.analysis.chunks import no_edge_stream, part
+from bench.analysis.chunks import part, streams_none
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
@@ -92,7 +92,7 @@ def replay(
         names, left_out = all_for(parameters)
         if not names:
             raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
-    estimators = Estimators(names, parameters, run.info.tick_hz, run.info.pwm_hz)
+    estimators = Estimators(names, parameters, run.samples.config)
     augmenter = Augmenter(estimators, run.info.channels)
     taken = {channel.name for channel in run.samples.config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
@@ -136,9 +136,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     if why := not_replayable(capture):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
-    augmenter = Augmenter(
-        Estimators([name], parameters, capture.tick_hz, capture.pwm_hz), capture.samples.config.channels
-    )
+    augmenter = Augmenter(Estimators([name], parameters, capture.samples.config), capture.samples.config.channels)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
         raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
     augmenter.estimators.edges(capture.edges)
@@ -160,8 +158,7 @@ def readable_run(path: Path) -> Run:
 
 def not_replayable(capture: Capture) -> str:
     """Why observers cannot be run on a capture, in words; empty if they can."""
-    streamed = capture.edges.config != no_edge_stream(capture.edges.config.node)
-    return unfit(capture.samples.config) or ("" if streamed else "it has no Hall edges")
+    return unfit(capture.samples.config) or ("it has no Hall edges" if streams_none(capture.edges.config) else "")
 
 
 def checked_settings(

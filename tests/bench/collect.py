@@ -86,9 +86,9 @@ class Bench:
         """Stream edges and samples; returns the decimation, which is a larger one where the link carries no more."""
         self.drive.stop_streams()
         self.drive.set_edges()
-        _, decimation = configure(self.drive, [self.drive.channels(names)], decimation, slower=True)
+        config = configure(self.drive, [self.drive.channels(names)], decimation, slower=True)
         self.drive.start_streams()
-        return decimation
+        return config.decimation
 
     def rest(self) -> None:
         """Leave both machines as the next host expects to find them."""
