@@ -447,9 +447,10 @@ def test_two_nodes_on_one_link() -> None:
     assert (wire.ask(Hello(1), node=2).node, wire.ask(Hello(1), node=1).nodes) == (2, 2)
     link.data_to_send()
     for flags in (REPLY, ERROR, REPLY | ERROR):  # replies are never answered, whomever they are for
-        link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR | flags, 5, 9, b"")))
+        for node in (9, 1):
+            link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR | flags, 5, node, b"")))
     assert link.data_to_send() == b""
-    assert first.ignored == 3
+    assert first.ignored == 6
     wire.ask(StateCommand(Command.ARM, 5), node=2)
     assert (first.state, second.state) == (DriveState.IDLE, DriveState.ARMED)
     wire.ask(ParamSet(101, 9.0), tid=900, node=1)

@@ -123,7 +123,7 @@ def test_edges_that_come_after_their_samples_are_marked() -> None:
 
 
 @pytest.mark.parametrize("silent", ["the bus", "the streams"])
-@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 8.3, 65536 * 3 / 16000])
+@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 8.3])
 @pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
 def test_after_a_silence_the_gap_is_exact(
     rates: BusRates, names: tuple[str, ...], decimation: int, silence: float, silent: str

@@ -97,7 +97,7 @@ def frames(draw: st.DrawFn) -> np.ndarray:
     return record(can_id | REMOTE, length=draw(st.integers(0, 8)))
 
 
-@settings(max_examples=120, deadline=None)
+@settings(deadline=None)
 @given(frames())
 def test_bits_are_those_of_the_frame_written_out_and_no_more_than_the_worst_case(row: np.ndarray) -> None:
     assert bits_of(row) == written_out(row)
