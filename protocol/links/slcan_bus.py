@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 import can
@@ -115,6 +116,8 @@ class SlcanBus(can.BusABC):
         can.CanInitializationError: the port is missing, held by another program or no serial port, or the adapter
             refused a command.
     """
+
+    __signature__ = signature(SlcanOptions)
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         options = SlcanOptions(*arguments, **keywords)

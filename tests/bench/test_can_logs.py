@@ -149,7 +149,7 @@ class Decoded:
     def __post_init__(self) -> None:
         self._session = HostSession(CanWire(self.case.rates, 1, self.case.extended))
         self._decoders: dict[tuple[int, int], Decoder] = {
-            (s.config.node, s.config.stream): self._session.decoder(s.config, s.tick_hz, s.pwm_hz) for s in self.streams
+            (s.config.node, s.config.stream): self._session.decoder(s.config) for s in self.streams
         }
 
     def feed(self, frames: np.ndarray) -> Decoded:

@@ -39,7 +39,7 @@ class Device:
     def start(self, request: StreamSet, tx_max: int = 1024) -> tuple[StreamConfig, StreamReply]:
         reply = self.session.streams.configure(request, tx_max)
         self.session.streams.start(1 << request.stream)
-        return StreamConfig.of(1, request, reply, DESCRIPTOR), reply
+        return StreamConfig.of(identity(), request, reply, DESCRIPTOR), reply
 
     def push(self, index0: int, n: int) -> None:
         self.session.push_samples(index0, index0 * TICKS, samples(index0, n))
@@ -76,7 +76,7 @@ def test_every_chosen_sample_arrives_once(
     device.session.streams.stop(1)
     frames = device.frames()
     assert all(len(raw) - 8 <= tx_max for raw in frames)
-    decoder = SampleDecoder(config, TICKS, TickReference())
+    decoder = SampleDecoder(config, TickReference())
     chunk = decoder.decode(frames)
     expected = [i for i in range(first, index) if i % decimation == 0]  # by absolute index
     if not expected:
@@ -134,7 +134,7 @@ def test_a_jump_of_the_index_is_told() -> None:
     device.push(0, 150)
     device.push(200, 150)
     device.session.streams.stop(1)
-    chunk = SampleDecoder(config, TICKS, TickReference()).decode(device.frames())
+    chunk = SampleDecoder(config, TickReference()).decode(device.frames())
     assert [(g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps] == [(150, 50, 0, False)]
 
 
@@ -187,7 +187,7 @@ reads = st.lists(st.tuples(st.integers(1, 200), st.integers(0, 2500)), min_size=
 def test_what_the_device_drops_reconciles_three_ways(steps: list[tuple[int, int]], bulk_limit: int) -> None:
     device = Device(bulk_limit)
     config, reply = device.start(pwm())
-    decoder = SampleDecoder(config, TICKS, TickReference())
+    decoder = SampleDecoder(config, TickReference())
     edge_config, _ = device.start(StreamSet(1, StreamEvent.EDGES, 1, 20))
     edge_decoder = EdgeDecoder(edge_config, TickReference())
     frames, index, n_edges = [], 0, 0

@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, pack_edges, samples, small_link
+from small_drive import TICKS, SmallDrive, identity, pack_edges, samples, small_link
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
@@ -259,8 +259,8 @@ def test_samples_through_a_damaging_link_are_right_or_missing(seed: int) -> None
             data[position:position] = rng.integers(0, 256, 1 + position % 40, np.uint8).tobytes()
         else:
             data[position] = 0
-    config = StreamConfig.of(1, ask, reply, Descriptor.of(device.app.channels, []))
-    decoder = SampleDecoder(config, TICKS, TickReference())
+    config = StreamConfig.of(identity(), ask, reply, Descriptor.of(device.app.channels, []))
+    decoder = SampleDecoder(config, TickReference())
     host = HostSession()
     delivered = 0
     for start in range(0, len(data), 5000):

@@ -133,8 +133,8 @@ class CanPair:
         ):
             reply = self.ask(request)
             assert isinstance(reply, StreamReply), reply
-            config = StreamConfig.of(1, request, reply, descriptor)
-            self.decoders[request.stream] = self.host.decoder(config, HZ, HZ // TICKS)
+            config = StreamConfig.of(self.device.session.identity, request, reply, descriptor)
+            self.decoders[request.stream] = self.host.decoder(config)
             self.chunks[request.stream] = []
             mask |= 1 << request.stream
         self.ask(StreamStart(mask))

@@ -197,9 +197,9 @@ def test_what_cannot_be_on_a_bus_is_refused() -> None:
     with pytest.raises(LocalProtocolError, match="there is no node 16 on a CAN bus"):
         wire.encode(Frame(0x02, MAJOR, 1, 16, b""))
     for event, slot in ((StreamEvent.EDGES, 16), (StreamEvent.PWM, 32)):
-        config = StreamConfig(1, 0, 1, event, 1, (), 1, slot)
+        config = StreamConfig(1, 0, 1, event, 1, (), 1, slot, tick_hz=20_000_000, pwm_hz=16_000)
         with pytest.raises(RemoteProtocolError, match=f"slot {slot}"):
-            wire.decoder(config, 20_000_000, 16_000, TickReference())
+            wire.decoder(config, TickReference())
 
 
 def test_edge_streams_never_share_a_slot() -> None:

@@ -158,8 +158,8 @@ class SmallHost:
             requests.insert(0, StreamSet(1, StreamEvent.EDGES, 1, latency))
         for request in requests:
             reply = self.request(request, node)
-            config = StreamConfig.of(node, request, reply, self.descriptor(node))
-            self.decoders[node, request.stream] = self.session.decoder(config, hello.tick_hz, hello.pwm_hz)
+            config = StreamConfig.of(hello, request, reply, self.descriptor(node))
+            self.decoders[node, request.stream] = self.session.decoder(config)
         self.samples[node, 0] = []
         self.request(StreamStart(3 if edges else 1), node)
 
