@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bench.analysis.channels import flagged, reference_angle, speed_channel
 from bench.analysis.position import ErrorTable, states, wrap
 from bench.analysis.units import RPM, pole_pairs
-from bench.device.client import SinkBase
+from bench.device.client import Sink
 from protocol.messages import DriveState
 from protocol.signals import SECTOR_OF_CODE, Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -70,7 +70,7 @@ class _Asked:
     seconds: float = 0.0
 
 
-class Plausibility(SinkBase):
+class Plausibility(Sink):
     """Sink that judges the run of a drive by its `stream` of samples and, with `edges`, its Hall edges.
 
     `parameters`: the drive's, by name, in their units.

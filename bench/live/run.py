@@ -12,11 +12,11 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.bus import BusMeter
-from bench.device.client import POLL, WATCHDOG, Sink, SinkBase
+from bench.device.client import POLL, WATCHDOG, Sink
 from bench.device.node import LOAD, ClockFit
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
@@ -31,6 +31,7 @@ from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs
 from bench.rig.rig import Plan, Rig
+from bench.rig.screen import Screen
 from bench.rig.settings import Settings
 from bench.rig.streams import decimation_of
 from protocol.codes import fault_names
@@ -86,17 +87,7 @@ class LiveOptions:
         return self.target is None and self.speed_rpm is None and self.load_a is None
 
 
-class Screen(Protocol):
-    """Where progress goes."""
-
-    def note(self, text: str) -> None:
-        """A line that stays."""
-
-    def progress(self, text: str) -> None:
-        """The line that tells what is going on now."""
-
-
-class _ScreenNotes(SinkBase):
+class _ScreenNotes(Sink):
     """Sink that puts the notes of client and run on the screen."""
 
     def __init__(self, screen: Screen) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from bench.analysis.capture import Capture
 from bench.analysis.chunks import between, join, lost_stretches, no_edges
-from bench.device.client import SinkBase
+from bench.device.client import Sink
 from bench.device.counters import DeviceCounters
 from bench.errors import BenchError
 from protocol.messages import Heartbeat
@@ -20,7 +20,7 @@ from protocol.text import counted
 MAX_TICK = 1 << 62  # that no device reaches
 
 
-class Recorder(SinkBase):
+class Recorder(Sink):
     """Everything that node `drive` streams, from now on; its edges come as `expect` said."""
 
     def __init__(self, drive: int) -> None:

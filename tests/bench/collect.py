@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.analysis.chunks import join, part
-from bench.device.client import Client, SinkBase
+from bench.device.client import Client, Sink
 from bench.device.node import DRIVE, LOAD, Node
 from bench.rig.streams import configure
 from protocol.links import Link
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bench.observers.estimators import HostObservers
 
 
-class Collector(SinkBase):
+class Collector(Sink):
     def __init__(self) -> None:
         self.chunks: list[SampleChunk | EdgeChunk] = []  # in the order in which they came
         self.events: list[tuple[int, DeviceEvent]] = []
