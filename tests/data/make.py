@@ -16,20 +16,10 @@ from pathlib import Path
 import bench
 
 HERE = Path(__file__).parent
-CHANNELS = [
-    "hall",
-    "status",
-    "u_alpha",
-    "u_beta",
-    "i_a",
-    "i_b",
-    "i_c",
-    "i_q_ref",
-    "i_q",
-    "theta_enc",
-    "theta_vt",
-    "omega_vt",
-]
+CHANNELS = (
+    *("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q"),
+    *("theta_enc", "theta_vt", "omega_vt"),
+)
 MARGIN = "0.2%"
 
 
