@@ -119,8 +119,7 @@ class Turner:
             yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
         else:
             yield "the drive by its own angle", lambda: self._by_drive("own angle", None, SHARES[1:])
-        load = self._rig.load
-        if load is not None and SPEED in load.abilities:
+        if SPEED in self._rig.load.abilities:
             yield "the load machine", self._by_load
 
     def _speeds(self, shares: tuple[float, ...]) -> list[float]:
@@ -168,11 +167,10 @@ class Turner:
 
     def _by_load(self) -> None:
         load = self._rig.load
-        assert load is not None
         try:
             for omega_m in self._speeds(SHARES):
                 self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
-                load.speed(omega_m)  # type: ignore[attr-defined]  # it has the ability
+                load.speed(omega_m)
                 self._rig.wait(self._dwell(omega_m))
         finally:
             load.off()
