@@ -3,7 +3,7 @@
     import bench
 
     with bench.connect("sim") as rig:                      # or "serial:/dev/ttyACM0": asks before anything turns
-        rig.drive.speed(500, unit="r/min")
+        rig.drive.speed(500, "r/min")
         rig.load.torque(0.2)                                # N·m
         rig.wait(0.5)
         run = rig.record(2.0)                               # a Capture
@@ -48,6 +48,10 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def connect(

@@ -143,7 +143,7 @@ class Turner:
                 if not self._running:
                     self._running = True
                     drive.start(observer)
-                drive.speed(omega_m, partial(self._let_go, limit))
+                drive.speed(omega_m, unless=partial(self._let_go, limit))
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
@@ -159,7 +159,7 @@ class Turner:
         before = self._speed()
         limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
-            self._rig.drive.speed(0.0, partial(self._let_go, limit))
+            self._rig.drive.speed(0.0, unless=partial(self._let_go, limit))
         self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
         if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
             was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))

@@ -23,7 +23,7 @@ from protocol.errors import HbpError
 from protocol.messages import DriveState
 from protocol.signals import SOURCE_NAMES
 
-UNITS = {"rad/s": 1.0, "r/min": RPM}
+UNITS = {"rad/s": 1.0, "r/min": RPM, "rpm": RPM}
 """Of a speed, in mechanical rad/s."""
 
 
@@ -96,8 +96,8 @@ class Drive(Machine):
             raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
         self.set("observer", float(source))
 
-    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False, unit: str = "rad/s") -> None:
-        """Set the speed reference, mechanical, in `unit` (rad/s or r/min); its confirmation is awaited unless `unless`.
+    def speed(self, omega_m: float, unit: str = "rad/s", *, unless: Callable[[], bool] = lambda: False) -> None:
+        """Set the speed reference, mechanical, in `unit`; its confirmation is awaited unless `unless`.
 
         Raises BenchError for another unit and beyond what was announced, and DriveTripped.
         """
