@@ -199,7 +199,7 @@ SPIN = ("live", "serial:x", "--viewer", "none", "--duration", "0.2", "--speed", 
     ("arguments", "says"),
     [
         (("--speed", "99999"), r"speed 99999 r/min is beyond the drive's limit of 3151 r/min .*omega_m_max"),
-        (("--speed", "-99999"), r"speed -99999 r/min is beyond"),
+        (("--speed", "-99999"), r"speed 99999 r/min is beyond"),
         (("--speed", "nan"), r"--speed.*'nan' is not a finite number"),
         (("--speed", "inf"), r"--speed.*not a finite number"),
         (("--load", "99"), r"load 99 A is beyond the drive's limit of 8 A"),

@@ -614,6 +614,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
     other = SpoiltLink(physical(seed=2))
     frames, deframer = {1: b"", 2: b""}, Deframer()
     other.reopen()
+    links = {"serial:drive": link, "tcp:brake:7000": OneNode(other, 2, frames, deframer)}
     questions: list[str] = []
 
     def confirm(question: str) -> bool:
@@ -621,8 +622,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
         return "load machine" not in question
 
     with (
-        patch("bench.rig.connection.open_link", link.open),
-        patch("bench.rig.connection.open_link", lambda target: OneNode(other, 2, frames, deframer)),
+        patch("bench.rig.connection.open_link", links.__getitem__),
         pytest.raises(UnsafeError, match="not confirmed"),
     ):
         require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)
