@@ -3,13 +3,13 @@
     import bench
 
     with bench.connect("sim") as rig:                      # or "serial:/dev/ttyACM0": asks before anything turns
-        rig.drive.speed(500, unit="r/min")
+        rig.drive.speed(500, "r/min")
         rig.load.torque(0.2)                                # N·m
         rig.wait(0.5)
         run = rig.record(2.0)                               # a Capture
     print(run["i_q"].mean(), run.units["i_q"])
     again = bench.estimate(run, "learned_edges")
-    print(bench.score(again).pooled["learned_edges"]["moving"]["rms"], "deg")
+    print(bench.score(again).pooled["replayed_le"]["moving"]["rms"], "deg")
 
 `docs/notebook.md` tells the rest. Importing this package opens nothing and loads next to nothing.
 """
@@ -50,12 +50,16 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(_HOMES[name]), name)
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def connect(
     target: str | None = None,
     *,
     yes: bool = False,
     limits: Envelope | None = None,
-    channels: Sequence[str] | None = None,
+    channels: Sequence[str] | str | None = None,
     save: str | Path | None = None,
     overwrite: bool = False,
     viewer: str = "none",
@@ -68,9 +72,10 @@ def connect(
             simulated drive in virtual time. None: $BENCH_TARGET, what bench.toml says, or `sim`.
         yes: the shaft is clear: a physical drive may be energised. Without it somebody is asked at the first set point.
         limits: the most that will be asked for, r/min and A; the drive's own `i_max` is lowered to it meanwhile.
-        channels: names of channels to stream, as `--channels`; None: all but those on request and the plant's own.
+        channels: names of channels to stream, as `--channels`, such as "+theta_le"; None: all but those on request and
+            the plant's own.
         save: an .rrd to record to; `overwrite` replaces one that is there.
-        viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`.
+        viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`; its address is printed.
         settings: what a bench.toml says, or its path; None: ./bench.toml, if there is one.
 
     Returns:
@@ -103,7 +108,7 @@ def read(path: str | Path) -> Capture:
     return capture_of(read_run(path))
 
 
-def estimate(capture: Capture, observer: str, **settings: float) -> Capture:
+def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
     """The capture with an observer's estimates beside it, as channels `theta_<short>_host` and `omega_<short>_host`.
 
     Args:

@@ -34,7 +34,9 @@ def check_output(path: Path, what: str, overwrite: bool, recording: bool = False
     if stat.S_ISDIR(found.st_mode):
         raise error(f"{what} cannot be written: it is a directory")
     if not overwrite and (recording or stat.S_ISREG(found.st_mode)):
-        raise BenchError(f"{what} exists: choose another name, or --overwrite to replace it")
+        raise BenchError(
+            f"{what} exists: choose another name, or --overwrite to replace it (in Python: overwrite=True)"
+        )
     if not os.access(path, os.W_OK):
         raise error(f"{what} cannot be written: Permission denied")
 

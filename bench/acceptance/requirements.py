@@ -18,10 +18,9 @@ def missing(what: str, rig: Rig) -> str | None:
         case "encoder":
             return None if rig.has_encoder else "needs an encoder: the drive streams no reference position"
         case "load":
-            return None if rig.load is not None else "needs a load"
+            return None if rig.load.abilities else "needs a load"
         case "load.speed":
-            able = rig.load is not None and SPEED in rig.load.abilities
-            return None if able else "needs a load that forces a speed"
+            return None if SPEED in rig.load.abilities else "needs a load that forces a speed"
         case "hall-faults":
             able = faults.can_insert(rig) or rig.plan.ask is not None
             return None if able else "needs a rig that inserts faults of the Hall wiring, or a person who does"

@@ -119,8 +119,7 @@ class Turner:
             yield "the drive by its Hall sensors", lambda: self._by_drive("Hall sensors", "average-speed", SHARES[1:])
         else:
             yield "the drive by its own angle", lambda: self._by_drive("own angle", None, SHARES[1:])
-        load = self._rig.load
-        if load is not None and SPEED in load.abilities:
+        if SPEED in self._rig.load.abilities:
             yield "the load machine", self._by_load
 
     def _speeds(self, shares: tuple[float, ...]) -> list[float]:
@@ -144,7 +143,7 @@ class Turner:
                 if not self._running:
                     self._running = True
                     drive.start(observer)
-                drive.speed(omega_m, partial(self._let_go, limit))
+                drive.speed(omega_m, unless=partial(self._let_go, limit))
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
@@ -160,7 +159,7 @@ class Turner:
         before = self._speed()
         limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
-            self._rig.drive.speed(0.0, partial(self._let_go, limit))
+            self._rig.drive.speed(0.0, unless=partial(self._let_go, limit))
         self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
         if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
             was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
@@ -168,11 +167,10 @@ class Turner:
 
     def _by_load(self) -> None:
         load = self._rig.load
-        assert load is not None
         try:
             for omega_m in self._speeds(SHARES):
                 self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
-                load.speed(omega_m)  # type: ignore[attr-defined]  # it has the ability
+                load.speed(omega_m)
                 self._rig.wait(self._dwell(omega_m))
         finally:
             load.off()

@@ -145,9 +145,10 @@ class LiveRun:
             f"{len(self.drive.descriptor.channels)} channels, state {hello.state.name}"
         )
         if self.options.load_a is not None or self.options.show:
-            self.rig.load = self.rig.load_machine()
-            if self.rig.load is None:
+            load = self.rig.load_machine()
+            if load is None:
                 raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
+            self.rig.load = load
 
     def _envelope(self) -> Envelope:
         """The most that the acts ask for."""
@@ -406,7 +407,7 @@ class LiveRun:
             try:
                 if act.source is not None:
                     self.drive.set("observer", act.source)
-                if self.rig.load is not None:
+                if self.rig.load.abilities:
                     self.rig.load.torque(self._torque_constant() * act.load_a)
                 if self.rig.drive.on:
                     self.drive.speed(act.speed_rpm * RPM)

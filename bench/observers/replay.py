@@ -173,15 +173,15 @@ def checked_settings(
         if name not in used:
             exists = name in known or name in recorded
             why = f"changes nothing in {', '.join(observers)}" if exists else "is no parameter"
-            raise BenchError(f"--set {given}: it {why}; there are {', '.join(sorted(used))}")
+            raise BenchError(f"{given}: it {why}; there are {', '.join(sorted(used))}")
         if name in known:
             limits = known[name]
             if not limits.lo <= value <= limits.hi:
-                raise BenchError(f"--set {given}: must be {limits.lo:g}..{limits.hi:g}, got {value:g}")
+                raise BenchError(f"{given}: must be {limits.lo:g}..{limits.hi:g}, got {value:g}")
             if limits.flags & Flag.WHOLE and value != int(value):
-                raise BenchError(f"--set {given}: must be a whole number, got {value:g}")
+                raise BenchError(f"{given}: must be a whole number, got {value:g}")
         if name in checked:
-            raise BenchError(f"--set {given}: {name} is set already: give one of the two names")
+            raise BenchError(f"{given}: {name} is set already: give one of the two names")
         checked[name] = value
     return checked
 

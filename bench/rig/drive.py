@@ -23,7 +23,7 @@ from protocol.errors import HbpError
 from protocol.messages import DriveState
 from protocol.signals import SOURCE_NAMES
 
-UNITS = {"rad/s": 1.0, "r/min": RPM}
+UNITS = {"rad/s": 1.0, "r/min": RPM, "rpm": RPM}
 """Of a speed, in mechanical rad/s."""
 
 
@@ -91,15 +91,18 @@ class Drive(Machine):
 
     def observe(self, observer: str) -> None:
         """Change the angle source that the control uses; also while it runs."""
-        if observer not in SOURCE_NAMES:
+        source = SOURCE_NAMES.get(observer.replace("_", "-"))
+        if source is None:
             raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
-        self.set("observer", float(SOURCE_NAMES[observer]))
+        self.set("observer", float(source))
 
-    def speed(self, omega_m: float, unless: Callable[[], bool] = lambda: False, unit: str = "rad/s") -> None:
-        """Set the speed reference, mechanical, in `unit` (rad/s or r/min); its confirmation is awaited unless `unless`.
+    def speed(self, omega_m: float, unit: str = "rad/s", *, unless: Callable[[], bool] = lambda: False) -> None:
+        """Set the speed reference, mechanical, in `unit`; its confirmation is awaited unless `unless`.
 
-        Raises BenchError beyond what was announced, DriveTripped, and KeyError for another unit.
+        Raises BenchError for another unit and beyond what was announced, and DriveTripped.
         """
+        if unit not in UNITS:
+            raise BenchError(f"no unit '{unit}' of speed: there are {', '.join(UNITS)}")
         omega_m *= UNITS[unit]
         require_announced_speed("speed", omega_m, self.envelope)
         self._start_by_itself()
@@ -182,7 +185,7 @@ class Drive(Machine):
     def _starved(self) -> str:
         """Why the watchdog may have run out, if it was starved from here."""
         why = self.starved(self.parameters.get("watchdog", WATCHDOG))
-        return f"{why}; let a test compute after drive.stop(), not while the drive runs" if why else ""
+        return f"{why}; compute after drive.stop(), not while the drive runs" if why else ""
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before.

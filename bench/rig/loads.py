@@ -46,8 +46,26 @@ class Load(Protocol):
     def torque(self, tau: float) -> None:
         """Brake with `tau` N·m against the drive's positive direction."""
 
+    def speed(self, omega_m: float) -> None:
+        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what was announced."""
+
     def off(self) -> None:
         """Leave the shaft alone; from any state, as often as one likes."""
+
+
+class NoLoad:
+    """Where there is none: who asks for one is told."""
+
+    abilities: frozenset[str] = frozenset()
+
+    def torque(self, tau: float) -> None:
+        """BenchError."""
+        raise BenchError("there is no load: none answers as node 2 on the drive's link, or bench.toml says load = none")
+
+    speed = torque
+
+    def off(self) -> None:
+        """Nothing."""
 
 
 class NodeLoad(Machine):
@@ -72,7 +90,7 @@ class NodeLoad(Machine):
         self.node.torque(tau)
 
     def speed(self, omega_m: float) -> None:
-        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what was announced."""
+        """See `Load`."""
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self.start()
         self.node.speed(omega_m)
@@ -139,6 +157,10 @@ class PersonLoad:
             self._ask(f"Set the brake to {tau:.3f} N·m")
             self._set = tau
 
+    def speed(self, omega_m: float) -> None:
+        """BenchError: it takes a machine."""
+        raise BenchError("a person with a brake forces no speed")
+
     def off(self) -> None:
         """Ask to release the brake, if it was set."""
         if self._set:
@@ -170,7 +192,7 @@ class OwnLoad:
         self._call("torque", tau)
 
     def speed(self, omega_m: float) -> None:
-        """Force a speed, mechanical rad/s. BenchError beyond what the test announced."""
+        """See `Load`."""
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self._call("speed", omega_m)
 

@@ -35,7 +35,7 @@ def _held(target: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise BenchError(f"{target} is in use by another acceptance run: wait for its end") from None
+        raise BenchError(f"{target} is in use by another run: wait for its end, or close its rig") from None
     except OSError as error:  # a symbolic link in its place is not followed
         why = error.strerror or error
         raise BenchError(f"cannot lock {target} for this run: {lock.lock_file}: {why}; remove that file") from None

@@ -28,6 +28,9 @@ class Machine:
         """From before it is armed until it was seen to be off."""
         self._before: dict[str, float] = {}  # parameters that were set, in that order, as they were before
 
+    def __repr__(self) -> str:
+        return f"{self.title} {self.state.name}"
+
     @property
     def state(self) -> DriveState:
         """By the last heartbeat."""
@@ -85,6 +88,6 @@ def require_announced(what: str, value: float, limit: float, unit: str, argument
     """Raise BenchError if `value` is beyond what was announced by that argument."""
     if not value <= limit * (1 + 1e-9):
         raise BenchError(
-            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that the test announced: "
-            f"@energises({argument}=…)"
+            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that were announced: @energises({argument}=…), "
+            f"or limits=Envelope({argument}=…)"
         )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import cache, partial
 
 from bench.device.node import Node
+from bench.errors import UnsafeError
 from bench.rig.connection import SIM, load_target, open_target, target_of
 from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
@@ -20,7 +21,7 @@ def open_rig(
     settings: Settings,
     limits: Envelope,
     yes: bool,
-    channels: Sequence[str] | None,
+    channels: Sequence[str] | str | None,
     recording: Recording,
 ) -> Rig:
     """See `bench.connect`."""
@@ -28,22 +29,26 @@ def open_rig(
     link = partial(open_target, target, settings, "notebook")
     held = alone_on(target, load_target(settings))
     rig = Rig(Plan(link, target, settings, limits, virtual=target == SIM, held=held))
-    try:
-        drive = rig.drive.node
-        check_limits(drive, limits)
-        rig.prepare(None if channels is None else [drive.channels(channels)], recording)
-    except BaseException:
-        rig.close()
-        raise
+    drive = rig.drive.node
 
     @cache
     def agree(node: Node, what: str) -> None:
         require_consent(node, what, at_most(node, limits), yes, _confirm if _somebody_is_there() else None)
 
-    for machine in rig.machines:
-        ours = machine.node.client is rig.client
-        machine.agreed = partial(agree, drive, target) if ours else partial(agree, machine.node, machine.title)
-    rig.drive.starts_by_itself = True
+    try:
+        check_limits(drive, limits)
+        if isinstance(channels, str):
+            channels = channels.split(",")
+        rig.prepare(None if channels is None else [drive.channels(channels)], recording)
+        for machine in rig.machines:
+            ours = machine.node.client is rig.client
+            machine.agreed = partial(agree, drive, target) if ours else partial(agree, machine.node, machine.title)
+        rig.drive.starts_by_itself = True
+        if rig.outputs is not None and rig.outputs.view is not None:
+            print(f"dashboard: {rig.outputs.view.url}")
+    except BaseException:
+        rig.close()
+        raise
     return rig
 
 
@@ -53,5 +58,8 @@ def _somebody_is_there() -> bool:
 
 
 def _confirm(question: str) -> bool:
-    """Ask, by whatever `input` is here."""
-    return input(f"{question} [y/N]: ").strip().lower() in ("y", "yes")
+    """Ask, by whatever `input` is here; UnsafeError where that asks nobody."""
+    try:
+        return input(f"{question} [y/N]: ").strip().lower() in ("y", "yes")
+    except (EOFError, NotImplementedError) as error:  # a notebook that a program runs
+        raise UnsafeError(f"nobody answers '{question}': give yes=True if the shaft is clear") from error

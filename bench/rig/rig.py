@@ -25,7 +25,7 @@ from bench.rig.connection import find_drive, load_target, open_load_machine, sec
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
-from bench.rig.loads import Load, NodeLoad, OwnLoads, PersonLoad
+from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
 from bench.rig.machine import Machine
 from bench.rig.metadata import changed_keys, run_info
 from bench.rig.needs import NEEDS, require
@@ -90,7 +90,7 @@ class Rig:
         """What is done when the drive has been stopped."""
         self.samples: StreamConfig | None = None
         """The stream of samples, once it is configured."""
-        self.load: Load | None = None
+        self.load: Load = NoLoad()
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
         self.outputs: Outputs | None = None
@@ -133,8 +133,7 @@ class Rig:
             self.drive.learn({p.name: p.value for p in self.before})
             if not self.plan.passive:
                 self.load = self._find_load()
-            if self.load is not None:
-                self.at_end.append(self.load.off)
+            self.at_end.append(self.load.off)
             self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
             self._record(recording or Recording())
             node.start_streams()
@@ -191,14 +190,14 @@ class Rig:
             raise BenchError(f"{where} is {node.identity.name}, not a load machine")
         return NodeLoad(node, self.plan.envelope)
 
-    def _find_load(self) -> Load | None:
+    def _find_load(self) -> Load:
         kind, settings = self.plan.settings.load, self.plan.settings
-        if kind == "none":
-            return None
+        if kind == "none" or (kind == "person" and self.plan.ask is None):
+            return NoLoad()
         if kind == "node":
-            return self.load_machine()
+            return self.load_machine() or NoLoad()
         if kind == "person":
-            return PersonLoad(self.ask) if self.plan.ask is not None else None
+            return PersonLoad(self.ask)
         if target := load_target(settings):
             node = open_load_machine(target, self._stack)
             self.client.beside.append(node.client)
@@ -406,6 +405,11 @@ class Rig:
 
     # -- what it has --------------------------------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        machines = ", ".join(map(repr, self.machines))
+        streamed = f"{len(self.channels)} channels at {self.rate:g} Hz" if self._prepared else "streams nothing"
+        return f"Rig on {self.plan.target}: {machines}, {streamed}"
+
     @property
     def channels(self) -> tuple[Channel | Signal, ...]:
         """Those that are streamed."""
@@ -432,7 +436,7 @@ class Rig:
         return {
             "link": self.client.link.name,
             "time": "virtual" if self.plan.virtual else "real",
-            "load": "none" if load is None else f"{type(load).__name__}: {', '.join(sorted(load.abilities))}",
+            "load": f"{type(load).__name__}: {', '.join(sorted(load.abilities))}" if load.abilities else "none",
             "encoder": "yes" if self.has_encoder else "no",
             "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
             "bench.toml": str(self.plan.settings.path or "none"),

@@ -106,6 +106,8 @@ def score(sources: Sequence[Path | Capture], observers: Sequence[str] = ()) -> S
     Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
     cannot be read or scored, and for a name that is nowhere.
     """
+    if not sources:
+        raise BenchError("nothing to score: give a recording or a capture")
     recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
     again = [_observer(name) for name in observers if not _is_recorded(name)]
     apart = list({id(source) if isinstance(source, Capture) else source: source for source in sources}.values())

@@ -168,13 +168,16 @@ def test_a_drive_without_an_encoder_turns_by_its_hall_sensors_and_leaves_doubt()
 
 def test_a_speed_beyond_the_drives_limit_is_refused_before_anything_turns() -> None:
     device = simulated()
-    with reached(device) as links, pytest.raises(BenchError, match=r"--speed 4000 is beyond the drive's limit of 3151"):
+    with (
+        reached(device) as links,
+        pytest.raises(BenchError, match=r"speed 4000 r/min is beyond the drive's limit of 3151"),
+    ):
         look(Options(TARGET, speed_rpm=4000.0, yes=True))
     assert not any(state in (DriveState.ARMED, DriveState.RUNNING) for link in links for state in link.states)
 
 
 @pytest.mark.parametrize(("option", "words"), [
-    ({"current_a": 100.0}, r"--current 100 is beyond the drive's limit of 8 A \(its parameter i_max\)"),
+    ({"current_a": 100.0}, r"current 100 A is beyond the drive's limit of 8 A \(its parameter i_max\)"),
     ({"speed_rpm": 5.0}, r"--speed 5 is too slow: 15 r/min at least, for 6 electrical turns in 4 s"),
 ])  # fmt: skip
 def test_what_a_drive_cannot_do_or_nobody_can_measure_is_refused(option: dict[str, float], words: str) -> None:

@@ -128,14 +128,14 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
 @pytest.mark.parametrize(
     ("settings", "observers", "words"),
     [
-        ({"k_p": 1e9}, (), "--set k_p: must be 0..100000, got 1e+09"),
-        ({"literal_sgn": 0.5}, (), "--set literal_sgn: must be a whole number"),
-        ({"nonsense": 1.0}, (), "--set nonsense: it is no parameter; there are "),
-        ({"i_max": 1.0}, (), "--set i_max: it changes nothing in average_speed"),
-        ({"k_p": 1.0}, ("average_speed",), "--set k_p: it changes nothing in average_speed; there are hall_timeout"),
+        ({"k_p": 1e9}, (), "k_p: must be 0..100000, got 1e+09"),
+        ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
+        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; there are "),
+        ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
+        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; there are hall_timeout"),
         ({}, ("nobody",), "no observer 'nobody'; there are average_speed (avg), vector_tracking (vt)"),
         ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
-        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "--set k_p_vt: k_p_vt is set already"),
+        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is set already"),
     ],
 )
 def test_settings_and_names_are_checked(

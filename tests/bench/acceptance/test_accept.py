@@ -147,7 +147,7 @@ def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Acceptin
     Path("bench.toml").write_text(f"[rig]\nload = '{machine}'\n")
     link = SpoiltLink(simulated())
     with alone_on(machine):
-        assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another acceptance run")
+        assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another run")
     assert link.opened == []
 
 

@@ -140,8 +140,7 @@ def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go() -> None:
 def test_a_node_forces_a_speed() -> None:
     link = SpoiltLink(simulated())
     with rig_with("node", link) as rig:
-        assert rig.load is not None
-        rig.load.speed(-200 * RPM)  # type: ignore[attr-defined]
+        rig.load.speed(-200 * RPM)
         rig.wait(0.5)
         assert link.device.bench.truth.omega_m == pytest.approx(-200 * RPM, rel=0.01)
     assert at_rest(link.device)
@@ -163,7 +162,6 @@ def test_a_node_that_trips_ends_the_test_and_the_next_can_use_it() -> None:
         assert link.device.load.state == DriveState.FAULT
     assert at_rest(link.device)
     with rig_with("node", link) as rig:
-        assert rig.load is not None
         rig.load.torque(0.05)
         assert link.device.load.state == DriveState.RUNNING
 
@@ -173,7 +171,6 @@ def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop() -> No
 
     def trip_last() -> None:
         with rig_with("node", link) as rig:
-            assert rig.load is not None
             rig.load.torque(0.05)
             link.device.load.fault(Fault.OVERCURRENT)
 
@@ -185,10 +182,9 @@ def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop() -> No
 def test_a_fault_that_a_node_had_before_is_named_and_stays() -> None:
     link = SpoiltLink(simulated())
     link.device.load.fault(Fault.OVERCURRENT)
-    with rig_with("node", link) as rig:
-        assert rig.load is not None
-        with pytest.raises(BenchError, match=r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"):
-            rig.load.torque(0.05)
+    fault = r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"
+    with rig_with("node", link) as rig, pytest.raises(BenchError, match=fault):
+        rig.load.torque(0.05)
     assert link.device.load.state == DriveState.FAULT
 
 
@@ -199,7 +195,8 @@ def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: st
     run = brake(FASTER, link)
     assert run.tests == {"faster": "ERROR", "as_fast": "PASS"}
     assert run["faster"].why == (
-        "load.speed 101 r/min is beyond the 100 r/min that the test announced: @energises(speed_rpm=…)"
+        "load.speed 101 r/min is beyond the 100 r/min that were announced: @energises(speed_rpm=…), "
+        "or limits=Envelope(speed_rpm=…)"
     )
     assert at_rest(link.device)
 
@@ -360,7 +357,6 @@ def test_a_signal_ends_the_question(which: str) -> None:
 
     def brake() -> None:
         with rig_with("person", link, ask=somebody(asked, answered)) as rig:
-            assert rig.load is not None
             rig.drive.start()
             rig.load.torque(0.2)
 
@@ -381,7 +377,6 @@ def test_a_person_who_has_gone_keeps_nothing_on() -> None:
         return True
 
     with rig_with("person", link, ask=somebody(asked, answered)) as rig:
-        assert rig.load is not None
         rig.drive.start()
         rig.load.torque(0.2)
     assert asked[-1] == RELEASE
@@ -619,6 +614,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
     other = SpoiltLink(physical(seed=2))
     frames, deframer = {1: b"", 2: b""}, Deframer()
     other.reopen()
+    links = {"serial:drive": link, "tcp:brake:7000": OneNode(other, 2, frames, deframer)}
     questions: list[str] = []
 
     def confirm(question: str) -> bool:
@@ -626,8 +622,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
         return "load machine" not in question
 
     with (
-        patch("bench.rig.connection.open_link", link.open),
-        patch("bench.rig.connection.open_link", lambda target: OneNode(other, 2, frames, deframer)),
+        patch("bench.rig.connection.open_link", links.__getitem__),
         pytest.raises(UnsafeError, match="not confirmed"),
     ):
         require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)

@@ -277,7 +277,7 @@ def test_the_drive_itself_keeps_to_the_announced_current(accepting: Accepting) -
     run = accepting(WITHIN, link)
     assert run.tests == {"blocked": "PASS", "raises_it": "ERROR", "lowers_it": "PASS", "more": "PASS"}
     assert 1.8 < max(flowed) < 2.3
-    assert run["raises_it"].why.startswith("i_max 2.5 A is beyond the 2 A that the test announced")
+    assert run["raises_it"].why.startswith("i_max 2.5 A is beyond the 2 A that were announced")
     assert [state for state in (*link.opened, link.left()) if state != before] == []
     assert run["blocked"].parameters == {"observer": 0.0}  # what the test has set, and not the bench
     assert run["lowers_it"].parameters == {"i_max": 1.5}
@@ -357,7 +357,7 @@ def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees
     run.line("turning")
     second = start("accept", sim.target, "--tests", str(endless))
     assert second.end() == 2
-    assert second.err == [f"error: {sim.target} is in use by another acceptance run: wait for its end"]
+    assert second.err == [f"error: {sim.target} is in use by another run: wait for its end, or close its rig"]
     with pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):
         pass
     run.process.kill()
@@ -380,7 +380,7 @@ def test_a_test_that_starves_the_watchdog_is_told_so(accepting: Accepting) -> No
     run = accepting(STARVES, SpoiltLink(simulated()))
     assert run.tests == {"starves": "FAIL"}
     assert re.fullmatch(
-        r"the drive tripped: WATCHDOG: this host sent no ALIVE for 0\.5\d s .*; let a test compute after drive\.stop.*",
+        r"the drive tripped: WATCHDOG: this host sent no ALIVE for 0\.5\d s .*; compute after drive\.stop.*",
         run["starves"].why,
     )
 

@@ -1,0 +1,599 @@
+"""`import bench` in a notebook: what turns is agreed to, within limits, off whatever ends it; what comes is whole."""
+
+from __future__ import annotations
+
+import builtins
+import io
+import json
+import math
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from processes import ENVIRONMENT, LIMIT, Sim
+from virtual_run import WatchedLink, at_rest, physical, simulated
+
+import bench
+from bench.cli import cli
+from bench.errors import BenchError, NodeError, UnsafeError
+from bench.observers.replay import replay
+from bench.rerunio.recording import read_run
+from bench.rig.settings import Settings
+from protocol.messages import DriveState, Fault, Role
+from protocol.signals import DRIVE_CHANNELS, SOURCE_NAMES
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
+from tests.bench.acceptance.accepting import SpoiltLink
+
+I_MAX, N_P = 8.0, 6
+NAMES = ("vt", "le", "drive_vt")
+ENERGISED = {DriveState.ARMED, DriveState.RUNNING}
+
+
+@pytest.fixture(autouse=True)
+def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no bench.toml is, no target is set, and nobody can be asked."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BENCH_TARGET", raising=False)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+
+
+@contextmanager
+def reached(link: WatchedLink) -> Iterator[str]:
+    """A target behind which the link is."""
+    with patch("bench.rig.connection.open_link", lambda target: link):
+        yield f"serial:{Path.cwd()}/tty"
+
+
+@contextmanager
+def connected(link: WatchedLink, **options: Any) -> Iterator[bench.Rig]:
+    with reached(link) as target, bench.connect(target, **options) as rig:
+        yield rig
+
+
+class Somebody:
+    """At a notebook: answers what is asked."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *answers: str | Exception) -> None:
+        self.asked: list[str] = []
+        self._answers = list(answers)
+        monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+        monkeypatch.setattr(builtins, "input", self._input)
+
+    def _input(self, question: str) -> str:
+        self.asked.append(question)
+        answer = self._answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+# -- however it ends ------------------------------------------------------------------------------------------------
+
+
+def _goes_on(rig: bench.Rig) -> None:
+    rig.wait(0.05)
+
+
+def _raises(rig: bench.Rig) -> None:
+    raise ZeroDivisionError
+
+
+def _interrupted(rig: bench.Rig) -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def _cannot(rig: bench.Rig) -> None:
+    rig.drive.speed(401.0)
+
+
+@pytest.mark.parametrize(
+    ("what", "raised"),
+    [(_goes_on, None), (_raises, ZeroDivisionError), (_interrupted, KeyboardInterrupt), (_cannot, NodeError)],
+)
+def test_what_turned_is_off_and_seen_off_and_put_back(
+    what: Callable[[bench.Rig], None], raised: type[BaseException] | None
+) -> None:
+    link = WatchedLink(physical())
+    ends = pytest.raises(raised) if raised else nullcontext()
+    with ends, connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
+        rig.drive.set("k_p_vt", 900.0)
+        rig.drive.speed(500, "r/min")
+        rig.load.torque(0.05)
+        rig.wait(0.2)
+        assert link.device.drive.state == link.device.load.state == DriveState.RUNNING
+        assert link.device.sessions[0].app.outputs_on
+        what(rig)
+    assert at_rest(link.device)
+    for node in (1, 2):
+        assert not rig.client.heartbeats[node].outputs_on
+    app = link.device.sessions[0].app
+    assert (app.get_param("i_max"), app.get_param("k_p_vt")) == (I_MAX, 1268.0)
+
+
+def _run(link: WatchedLink) -> None:
+    with connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
+        rig.drive.speed(300, "r/min")
+        rig.load.torque(0.02)
+        rig.record(0.1)
+
+
+def test_ctrl_c_at_any_moment_leaves_it_off_and_as_it_was() -> None:
+    whole = WatchedLink(physical())
+    _run(whole)
+    running = [n for n, state in enumerate(whole.states, 1) if state == DriveState.RUNNING]
+    moments = [*range(1, whole.calls, 41), *running[::5], *range(running[-1], whole.calls, 7)]  # connect, record, close
+    for moment in moments:
+
+        def interrupt(number: int, moment: int = moment) -> None:
+            if number == moment:
+                signal.raise_signal(signal.SIGINT)
+
+        link = WatchedLink(physical(), interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            _run(link)
+        assert at_rest(link.device), moment
+        assert link.device.sessions[0].app.get_param("i_max") == I_MAX, moment
+
+
+def test_ctrl_c_in_record_stops_at_once() -> None:
+    link = WatchedLink(physical())
+    with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012
+        rig.drive.speed(500, "r/min")
+        began, calls = link.clock(), link.calls
+        link._on_call = lambda number: signal.raise_signal(signal.SIGINT) if number == calls + 10 else None
+        rig.record(60.0)
+    assert at_rest(link.device)
+    assert link.clock() - began < 1.0
+    running = [n for n, state in enumerate(link.states) if state == DriveState.RUNNING]
+    assert calls + 10 <= running[-1] <= calls + 16  # a write of STOP, and the reads that wait for its answer
+
+
+def test_a_start_that_fails_leaves_it_off() -> None:
+    link = WatchedLink(physical())
+    link._on_call = lambda number: (
+        link.device.drive.fault(Fault.OVERCURRENT) if link.states[-2:] == [DriveState.ARMED] * 2 else None
+    )
+    with pytest.raises(BenchError, match="OVERCURRENT"), connected(link, yes=True) as rig:
+        rig.drive.speed(500, "r/min")
+    assert DriveState.ARMED in link.states
+    assert DriveState.RUNNING not in link.states
+    assert at_rest(link.device)
+
+
+def test_a_closed_rig_turns_nothing() -> None:
+    link = WatchedLink(physical())
+    with connected(link, yes=True) as rig:
+        assert repr(rig).endswith("the drive IDLE, the load machine IDLE, 22 channels at 16000 Hz")
+        rig.drive.speed(100, "r/min")
+        assert repr(rig.drive) == "the drive RUNNING"
+    assert repr(rig).endswith("the drive IDLE, the load machine IDLE, streams nothing")
+    with pytest.raises(Exception, match="is closed"):
+        rig.drive.speed(100, "r/min")
+    assert at_rest(link.device)
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_a_killed_notebook_ends_in_outputs_off_by_the_watchdog(start_sim: Callable[..., Sim]) -> None:
+    sim = start_sim("--tcp", "127.0.0.1:0")
+    code = (
+        f"import bench\nwith bench.connect({sim.target!r}) as rig:\n"
+        "    rig.drive.speed(500, 'r/min')\n    print('turning', flush=True)\n    rig.record(60.0)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=ENVIRONMENT, text=True) as notebook:
+        assert notebook.stdout is not None
+        assert notebook.stdout.readline() == "turning\n"
+        notebook.kill()
+        unfed = int(sim.line(r"outputs off (\d+) ms after the last ALIVE: watchdog \(node 1").group(1))
+    assert 200 <= unfed <= 250
+    assert not any("outputs off: STOP" in line for line in sim.out)
+
+
+# -- consent and limits ---------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_energised_where_nobody_can_be_asked() -> None:
+    link = WatchedLink(physical())
+    with connected(link, limits=bench.Envelope(300, 2.0)) as rig:
+        for act in (rig.drive.start, lambda: rig.drive.speed(1.0), lambda: rig.drive.current(0.1)):
+            with pytest.raises(UnsafeError, match=r"up to 300 r/min, phase current up to 2 A: .*in Python: yes=True"):
+                act()
+        with pytest.raises(UnsafeError):
+            rig.load.torque(0.1)
+        assert len(rig.record(0.1)) > 1500  # to look is free
+    assert not ENERGISED & set(link.states)
+
+
+@pytest.mark.parametrize("answer", ["", "n", "nein", EOFError(), NotImplementedError("no stdin")])
+def test_only_a_yes_is_one(monkeypatch: pytest.MonkeyPatch, answer: str | Exception) -> None:
+    link = WatchedLink(physical())
+    somebody = Somebody(monkeypatch, answer)
+    words = "yes=True" if isinstance(answer, Exception) else "not confirmed"
+    with connected(link) as rig, pytest.raises(UnsafeError, match=words):
+        rig.drive.speed(1.0)
+    assert len(somebody.asked) == 1
+    assert not ENERGISED & set(link.states)
+
+
+def test_somebody_is_asked_once_for_drive_and_load_and_again_after_a_no(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = WatchedLink(physical())
+    somebody = Somebody(monkeypatch, "n", " Yes ")
+    with connected(link, limits=bench.Envelope(600, 4.0)) as rig:
+        assert somebody.asked == []
+        with pytest.raises(UnsafeError):
+            rig.load.torque(0.1)
+        rig.load.torque(0.1)
+        rig.drive.speed(100, "rpm")
+        rig.drive.stop()
+        rig.drive.speed(200, "rpm")
+    assert len(somebody.asked) == 2
+    drive = link.device.sessions[0].identity
+    assert somebody.asked[0] == (
+        f"Spin {drive.name} (boot {drive.boot_id:08x}) on serial:{Path.cwd()}/tty: up to 600 r/min, phase current up "
+        "to 4 A. Is the shaft clear? [y/N]: "
+    )
+
+
+def test_a_simulated_drive_asks_nobody() -> None:
+    link = WatchedLink(simulated())
+    with connected(link) as rig:
+        rig.drive.speed(100, "r/min")
+    assert DriveState.RUNNING in link.states
+
+
+def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
+    link = WatchedLink(physical())
+    app = link.device.sessions[0].app
+    with connected(link, yes=True, limits=bench.Envelope(speed_rpm=300, current=2.5)) as rig:
+        assert app.get_param("i_max") == 2.5
+        for act, words in (
+            (lambda: rig.drive.speed(-301, "r/min"), "speed 301 r/min is beyond the 300 r/min that were announced"),
+            (lambda: rig.drive.speed(31.6), "speed 301.8 r/min is beyond the 300 r/min"),
+            (lambda: rig.drive.speed(math.nan), "speed nan r/min is beyond the 300 r/min"),
+            (lambda: rig.drive.current(2.0, -1.6), r"current 2\.561 A is beyond the 2\.5 A .*Envelope\(current=…\)"),
+            (lambda: rig.drive.set("i_max", 2.6), r"i_max 2\.6 A is beyond the 2\.5 A"),
+            (lambda: rig.load.speed(31.6), r"load\.speed 301\.8 r/min is beyond the 300 r/min"),  # type: ignore[attr-defined]
+            (lambda: rig.drive.speed(10, "deg/s"), r"no unit 'deg/s' of speed: there are rad/s, r/min, rpm"),
+        ):
+            with pytest.raises(BenchError, match=words):
+                act()
+        assert not ENERGISED & set(link.states)
+        rig.drive.speed(300, "r/min")
+    assert app.get_param("i_max") == I_MAX
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (bench.Envelope(current=9.0), r"current 9 A is beyond the drive's limit of 8 A \(its parameter i_max\)"),
+        (bench.Envelope(speed_rpm=4000), r"speed 4000 r/min is beyond the drive's limit of 3151 r/min"),
+    ],
+)
+def test_limits_beyond_the_drives_own_are_refused(limits: bench.Envelope, words: str) -> None:
+    link = WatchedLink(physical())
+    with pytest.raises(BenchError, match=words), connected(link, yes=True, limits=limits):
+        pass
+    assert not ENERGISED & set(link.states)
+
+
+# -- what is connected to -------------------------------------------------------------------------------------------
+
+
+def _faulty(device: SimulatedDevice) -> None:
+    device.drive.fault(Fault.OVERCURRENT)
+
+
+def _a_load_machine(device: SimulatedDevice) -> None:
+    device.sessions[0].identity = replace(device.sessions[0].identity, role=Role.LOAD)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (_faulty, r"tty has a latched fault \(OVERCURRENT\): look into its cause"),
+        (_a_load_machine, "tty answers as LOAD, not as a drive"),
+    ],
+)
+def test_a_drive_that_is_not_ready_is_left_as_it_is(make: Callable[[SimulatedDevice], None], words: str) -> None:
+    link = WatchedLink(physical())
+    make(link.device)
+    before = link.device.drive.state
+    with pytest.raises(BenchError, match=words), connected(link, yes=True):
+        pass
+    assert link.device.drive.state == before
+    assert not ENERGISED & set(link.states)
+
+
+def test_a_drive_that_another_host_runs_is_refused_and_goes_on() -> None:
+    link = WatchedLink(physical())
+    with connected(link, yes=True) as other:
+        other.drive.speed(100, "r/min")
+        with (
+            patch("bench.rig.connection.open_link", lambda target: link),
+            pytest.raises(BenchError, match=r"tty2 is not at rest \(its heartbeat says RUNNING, outputs on\): another"),
+        ):
+            bench.connect(f"serial:{Path.cwd()}/tty2", yes=True)
+        assert link.device.drive.state == DriveState.RUNNING
+        link.reopen()  # what the second one closed was the link of both
+    assert at_rest(link.device)
+
+
+def test_one_target_has_one_rig() -> None:
+    link = WatchedLink(physical())
+    with reached(link) as target:
+        rig = bench.connect(target)
+        with pytest.raises(BenchError, match="tty is in use by another run: wait for its end, or close its rig"):
+            bench.connect(target)
+        rig.close()
+        link.reopen()
+        bench.connect(target).close()
+
+
+def test_without_a_load_it_says_so() -> None:
+    with (
+        bench.connect("sim", settings=Settings(load="none")) as rig,
+        pytest.raises(BenchError, match="there is no load: none answers as node 2 on the drive's link, or"),
+    ):
+        rig.load.torque(0.1)
+
+
+def test_a_recording_is_not_overwritten_unasked(tmp_path: Path) -> None:
+    file = tmp_path / "run.rrd"
+    with bench.connect("sim", save=file) as rig:
+        rig.record(0.05)
+    kept = file.read_bytes()
+    with pytest.raises(BenchError, match=r"run\.rrd exists: .*\(in Python: overwrite=True\)"):
+        bench.connect("sim", save=file)
+    assert file.read_bytes() == kept
+    with bench.connect("sim", save=str(file), overwrite=True) as rig:
+        rig.record(0.2)
+    assert len(bench.read(file)) > 3000
+
+
+def test_names_that_the_drive_does_not_have() -> None:
+    with pytest.raises(NodeError, match=r"no channel 'theta_ecn': did you mean theta_enc\?"):
+        bench.connect("sim", channels=["theta_ecn"])
+    with bench.connect("sim", channels="hall,i_q") as rig:
+        with pytest.raises(NodeError, match=r"no parameter 'k_p_vtt': did you mean k_p_vt\?"):
+            rig.drive.set("k_p_vtt", 1.0)
+        with pytest.raises(BenchError, match="no angle source 'magic': there are encoder, average-speed"):
+            rig.drive.start("magic")
+        assert rig.record(0.05).names == ("hall", "i_q")
+        assert rig.latest("i_q") == pytest.approx(0.0, abs=0.2)
+        with pytest.raises(BenchError, match=r"channel 'i_d' is not in the stream"):
+            rig.latest("i_d")
+        rig.drive.start("learned_edges")
+        assert rig.drive.parameters["observer"] == SOURCE_NAMES["learned-edges"]
+    with bench.connect("sim", channels="+theta_le") as rig:
+        assert set(rig.record(0.05).names) >= {"theta_le", "theta_vt", "i_a"}
+
+
+# -- captures -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[bench.Capture, Path]:
+    """0.5 s at 500 r/min with 0.1 N·m, and the recording of all of its run."""
+    path = tmp_path_factory.mktemp("saved") / "run.rrd"
+    with bench.connect("sim", save=path) as rig:
+        rig.drive.speed(500, "r/min")
+        rig.load.torque(0.1)
+        rig.wait(0.5)
+        capture = rig.record(0.5)
+    return capture, path
+
+
+@pytest.fixture(scope="module")
+def run(saved: tuple[bench.Capture, Path]) -> bench.Capture:
+    return saved[0]
+
+
+def test_columns_are_raw_values_in_si_units(run: bench.Capture) -> None:
+    signals = {signal.name: signal for signal in DRIVE_CHANNELS}
+    assert len(run.names) == 22
+    assert run.names == run.samples.raw.dtype.names
+    for name in run.names:
+        told = signals[name]
+        assert run.units[name] == told.unit.symbol
+        expected = [int(raw) * float(np.float32(told.scale)) + told.offset for raw in run.samples.raw[name][:50]]
+        assert run[name][:50].tolist() == pytest.approx(expected, rel=1e-6, abs=1e-12), name
+        assert run[name].shape == run.t.shape == (len(run),)
+    omega_e = N_P * 500 * 2 * math.pi / 60
+    assert run["omega_enc"].mean() == pytest.approx(omega_e, rel=2e-3)
+    psi_f = load_params(None, {}).motor.psi_f
+    assert run["i_q"].mean() == pytest.approx(0.1 / (1.5 * N_P * psi_f), rel=0.25)
+    assert (run.units["omega_enc"], run.units["i_q"], run.units["u_dc"]) == ("rad/s", "A", "V")
+
+
+def test_times_are_device_time_in_seconds(run: bench.Capture) -> None:
+    assert np.diff(run.t) == pytest.approx(1 / 16000, rel=1e-9)
+    assert run.t[-1] - run.t[0] == pytest.approx(0.5, abs=1 / 8000)
+    assert np.diff(run.edge_t).mean() == pytest.approx(60 / 500 / (6 * N_P), rel=0.01)
+    assert run.t[0] <= run.edge_t[0] <= run.edge_t[-1] <= run.t[-1]
+    part = run.between(run.t[100], run.t[200])
+    assert part["i_a"].tolist() == run["i_a"][100:201].tolist()
+
+
+def test_arrow_and_pandas_hold_the_same_with_units(run: bench.Capture) -> None:
+    table, frame = run.to_arrow(), run.to_pandas()
+    assert table.schema.names == ["t", *run.names]
+    assert list(frame.columns) == list(run.names)
+    assert frame.index.name == "t"
+    assert frame.index.to_numpy().tolist() == table["t"].to_pylist() == run.t.tolist()
+    assert frame.attrs["units"] == run.units
+    assert table.schema.field("t").metadata == {b"unit": b"s"}
+    for name in run.names:
+        assert table[name].to_pylist() == frame[name].tolist() == run[name].tolist()
+        assert table.schema.field(name).metadata == {b"unit": run.units[name].encode()}
+
+
+def test_without_pandas_it_says_what_to_do(run: bench.Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(BenchError, match="pip install pandas"):
+        run.to_pandas()
+
+
+def test_a_recording_reads_as_what_was_recorded(saved: tuple[bench.Capture, Path]) -> None:
+    run, path = saved
+    whole = bench.read(path)
+    assert whole.dropped == ()
+    assert len(whole) > len(run) + 0.5 * 16000
+    same = whole.ticks(int(run.samples.tick[0]), int(run.samples.tick[-1]))
+    assert same.samples.raw.tobytes() == run.samples.raw.tobytes()
+    assert same.names == run.names
+    assert same.units == run.units
+    for mine, read in ((run.samples, same.samples), (run.edges, same.edges)):
+        assert read.tick.tolist() == mine.tick.tolist()
+        assert read.index.tolist() == mine.index.tolist()
+    assert same.edges.hall_new.tolist() == run.edges.hall_new.tolist()
+    assert (same.parameters, same.tick_hz, same.pwm_hz) == (run.parameters, run.tick_hz, run.pwm_hz)
+
+
+def test_what_is_lost_is_told_by_the_capture_and_by_the_recording(tmp_path: Path) -> None:
+    link = SpoiltLink(simulated())
+    with connected(link, save=tmp_path / "run.rrd") as rig:
+        rig.drive.speed(300, "r/min")
+        with rig.recording() as stretch:
+            rig.wait(0.1)
+            link.lose = 2
+            rig.wait(0.1)
+        run = stretch.capture
+    (lost,) = run.samples.gaps
+    assert lost.lost_samples == np.diff(run.samples.index).max() - 1 > 0
+    assert [words for *_, words in run.dropped] == [
+        f"{lost.lost_samples} samples were lost before {run.t[lost.position]:.4f} s"
+    ]
+    assert run.flaws()[0] == run.dropped[0][2]
+    assert bench.read(tmp_path / "run.rrd").dropped == run.dropped
+
+
+# -- estimates and scores -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("observer", "short", "settings"),
+    [("vector_tracking", "vt", {"k_p": 900.0}), ("le", "le", {}), ("average-speed", "avg", {})],
+)
+def test_estimates_are_those_of_replay(
+    drive_run: Path, tmp_path: Path, observer: str, short: str, settings: dict[str, float]
+) -> None:
+    ours = bench.estimate(bench.read(drive_run), observer, **settings)
+    replay(drive_run, (observer,), settings, tmp_path / "out.rrd")
+    theirs = read_run(tmp_path / "out.rrd").samples
+    assert ours.samples.raw.dtype == theirs.raw.dtype
+    assert ours.samples.raw.tobytes() == theirs.raw.tobytes()
+    assert ours.units[f"theta_{short}_host"] == "rad"
+    assert ours.units[f"omega_{short}_host"] == "rad/s"
+
+
+def test_settings_change_the_estimate_by_either_name(run: bench.Capture) -> None:
+    own, same, slow, alias = (
+        bench.estimate(run, "vt", **settings)["theta_vt_host"]
+        for settings in ({}, {"k_p": run.parameters["k_p_vt"]}, {"k_p_vt": 300.0}, {"k_p": 300.0})
+    )
+    assert own.tolist() == same.tolist()
+    assert slow.tolist() == alias.tolist() != own.tolist()
+    assert "theta_vt_host" not in run
+
+
+@pytest.mark.parametrize(
+    ("observer", "settings", "words"),
+    [
+        ("vector_trackin", {}, r"no observer 'vector_trackin' \(did you mean vector_tracking\?\)"),
+        ("vt", {"k_p": 1e9}, r"k_p: must be 0\.\.100000, got 1e\+09"),
+        ("vt", {"gain": 1.0}, "gain: it is no parameter; there are "),
+        ("vt", {"observer": 2.0}, "observer: it changes nothing in vector_tracking; there are "),
+        ("vt", {"k_p": 1.0, "k_p_vt": 1.0}, "k_p_vt: k_p_vt is set already"),
+    ],
+)
+def test_estimates_that_cannot_be_made(
+    run: bench.Capture, observer: str, settings: dict[str, float], words: str
+) -> None:
+    with pytest.raises(BenchError, match=f"^{words}") as error:
+        bench.estimate(run, observer, **settings)
+    assert "\n" not in str(error.value)
+
+
+def test_captures_without_what_an_observer_needs(run: bench.Capture) -> None:
+    with pytest.raises(BenchError, match="theta_vt_host is in this capture already: estimate from the one"):
+        bench.estimate(bench.estimate(run, "vt"), "vector-tracking")
+    with bench.connect("sim", channels="theta_enc,i_a") as rig:
+        few = rig.record(0.05)
+        rig.client.sinks.clear()
+    with pytest.raises(BenchError, match=r"vector_tracking cannot be run on this capture: it has no channel hall, "):
+        bench.estimate(few, "vt")
+
+
+def test_a_decimated_recording_is_not_estimated(tmp_path: Path) -> None:
+    file = tmp_path / "slow.rrd"
+    command = ["live", "sim", "--speed", "300", "--duration", "0.2", "--rate", "8000", "--viewer", "none"]
+    with patch("bench.live.run.open_link", lambda target: WatchedLink(simulated())):
+        ended = CliRunner().invoke(cli, [*command[:1], "serial:x", *command[2:], "--save", str(file)])
+    assert ended.exit_code == 0, ended.output
+    slow = bench.read(file)
+    assert slow.sample_rate == 8000
+    assert np.diff(slow.t) == pytest.approx(1 / 8000, rel=1e-9)
+    with pytest.raises(BenchError, match="cannot be run on this capture: it has one sample in 2 PWM periods: all"):
+        bench.estimate(slow, "vt")
+
+
+def _figures(observers: dict[str, Any]) -> dict[str, Any]:
+    """What does not depend on how busy the computer is."""
+    return {name: {key: of for key, of in row.items() if key != "step_ns"} for name, row in observers.items()}
+
+
+def test_scores_are_those_of_the_command(drive_run: Path) -> None:
+    board = bench.score(bench.read(drive_run), observers=NAMES)
+    command = ["score", str(drive_run), "--json", "-", *(f"--observer={name}" for name in NAMES)]
+    printed = CliRunner().invoke(cli, command).stdout
+    told = json.loads(printed[printed.index("{\n") :])
+    assert list(board.pooled) == list(told["observers"])
+    assert set(board.pooled) == {"vector_tracking", "learned_edges", "drive_vt"}
+    assert json.loads(json.dumps(_figures(board.as_json()["observers"]))) == _figures(told["observers"])
+    assert _figures(bench.score(str(drive_run), observers=NAMES).pooled) == _figures(board.pooled)
+
+
+def test_captures_and_recordings_are_pooled(drive_run: Path, run: bench.Capture) -> None:
+    first, last = run.between(run.t[0], run.t[0] + 0.25), run.between(run.t[0] + 0.25, run.t[-1])
+    board = bench.score(first, last, drive_run, observers=["drive_vt"])
+    assert list(board.by_file) == ["the capture 1", "the capture 2", f"{drive_run} 3"]
+    each = [rows["drive_vt"]["moving"] for rows in board.by_file.values()]
+    pooled = board.pooled["drive_vt"]["moving"]
+    assert pooled["n"] == sum(row["n"] for row in each)
+    assert pooled["rms"] ** 2 == pytest.approx(sum(row["n"] * row["rms"] ** 2 for row in each) / pooled["n"])
+    error = np.degrees(first.position_error("theta_vt"))
+    assert each[0]["rms"] == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-9)
+    with pytest.raises(BenchError, match="nothing to score: give a recording or a capture"):
+        bench.score()
+
+
+def test_estimates_of_other_settings_are_scored_as_replayed(run: bench.Capture) -> None:
+    slow = bench.estimate(run, "vt", k_p=300.0)
+    rows = bench.score(slow, observers=["replayed_vt", "vector_tracking"]).pooled
+    error = np.degrees(slow.position_error("theta_vt_host"))
+    assert rows["replayed_vt"]["moving"]["rms"] == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-9)
+    assert rows["replayed_vt"]["moving"]["rms"] != rows["vector_tracking"]["moving"]["rms"]
+
+
+# -- the package ----------------------------------------------------------------------------------------------------
+
+
+def test_the_package_loads_next_to_nothing_and_has_what_it_names() -> None:
+    code = (
+        "import sys, bench\n"
+        "print(sorted({'numpy', 'rerun', 'numba', 'pyarrow', 'pandas', 'matplotlib', 'can'} & set(sys.modules)))\n"
+        "print([name for name in bench.__all__ if getattr(bench, name) is None], dir(bench) == sorted(bench.__all__))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, env=ENVIRONMENT)
+    assert done.stdout.splitlines() == ["[]", "[] True"], done.stderr
