@@ -262,11 +262,11 @@ class LiveRun:
             observers = HostObservers(parameters, stream)
         augmenter = None
         if options.estimate:
-            from bench.observers.augment import AugmentedSinks, Augmenter
+            from bench.observers.augment import Augmenter
             from bench.observers.estimators import Estimators
 
             estimators = Estimators(options.estimate, parameters, stream)
-            augmenter = Augmenter(estimators, stream.channels)
+            augmenter = Augmenter(estimators, stream)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
@@ -284,7 +284,7 @@ class LiveRun:
                 self.screen.note(f"dashboard: {outputs.view.url}")
             sinks: list[Sink] = [stats, *([self._judge] if self._judge else []), *outputs.sinks]
             if augmenter is not None:
-                sinks = [AugmentedSinks(augmenter, identity.node, sinks)]
+                self.client.change = augmenter.take
             self.client.sinks = [self._notes, *sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
