@@ -291,7 +291,7 @@ class LiveRun:
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result, ended = self._with_recording(result, exit_code)
             summary.live_view = outputs.viewed()
-            if self._interrupted(lambda: outputs.end_recording(as_markdown(summary))):
+            if self._interrupted(lambda: self._finish(outputs, as_markdown(summary))):
                 ended = ended or 128 + self._signal
             if outputs.failure is not None:  # at the latest now
                 summary.result, ended = self._with_recording(result, exit_code)
@@ -373,6 +373,11 @@ class LiveRun:
             return result, exit_code
         words = f"recording failed: {str(failure).removeprefix('recording ')}"
         return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
+
+    @staticmethod
+    def _finish(outputs: Outputs, summary: str) -> None:
+        with suppress(RecordingError):  # `outputs.failure` tells
+            outputs.end_recording(summary)
 
     def _interrupted(self, action: Callable[[], None]) -> bool:
         """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""
