@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
 from bench.analysis.verdict import Verdict
-from bench.device.client import Sink
 from bench.errors import BenchError, RecordingError
 from bench.files import check_output
 from bench.rerunio.schema import RunInfo
 
 if TYPE_CHECKING:
-    from bench.rerunio.sinks import FileSink
+    from bench.rerunio.sinks import FileSink, LiveSink
     from bench.rerunio.viewer import LiveView
 
 
@@ -64,16 +63,13 @@ class Outputs:
                 if self.file is not None:
                     self.file.close()
                 raise
-        for sink in self._block_sinks() if host_time else ():
+        for sink in self.sinks if host_time else ():
             sink.host_time = host_time
 
-    def _block_sinks(self) -> list[Any]:
-        return [sink for sink in (self.file, self.view and self.view.sink) if sink is not None]
-
     @property
-    def sinks(self) -> list[Sink]:
+    def sinks(self) -> list[FileSink | LiveSink]:
         """The sinks to hand to the client."""
-        return [*self._block_sinks()]
+        return [*([self.file] if self.file else []), *([self.view.sink] if self.view else [])]
 
     @property
     def failure(self) -> RecordingError | None:
@@ -104,7 +100,7 @@ class Outputs:
     @property
     def latency(self) -> Percentiles | None:
         """Sample-to-sink latency, of the recording if there is one, else of the live view."""
-        sinks = self._block_sinks()
+        sinks = self.sinks
         return sinks[0].latency if sinks else None
 
     def end_recording(self, summary: str) -> None:
