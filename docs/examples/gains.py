@@ -28,7 +28,7 @@ moving = run.samples.tick >= step
 
 
 def errors(theta: str, capture: bench.Capture) -> tuple[float, float]:
-    """Standard deviation at the steady speed, largest error after the load step, el. deg."""
+    """Std at the steady speed, largest after the load step, el. deg."""
     error = np.degrees(capture.position_error(theta))
     return float(error[steady].std()), float(np.abs(error[moving]).max())
 
@@ -37,17 +37,15 @@ gains = np.geomspace(150, 6000, 14)
 swept = np.array([errors("theta_vt_host", bench.estimate(run, "vt", k_p=k_p)) for k_p in gains])
 own, own_k_p = errors("theta_vt", run), run.parameters["k_p_vt"]
 again = errors("theta_vt_host", bench.estimate(run, "vt", k_p=own_k_p))
-print(
-    f"drive's own k_p {own_k_p:g}: {own[0]:.3f} by the drive, {again[0]:.3f} by the host; best {swept[:, 0].min():.3f}"
-)
+print(f"drive's k_p {own_k_p:g}: {own[0]:.3f} by the drive, {again[0]:.3f} by the host; best {swept[:, 0].min():.3f}")
 
 figure, (ax,) = new_figure(1, height=3.0)
 ax.loglog(gains, swept[:, 0], "o-", markersize=3, color="tab:blue", label="std at 200 r/min")
 ax.loglog(gains, swept[:, 1], "s-", markersize=3, color="tab:orange", label="largest after the load step")
 ax.loglog([own_k_p] * 2, own, "k*", markersize=9, label="the drive itself")
 axis_labels(ax, "k_p", "position error", "1/s", "el. °")
-ax.set_xticks([200, 500, 1000, 2000, 5000], ["200", "500", "1000", "2000", "5000"])
-ax.set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
+ax.set_xticks(ticks := [200, 500, 1000, 2000, 5000], ticks)
+ax.set_yticks(ticks := [1, 2, 5, 10], ticks)
 ax.minorticks_off()
 legend_above(ax)
 figure.savefig(out, dpi=100)
