@@ -20,8 +20,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol import __version__
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
     from bench.rig.rig import Rig
     from bench.rig.settings import Settings
     from bench.scoring.board import Scoreboard
+    from protocol import __version__
 
 __all__ = [
     "BenchError", "Capture", "DriveTripped", "Envelope", "Rig", "Settings", "__version__", "connect", "estimate",
@@ -40,7 +39,7 @@ __all__ = [
 
 _HOMES = {
     "BenchError": "bench.errors", "Capture": "bench.analysis.capture", "DriveTripped": "bench.rig.drive",
-    "Envelope": "bench.rig.envelope", "Rig": "bench.rig.rig", "Settings": "bench.rig.settings",
+    "Envelope": "bench.rig.envelope", "Rig": "bench.rig.rig", "Settings": "bench.rig.settings", "__version__": "protocol",
 }  # fmt: skip
 
 

@@ -224,10 +224,6 @@ class HostSession:
         """Return and forget the oldest event, None if there is none."""
         return self._events.popleft() if self._events else None
 
-    def next_deadline(self) -> float | None:
-        """Return when `tick` must be called at the latest, None if nothing is outstanding."""
-        return None if self._pending is None else self._pending.deadline
-
     def tick(self, now: float) -> None:
         """Repeat or give up the outstanding request, if it is time."""
         pending = self._pending
@@ -252,9 +248,9 @@ class HostSession:
             else:
                 self._receive(parse_frame(item), now)
 
-    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> Decoder:
+    def decoder(self, config: StreamConfig) -> Decoder:
         """Return a decoder for the frames of a stream, as it was just configured."""
-        return self.wire.decoder(config, tick_hz, pwm_hz, self.tick_reference(config.node))
+        return self.wire.decoder(config, self.tick_reference(config.node))
 
     def _receive(self, frame: Frame, now: float) -> None:
         counters = self.counters

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from protocol.descriptor import Channel, Descriptor, sample_dtype
 from protocol.errors import RemoteProtocolError
 from protocol.framing import HEADER_BYTES
-from protocol.messages import StreamEvent, StreamReply, StreamSet
+from protocol.messages import HelloReply, StreamEvent, StreamReply, StreamSet
 from protocol.signals import Signal
 
 STREAM_HEADER = struct.Struct("<BBHHHII")  # stream, flags, n, cfg_id, seq, index, tick
@@ -71,7 +71,8 @@ class TickReference:
 class StreamConfig:
     """A stream as the device configured it. `block`: most records in a frame; edges have no channels.
 
-    On CAN: `slot`, the first one of its frames, and `tick0`, the tick of PWM period 0.
+    `tick_hz`, `pwm_hz`: device ticks and PWM periods a second. On CAN: `slot`, the first one of its frames, and
+    `tick0`, the tick of PWM period 0.
     """
 
     node: int
@@ -83,15 +84,30 @@ class StreamConfig:
     block: int
     slot: int = 0
     tick0: int = 0
+    tick_hz: int = field(kw_only=True)
+    pwm_hz: int = field(kw_only=True)
+
+    @property
+    def period_ticks(self) -> int:
+        """Device ticks in a PWM period."""
+        return self.tick_hz // self.pwm_hz
+
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return self.pwm_hz / self.decimation
 
     @classmethod
-    def of(cls, node: int, request: StreamSet, reply: StreamReply, descriptor: Descriptor) -> Self:
-        """Return the stream that `reply` configured for `request`; RemoteProtocolError if they disagree."""
+    def of(cls, hello: HelloReply, request: StreamSet, reply: StreamReply, descriptor: Descriptor) -> Self:
+        """Return the stream that `reply` configured for `request` in the device that says `hello` of itself.
+
+        RemoteProtocolError if they disagree.
+        """
         by_id = {channel.id: channel for channel in descriptor.channels}
         if missing := [number for number in request.channels if number not in by_id]:
             raise RemoteProtocolError(f"stream {request.stream}: the device has no channels with the ids {missing}")
         config = cls(
-            node=node,
+            node=hello.node,
             stream=request.stream,
             cfg_id=reply.cfg_id,
             event=request.event,
@@ -100,6 +116,8 @@ class StreamConfig:
             block=reply.block,
             slot=reply.slot,
             tick0=reply.tick0,
+            tick_hz=hello.tick_hz,
+            pwm_hz=hello.pwm_hz,
         )
         if reply.stream != request.stream or reply.sample_bytes != config.dtype.itemsize or reply.block < 1:
             raise RemoteProtocolError(
@@ -295,14 +313,11 @@ class _Sequence:
 
 
 class SampleDecoder:
-    """Decodes the DATA frames of one configured stream.
+    """Decodes the DATA frames of one configured stream."""
 
-    `ticks_per_period`: device ticks in a PWM period (HELLO's tick_hz / pwm_hz).
-    """
-
-    def __init__(self, config: StreamConfig, ticks_per_period: int, reference: TickReference) -> None:
+    def __init__(self, config: StreamConfig, reference: TickReference) -> None:
         self.config = config
-        self._ticks_per_sample = ticks_per_period * config.decimation
+        self._ticks_per_sample = config.period_ticks * config.decimation
         self._sequence = _Sequence(config, config.decimation, self._ticks_per_sample)
         self._reference = reference
         self._next_tick: int | None = None
@@ -380,15 +395,6 @@ def unpack_edges(
         index=index,
         gaps=gaps,
     )
-
-
-def pack_edges(tick: I64, hall_old: U8, hall_new: U8, illegal: NDArray[np.bool_], encoder: I64) -> NDArray[np.void]:
-    """Return edges as wire records (EDGE_RECORD): ticks and encoder counts are cut to 32 and 16 bits."""
-    records = np.zeros(len(tick), EDGE_RECORD)
-    records["tick"] = tick & 0xFFFFFFFF
-    records["codes"] = hall_old | hall_new << 3 | np.where(illegal, EDGE_ILLEGAL, 0).astype(np.uint8)
-    records["encoder"] = encoder & 0xFFFF
-    return records
 
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:

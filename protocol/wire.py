@@ -91,7 +91,7 @@ class HostWire(Protocol):
         `data` as the link read it; `now` in s of the link's clock.
         """
 
-    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+    def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """Return a decoder for a stream as it was just configured; its frames are looked for from now on."""
 
     def forget(self, node: int) -> None:
@@ -102,7 +102,7 @@ class HostWire(Protocol):
 
 
 class ByteWire:
-    """COBS frames: serial ports, TCP, memory."""
+    """COBS frames: serial ports, TCP."""
 
     shared = False
 
@@ -141,11 +141,11 @@ class ByteWire:
                 out.append(raw)
         return out + _batches(groups)
 
-    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+    def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`."""
         if config.event == StreamEvent.EDGES:
             return EdgeDecoder(config, reference)
-        return SampleDecoder(config, tick_hz // pwm_hz, reference)
+        return SampleDecoder(config, reference)
 
     def forget(self, node: int) -> None:
         """See `HostWire.forget`: its frames carry another cfg_id, and their decoders will see that."""

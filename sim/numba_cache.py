@@ -38,7 +38,7 @@ KEPT = 6  # cache directories of other source states that are left alone: branch
 _HERE = Path(__file__).parent
 
 # Of `sim/drive` and `sim/ports` only the control tick and the lengths of CAN frames are kernels.
-_PLAIN = ("config", "drive", "ports", "interrupts.py", "__main__.py")
+_PLAIN = ("config", "drive", "ports", "interrupts.py")
 _KERNELS_AMONG = ("drive/tick*.py", "ports/can_bits.py")
 _IN_PROTOCOL = (
     "codes.py",

@@ -1,4 +1,4 @@
-"""The import rules of pyproject.toml hold, and nothing escapes them."""
+"""The import rules of pyproject.toml hold, and nothing escapes them; functions are small."""
 
 from __future__ import annotations
 
@@ -44,6 +44,40 @@ def test_the_protocol_outside_its_links_does_no_io_and_reads_no_clock() -> None:
     assert not {(room, name) for room, name in imported() if name in DRIVERS and room.startswith("protocol")} - {
         ("protocol.links", name) for name in DRIVERS
     }
+
+
+MOST_PARAMETERS = 8
+MOST_LINES = 80
+
+
+def test_functions_are_small() -> None:
+    """Compiled kernels excepted: a kernel is one step, and gets each of its figures as an argument."""
+    large = [
+        f"{file.relative_to(ROOT)}:{function.lineno} {function.name}"
+        for file, function in functions()
+        if not {"kernel", "jit"} & {ast.unparse(decorator) for decorator in function.decorator_list}
+        and (parameters_of(function) > MOST_PARAMETERS or lines_of(function) > MOST_LINES)
+    ]
+    assert not large
+
+
+def functions() -> Iterator[tuple[Path, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    for package in PACKAGES:
+        for file in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text())):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    yield file, node
+
+
+def parameters_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How many it takes by position or by name, without the object or the class itself."""
+    found = function.args
+    names = [argument.arg for argument in (*found.posonlyargs, *found.args, *found.kwonlyargs)]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    return (function.end_lineno or 0) - function.lineno + 1
 
 
 def imported() -> Iterator[tuple[str, str]]:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import pytest
 
+from bench.rig import screen as rig_screen
+
 if TYPE_CHECKING:
     from bench.acceptance.measuring import Running
     from bench.analysis.limits import Limits
@@ -21,14 +23,8 @@ RESULT = "hallbench"  # attribute of an acceptance test's reports; the last one'
 FIXTURE = "_hallbench_rig"  # whoever asks for it, directly or not, is an acceptance test
 
 
-class Screen(Protocol):
+class Screen(rig_screen.Screen, Protocol):
     """Where progress goes."""
-
-    def note(self, text: str) -> None:
-        """A line that stays."""
-
-    def progress(self, text: str) -> None:
-        """The line that tells what is going on now."""
 
     def listed(self, name: str, limits: Limits) -> None:
         """A measurement and its limits, where only those were asked for."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle, speed_channel
-from bench.analysis.chunks import between, no_edge_stream
+from bench.analysis.chunks import between, streams_none
 from bench.analysis.position import position_error
 from bench.errors import BenchError
 from protocol.signals import Flag
@@ -39,8 +39,6 @@ class Capture:
 
     samples: SampleChunk
     edges: EdgeChunk
-    tick_hz: int
-    pwm_hz: int
     parameters: Mapping[str, float] = field(default_factory=dict)
     dropped: tuple[tuple[int, int, str], ...] = ()
     looked_at: frozenset[str] | None = None
@@ -99,7 +97,12 @@ class Capture:
     @property
     def sample_rate(self) -> float:
         """Samples a second, where none is lost."""
-        return self.pwm_hz / self.samples.config.decimation
+        return self.samples.config.rate
+
+    @property
+    def tick_hz(self) -> int:
+        """Device ticks a second."""
+        return self.samples.config.tick_hz
 
     @property
     def edge_t(self) -> F64:
@@ -197,7 +200,7 @@ class Capture:
 
         A change may show one sample after its edge, which may lie just before the capture.
         """
-        if "hall" not in self or len(self) < 2 or self.edges.config == no_edge_stream(self.edges.config.node):
+        if "hall" not in self or len(self) < 2 or streams_none(self.edges.config):
             return []
         tick = self.samples.tick
         last = int(self.edges.tick[-1]) if len(self.edges) else int(tick[0])

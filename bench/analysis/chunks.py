@@ -53,9 +53,14 @@ def no_edges(config: StreamConfig) -> EdgeChunk:
     return EdgeChunk(config, ticks, codes, codes, np.empty(0, np.bool_), np.empty(0, np.uint16), ticks, ())
 
 
-def no_edge_stream(node: int) -> StreamConfig:
-    """What stands for the edges of a drive that streams none."""
-    return StreamConfig(node, 0, 0, StreamEvent.EDGES, 1, (), 1)
+def no_edge_stream(node: int, tick_hz: int, pwm_hz: int) -> StreamConfig:
+    """What stands for the edges of a drive that streams none: no frame holds one."""
+    return StreamConfig(node, 0, 0, StreamEvent.EDGES, 1, (), 0, tick_hz=tick_hz, pwm_hz=pwm_hz)
+
+
+def streams_none(edges: StreamConfig) -> bool:
+    """Whether this is `no_edge_stream`."""
+    return not edges.block
 
 
 # -- what is missing ------------------------------------------------------------------------------------------------
@@ -81,7 +86,7 @@ def contiguous(chunk: SampleChunk) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 
-def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int, tick_hz: float) -> list[tuple[int, int, str]]:
+def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int) -> list[tuple[int, int, str]]:
     """The gaps of a chunk as (tick, tick, words), each from the record before it to the one after it.
 
     `before`: tick of the newest record before the chunk.
@@ -91,7 +96,7 @@ def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int, tick_hz: float) 
     for gap in chunk.gaps:
         first = int(chunk.tick[gap.position - 1]) if gap.position else before
         last = int(chunk.tick[gap.position]) if gap.position < len(chunk) else first
-        found.append((first, last, f"{gap.lost_samples} {noun} were lost before {last / tick_hz:.4f} s"))
+        found.append((first, last, f"{gap.lost_samples} {noun} were lost before {last / chunk.config.tick_hz:.4f} s"))
     return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -12,7 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
-from bench.files import STANDARD_OUTPUT, check_output, write
+from bench.files import STANDARD_OUTPUT, check_output, finite, write
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 """A file that may not be there yet."""
@@ -83,15 +82,7 @@ def check_files(
 
 def write_json(path: Path, data: object) -> None:
     """Write plain data to a file of `--json`; numbers that JSON has not are null. Raises BenchError."""
-    write(path, json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", f"--json {path}")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    write(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n", f"--json {path}")
 
 
 def _real(path: Path | str) -> str:

@@ -44,13 +44,10 @@ class Share(click.ParamType[float]):
 def command(
     runs: tuple[Path, ...],
     observers: tuple[str, ...],
-    html: Path | None,
-    json_file: Path | None,
-    csv_file: Path | None,
     expect: Path | None,
-    write_expect: Path | None,
     overwrite: bool,
     margin: float,
+    **files: Path | None,
 ) -> None:
     """Score position observers on recordings: errors, lag and cost, ranked.
 
@@ -65,6 +62,7 @@ def command(
       bench score a.rrd b.rrd --html score.html --json score.json
       bench score a.rrd --expect bounds.toml
     """
+    html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
     check_files(outputs, overwrite, [*runs, expect])
     from bench.scoring import expect as bounds

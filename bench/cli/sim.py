@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
+
+from bench.cli.streams import OutputClosed, echo
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -15,7 +22,6 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--tcp", metavar="HOST:PORT", help="Behind TCP, for one client at a time; port 0 takes any free one.")
 @click.option("--slcan", is_flag=True, help="On a CAN bus, behind an slcan adapter on a pseudo terminal.")
 @click.option("--socketcand", metavar="HOST:PORT", help="On a CAN bus (classic), behind a socketcand server.")
-@click.option("--virtual", metavar="CHANNEL", help="On a CAN bus, python-can's virtual one: for this process only.")
 @click.option("--bitrate", metavar="N", type=int, help="Of the CAN bus [default: 1000000].")
 @click.option("--fd", is_flag=True, help="CAN FD.")
 @click.option("--data-bitrate", metavar="N", type=int, help="Of CAN FD's data phase [default: 5000000].")
@@ -26,12 +32,14 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--set", "settings", metavar="SECTION.NAME=VALUE", multiple=True, help="One such figure; repeatable.")
 @click.option("--seed", type=int, help="Seed of noise and jitter (default: another one each time).")
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
+@click.option("--exit-with-parent", is_flag=True, hidden=True)
 def command(
     pty: bool,
     bitrate: int | None,
     fd: bool,
     data_bitrate: int | None,
     ext: bool,
+    exit_with_parent: bool,
     settings: tuple[str, ...],
     **given: Any,
 ) -> None:
@@ -45,20 +53,34 @@ def command(
       bench sim --tcp 127.0.0.1:7000 --set inverter.dead_time=2e-6
       bench sim --slcan --fd
     """
-    places = [name for name in ("tcp", "slcan", "socketcand", "virtual") if given[name]] + ["pty"] * pty
+    places = [name for name in ("tcp", "slcan", "socketcand") if given[name]] + ["pty"] * pty
     if len(places) > 1:
         raise click.UsageError(f"choose one of {', '.join(f'--{name}' for name in places)}")
     if data_bitrate is not None and not fd:
         raise click.UsageError("--data-bitrate is that of CAN FD: add --fd")
-    on_can = any(given[name] for name in ("slcan", "socketcand", "virtual"))
+    on_can = given["slcan"] or given["socketcand"]
     for name, value in (("--bitrate", bitrate), ("--fd", fd), ("--ext", ext)):
         if value and not on_can:
-            raise click.UsageError(f"{name} is for a CAN bus: add --slcan, --socketcand or --virtual")
-    from sim.ports.server import ServeOptions, can_rates, parse_override, serve
+            raise click.UsageError(f"{name} is for a CAN bus: add --slcan or --socketcand")
+    from protocol.canmap.frame import BusRates
+    from protocol.links.target import DEFAULT_DATA_BITRATE
+    from sim.ports.server import ServeOptions, parse_override, serve
 
+    rates = BusRates(bitrate or 1_000_000, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
     overrides = dict(parse_override(text) for text in settings)
-    serve(
-        ServeOptions(
-            rates=can_rates(bitrate or 1_000_000, fd, data_bitrate), extended=ext, overrides=overrides, **given
-        )
-    )
+    options = ServeOptions(rates=rates, extended=ext, overrides=overrides, **given)
+    if exit_with_parent:
+        threading.Thread(target=_end_with_input, daemon=True).start()
+    serve(options, _tell_parent if exit_with_parent else echo)
+
+
+def _end_with_input() -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _tell_parent(line: str) -> None:
+    """The end of standard input ends this process, not that of output: the parent reads up to the target only."""
+    with suppress(OutputClosed):
+        echo(line)

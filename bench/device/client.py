@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import astuple, dataclass, field
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from protocol.errors import LinkClosed, LinkError, NoReply, Refused
 from protocol.host import (
@@ -61,8 +61,8 @@ QUIET = 1.0  # s without a stream frame after which none is under way; a CAN dev
 FLUSH = 10.0  # s that a device is given to send what waited at STREAM_STOP: 64 KiB at 115200 baud, and some
 
 
-class Sink(Protocol):
-    """What receives a run. Calls come from the acquisition thread and must return at once."""
+class Sink:
+    """What receives a run; this one ignores all of it. Calls come from the acquiring thread and must return at once."""
 
     def samples(self, chunk: SampleChunk) -> None:
         """One chunk of samples, contiguous but for `chunk.gaps`."""
@@ -81,28 +81,6 @@ class Sink(Protocol):
 
     def note(self, text: str, level: str = "INFO") -> None:
         """Something happened on the host: a line for the log."""
-
-
-class SinkBase:
-    """A sink that ignores everything."""
-
-    def samples(self, chunk: SampleChunk) -> None:
-        """Ignored."""
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Ignored."""
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Ignored."""
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Ignored."""
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Ignored."""
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Ignored."""
 
 
 @dataclass(slots=True)
@@ -399,9 +377,9 @@ class Client:
 
     # -- streams ------------------------------------------------------------------------------------------------
 
-    def decode(self, config: StreamConfig, tick_hz: int, pwm_hz: int) -> None:
+    def decode(self, config: StreamConfig) -> None:
         """Decode a stream from now on, as it was just configured."""
-        decoder = self.session.decoder(config, tick_hz, pwm_hz)
+        decoder = self.session.decoder(config)
         streams = self._streams.setdefault(config.node, _Streams())
         self._retire(config.node, streams.decoders.pop(config.stream, None))
         streams.decoders[config.stream] = decoder

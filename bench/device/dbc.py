@@ -51,11 +51,9 @@ _FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] *
 
 
 class NodeStream(NamedTuple):
-    """A stream of a device: the device's name, ticks/s and PWM periods/s, and the stream as it is configured."""
+    """A stream of a device: the device's name, and the stream as it is configured."""
 
     name: str
-    tick_hz: int
-    pwm_hz: int
     config: StreamConfig
 
 
@@ -92,7 +90,7 @@ def dbc_text(streams: Sequence[NodeStream], rates: BusRates, extended: bool) -> 
                     frame.signals,
                     comment=frame.comment,
                     senders=[sender],
-                    cycle_time=_whole_ms(frame.periods, stream.pwm_hz),
+                    cycle_time=_whole_ms(frame.periods, stream.config.pwm_hz),
                     is_extended_frame=extended,
                     is_fd=rates.fd,
                 )
@@ -152,9 +150,9 @@ def _about_samples(stream: NodeStream, fd: bool, samples: int) -> str:
     which = "the sample" if samples == 1 else f"sample _0, that of _1 is {step} more, and so on to _{samples - 1}"
     index = "" if fd else f"; index = number * {config.decimation}"
     return (
-        f"{stream.pwm_hz / config.decimation:g} samples/s, decimation {config.decimation}. "
+        f"{config.rate:g} samples/s, decimation {config.decimation}. "
         f"{counter}: low {bits} bits of the {counted} of {which}{index}; "
-        f"tick = {config.tick0} + index * {stream.tick_hz // stream.pwm_hz}, at {stream.tick_hz} ticks/s; "
+        f"tick = {config.tick0} + index * {config.period_ticks}, at {config.tick_hz} ticks/s; "
         "index counts PWM periods."
     )
 
@@ -172,7 +170,7 @@ def _edges(stream: NodeStream) -> _Frame:
     ]
     comment = (
         f"Stream {config.stream} of node {config.node}: a Hall edge, as it happens. tick: low 32 bits, at "
-        f"{stream.tick_hz} ticks/s; hall_old, hall_new: code before and after, bit 0 = sensor a; illegal: no step to a "
+        f"{config.tick_hz} ticks/s; hall_old, hall_new: code before and after, bit 0 = sensor a; illegal: no step to a "
         "neighbour; ctr: low 8 bits of the number of the edge since boot; encoder: its count at the edge."
     )
     return _Frame(CanId(CanClass.EDGES, config.node, config.slot), EDGE_BYTES, signals, comment, 0)
@@ -217,8 +215,8 @@ def configured_streams(client: Client, nodes: Iterable[int]) -> list[NodeStream]
         except NoReply:
             continue
         for config in node.active_streams():
-            client.session.decoder(config, identity.tick_hz, identity.pwm_hz)  # raises where the layouts differ
-            streams.append(NodeStream(identity.name, identity.tick_hz, identity.pwm_hz, config))
+            client.session.decoder(config)  # raises where the layouts differ
+            streams.append(NodeStream(identity.name, config))
     return streams
 
 

@@ -370,7 +370,7 @@ class Node:
                 continue  # of a later version
             request = StreamSet(number, info.event, info.decimation, info.max_latency_ms, info.channels)
             reply = StreamReply(number, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
-            configs.append(StreamConfig.of(self.number, request, reply, self.descriptor))
+            configs.append(StreamConfig.of(self.identity, request, reply, self.descriptor))
         return configs
 
     def start_streams(self) -> None:
@@ -395,10 +395,10 @@ class Node:
             reply = self.client.request(request, self.number, StreamReply)
         except Refused as refusal:
             raise self._refusal(refusal, request) from None
-        config = StreamConfig.of(self.number, request, reply, self.descriptor)
+        config = StreamConfig.of(self.identity, request, reply, self.descriptor)
         self._streams[request.stream] = request
         self.load = reply.load
-        self.client.decode(config, self.identity.tick_hz, self.identity.pwm_hz)
+        self.client.decode(config)
         return config
 
     def _refusal(self, refusal: Refused, request: StreamSet) -> NodeError:

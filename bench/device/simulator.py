@@ -35,7 +35,7 @@ class EmbeddedDrive:
         self._note = note
         arguments = ("--config", str(config)) if config else PATIENT
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
+            [sys.executable, "-m", "bench", "sim", "--tcp", "127.0.0.1:0", "--exit-with-parent", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -64,14 +64,14 @@ class EmbeddedDrive:
                 words = line.strip()
                 if words.startswith("target: "):
                     return words.removeprefix("target: ")
-                if not words.startswith("sim: "):
+                if not words.startswith("error: "):
                     self._note(words)
-        raise BenchError(words.removeprefix("sim: "))
+        raise BenchError(words.removeprefix("error: "))
 
     def _end(self) -> None:
         if self._process.stdin:
             self._process.stdin.close()
-        self._process.terminate()  # while it compiles it does not look at its standard input
+        self._process.terminate()
         try:
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
+from scipy.special import stdtrit
 
 from bench.analysis.position import wrap
 from bench.analysis.waveforms.sectors import SECTORS
@@ -178,20 +178,8 @@ def _delay(groups: list[tuple[Floats, Floats]]) -> tuple[float, float]:
 
 
 def _t(freedom: int) -> float:
-    """Two-sided 95 % quantile of Student's t with `freedom` >= 1 degrees.
-
-    Below 5 from tables, else by the expansion 26.7.5 of Abramowitz and Stegun, Handbook of Mathematical Functions,
-    1964, to within 0.1 %.
-    """
-    if freedom < 5:
-        return (12.7062, 4.3027, 3.1824, 2.7764)[freedom - 1]
-    z = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
-    terms = (
-        (z**3 + z) / 4.0,
-        (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
-        (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0,
-    )
-    return z + math.fsum(term / float(freedom) ** k for k, term in enumerate(terms, 1))
+    """Two-sided quantile of Student's t, at `CONFIDENCE`, with `freedom` >= 1 degrees."""
+    return float(stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0))
 
 
 def _wrapped(angle: float) -> float:

@@ -21,7 +21,7 @@ from bench.hall.health import Health, Outcome
 from bench.rig.restore import not_put_back, put_back
 from protocol.errors import HbpError
 from protocol.signals import DRIVE_PARAMETERS
-from sim.observers.catalogue import EDGES
+from sim.observers.hall_edges import EDGES
 
 ENOUGH = math.radians(0.5)
 """rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""

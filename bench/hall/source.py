@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from bench.device.node import Node
 from bench.files import check_output
@@ -25,6 +24,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.lock import alone_on
 from bench.rig.rig import Plan, Recording, Rig
+from bench.rig.screen import Screen
 from bench.rig.settings import Settings, read_settings
 
 
@@ -58,16 +58,6 @@ class Options:
         """Applications of `bench.rig.needs` that this is."""
         check = "bench hall check --passive" if self.passive else "bench hall check"
         return (check, "bench hall learn --write") if self.write else (check,)
-
-
-class Screen(Protocol):
-    """Where progress goes."""
-
-    def note(self, text: str) -> None:
-        """A line that stays."""
-
-    def progress(self, text: str) -> None:
-        """The line that tells what is going on now."""
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from bench.analysis.channels import flagged, reference_angle, speed_channel
 from bench.analysis.position import ErrorTable, states, wrap
 from bench.analysis.units import RPM, pole_pairs
-from bench.device.client import SinkBase
-from protocol.descriptor import Channel
+from bench.device.client import Sink
 from protocol.messages import DriveState
 from protocol.signals import SECTOR_OF_CODE, Flag, Unit
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 SECTOR = math.pi / 3
 OFF_BY = SECTOR  # rms of a position error above which an angle is no estimate
@@ -71,16 +70,15 @@ class _Asked:
     seconds: float = 0.0
 
 
-class Plausibility(SinkBase):
-    """Sink that judges the run of node `drive` by its stream of `channels` and, with `edges`, its Hall edges.
+class Plausibility(Sink):
+    """Sink that judges the run of a drive by its `stream` of samples and, with `edges`, its Hall edges.
 
     `parameters`: the drive's, by name, in their units.
     """
 
-    def __init__(
-        self, drive: int, pwm_hz: int, channels: Sequence[Channel], edges: bool, parameters: Mapping[str, float]
-    ) -> None:
-        self._drive, self._pwm_hz, self._edges = drive, pwm_hz, edges
+    def __init__(self, stream: StreamConfig, edges: bool, parameters: Mapping[str, float]) -> None:
+        channels = stream.channels
+        self._drive, self._rate, self._edges = stream.node, stream.rate, edges
         self._names = {channel.name for channel in channels}
         self._n_p = pole_pairs(parameters)
         self._i_max = parameters.get("i_max", math.inf)
@@ -89,7 +87,6 @@ class Plausibility(SinkBase):
         self._by = "the encoder" if self._omega else "its Hall sensors" if edges else "its own estimate"
         if not self._omega and not edges:
             self._omega = speed_channel(channels, parameters)
-        self._decimation = 1
         self._asked: list[_Asked] = []
         self._not_finite: dict[str, int] = {}
         self._current, self._phase, self._sum = _Power(), _Power(), _Power()
@@ -125,8 +122,7 @@ class Plausibility(SinkBase):
         if (told := states(chunk)) is not None and told[-1] != DriveState.RUNNING:
             self._last_theta = None
             return
-        self._decimation = chunk.config.decimation
-        seconds = len(chunk) * chunk.config.decimation / self._pwm_hz
+        seconds = len(chunk) / self._rate
         self._look_at_currents(chunk)
         self._compare(chunk, sectors, seconds)
         self._look_at_speed(chunk, sectors, seconds)
@@ -182,7 +178,6 @@ class Plausibility(SinkBase):
         found = [f"{name} is not a finite number in {n} samples" for name, n in self._not_finite.items() if n]
         found += [words for asked in self._asked if (words := self._wrong_speed(asked))]
         found += self._hall_against_encoder()
-        rate = self._pwm_hz / self._decimation
         rows: dict[str, tuple[int, float]] = {}
         for row in errors.segments.values():
             for name, moments in row.items():
@@ -190,7 +185,7 @@ class Plausibility(SinkBase):
                 if moments.n:
                     rows[name] = (n + moments.n, total + moments.n * (moments.mean**2 + moments.std**2))
         for name, (n, total) in rows.items():
-            if n / rate >= SEEN_FOR and (rms := math.sqrt(total / n)) > OFF_BY:
+            if n / self._rate >= SEEN_FOR and (rms := math.sqrt(total / n)) > OFF_BY:
                 found.append(f"{name} is {math.degrees(rms):.0f} deg (rms) off the encoder: more than a Hall sector")
         if self._current.rms > TOO_MUCH * self._i_max:
             found.append(f"{self._current.rms:.3g} A (rms of the current vector) with i_max = {self._i_max:g} A")

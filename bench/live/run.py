@@ -12,11 +12,11 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.bus import BusMeter
-from bench.device.client import POLL, WATCHDOG, Sink, SinkBase
+from bench.device.client import POLL, WATCHDOG, Sink
 from bench.device.node import LOAD, ClockFit
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
@@ -31,6 +31,7 @@ from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs
 from bench.rig.rig import Plan, Rig
+from bench.rig.screen import Screen
 from bench.rig.settings import Settings
 from bench.rig.streams import decimation_of
 from protocol.codes import fault_names
@@ -38,6 +39,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
 from protocol.links import Link, open_link
 from protocol.signals import SHORT, SOURCE_NAMES
+from protocol.streams import StreamConfig
 
 if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
@@ -85,17 +87,7 @@ class LiveOptions:
         return self.target is None and self.speed_rpm is None and self.load_a is None
 
 
-class Screen(Protocol):
-    """Where progress goes."""
-
-    def note(self, text: str) -> None:
-        """A line that stays."""
-
-    def progress(self, text: str) -> None:
-        """The line that tells what is going on now."""
-
-
-class _ScreenNotes(SinkBase):
+class _ScreenNotes(Sink):
     """Sink that puts the notes of client and run on the screen."""
 
     def __init__(self, screen: Screen) -> None:
@@ -200,8 +192,8 @@ class LiveRun:
 
     # -- streaming ----------------------------------------------------------------------------------------------
 
-    def configure(self) -> tuple[Channel, ...]:
-        """Configure samples and edges; returns the channels that will come."""
+    def configure(self) -> StreamConfig:
+        """Configure samples and edges; returns the stream of samples that will come."""
         options, identity = self.options, self.drive.identity
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
@@ -223,9 +215,10 @@ class LiveRun:
                 few = ",".join(needed)
                 raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
             raise
-        if self.rig.decimation != decimation:
+        assert self.rig.samples is not None
+        if self.rig.samples.decimation != decimation:
             self.screen.note(f"--fit: {len(channels)} channels at {self.rig.rate:g} Hz")
-        return channels
+        return self.rig.samples
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
         """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
@@ -253,9 +246,7 @@ class LiveRun:
         offered = {channel.name for channel in self.drive.descriptor.channels}
         return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
 
-    def go(
-        self, channels: tuple[Channel, ...], acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool
-    ) -> Ended:
+    def go(self, stream: StreamConfig, acts: tuple[Act, ...], report: Callable[[Summary], None], hold: bool) -> Ended:
         """Stream, perform the acts, switch off, sum up."""
         options, identity = self.options, self.drive.identity
         parameters = self.drive.parameters()
@@ -263,22 +254,21 @@ class LiveRun:
         self._watchdog = parameters.get("watchdog", WATCHDOG)
         if acts:
             offers = self.drive.offers_edges
-            self._judge = Plausibility(self.drive.number, identity.pwm_hz, channels, offers, parameters)
+            self._judge = Plausibility(stream, offers, parameters)
         observers = None
         if options.host_observers:
             from bench.observers.estimators import HostObservers
 
-            names = [channel.name for channel in channels]
-            observers = HostObservers(parameters, identity.tick_hz, identity.pwm_hz, names)
+            observers = HostObservers(parameters, stream)
         augmenter = None
         if options.estimate:
             from bench.observers.augment import AugmentedSinks, Augmenter
             from bench.observers.estimators import Estimators
 
-            estimators = Estimators(options.estimate, parameters, identity.tick_hz, identity.pwm_hz)
-            augmenter = Augmenter(estimators, channels)
+            estimators = Estimators(options.estimate, parameters, stream)
+            augmenter = Augmenter(estimators, stream.channels)
         stats = RunStatistics(self.drive.number, observers)
-        streamed = (*channels, *(augmenter.channels if augmenter else ()))
+        streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
         self._clock = self.drive.clock_fit()
         outputs = self._outputs = Outputs(
@@ -553,9 +543,9 @@ def run(
         live = LiveRun(options, link, target, screen)
         try:
             live.look()
-            channels, acts = live.configure(), live.acts()
+            stream, acts = live.configure(), live.acts()
             live.check(acts, confirm)
-            return live.go(channels, acts, report, hold)
+            return live.go(stream, acts, report, hold)
         except BaseException as error:
             with undisturbed():
                 live.make_safe()  # in case a second signal came before STOP

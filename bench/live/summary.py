@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bench.analysis.percentiles import Percentiles
 from bench.analysis.position import ErrorTable, Moments, position_errors, states
 from bench.device.bus import bus_rows
-from bench.device.client import WATCHDOG, Client, SinkBase
+from bench.device.client import WATCHDOG, Client, Sink
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.files import finite
@@ -27,7 +27,7 @@ from protocol.text import counted
 PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary says so
 
 
-class RunStatistics(SinkBase):
+class RunStatistics(Sink):
     """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
 
     def __init__(self, drive: int, observers: HostObservers | None = None) -> None:

@@ -68,7 +68,7 @@ class Augmenter:
         return self._configs[id(config)][1]
 
 
-class AugmentedSinks:
+class AugmentedSinks(Sink):
     """Sink that hands everything on to `sinks`, the samples of node `node` with the estimates."""
 
     def __init__(self, augmenter: Augmenter, node: int, sinks: Sequence[Sink]) -> None:

@@ -93,15 +93,15 @@ def _drive_resets(chunk: SampleChunk) -> Flags:
 class HostObservers:
     """Runs the observers whose estimates a drive streams, over its chunks: edges first, then the samples they cover.
 
-    `channels`: what is streamed; the estimates among them are compared. The observers start when the drive initialises
+    `stream`: what is streamed; the estimates among it are compared. The observers start when the drive initialises
     its own (the `status` bit OBSERVERS_RESET); after a gap they wait for the next time, because what they would have
     remembered is lost. Raises BenchError for a parameter that one of them cannot do without.
     """
 
-    def __init__(self, parameters: Mapping[str, float], tick_hz: float, pwm_hz: float, channels: Iterable[str]) -> None:
-        self.checked = {name: CHECKED[name] for name in channels if name in CHECKED}
+    def __init__(self, parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        self.checked = {c.name: CHECKED[c.name] for c in stream.channels if c.name in CHECKED}
         names = dict.fromkeys(observer for observer, _ in self.checked.values())
-        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, tick_hz, pwm_hz)
+        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, stream)
         self._synchronised = False
         self._inputs = _Inputs()
 
@@ -143,14 +143,12 @@ class _Kernels:
     took, which is all that the average-speed approach needs.
     """
 
-    def __init__(
-        self, entries: Sequence[Entry], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float
-    ) -> None:
-        _require("the Hall front end", missing(sample.make_params, parameters))
+    def __init__(self, entries: Sequence[Entry], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        _require("the Hall front end", missing(sample.Settings, parameters))
         for entry in entries:
             _require(entry.name, entry.missing(parameters))
-        self._front = sample.make_params(tick_hz, **chosen(sample.make_params, parameters))
-        self._observers = [(entry, entry.make_params(pwm_hz, parameters)) for entry in entries]
+        self._front = sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters))
+        self._observers = [(entry, entry.make_params(stream.pwm_hz, parameters)) for entry in entries]
         with Held():  # kernels that return a NamedTuple
             self._front_state = sample.init()
             self._states = {entry.name: entry.init() for entry in entries}
@@ -198,9 +196,9 @@ class Estimators:
     without.
     """
 
-    def __init__(self, names: Sequence[str], parameters: Mapping[str, float], tick_hz: float, pwm_hz: float) -> None:
+    def __init__(self, names: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig) -> None:
         self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
-        self._kernels = _Kernels(self.entries, parameters, tick_hz, pwm_hz)
+        self._kernels = _Kernels(self.entries, parameters, stream)
         self._inputs = _Inputs()
         self._next_index: int | None = None
         self._next_edge: int | None = None
@@ -262,7 +260,7 @@ def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[s
 
 def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of all observers that a drive with these parameters has what it takes for, and of the others in words."""
-    front = missing(sample.make_params, parameters)
+    front = missing(sample.Settings, parameters)
     lacking = {name: dict.fromkeys((*front, *entry.missing(parameters))) for name, entry in CATALOGUE.items()}
     left_out = (f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs)
     return tuple(name for name, needs in lacking.items() if not needs), tuple(left_out)

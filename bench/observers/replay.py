@@ -17,7 +17,7 @@ from uuid import uuid4
 import numpy as np
 
 from bench.analysis.capture import Capture
-from bench.analysis.chunks import no_edge_stream, part
+from bench.analysis.chunks import part, streams_none
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import AugmentedSinks, Augmenter
@@ -29,8 +29,8 @@ from bench.rerunio.sinks import FileSink
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from protocol.streams import EdgeChunk, SampleChunk
-from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, keyword_parameters
+from sim.observers import catalogue, sample
+from sim.observers.catalogue import CATALOGUE
 
 WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
 BEGAN = {
@@ -92,7 +92,7 @@ def replay(
         names, left_out = all_for(parameters)
         if not names:
             raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
-    estimators = Estimators(names, parameters, run.info.tick_hz, run.info.pwm_hz)
+    estimators = Estimators(names, parameters, run.samples.config)
     augmenter = Augmenter(estimators, run.info.channels)
     taken = {channel.name for channel in run.samples.config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
@@ -136,9 +136,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     if why := not_replayable(capture):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
-    augmenter = Augmenter(
-        Estimators([name], parameters, capture.tick_hz, capture.pwm_hz), capture.samples.config.channels
-    )
+    augmenter = Augmenter(Estimators([name], parameters, capture.samples.config), capture.samples.config.channels)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
         raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
     augmenter.estimators.edges(capture.edges)
@@ -160,15 +158,14 @@ def readable_run(path: Path) -> Run:
 
 def not_replayable(capture: Capture) -> str:
     """Why observers cannot be run on a capture, in words; empty if they can."""
-    streamed = capture.edges.config != no_edge_stream(capture.edges.config.node)
-    return unfit(capture.samples.config) or ("" if streamed else "it has no Hall edges")
+    return unfit(capture.samples.config) or ("it has no Hall edges" if streams_none(capture.edges.config) else "")
 
 
 def checked_settings(
     settings: Mapping[str, float], observers: Sequence[str], recorded: Mapping[str, float]
 ) -> dict[str, float]:
     """`settings` by the parameters' full names. BenchError for what none of the observers has, or is out of range."""
-    used = set(keyword_parameters(sample.make_params)).union(*(entry_of(name).parameters for name in observers))
+    used = set(catalogue.names(sample.Settings)).union(*(entry_of(name).parameters for name in observers))
     known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
     checked: dict[str, float] = {}
     for given, value in settings.items():

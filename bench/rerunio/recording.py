@@ -85,13 +85,13 @@ def read_run(path: str | Path) -> Run:
         if not name.startswith(f"/{schema.STREAMS}/"):
             continue
         data = json.loads(_last_text(rows, schema.STREAM_JSON))
-        config, entity = schema.stream_from_json(data), data["entity"]
+        config, entity = schema.stream_from_json(data, info), data["entity"]
         parts = tables.get(f"/{entity}", [])
         parts = [part for part in parts if schema.TIMELINE in part.schema.names]
         if config.event == StreamEvent.EDGES:
-            edge_streams[entity] = _edges(config, parts, info.tick_hz)
+            edge_streams[entity] = _edges(config, parts)
         else:
-            streams[entity] = _samples(config, parts, info.tick_hz)
+            streams[entity] = _samples(config, parts)
     summaries = tables.get(f"/{schema.SUMMARY}", [])
     return Run(
         path=path,
@@ -112,10 +112,10 @@ def capture_of(run: Run) -> Capture:
     if samples is None or not len(samples):
         raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
     info = run.info
-    edges = run.edge_streams.get(schema.HALL, no_edges(no_edge_stream(info.node)))
+    edges = run.edge_streams.get(schema.HALL, no_edges(no_edge_stream(info.node, info.tick_hz, info.pwm_hz)))
     before = int(samples.tick[0])
-    lost = (*lost_stretches(samples, before, info.tick_hz), *lost_stretches(edges, -1, info.tick_hz))
-    return Capture(samples, edges, info.tick_hz, info.pwm_hz, info.parameters, lost)
+    lost = (*lost_stretches(samples, before), *lost_stretches(edges, -1))
+    return Capture(samples, edges, info.parameters, lost)
 
 
 def _tables(path: Path) -> tuple[str, dict[str, list[pa.RecordBatch]]]:
@@ -139,8 +139,8 @@ def _tables(path: Path) -> tuple[str, dict[str, list[pa.RecordBatch]]]:
     return str(ours[0].recording_id), tables
 
 
-def _samples(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) -> SampleChunk:
-    tick = _ticks(parts, tick_hz)
+def _samples(config: StreamConfig, parts: list[pa.RecordBatch]) -> SampleChunk:
+    tick = _ticks(parts, config.tick_hz)
     raw = np.empty(len(tick), config.dtype)
     columns = [_column(parts, schema.value_component(c.name), schema.storage(c)) for c in config.channels]
     for start in range(0, len(tick), SLICE):
@@ -151,10 +151,10 @@ def _samples(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) ->
     return SampleChunk(config, index, tick, raw, _gaps(parts))
 
 
-def _edges(config: StreamConfig, parts: list[pa.RecordBatch], tick_hz: int) -> EdgeChunk:
+def _edges(config: StreamConfig, parts: list[pa.RecordBatch]) -> EdgeChunk:
     return EdgeChunk(
         config=config,
-        tick=_ticks(parts, tick_hz),
+        tick=_ticks(parts, config.tick_hz),
         hall_old=_column(parts, schema.EDGE_OLD, np.uint8),
         hall_new=_column(parts, schema.EDGE_NEW, np.uint8),
         illegal=_column(parts, schema.EDGE_ILLEGAL, np.bool_),

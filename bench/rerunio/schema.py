@@ -363,8 +363,8 @@ def stream_to_json(config: StreamConfig, entity: str) -> dict[str, Any]:
     }
 
 
-def stream_from_json(data: Mapping[str, Any]) -> StreamConfig:
-    """The inverse of `stream_to_json`, without the entity."""
+def stream_from_json(data: Mapping[str, Any], run: RunInfo) -> StreamConfig:
+    """The inverse of `stream_to_json`, without the entity, in a recording of `run`."""
     return StreamConfig(
         node=data["node"],
         stream=data["stream"],
@@ -373,6 +373,8 @@ def stream_from_json(data: Mapping[str, Any]) -> StreamConfig:
         decimation=data["decimation"],
         channels=tuple(channel_from_json(channel) for channel in data["channels"]),
         block=data["block"],
+        tick_hz=run.tick_hz,
+        pwm_hz=run.pwm_hz,
     )
 
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from bench.analysis.percentiles import Percentiles
 from bench.analysis.verdict import Verdict
+from bench.device.client import Sink
 from bench.errors import RecordingError
 from bench.rerunio import schema
 from bench.rerunio.blocks import Block, BlockBuilder
@@ -52,7 +53,7 @@ Now = Callable[[], float]
 _Item = Block | schema.Mark | str | None  # a block, a mark, the text of the summary, or the end
 
 
-class _BlockSink:
+class _BlockSink(Sink):
     """Sink of `bench.device.client`: collects blocks and passes them on to `_put`, which must not wait.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest

@@ -30,7 +30,7 @@ def has_display() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-class _Recording:
+class _Recording(Sink):
     """A recording that keeps its failure to itself: nothing is raised into the loop that stops a motor."""
 
     def __init__(self, file: FileSink) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from bench.analysis.capture import Capture
 from bench.analysis.chunks import between, join, lost_stretches, no_edges
-from bench.device.client import SinkBase
+from bench.device.client import Sink
 from bench.device.counters import DeviceCounters
 from bench.errors import BenchError
 from protocol.messages import Heartbeat
@@ -20,11 +20,11 @@ from protocol.text import counted
 MAX_TICK = 1 << 62  # that no device reaches
 
 
-class Recorder(SinkBase):
+class Recorder(Sink):
     """Everything that node `drive` streams, from now on; its edges come as `expect` said."""
 
-    def __init__(self, drive: int, tick_hz: int, pwm_hz: int) -> None:
-        self.tick_hz, self.pwm_hz = tick_hz, pwm_hz
+    def __init__(self, drive: int) -> None:
+        self.tick_hz = 0
         self.device = DeviceCounters()
         self.dropped: list[tuple[int, int, str]] = []
         """Stretches, from tick to tick, in which something was lost, in words."""
@@ -38,12 +38,12 @@ class Recorder(SinkBase):
     def samples(self, chunk: SampleChunk) -> None:
         """Keep samples."""
         before = self.newest if self._samples else int(chunk.tick[0])
-        self.dropped += lost_stretches(chunk, before, self.tick_hz)
+        self.dropped += lost_stretches(chunk, before)
         self._samples.append(chunk)
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Keep edges."""
-        self.dropped += lost_stretches(chunk, self._last_edge, self.tick_hz)
+        self.dropped += lost_stretches(chunk, self._last_edge)
         if len(chunk):
             self._last_edge = int(chunk.tick[-1])
         self._edges.append(chunk)
@@ -63,6 +63,7 @@ class Recorder(SinkBase):
 
     def expect(self, edges: StreamConfig) -> None:
         """Hall edges will come like this, if the shaft turns."""
+        self.tick_hz = edges.tick_hz
         self._edges = [no_edges(edges)]
 
     @property
@@ -93,7 +94,7 @@ class Recorder(SinkBase):
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample came after {self._at(self.newest)}"))
-        return Capture(samples, edges, self.tick_hz, self.pwm_hz, dict(parameters), tuple(dropped))
+        return Capture(samples, edges, dict(parameters), tuple(dropped))
 
     def count(self) -> tuple[int, int]:
         """Samples and edges so far."""

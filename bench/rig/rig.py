@@ -39,7 +39,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
 from protocol.messages import DriveState, Role
-from protocol.signals import Flag
+from protocol.signals import Flag, Signal
 from protocol.streams import StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
@@ -88,8 +88,8 @@ class Rig:
         self.plan = plan
         self.at_end: list[Callable[[], None]] = []
         """What is done when the drive has been stopped."""
-        self.channels: tuple[Channel, ...] = ()
-        self.decimation = 1
+        self.samples: StreamConfig | None = None
+        """The stream of samples, once it is configured."""
         self.load: Load = NoLoad()
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
@@ -103,7 +103,7 @@ class Rig:
             self.client = Client(link)
             node = find_drive(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
-            self.recorder = Recorder(node.number, node.identity.tick_hz, node.identity.pwm_hz)
+            self.recorder = Recorder(node.number)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -173,9 +173,11 @@ class Rig:
         self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
     ) -> StreamConfig:
         """Configure edges, and samples as `bench.rig.streams.configure` does; returns the stream of edges."""
-        node = self.drive.node
-        edges = node.set_edges() if node.offers_edges else no_edge_stream(node.number)
-        self.channels, self.decimation = configure(node, choices, decimation, slower)
+        node, identity = self.drive.node, self.drive.node.identity
+        edges = (
+            node.set_edges() if node.offers_edges else no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
+        )
+        self.samples = configure(node, choices, decimation, slower)
         return edges
 
     def load_machine(self) -> NodeLoad | None:
@@ -409,9 +411,14 @@ class Rig:
         return f"Rig on {self.plan.target}: {machines}, {streamed}"
 
     @property
+    def channels(self) -> tuple[Channel | Signal, ...]:
+        """Those that are streamed."""
+        return () if self.samples is None else self.samples.channels
+
+    @property
     def rate(self) -> float:
         """Samples a second."""
-        return self.drive.node.identity.pwm_hz / self.decimation
+        return 0.0 if self.samples is None else self.samples.rate
 
     @property
     def has_encoder(self) -> bool:

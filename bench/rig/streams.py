@@ -9,7 +9,7 @@ from contextlib import suppress
 from bench.device.node import Node
 from bench.errors import BenchError, DoesNotFit
 from protocol.descriptor import Channel
-from protocol.streams import MAX_DECIMATION
+from protocol.streams import MAX_DECIMATION, StreamConfig
 
 _TOLERANCE = 1e-4  # rates are printed with six digits
 
@@ -29,22 +29,19 @@ def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
 
 def configure(
     node: Node, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
-) -> tuple[tuple[Channel, ...], int]:
+) -> StreamConfig:
     """Configure the sample stream with the first of `choices` that the link carries at `decimation`.
 
-    With `slower` the last one may come at the highest rate that fits. Returns channels and decimation. Raises
-    DoesNotFit, with what would fit, and NodeError for channels or a rate that the node refuses.
+    With `slower` the last one may come at the highest rate that fits. Raises DoesNotFit, with what
+    would fit, and NodeError for channels or a rate that the node refuses.
     """
     for channels in choices[:-1]:
         with suppress(DoesNotFit):
-            node.set_samples(channels, decimation)
-            return channels, decimation
+            return node.set_samples(channels, decimation)
     channels = choices[-1]
     try:
-        node.set_samples(channels, decimation)
+        return node.set_samples(channels, decimation)
     except DoesNotFit as error:
         if not slower or not error.decimation:
             raise
-        decimation = error.decimation
-        node.set_samples(channels, decimation)
-    return channels, decimation
+        return node.set_samples(channels, error.decimation)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from bench.reports.html import embedded, page
 from bench.reports.style import save
 from bench.scoring.board import PHASES, Figures, Scoreboard, partly
 from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
@@ -40,7 +39,7 @@ def as_html(board: Scoreboard) -> str:
                 "partly": partly(figures, board.tracks),
                 "costs": _costs(figures),
                 "over_time": [
-                    (track.path, _embedded(draw_error_over_time(track, name), picture))
+                    (Path(track.path).name, _embedded(draw_error_over_time(track, name), picture))
                     for track in board.tracks
                     if name in track.kinds and track.stretches
                 ],
@@ -48,27 +47,22 @@ def as_html(board: Scoreboard) -> str:
             }
             for name, figures in board.pooled.items()
         ]
-        return (
-            _environment()
-            .get_template("report.html.j2")
-            .render(
-                board=board,
-                headers=HEADERS,
-                columns=COLUMNS,
-                legend=" ".join(LEGEND),
-                rows=[row(name, figures) for name, figures in board.pooled.items()],
-                partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
-                files=[
-                    (
-                        track.path,
-                        _provenance(track),
-                        [row(name, f) for name, f in board.by_file[track.path].items()],
-                    )
-                    for track in board.tracks
-                ],
-                by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
-                observers=observers,
-            )
+        return page(
+            __package__ or "",
+            "report.html.j2",
+            {"figure": _figure},
+            board=board,
+            headers=HEADERS,
+            columns=COLUMNS,
+            legend=" ".join(LEGEND),
+            rows=[row(name, figures) for name, figures in board.pooled.items()],
+            partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
+            files=[
+                (track.path, _provenance(track), [row(name, f) for name, f in board.by_file[track.path].items()])
+                for track in board.tracks
+            ],
+            by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
+            observers=observers,
         )
 
 
@@ -100,23 +94,10 @@ def _rounded(value: float) -> str:
 
 def _embedded(figure: Figure, picture: Path) -> str:
     save(figure, picture)
-    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode("ascii")
+    return embedded(picture)
 
 
 def _figure(value: float | int | None) -> str:
     if value is None:
         return "–"
     return f"{value}" if isinstance(value, int) else f"{value:.3f}".replace("-", "−")
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader("bench.scoring", ""), PackageLoader("bench.acceptance.report", "")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["figure"] = _figure
-    return environment

@@ -108,7 +108,7 @@ def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list
             names, left_out = all_for(parameters)
             notes += [f"left out, {words}" for words in left_out]
         if names:
-            estimators = Estimators(names, parameters, capture.tick_hz, capture.pwm_hz)
+            estimators = Estimators(names, parameters, samples.config)
             found |= _run_again(capture, estimators)
             kinds |= dict.fromkeys(names, HOST)
     if not found:

@@ -28,7 +28,7 @@ moving = run.samples.tick >= step
 
 
 def errors(theta: str, capture: bench.Capture) -> tuple[float, float]:
-    """Std at the steady speed, largest after the load step, el. deg."""
+    """At the steady speed its std, after the load step the largest, el. deg."""
     error = np.degrees(capture.position_error(theta))
     return float(error[steady].std()), float(np.abs(error[moving]).max())
 
@@ -36,7 +36,7 @@ def errors(theta: str, capture: bench.Capture) -> tuple[float, float]:
 gains = np.geomspace(150, 6000, 14)
 swept = np.array([errors("theta_vt_host", bench.estimate(run, "vt", k_p=k_p)) for k_p in gains])
 own, own_k_p = errors("theta_vt", run), run.parameters["k_p_vt"]
-again = errors("theta_vt_host", bench.estimate(run, "vt", k_p=own_k_p))
+again = errors("theta_vt_host", bench.estimate(run, "vt"))
 print(f"drive's k_p {own_k_p:g}: {own[0]:.3f} by the drive, {again[0]:.3f} by the host; best {swept[:, 0].min():.3f}")
 
 figure, (ax,) = new_figure(1, height=3.0)

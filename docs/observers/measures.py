@@ -45,7 +45,7 @@ class Seen:
         parameters = {**run.info.parameters, **changes}
         self.n_p = int(parameters["n_p"])
         self.rate = run.info.pwm_hz
-        estimators = Estimators(names, parameters, run.info.tick_hz, run.info.pwm_hz)
+        estimators = Estimators(names, parameters, run.samples.config)
         estimators.edges(run.edges)
         estimates = estimators.samples(run.samples)
         self.theta = run.samples.physical("theta_enc")

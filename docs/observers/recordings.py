@@ -16,14 +16,9 @@ from zlib import crc32
 import numpy as np
 
 from bench.analysis.units import RPM
-from bench.device.client import Client, SinkBase
-from bench.device.node import DRIVE, LOAD, Node
 from bench.errors import NodeError
-from bench.rerunio.schema import RunInfo
-from bench.rerunio.sinks import FileSink
-from protocol.messages import DriveState
+from bench.rig.rig import Plan, Recording, Rig
 from protocol.signals import AngleSource
-from protocol.streams import SampleChunk
 from sim.config.params import BenchParams, load_params
 from sim.ports.virtual import VirtualLink
 
@@ -37,82 +32,26 @@ LEARNING = 2.0  # s of each of the speeds of `learning`
 CHANNELS = ("theta_enc", "omega_enc", "i_a", "i_q")
 
 
-class Rig:
-    """Drive and load machine of a new simulated bench, with the table of its edges as parameters where `table` is set.
-
-    `path`: the file that the run is recorded to.
-    """
-
-    def __init__(self, name: str, observer: AngleSource, table: bool = True, path: Path | None = None) -> None:
-        self.params = load_params(None, {"load.alpha_m_max": SLOPE})
-        self.client = Client(VirtualLink.of(self.params, crc32(name.encode())))
-        hello = self.client.connect()
-        self.drive, self.load = Node(self.client, DRIVE), Node(self.client, LOAD)
-        if table:
-            for key, value in edges(self.params).items():
-                self.drive.set(key, value)
-        self.drive.set("observer", observer)
-        self.channels = self.drive.channels(None if path else CHANNELS)
-        self.sink: FileSink | Kept = Kept()
-        if path:
-            parameters = self.drive.parameters()
-            info = RunInfo(
-                hello.tick_hz, hello.pwm_hz, self.channels, parameters, {"target": "virtual:"}, node=hello.node
-            )
-            self.sink = FileSink(path, info, wait=True)
-        self.client.sinks = [self.sink]
-        self.drive.set_edges()
-        self.drive.set_samples(self.channels, 1)
-        self.drive.start_streams()
-
-    @property
-    def amperes(self) -> float:
-        """N m of an ampere of q current."""
-        motor = self.params.motor
-        return 1.5 * motor.n_p * motor.psi_f
-
-    def force(self, rpm: float) -> None:
-        """The load machine holds the shaft at this speed, and the drive keeps its q current."""
-        self.load.speed(rpm * RPM)
-
-    def run(self, seconds: float) -> None:
-        """Let it run."""
-        self.client.run_for(seconds)
-
-    def start(self, *, load_first: bool = False) -> None:
-        """Both machines on, at rest."""
-        for node in (self.load, self.drive) if load_first else (self.drive, self.load):
-            node.arm()
-            node.start()
-
-    def kept(self) -> dict[str, np.ndarray]:
-        """Of a run that is not recorded: the channels since the last call."""
-        assert isinstance(self.sink, Kept)
-        return self.sink.take()
-
-    def end(self) -> None:
-        """Both machines off, the recording closed."""
-        self.drive.stop()
-        self.load.stop()
-        self.run(0.05)
-        if isinstance(self.sink, FileSink):
-            self.sink.close()
+def rig_for(name: str, observer: AngleSource, table: bool = True, path: Path | None = None) -> Rig:
+    """A new simulated bench, with the table of its edges as parameters where `table` is set; recorded to `path`."""
+    params = load_params(None, {"load.alpha_m_max": SLOPE})
+    rig = Rig(Plan(lambda: VirtualLink.of(params, crc32(name.encode())), "virtual:", virtual=True))
+    drive = rig.drive.node
+    for key, value in (edges(params) if table else {}).items():
+        drive.set(key, value)
+    drive.set("observer", observer)
+    return rig.prepare([drive.channels(None if path else CHANNELS)], Recording(path))
 
 
-class Kept(SinkBase):
-    """Keeps the samples since the last `take`."""
+def start(rig: Rig, *, load_first: bool = False) -> None:
+    """Both machines on, at rest."""
+    for machine in reversed(rig.machines) if load_first else rig.machines:
+        machine.energise()
 
-    def __init__(self) -> None:
-        self._chunks: list[SampleChunk] = []
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """See `Sink`."""
-        self._chunks.append(chunk)
-
-    def take(self) -> dict[str, np.ndarray]:
-        """The channels by name, in their units, and forget them."""
-        chunks, self._chunks = self._chunks, []
-        return {name: np.concatenate([chunk.physical(name) for chunk in chunks]) for name in CHANNELS}
+def force(rig: Rig, rpm: float) -> None:
+    """The load machine holds the shaft at this speed, and the drive keeps its q current."""
+    rig.load.speed(rpm * RPM)
 
 
 def edges(params: BenchParams) -> dict[str, float]:
@@ -127,24 +66,24 @@ def edges(params: BenchParams) -> dict[str, float]:
 
 def steady(rig: Rig) -> None:
     """The whole range of speeds and loads, and some of it backwards."""
-    rig.run(0.2)
-    rig.start(load_first=True)
+    rig.wait(0.2)
+    start(rig, load_first=True)
     held = [(rpm, load) for load in LOADS for rpm in SPEEDS] + [(-rpm, 4.0) for rpm in BACKWARDS]
     before = 0.0
     for rpm, load in held:
-        rig.force(rpm)
+        force(rig, rpm)
         rig.drive.current(load)
-        rig.run(abs(rpm - before) * RPM / SLOPE + SETTLING + max(0.3, 60.0 / abs(rpm)))
+        rig.wait(abs(rpm - before) * RPM / SLOPE + SETTLING + max(0.3, 60.0 / abs(rpm)))
         before = rpm
     rig.drive.current(0.0)
 
 
 def start_up(rig: Rig) -> None:
     """From rest, 30 deg off the middle of the sector, to 500 r/min."""
-    rig.run(0.2)
-    rig.start()
+    rig.wait(0.2)
+    start(rig)
     rig.drive.speed(500 * RPM)
-    rig.run(0.6)
+    rig.wait(0.6)
 
 
 def speed_step(rig: Rig) -> None:
@@ -152,38 +91,38 @@ def speed_step(rig: Rig) -> None:
     start_up(rig)
     for rpm in (1000, 500):
         rig.drive.speed(rpm * RPM)
-        rig.run(0.5)
+        rig.wait(0.5)
 
 
 def load_step_light(rig: Rig) -> None:
     """Near no load to what 4 A make, at 500 r/min."""
     start_up(rig)
-    rig.load.torque(LIGHT * rig.amperes)
-    rig.run(0.6)
+    rig.load.torque(LIGHT * rig.drive.torque_constant)
+    rig.wait(0.6)
 
 
 def load_step_full(rig: Rig) -> None:
     """Near no load to what 7 A make, at 500 r/min."""
     start_up(rig)
-    rig.load.torque(FULL * rig.amperes)
-    rig.run(0.6)
+    rig.load.torque(FULL * rig.drive.torque_constant)
+    rig.wait(0.6)
 
 
 def reversal(rig: Rig) -> None:
     """From 500 to -500 r/min near no load."""
     start_up(rig)
     rig.drive.speed(-500 * RPM)
-    rig.run(0.6)
+    rig.wait(0.6)
 
 
 def learning(rig: Rig) -> None:
     """50 r/min at 4 A, with 1000 r/min at 1 A in between, from a drive that knows nothing of its edges."""
-    rig.run(0.2)
-    rig.start(load_first=True)
+    rig.wait(0.2)
+    start(rig, load_first=True)
     for rpm, load in ((50, 4.0), (1000, 1.0), (50, 4.0)):
-        rig.force(rpm)
+        force(rig, rpm)
         rig.drive.current(load)
-        rig.run(1000 * RPM / SLOPE + LEARNING)
+        rig.wait(1000 * RPM / SLOPE + LEARNING)
 
 
 EVENTS: dict[str, Callable[[Rig], None]] = {
@@ -201,9 +140,8 @@ def record(folder: Path) -> dict[str, Path]:
     paths = {}
     for name, course in {"steady": steady, **EVENTS, "learning": learning}.items():
         paths[name] = folder / f"{name}.rrd"
-        rig = Rig(name, AngleSource.ENCODER, table=name != "learning", path=paths[name])
-        course(rig)
-        rig.end()
+        with rig_for(name, AngleSource.ENCODER, table=name != "learning", path=paths[name]) as rig:
+            course(rig)
     return paths
 
 
@@ -234,44 +172,39 @@ def in_the_loop(observer: AngleSource) -> InTheLoop:
     currents: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     tripped: dict[int, str] = {}
     for rpm in (500, 1000, 2000):
-        rig = Rig(f"forced {rpm}", observer)
-        rig.start(load_first=True)
-        rig.force(rpm)
-        with suppress(NodeError):  # it has tripped
-            rig.drive.current(4.0)
-        rig.run(rpm * RPM / SLOPE + 0.3)
-        rig.kept()
-        rig.run(0.25)
-        seen = rig.kept()
-        if rig.drive.state == DriveState.FAULT:
-            tripped[rpm] = f"trips: {rig.drive.fault_text()}"
-        else:
-            currents[rpm] = np.unwrap(seen["theta_enc"]), seen["i_a"]
-        rig.end()
-    return InTheLoop(currents, tripped, _course(Rig("course", observer)))
+        with rig_for(f"forced {rpm}", observer) as rig, rig.drive.may_trip():
+            start(rig, load_first=True)
+            force(rig, rpm)
+            with suppress(NodeError):  # it has tripped
+                rig.drive.current(4.0)
+            rig.wait(rpm * RPM / SLOPE + 0.3)
+            seen = rig.record(0.25)
+            if rig.drive.faults:
+                tripped[rpm] = f"trips: {', '.join(rig.drive.faults)}"
+            else:
+                currents[rpm] = seen.theta, seen["i_a"]
+    with rig_for("course", observer) as rig, rig.drive.may_trip():
+        return InTheLoop(currents, tripped, _course(rig))
 
 
 def _course(rig: Rig) -> list[str]:
     """What happened in each of `STAGES`; after a trip no others follow."""
     found: list[str] = []
-    rig.start()
+    start(rig)
     for target, load in STAGES.values():
         rig.load.torque(0.0)
-        rig.run(0.4)
+        rig.wait(0.4)
         with suppress(NodeError):  # it has tripped
             rig.drive.speed(target * RPM)
-        rig.load.torque(load * rig.amperes)
-        rig.run(0.7)
-        rig.kept()
-        rig.run(60.0 / abs(target))
-        rpm = rig.kept()["omega_enc"] / (RPM * rig.params.motor.n_p)
-        if rig.drive.state == DriveState.FAULT:
-            found.append(f"trips: {rig.drive.fault_text()}")
+        rig.load.torque(load * rig.drive.torque_constant)
+        rig.wait(0.7)
+        rpm = rig.record(60.0 / abs(target))["omega_enc"] / (RPM * rig.drive.n_p)
+        if rig.drive.faults:
+            found.append(f"trips: {', '.join(rig.drive.faults)}")
             break
         mean, low, high = rpm.mean(), rpm.min(), rpm.max()
         if high - low > abs(target):
             found.append(f"swings from {low:.0f} to {high:.0f} r/min")
         else:
             found.append("" if abs(mean - target) < 0.1 * abs(target) else f"ends at {mean:.0f} r/min")
-    rig.end()
     return found

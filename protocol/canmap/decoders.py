@@ -72,17 +72,12 @@ class _Order:
 
 
 class CanSampleDecoder:
-    """Decodes the frames of one configured stream of samples.
-
-    `ticks_per_period`: device ticks in a PWM period (HELLO's tick_hz / pwm_hz).
-    """
+    """Decodes the frames of one configured stream of samples."""
 
     def __init__(
         self,
         config: StreamConfig,
         layout: StreamLayout,
-        tick_hz: int,
-        ticks_per_period: int,
         reference: TickReference,
         extended: bool,
     ) -> None:
@@ -91,8 +86,8 @@ class CanSampleDecoder:
         slots = ((config.slot + n) % STREAM_SLOTS for n in range(len(layout.groups)))
         self.ids = tuple(stream_id(config.node, slot).pack(extended) for slot in slots)
         self._layout = layout
-        self._ticks_per_sample = ticks_per_period * config.decimation
-        self._ahead = max(layout.samples, round(AHEAD * tick_hz / self._ticks_per_sample))
+        self._ticks_per_sample = config.period_ticks * config.decimation
+        self._ahead = max(layout.samples, round(AHEAD * config.tick_hz / self._ticks_per_sample))
         self._reference = reference
         self._unit = config.decimation if layout.fd else 1  # what frames count, in samples
         self._bits = 8 * layout.counter
@@ -216,11 +211,10 @@ class CanSampleDecoder:
 class CanEdgeDecoder:
     """Decodes the frames of one configured stream of edges."""
 
-    def __init__(self, config: StreamConfig, tick_hz: int, reference: TickReference, extended: bool) -> None:
+    def __init__(self, config: StreamConfig, reference: TickReference, extended: bool) -> None:
         self.config = config
         self.counters = LossCounters()
         self.ids = (CanId(CanClass.EDGES, config.node, config.slot).pack(extended),)
-        self._tick_hz = tick_hz
         self._reference = reference
         self._order = _Order(1)
         self._last_tick = -1
@@ -233,7 +227,7 @@ class CanEdgeDecoder:
         records = np.ascontiguousarray(frames.records["data"][fits][:, :EDGE_BYTES]).view(EDGE_RECORD)[:, 0]
         tick = TickReference(beat.tick).unwrap(records["tick"])
         newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))[:-1]
-        believed = self._counted((tick >= newest) & (tick <= beat.tick + AHEAD * self._tick_hz))
+        believed = self._counted((tick >= newest) & (tick <= beat.tick + AHEAD * self.config.tick_hz))
         records, tick = records[believed], tick[believed]
         if not len(records):
             return None
@@ -272,7 +266,7 @@ class CanEdgeDecoder:
         """
         ticks, edges = (np.array(column, np.int64) for column in zip(*beats, strict=True))
         after = np.searchsorted(ticks, tick, side="left")  # heartbeats before each edge
-        fresh = round(FRESH * self._tick_hz)
+        fresh = round(FRESH * self.config.tick_hz)
         least = np.concatenate([[edges[0] - EDGE_RANGE], edges])[after]
         most = np.concatenate([edges, [edges[-1] + EDGE_RANGE]])[after]
         sure = (after > 0) | (tick > ticks[0] - fresh)

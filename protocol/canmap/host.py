@@ -240,7 +240,7 @@ class CanWire:
             node.held.append(records[:room])
             node.n_held += len(node.held[-1])
 
-    def decoder(self, config: StreamConfig, tick_hz: int, pwm_hz: int, reference: TickReference) -> Decoder:
+    def decoder(self, config: StreamConfig, reference: TickReference) -> Decoder:
         """See `HostWire.decoder`. Raises RemoteProtocolError if host and device are not of one mind on the format."""
         node = self._nodes.setdefault(config.node, _Node())
         if node.fd is not None and node.fd != self.rates.fd:
@@ -253,7 +253,7 @@ class CanWire:
         decoder: CanSampleDecoder | CanEdgeDecoder
         if config.event == StreamEvent.EDGES:
             kind = MessageType.EDGES
-            decoder = CanEdgeDecoder(config, tick_hz, reference, self.extended)
+            decoder = CanEdgeDecoder(config, reference, self.extended)
         else:
             kind = MessageType.DATA
             widths = [np.dtype(channel.raw.dtype).itemsize for channel in config.channels]
@@ -262,7 +262,7 @@ class CanWire:
                 raise RemoteProtocolError(
                     f"stream {config.stream}: {config.block} samples a frame by the device, but {layout.samples} fit"
                 )
-            decoder = CanSampleDecoder(config, layout, tick_hz, tick_hz // pwm_hz, reference, self.extended)
+            decoder = CanSampleDecoder(config, layout, reference, self.extended)
         others = [route for route in self._routes if (route.node, route.stream) != (config.node, config.stream)]
         # edges first, so that they never trail samples
         self._routes = sorted([*others, _Route(config.node, config.stream, kind, decoder.ids)], key=lambda r: -r.type)

@@ -239,7 +239,7 @@ class _ByteEdges(_Stream):
 
 
 class ByteCarrier:
-    """COBS frames: serial ports, TCP, memory."""
+    """COBS frames: serial ports, TCP."""
 
     def __init__(self, tx: TxQueue) -> None:
         self.tx = tx

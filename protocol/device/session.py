@@ -163,7 +163,7 @@ class DeviceSession:
         self.streams.push_samples(index0, tick0, raw)
 
     def push_edges(self, records: NDArray[np.void]) -> None:
-        """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD` (see `pack_edges`)."""
+        """Take Hall edges in order of time, as `protocol.streams.EDGE_RECORD`."""
         self.streams.push_edges(records, self._tick)
 
     def fault(self, bits: Fault) -> None:

@@ -1,4 +1,4 @@
-"""Links to a device: serial ports, TCP, CAN, memory. `open_link("tcp:127.0.0.1:7000")` opens one."""
+"""Links to a device: serial ports, TCP, CAN. `open_link("tcp:127.0.0.1:7000")` opens one."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from can.util import load_config, load_environment_config, load_file_config
 
 from protocol.canmap.frame import BusRates
 from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
-from protocol.links.slcan_bus import SlcanBus
+from protocol.links.slcan_bus import SlcanBus, SlcanOptions
 from protocol.links.target import CAN_KEYS, DEFAULT_BITRATE, DEFAULT_DATA_BITRATE, CanTarget
 
 OPEN_TIMEOUT = 3.0
@@ -40,8 +40,8 @@ _FD_CLOCK = 80_000_000
 _SAMPLE_POINT = 80.0  # %
 
 _SWITCHES = ("fd", "listen_only", "receive_own_messages", "rtscts")
-_BOUNDED: Mapping[str, Callable[..., can.BusABC]] = {
-    "slcan": SlcanBus,
+_BOUNDED: Mapping[str, Callable[..., object]] = {
+    "slcan": SlcanOptions,
     "socketcand": SocketCanDaemonBus,
     "virtual": VirtualBus,
 }  # of these we know every key; python-can's own ignore one that they do not know

@@ -13,6 +13,9 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from inspect import signature
+from typing import Any
 
 import can
 import numpy as np
@@ -33,8 +36,9 @@ _PATIENCE = 1.0  # s that one wait of an endless `recv` takes
 _KEPT_REPLIES = 16
 
 
-class SlcanBus(can.BusABC):
-    """An slcan adapter on a serial port, opened and locked; one thread may receive while others send.
+@dataclass(frozen=True)
+class SlcanOptions:
+    """What an slcan adapter is opened with, by python-can's names; ValueError for what it cannot be opened with.
 
     Args:
         channel: serial port, `/dev/ttyACM0` or `/dev/ttyACM0@3000000` with the port's rate.
@@ -49,70 +53,95 @@ class SlcanBus(can.BusABC):
         fd: the bus carries CAN FD frames.
         data_bitrate: of CAN FD's data phase, in bit/s; implies `fd`. None leaves the adapter's own setting.
         can_filters: as `can.BusABC` takes them.
+    """
+
+    channel: str
+    tty_baudrate: int = DEFAULT_BAUD
+    bitrate: int | None = None
+    timing: can.BitTiming | can.BitTimingFd | None = None
+    sleep_after_open: float = 0.0
+    rtscts: bool = False
+    listen_only: bool = False
+    timeout: float = 0.001
+    fd: bool = False
+    data_bitrate: int | None = None
+    single_handle: bool = False
+    can_filters: can.typechecking.CanFilters | None = None
+
+    def __post_init__(self) -> None:
+        if not self.channel:
+            raise ValueError("channel must name a serial port, for example /dev/ttyACM0")
+        if not isinstance(self.sleep_after_open, (int, float)) or self.sleep_after_open < 0:
+            raise ValueError(f"sleep_after_open must be a number of seconds from 0 on, got '{self.sleep_after_open}'")
+
+    @property
+    def protocol(self) -> can.CanProtocol:
+        """CAN FD, or classic CAN."""
+        flexible = self.fd or self.data_bitrate is not None or isinstance(self.timing, can.BitTimingFd)
+        return can.CanProtocol.CAN_FD if flexible else can.CanProtocol.CAN_20
+
+    def target(self) -> SerialTarget:
+        """The port, with its rate."""
+        port, at, baud = self.channel.rpartition("@")
+        if at and not baud.isdecimal():
+            raise ValueError(f"channel '{self.channel}': the port's rate must be a whole number, got '{baud}'")
+        return SerialTarget(port, int(baud)) if at else SerialTarget(self.channel, self.tty_baudrate)
+
+    def commands(self) -> list[tuple[bytes, str]]:
+        """What sets up and opens the adapter's channel, each with what the adapter refuses when it refuses that."""
+        found: list[tuple[bytes, str]] = []
+        bitrate, data_bitrate = self.bitrate, self.data_bitrate
+        if isinstance(self.timing, can.BitTiming):
+            timing = check_or_adjust_timing_clock(self.timing, [TIMING_CLOCK])
+            found.append((b"s%02X%02X" % (timing.btr0, timing.btr1), f"the bit rate {timing.bitrate}"))
+            bitrate = None
+        elif self.timing is not None:
+            bitrate, data_bitrate = self.timing.nom_bitrate, self.timing.data_bitrate
+        if bitrate is not None:
+            found.append((_command("bitrate", bitrate, BITRATES), f"the bit rate {bitrate}"))
+        if data_bitrate is not None:
+            command = _command("data_bitrate", data_bitrate, DATA_BITRATES)
+            found.append((command, f"the data bit rate {data_bitrate}"))
+        found.append((b"L", "to open in order to listen only") if self.listen_only else (b"O", "to open"))
+        return found
+
+
+class SlcanBus(can.BusABC):
+    """An slcan adapter on a serial port, opened and locked; one thread may receive while others send.
+
+    Its arguments are those of `SlcanOptions`.
 
     Raises:
-        ValueError: no channel, a bit rate that slcan does not have, or a port's rate that it cannot have.
+        TypeError, ValueError: not what `SlcanOptions` takes.
         can.CanInitializationError: the port is missing, held by another program or no serial port, or the adapter
             refused a command.
     """
 
-    def __init__(
-        self,
-        channel: str,
-        tty_baudrate: int = DEFAULT_BAUD,
-        bitrate: int | None = None,
-        timing: can.BitTiming | can.BitTimingFd | None = None,
-        sleep_after_open: float = 0.0,
-        rtscts: bool = False,
-        listen_only: bool = False,
-        timeout: float = 0.001,
-        fd: bool = False,
-        data_bitrate: int | None = None,
-        single_handle: bool = False,
-        can_filters: can.typechecking.CanFilters | None = None,
-    ) -> None:
-        if not channel:
-            raise ValueError("channel must name a serial port, for example /dev/ttyACM0")
-        if not isinstance(sleep_after_open, (int, float)) or sleep_after_open < 0:
-            raise ValueError(f"sleep_after_open must be a number of seconds from 0 on, got '{sleep_after_open}'")
-        commands: list[tuple[bytes, str]] = []  # with what the adapter refuses when it refuses one
-        if isinstance(timing, can.BitTiming):
-            timing = check_or_adjust_timing_clock(timing, [TIMING_CLOCK])
-            commands.append((b"s%02X%02X" % (timing.btr0, timing.btr1), f"the bit rate {timing.bitrate}"))
-        else:
-            if timing is not None:
-                bitrate, data_bitrate = timing.nom_bitrate, timing.data_bitrate
-            if bitrate is not None:
-                commands.append((_command("bitrate", bitrate, BITRATES), f"the bit rate {bitrate}"))
-        if data_bitrate is not None:
-            command = _command("data_bitrate", data_bitrate, DATA_BITRATES)
-            commands.append((command, f"the data bit rate {data_bitrate}"))
-        commands.append((b"L", "to open in order to listen only") if listen_only else (b"O", "to open"))
+    __signature__ = signature(SlcanOptions)
 
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        options = SlcanOptions(*arguments, **keywords)
+        commands, target = options.commands(), options.target()
         self.refused = 0
         """Bells of the adapter: commands that it refused, or frames for which its transmit buffer had no room."""
         self.replies: deque[bytes] = deque(maxlen=_KEPT_REPLIES)
         """The adapter's newest answers that are no acknowledgement, such as `F00`."""
-        self.channel_info = f"slcan {channel}"
-        self._can_protocol = can.CanProtocol.CAN_FD if fd or data_bitrate is not None else can.CanProtocol.CAN_20
+        self.channel_info = f"slcan {options.channel}"
+        self._can_protocol = options.protocol
         self._parser = SlcanParser()
         self._pending = memoryview(b"")  # records read and not yet given to `recv`
         self._sending = threading.Lock()
         self._unfinished = False  # a line may have been cut by a write that failed
-        port, at, baud = channel.rpartition("@")
-        if at and not baud.isdecimal():
-            raise ValueError(f"channel '{channel}': the port's rate must be a whole number, got '{baud}'")
-        target = SerialTarget(port, int(baud)) if at else SerialTarget(channel, tty_baudrate)
         try:
-            self._port = _Port(target, rtscts)
+            self._port = _Port(target, options.rtscts)
         except TargetError as error:
             raise ValueError(str(error)) from None
         except (LinkError, OSError) as error:
             raise can.CanInitializationError(str(error)) from None
         try:
-            time.sleep(sleep_after_open)
+            time.sleep(options.sleep_after_open)
             self._start(commands)
-            super().__init__(channel, can_filters)
+            super().__init__(options.channel, options.can_filters)
         except (LinkError, OSError) as error:
             self._port.close()
             raise can.CanInitializationError(str(error)) from None

@@ -7,174 +7,172 @@ imports no numba.
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field, fields, replace
-from typing import Any, ClassVar
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Self, TypeVar
 
-from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, Flag, Parameter
-from sim.config.ranges import ConfigError, Range, check
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource, Flag, Parameter
+from sim.config.errors import explain
 
-def _any(unit: str = "", *, length: int = 0) -> Any:
-    return field(metadata={"range": Range(unit, length=length)})
+T = TypeVar("T")
+Three = Annotated[tuple[T, ...], Field(strict=False, min_length=3, max_length=3, description="a list of 3 numbers")]
+Six = Annotated[tuple[T, ...], Field(strict=False, min_length=6, max_length=6, description="a list of 6 numbers")]
+Whole = Annotated[int, BeforeValidator(lambda x: int(x) if isinstance(x, float) and x.is_integer() else x)]
 
-
-def _positive(unit: str) -> Any:
-    return field(metadata={"range": Range(unit, lo=0.0, open_lo=True)})
-
-
-def _not_negative(unit: str) -> Any:
-    return field(metadata={"range": Range(unit, lo=0.0)})
+_SIGNS = {"gt": ">", "ge": ">=", "le": "<="}
 
 
-def _between(lo: float, hi: float, unit: str = "", *, open_lo: bool = False, length: int = 0) -> Any:
-    return field(metadata={"range": Range(unit, lo, hi, open_lo, length=length)})
+def _number(unit: str = "", **limits: float) -> Any:
+    """A number in `unit` within limits: gt, ge, le."""
+    if limits.keys() == {"ge", "le"}:
+        words = f"between {limits['ge']:g} and {limits['le']:g}"
+    else:
+        words = " and ".join(f"{_SIGNS[sign]} {limit:g}" for sign, limit in limits.items()) or "a number"
+    return Field(description=f"{words} {unit}".rstrip(), **limits)  # type: ignore[call-overload]
 
 
-def _whole(lo: int, hi: int, unit: str = "") -> Any:
-    return field(metadata={"range": Range(unit, lo, hi, whole=True)})
-
-
-def _range_of(parameter: Parameter) -> Range:
+def _like(parameter: Parameter) -> Any:
+    """A number within the range of a parameter."""
+    number = int if parameter.flags & Flag.WHOLE else float
     unit = parameter.unit.symbol.replace("Ω", "ohm")
-    return Range(unit, parameter.lo, parameter.hi, whole=bool(parameter.flags & Flag.WHOLE))
+    return _number(unit, ge=number(parameter.lo), le=number(parameter.hi))
 
 
-_DRIVE_RANGES = {p.name: _range_of(p) for p in DRIVE_PARAMETERS}
-_LOAD_RANGES = {p.name: _range_of(p) for p in LOAD_PARAMETERS}
+_DRIVE = {p.name: _like(p) for p in DRIVE_PARAMETERS}
+_LOAD = {p.name: _like(p) for p in LOAD_PARAMETERS}
 
 
-def _drive(name: str) -> Any:
-    return field(metadata={"range": _DRIVE_RANGES[name], "parameter": True})
+class Section(BaseModel):
+    """A section of the configuration. Its numbers are checked whenever one is made, and finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @classmethod
+    def of(cls, values: Mapping[str, object], sources: Mapping[str, str] | None = None) -> Self:
+        """The section with these values; `sources` names the file of each dotted key. Raises `ConfigError`."""
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            raise explain(error, cls, sources or {}) from None
+
+    def replace(self, **values: object) -> Self:
+        """The section with other values for some keys. Raises `ConfigError`."""
+        return self.of(dict(self) | values)
+
+    def leaves(self) -> Iterator[tuple[str, float]]:
+        """Name and value of each number, in sections within it too; those of a list as `name_1` and so on."""
+        for name, value in self:
+            if isinstance(value, Section):
+                yield from value.leaves()
+            elif isinstance(value, tuple):
+                yield from ((f"{name}_{k}", one) for k, one in enumerate(value, 1))
+            else:
+                yield name, float(value)
 
 
-def _drive_six(name: str) -> Any:
-    """Six parameters of one range, `name`_1 to `name`_6."""
-    return field(metadata={"range": replace(_DRIVE_RANGES[f"{name}_1"], length=6), "parameter": True})
-
-
-def _load(name: str) -> Any:
-    return field(metadata={"range": _LOAD_RANGES[name], "parameter": True})
-
-
-class Section:
-    """A section whose fields are checked whenever one is made, also by `dataclasses.replace`."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            if (allowed := f.metadata.get("range")) is not None:
-                object.__setattr__(self, f.name, check(f.name, getattr(self, f.name), allowed))
-
-
-@dataclass(frozen=True)
 class Motor(Section):
     """The machine, amplitude-invariant quantities."""
 
-    R_s: float = _positive("ohm")
-    L_d: float = _positive("H")
-    L_q: float = _positive("H")
-    psi_f: float = _positive("V s")
-    n_p: int = _whole(1, 64)
+    R_s: float = _number("ohm", gt=0)
+    L_d: float = _number("H", gt=0)
+    L_q: float = _number("H", gt=0)
+    psi_f: float = _number("V s", gt=0)
+    n_p: Whole = _number(ge=1, le=64)
 
 
-@dataclass(frozen=True)
 class Mechanics(Section):
     """The shaft."""
 
-    J: float = _positive("kg m2")
-    b: float = _not_negative("N m s/rad")
-    tau_coulomb: float = _not_negative("N m")
-    theta_0_deg: float = _between(-360.0, 360.0, "deg")
+    J: float = _number("kg m2", gt=0)
+    b: float = _number("N m s/rad", ge=0)
+    tau_coulomb: float = _number("N m", ge=0)
+    theta_0_deg: float = _number("deg", ge=-360, le=360)
 
 
-@dataclass(frozen=True)
 class Load(Section):
     """The load machine."""
 
-    tau_max: float = _load("tau_max")
-    omega_m_max: float = _load("omega_m_max")
-    watchdog: float = _load("watchdog")
-    alpha_m_max: float = _not_negative("rad/s2")
+    tau_max: float = _LOAD["tau_max"]
+    omega_m_max: float = _LOAD["omega_m_max"]
+    watchdog: float = _LOAD["watchdog"]
+    alpha_m_max: float = _number("rad/s2", ge=0)
 
 
-@dataclass(frozen=True)
 class Hall(Section):
     """The three Hall sensors, electrical degrees."""
 
-    delta_deg: tuple[float, ...] = _between(-29.0, 29.0, "deg", length=6)
-    hysteresis_deg: float = _between(0.0, 10.0, "deg")
-    jitter_deg: float = _between(0.0, 3.0, "deg")
+    delta_deg: Six[Annotated[float, _number("deg", ge=-29, le=29)]]
+    hysteresis_deg: float = _number("deg", ge=0, le=10)
+    jitter_deg: float = _number("deg", ge=0, le=3)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
         # Neighbouring edges must stay apart by more than hysteresis and 4 sigma of jitter on both take up.
         margin = self.hysteresis_deg + 8.0 * self.jitter_deg
         for s in range(6):
             width = 60.0 - self.delta_deg[(s + 1) % 6] + self.delta_deg[s]
             if width <= margin:
-                raise ConfigError(
+                raise ValueError(
                     f"delta_deg leaves sector {s + 1} only {width:g} deg wide; it must be wider "
                     f"than hysteresis_deg + 8 jitter_deg = {margin:g} deg"
                 )
+        return self
 
 
-@dataclass(frozen=True)
 class Wiring(Section):
     """What is wrong with the wires of the Hall sensors; the load machine's parameters put it there and take it away."""
 
-    hall_swap: int = _load("hall_swap")
-    hall_open: int = _load("hall_open")
-    hall_invert: int = _load("hall_invert")
-    hall_short: int = _load("hall_short")
-    hall_glitch: float = _load("hall_glitch")
+    hall_swap: Whole = _LOAD["hall_swap"]
+    hall_open: Whole = _LOAD["hall_open"]
+    hall_invert: Whole = _LOAD["hall_invert"]
+    hall_short: Whole = _LOAD["hall_short"]
+    hall_glitch: float = _LOAD["hall_glitch"]
 
 
-@dataclass(frozen=True)
 class Encoder(Section):
     """The incremental encoder."""
 
-    present: int = _whole(0, 1)
-    pulses_per_rev: int = _whole(1, 16383)
-    offset_deg: float = _between(-360.0, 360.0, "deg")
-    bw_speed: float = _between(0.1, 1000.0, "Hz")
+    present: Whole = _number(ge=0, le=1)
+    pulses_per_rev: Whole = _number(ge=1, le=16383)
+    offset_deg: float = _number("deg", ge=-360, le=360)
+    bw_speed: float = _number("Hz", ge=0.1, le=1000)
 
 
-@dataclass(frozen=True)
 class Inverter(Section):
     """DC link and inverter."""
 
-    u_dc: float = _between(0.0, 63.9, "V", open_lo=True)
-    dead_time: float = _between(0.0, 1e-5, "s")
-    u_device: float = _between(0.0, 5.0, "V")
-    i_smooth: float = _between(1e-3, 10.0, "A")
-    u_diode: float = _between(0.0, 5.0, "V")
+    u_dc: float = _number("V", gt=0, le=63.9)
+    dead_time: float = _number("s", ge=0, le=1e-5)
+    u_device: float = _number("V", ge=0, le=5)
+    i_smooth: float = _number("A", ge=1e-3, le=10)
+    u_diode: float = _number("V", ge=0, le=5)
 
 
-@dataclass(frozen=True)
 class CurrentSensor(Section):
     """Phase current measurement."""
 
-    noise_rms: float = _not_negative("A")
-    offset: tuple[float, ...] = _any("A", length=3)
-    gain_error: tuple[float, ...] = _between(-0.9, 10.0, length=3)
-    range: float = _between(0.1, 31.9, "A")
-    bits: int = _whole(4, 24)
+    noise_rms: float = _number("A", ge=0)
+    offset: Three[Annotated[float, _number("A")]]
+    gain_error: Three[Annotated[float, _number(ge=-0.9, le=10)]]
+    range: float = _number("A", ge=0.1, le=31.9)
+    bits: Whole = _number(ge=4, le=24)
 
 
-@dataclass(frozen=True)
 class Clock(Section):
     """Timers and steps."""
 
-    tick_hz: int = _whole(1_000_000, 1_000_000_000, "Hz")
-    pwm_hz: int = _whole(1000, 100_000, "Hz")
-    substeps: int = _whole(1, 100)
-    start_tick: int = _whole(0, 2**62)
+    tick_hz: Whole = _number("Hz", ge=1_000_000, le=1_000_000_000)
+    pwm_hz: Whole = _number("Hz", ge=1000, le=100_000)
+    substeps: Whole = _number(ge=1, le=100)
+    start_tick: Whole = _number(ge=0, le=2**62)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
         if self.tick_hz % self.pwm_hz:
-            raise ConfigError(f"tick_hz must be a whole multiple of pwm_hz = {self.pwm_hz} Hz, got {self.tick_hz}")
+            raise ValueError(f"tick_hz must be a whole multiple of pwm_hz = {self.pwm_hz} Hz, got {self.tick_hz}")
+        return self
 
     @property
     def period_ticks(self) -> int:
@@ -182,117 +180,109 @@ class Clock(Section):
         return self.tick_hz // self.pwm_hz
 
 
-@dataclass(frozen=True)
 class HallSpeed(Section):
     """Front end of the Hall sensors in the firmware."""
 
-    hall_timeout: float = _drive("hall_timeout")
+    hall_timeout: float = _DRIVE["hall_timeout"]
 
 
-@dataclass(frozen=True)
 class HallEdges(Section):
     """Where the firmware takes the Hall edges to lie: ideal minus actual angle, sectors I..VI."""
 
-    edge_up: tuple[float, ...] = _drive_six("edge_up")
-    edge_down: tuple[float, ...] = _drive_six("edge_down")
-    learn_edges: int = _drive("learn_edges")
+    edge_up: Six[Annotated[float, _DRIVE["edge_up_1"]]]
+    edge_down: Six[Annotated[float, _DRIVE["edge_down_1"]]]
+    learn_edges: Whole = _DRIVE["learn_edges"]
 
 
-@dataclass(frozen=True)
 class HallVector(Section):
     """Observers on the Hall vector in the firmware."""
 
-    bw_hall_vector: float = _drive("bw_hall_vector")
+    bw_hall_vector: float = _DRIVE["bw_hall_vector"]
 
 
-@dataclass(frozen=True)
 class VectorTracking(Section):
     """The vector-tracking observer in the firmware."""
 
-    k_p_vt: float = _drive("k_p_vt")
-    k_i_vt: float = _drive("k_i_vt")
-    tau_max: float = _drive("tau_max")
-    omega_on: float = _drive("omega_on")
-    omega_off: float = _drive("omega_off")
-    bw_omega_lpf: float = _drive("bw_omega_lpf")
-    load_angle_comp: int = _drive("load_angle_comp")
-    k_pc: float = _drive("k_pc")
-    k_ic: float = _drive("k_ic")
-    literal_sgn: int = _drive("literal_sgn")
+    k_p_vt: float = _DRIVE["k_p_vt"]
+    k_i_vt: float = _DRIVE["k_i_vt"]
+    tau_max: float = _DRIVE["tau_max"]
+    omega_on: float = _DRIVE["omega_on"]
+    omega_off: float = _DRIVE["omega_off"]
+    bw_omega_lpf: float = _DRIVE["bw_omega_lpf"]
+    load_angle_comp: Whole = _DRIVE["load_angle_comp"]
+    k_pc: float = _DRIVE["k_pc"]
+    k_ic: float = _DRIVE["k_ic"]
+    literal_sgn: Whole = _DRIVE["literal_sgn"]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
         if self.omega_off > self.omega_on:
-            raise ConfigError(f"omega_off must be <= omega_on = {self.omega_on:g} rad/s, got {self.omega_off:g}")
+            raise ValueError(f"omega_off must be <= omega_on = {self.omega_on:g} rad/s, got {self.omega_off:g}")
+        return self
 
 
-@dataclass(frozen=True)
 class Injection(Section):
     """The sine that the firmware adds inside the vector-tracking observer, to measure its frequency response."""
 
-    inject: int = _drive("inject")
-    inject_amplitude: float = _drive("inject_amplitude")
-    inject_hz: float = _drive("inject_hz")
+    inject: Whole = _DRIVE["inject"]
+    inject_amplitude: float = _DRIVE["inject_amplitude"]
+    inject_hz: float = _DRIVE["inject_hz"]
 
 
-@dataclass(frozen=True)
 class CurrentLoop(Section):
     """Current loop in the firmware."""
 
-    bw_current: float = _drive("bw_current")
+    bw_current: float = _DRIVE["bw_current"]
 
 
-@dataclass(frozen=True)
 class SpeedLoop(Section):
     """Speed loop in the firmware."""
 
-    k_p_speed: float = _drive("k_p_speed")
-    k_i_speed: float = _drive("k_i_speed")
+    k_p_speed: float = _DRIVE["k_p_speed"]
+    k_i_speed: float = _DRIVE["k_i_speed"]
 
 
-@dataclass(frozen=True)
 class DeadTime(Section):
     """Dead-time compensation in the firmware."""
 
-    dead_time_hat: float = _drive("dead_time_hat")
-    dead_time_comp: float = _drive("dead_time_comp")
+    dead_time_hat: float = _DRIVE["dead_time_hat"]
+    dead_time_comp: float = _DRIVE["dead_time_comp"]
 
 
-@dataclass(frozen=True)
 class Protection(Section):
     """Limits at which the firmware opens the outputs."""
 
-    i_trip: float = _positive("A")
-    omega_m_trip: float = _positive("rad/s")
-    u_dc_min: float = _not_negative("V")
-    u_dc_max: float = _positive("V")
-    omega_trip_time: float = _positive("s")
-    hall_fault_time: float = _positive("s")
-    hall_fault_count: int = _whole(2, 1000)
-    hall_fault_leak: float = _positive("s")
-    hall_turns: float = _between(1.0, 100.0)
-    hall_emf: float = _positive("V")
+    i_trip: float = _number("A", gt=0)
+    omega_m_trip: float = _number("rad/s", gt=0)
+    u_dc_min: float = _number("V", ge=0)
+    u_dc_max: float = _number("V", gt=0)
+    omega_trip_time: float = _number("s", gt=0)
+    hall_fault_time: float = _number("s", gt=0)
+    hall_fault_count: Whole = _number(ge=2, le=1000)
+    hall_fault_leak: float = _number("s", gt=0)
+    hall_turns: float = _number(ge=1, le=100)
+    hall_emf: float = _number("V", gt=0)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
         if self.u_dc_min >= self.u_dc_max:
-            raise ConfigError(f"u_dc_min must be < u_dc_max = {self.u_dc_max:g} V, got {self.u_dc_min:g}")
+            raise ValueError(f"u_dc_min must be < u_dc_max = {self.u_dc_max:g} V, got {self.u_dc_min:g}")
+        return self
 
 
-@dataclass(frozen=True, kw_only=True)
 class Firmware(Section):
     """What the drive's firmware assumes and does; the initial values of its parameters."""
 
-    n_p: int = _drive("n_p")
-    R_s_hat: float = _drive("R_s_hat")
-    L_s_hat: float = _drive("L_s_hat")
-    psi_f_hat: float = _drive("psi_f_hat")
-    J_hat: float = _drive("J_hat")
-    i_max: float = _drive("i_max")
-    omega_m_max: float = _drive("omega_m_max")
-    alpha_m_max: float = _drive("alpha_m_max")
-    observer: int = _drive("observer")
-    watchdog: float = _drive("watchdog")
+    n_p: Whole = _DRIVE["n_p"]
+    R_s_hat: float = _DRIVE["R_s_hat"]
+    L_s_hat: float = _DRIVE["L_s_hat"]
+    psi_f_hat: float = _DRIVE["psi_f_hat"]
+    J_hat: float = _DRIVE["J_hat"]
+    i_max: float = _DRIVE["i_max"]
+    omega_m_max: float = _DRIVE["omega_m_max"]
+    alpha_m_max: float = _DRIVE["alpha_m_max"]
+    observer: Whole = _DRIVE["observer"]
+    watchdog: float = _DRIVE["watchdog"]
     hall_speed: HallSpeed
     hall_edges: HallEdges
     hall_vector: HallVector
@@ -304,16 +294,47 @@ class Firmware(Section):
     protection: Protection
 
 
-def parameters_of(section: Section) -> dict[str, float]:
-    """The drive's or load machine's parameters in a section and those within it, by name."""
-    values: dict[str, float] = {}
-    for f in fields(section):
-        value = getattr(section, f.name)
-        if isinstance(value, Section):
-            values.update(parameters_of(value))
-        elif f.metadata.get("parameter"):
-            if isinstance(value, tuple):
-                values.update({f"{f.name}_{k}": one for k, one in enumerate(value, 1)})
-            else:
-                values[f.name] = float(value)
-    return values
+class BenchParams(Section):
+    """Everything about a simulated bench."""
+
+    motor: Motor
+    mechanics: Mechanics
+    load: Load
+    hall: Hall
+    wiring: Wiring
+    encoder: Encoder
+    inverter: Inverter
+    current_sensor: CurrentSensor
+    clock: Clock
+    firmware: Firmware
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        h = 1.0 / (self.clock.pwm_hz * self.clock.substeps)
+        motor, inverter = self.motor, self.inverter
+        lost = inverter.u_dc * inverter.dead_time * self.clock.pwm_hz + inverter.u_device
+        # Runge-Kutta steps are stable up to 2.78 of these time constants, and good up to about one
+        for name, value, least, unit in (
+            ("motor.L_d", motor.L_d, motor.R_s * h, "H"),
+            ("motor.L_q", motor.L_q, motor.R_s * h, "H"),
+            ("mechanics.J", self.mechanics.J, self.mechanics.b * h, "kg m2"),
+            ("inverter.i_smooth", inverter.i_smooth, lost * h / min(motor.L_d, motor.L_q) / 2.0, "A"),
+        ):
+            if value < least:
+                raise ValueError(
+                    f"{name} must be >= {least:.3g} {unit} for integration steps of {h:.3g} s, got {value:g}; "
+                    f"take more clock.substeps"
+                )
+        if self.firmware.observer == AngleSource.ENCODER and not self.encoder.present:
+            raise ValueError("firmware.observer must be 1 or 2 where encoder.present = 0, got 0")
+        return self
+
+    def drive_parameters(self) -> dict[str, float]:
+        """The initial values of the drive's `DRIVE_PARAMETERS` by name."""
+        own = {name: value for name, value in self.firmware.leaves() if name in _DRIVE}
+        return own | {"i_range": self.current_sensor.range}
+
+    def load_parameters(self) -> dict[str, float]:
+        """The initial values of the load machine's `LOAD_PARAMETERS` by name."""
+        own = {name: value for section in (self.load, self.wiring) for name, value in section.leaves() if name in _LOAD}
+        return own | {f"hall_delta_{s}": math.radians(delta) for s, delta in enumerate(self.hall.delta_deg, 1)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -162,12 +162,6 @@ class SimulatedBench:
         cold = self.outputs_on and source and not known >> source - 1 & 1
         self._source_from = self.n + round(WARM_UP * self.params.clock.pwm_hz) if cold else 0
 
-    def enable(self, on: bool = True) -> None:
-        """Go from IDLE through ARMED to RUNNING, or back to IDLE."""
-        if on:
-            self.enter_state(DriveState.ARMED)
-        self.enter_state(DriveState.RUNNING if on else DriveState.IDLE)
-
     def enter_state(self, state: DriveState) -> None:
         """Follow the drive's state; without a setpoint yet.
 
@@ -270,7 +264,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
     `active`: the observers that run (see `bank.Params`).
     """
     has_encoder = bool(p.encoder.present)
-    hall = replace(p.hall, delta_deg=_delta_deg(p.hall.delta_deg, load))
+    hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
@@ -303,7 +297,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
             dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),
             shaft_encoder,
-            protection.make_params(p.clock.pwm_hz, drive["n_p"], has_encoder, **_protection(p, drive)),
+            _protection(p, drive),
             period,
             drive["n_p"],
             has_encoder,
@@ -317,12 +311,13 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
     )
 
 
-def _protection(p: BenchParams, drive: Mapping[str, float]) -> dict[str, float]:
-    """The figures of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
-    figures: dict[str, float] = asdict(p.firmware.protection)
-    if not p.encoder.present:
-        figures["omega_m_trip"] = min(figures["omega_m_trip"], SHOWN * average_speed.FASTEST * drive["omega_m_max"])
-    return figures
+def _protection(p: BenchParams, drive: Mapping[str, float]) -> protection.Params:
+    """The limits of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
+    limits = protection.make_params(p.clock.pwm_hz, drive["n_p"], bool(p.encoder.present), p.firmware.protection)
+    if p.encoder.present:
+        return limits
+    shown = SHOWN * average_speed.FASTEST * drive["omega_m_max"] * drive["n_p"]
+    return limits._replace(omega_trip=min(limits.omega_trip, shown))
 
 
 def _delta_deg(own: Sequence[float], load: Mapping[str, float]) -> tuple[float, ...]:

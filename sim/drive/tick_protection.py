@@ -25,6 +25,7 @@ import math
 from typing import NamedTuple
 
 from protocol.messages import Fault
+from sim.config.sections import Protection
 from sim.numba_cache import kernel
 
 OVERCURRENT, OVERSPEED = int(Fault.OVERCURRENT), int(Fault.OVERSPEED)
@@ -71,35 +72,20 @@ class State(NamedTuple):
     causes: int  # Fault bits whose cause is there now
 
 
-def make_params(
-    pwm_hz: float,
-    n_p: float,
-    encoder: bool,
-    *,
-    i_trip: float,
-    omega_m_trip: float,
-    omega_trip_time: float,
-    u_dc_min: float,
-    u_dc_max: float,
-    hall_fault_time: float,
-    hall_fault_count: float,
-    hall_fault_leak: float,
-    hall_turns: float,
-    hall_emf: float,
-) -> Params:
-    """Constants from the figures of the same names (A, mechanical rad/s, s, V, turns); `encoder`: there is one."""
+def make_params(pwm_hz: float, n_p: float, encoder: bool, limits: Protection) -> Params:
+    """Constants for control periods at `pwm_hz` Hz; `encoder`: there is one."""
     T_s = 1.0 / pwm_hz
     return Params(
-        i_trip,
-        omega_m_trip * n_p,
-        1 if encoder else max(1, round(omega_trip_time * pwm_hz)),
-        u_dc_min,
-        u_dc_max,
-        T_s / hall_fault_time,
-        1.0 / hall_fault_count,
-        T_s / hall_fault_leak,
-        2.0 * math.pi * hall_turns,
-        hall_emf,
+        limits.i_trip,
+        limits.omega_m_trip * n_p,
+        1 if encoder else max(1, round(limits.omega_trip_time * pwm_hz)),
+        limits.u_dc_min,
+        limits.u_dc_max,
+        T_s / limits.hall_fault_time,
+        1.0 / limits.hall_fault_count,
+        T_s / limits.hall_fault_leak,
+        2.0 * math.pi * limits.hall_turns,
+        limits.hall_emf,
     )
 
 

@@ -1,7 +1,8 @@
 """Rotor position and speed estimators: the same kernels in the simulated drive, live on a host and offline.
 
 Each module has one observer as pure kernels: `Params`, `State`, `Estimate` (NamedTuples of numbers), `init`,
-`step` (one control period) and `run` (the loop over arrays). Nothing here knows a plant, a drive or a wire:
+`step` (one control period) and `run` (the loop over arrays). `make_params` makes the `Params` of its `Settings`, a
+dataclass of the drive's parameters that it takes, by their names. Nothing here knows a plant, a drive or a wire:
 times, codes, voltages and currents come in as arguments, in SI units.
 
     hall_speed               Hall front end: sector, direction, average speed (1), overdue edges, sensors' faults
@@ -17,6 +18,7 @@ times, codes, voltages and currents come in as arguments, in SI units.
     vector_tracking_q15      (3)-(10) in 16-bit integers; `c/` has the same in C99
     learned_edges            past the paper: back-EMF and edges whose places are learned (`edge_learning`,
                              `voltage_learning`)
+    hall_edges               the places of the edges among the drive's parameters
     catalogue                all of them by name, with what it takes to run one
     bank                     all of them fed from one stream of samples and edges, as the drive runs them
 

@@ -14,18 +14,28 @@ Source: (1)-(2) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers import hall_speed
 from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.transforms import wrap
 
 HALF_SECTOR = SECTOR_WIDTH / 2.0
 FASTEST = 1.5  # of the largest speed reference: no pair of edges makes more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that the front end takes."""
+
+    n_p: float
+    omega_m_max: float  # mechanical rad/s
+    hall_timeout: float  # s
 
 
 class Params(NamedTuple):
@@ -35,28 +45,17 @@ class Params(NamedTuple):
     omega_max: float  # largest electrical speed, rad/s
 
 
-class Estimate(NamedTuple):
-    """One period's result."""
-
-    theta: float  # electrical rad in [-pi, pi)
-    omega: float  # omega_h, electrical rad/s
-
-
 class Estimates(NamedTuple):
     """A run's results, one element a sample."""
 
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
+    theta: NDArray[np.float64]  # electrical rad in [-pi, pi)
+    omega: NDArray[np.float64]  # omega_h, electrical rad/s
 
 
-State = hall_speed.State
-init = hall_speed.init
-
-
-def make_params(tick_hz: float, *, n_p: float, omega_m_max: float, hall_timeout: float) -> Params:
-    """Constants from the drive's parameters of the same names (rad/s mechanical, s)."""
-    omega_max = float(n_p) * float(omega_m_max)
-    return Params(hall_speed.make_params(tick_hz, hall_timeout, FASTEST * omega_max), omega_max)
+def make_params(tick_hz: float, drive: Settings) -> Params:
+    """Constants for a counter of `tick_hz` Hz."""
+    omega_max = float(drive.n_p) * float(drive.omega_m_max)
+    return Params(hall_speed.make_params(tick_hz, drive.hall_timeout, FASTEST * omega_max), omega_max)
 
 
 @kernel
@@ -78,47 +77,3 @@ def position(params: Params, hall: hall_speed.Estimate) -> float:
     else:
         travel = min(abs(hall.omega) * hall.age, SECTOR_WIDTH)
     return wrap(centre(hall.sector) + hall.direction * (travel - HALF_SECTOR))
-
-
-@kernel
-def step(
-    params: Params,
-    state: State,
-    tick: int,
-    hall: int,
-    edge_ticks: NDArray[np.int64],
-    edge_halls: NDArray[np.uint8],
-    first: int,
-    last: int,
-) -> tuple[State, Estimate]:
-    """One control period: edges [first, last) of the arrays, then the sample at `tick` with code `hall`."""
-    state, front = hall_speed.step(params.hall, state, tick, hall, edge_ticks, edge_halls, first, last)
-    return state, Estimate(position(params, front), front.omega)
-
-
-@jit
-def run(
-    params: Params,
-    state: State,
-    tick: NDArray[np.int64],
-    hall: NDArray[np.uint8],
-    edge_tick: NDArray[np.int64],
-    edge_hall: NDArray[np.uint8],
-    reset: NDArray[np.bool_],
-) -> tuple[State, Estimates]:
-    """`step` over n samples; arguments as in `hall_speed.run`."""
-    n = tick.shape[0]
-    m = edge_tick.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
-    first = 0
-    for k in range(n):
-        last = first
-        while last < m and edge_tick[last] <= tick[k]:
-            last += 1
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, tick[k], hall[k], edge_tick, edge_hall, first, last)
-        first = last
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-    return state, out

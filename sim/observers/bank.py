@@ -28,15 +28,14 @@ from sim.observers import (
     vector_tracking_q15,
     zeroth_order,
 )
-from sim.observers.catalogue import CATALOGUE, keyword_parameters
+from sim.observers.catalogue import CATALOGUE, chosen, names
 
 SHORT = tuple(entry.short for entry in CATALOGUE.values())
 """The observers' names in channels, `theta_avg`, `omega_avg` …, in the order of the estimates."""
 COUNT = len(SHORT)
 ALL = (1 << COUNT) - 1
-FRONT_PARAMETERS = tuple(keyword_parameters(sample.make_params))
 PARAMETERS = tuple(
-    dict.fromkeys((*FRONT_PARAMETERS, *(name for entry in CATALOGUE.values() for name in entry.parameters)))
+    dict.fromkeys((*names(sample.Settings), *(name for entry in CATALOGUE.values() for name in entry.parameters)))
 )
 """The drive parameters that the estimates depend on, by their names."""
 
@@ -106,23 +105,20 @@ class BankEstimates(NamedTuple):
         return found if short not in SHORT else found[SHORT.index(short)]
 
 
-def make_params(
-    tick_hz: float, pwm_hz: float, *, exact_inverse: float = True, active: float = ALL, **drive: float
-) -> Params:
+def make_params(tick_hz: float, pwm_hz: float, *, active: float = ALL, **drive: float) -> Params:
     """Constants from the drive's parameters, by their names and in their units.
 
     `drive` must hold all of `PARAMETERS` (KeyError names the missing one); others are ignored, so that a
     drive's whole parameter table can be given. Values are rounded to float32, as a drive stores them.
-    `exact_inverse`: see `vector_tracking`; `active`: see `Params`.
+    `active`: see `Params`.
     """
-    value = {name: float(np.float32(drive[name])) for name in PARAMETERS}
+    value = {name: drive[name] for name in PARAMETERS}
     own: dict[str, Any] = {name: entry.make_params(pwm_hz, value) for name, entry in CATALOGUE.items()}
-    inverse = int(exact_inverse)
     return Params(
         int(active),
-        sample.make_params(tick_hz, **{name: value[name] for name in FRONT_PARAMETERS}),
-        own["vector_tracking"]._replace(exact_inverse=inverse),
-        own["load_angle"]._replace(exact_inverse=inverse),
+        sample.make_params(tick_hz, chosen(sample.Settings, value)),
+        own["vector_tracking"],
+        own["load_angle"],
         own["zeroth_order"],
         own["lookup_table"],
         own["hall_vector"],

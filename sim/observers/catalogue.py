@@ -5,9 +5,8 @@ Another observer is another line of `_ENTRIES`. Nothing here runs one, and no pa
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from types import ModuleType
 from typing import Any
 
@@ -27,6 +26,7 @@ from sim.observers import (
     zeroth_order,
 )
 from sim.observers.sample import Samples
+from sim.observers.zeroth_order import Settings as NoSettings
 
 DEFAULTS: Mapping[str, float] = {
     "hall_timeout": 0.2,  # s
@@ -45,9 +45,6 @@ DEFAULTS: Mapping[str, float] = {
 }
 """What a parameter is where a drive has none of that name: the values of the simulated drive. Motor data have none."""
 
-EDGES = tuple(f"edge_{way}_{s}" for way in ("up", "down") for s in range(1, 7))
-"""Where the Hall edges lie, ideal less actual angle, rad: what `**edges` of a `make_params` stands for."""
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -59,54 +56,48 @@ class Entry:
     init: Callable[[], Any]
     run: Callable[..., tuple[Any, Any]]
     """`run(params, state, samples, reset)`: the next state, and estimates with `theta` and `omega`, (n,) each."""
-    make: Callable[..., Any]
-    signature: Callable[..., Any]
-    """Whose keyword arguments are the drive parameters that `make` takes."""
+    make: Callable[[float, Any], Any]
+    """`make(pwm_hz, settings)`: its constants."""
+    settings: type[Any]
+    """A dataclass: its fields are the drive parameters that it takes, by their names."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the drive parameters that it depends on."""
-        return tuple(keyword_parameters(self.signature))
+        return names(self.settings)
 
     def missing(self, drive: Mapping[str, float]) -> tuple[str, ...]:
         """Parameters that it cannot do without and that are neither in a drive's table nor in `DEFAULTS`."""
-        return missing(self.signature, drive)
+        return missing(self.settings, drive)
 
     def make_params(self, pwm_hz: float, drive: Mapping[str, float]) -> Any:
         """Its constants from a drive's whole parameter table, rounded to float32 as a drive stores them.
 
         What it does not need is ignored; what is not there comes from `DEFAULTS`. Nothing may be `missing`.
         """
-        return self.make(pwm_hz, **chosen(self.signature, drive))
+        return self.make(pwm_hz, chosen(self.settings, drive))
 
 
-def keyword_parameters(function: Callable[..., Any]) -> dict[str, bool]:
-    """The numbers that a `make_params` takes by name, and whether it needs them; `**edges` stands for `EDGES`."""
-    found: dict[str, bool] = {}
-    for p in inspect.signature(function).parameters.values():
-        if p.kind is p.KEYWORD_ONLY and not isinstance(p.default, bool):
-            found[p.name] = p.default is p.empty
-        elif p.kind is p.VAR_KEYWORD:
-            found |= dict.fromkeys(EDGES, False)
-    return found
+def names(settings: type[Any]) -> tuple[str, ...]:
+    """The drive parameters that settings are made of."""
+    return tuple(field.name for field in fields(settings))
 
 
-def missing(function: Callable[..., Any], drive: Mapping[str, float]) -> tuple[str, ...]:
-    """What a `make_params` cannot do without and is neither in a drive's table nor in `DEFAULTS`."""
-    needed = keyword_parameters(function).items()
-    return tuple(name for name, must in needed if must and name not in drive and name not in DEFAULTS)
+def missing(settings: type[Any], drive: Mapping[str, float]) -> tuple[str, ...]:
+    """What settings cannot do without and is neither in a drive's table nor in `DEFAULTS`."""
+    needed = (field.name for field in fields(settings) if field.default is MISSING)
+    return tuple(name for name in needed if name not in drive and name not in DEFAULTS)
 
 
-def chosen(function: Callable[..., Any], drive: Mapping[str, float]) -> dict[str, float]:
-    """The keyword arguments of a `make_params` from a drive's table or `DEFAULTS`, float32."""
+def chosen(settings: type[Any], drive: Mapping[str, float]) -> Any:
+    """Settings from a drive's table, what is not there from `DEFAULTS`; rounded to float32."""
     table = {**DEFAULTS, **drive}
-    return {name: float(np.float32(table[name])) for name in keyword_parameters(function) if name in table}
+    return settings(**{name: float(np.float32(table[name])) for name in names(settings) if name in table})
 
 
-def _of(module: ModuleType, short: str, source: str, signature: Callable[..., Any] | None = None) -> Entry:
+def _of(module: ModuleType, short: str, source: str) -> Entry:
     name = module.__name__.rpartition(".")[2]
-    make = module.make_params
-    return Entry(name, short, source, module.init, module.run, make, signature or make)
+    return Entry(name, short, source, module.init, module.run, module.make_params, module.Settings)
 
 
 def _nothing(*_: object) -> None:
@@ -121,9 +112,9 @@ def _by_the_front_end(
 
 _KIM = "Kim et al. 2011, DOI 10.1109/TIE.2010.2098367"
 _ENTRIES = (
-    Entry("average_speed", "avg", f"(1)-(2) of {_KIM}; [13]", _nothing, _by_the_front_end, _nothing, _nothing),
+    Entry("average_speed", "avg", f"(1)-(2) of {_KIM}; [13]", _nothing, _by_the_front_end, _nothing, NoSettings),
     _of(vector_tracking, "vt", f"(3)-(10) of {_KIM}"),
-    _of(load_angle, "la", f"(3)-(10) with (18)-(19) of {_KIM}", vector_tracking.make_params),
+    _of(load_angle, "la", f"(3)-(10) with (18)-(19) of {_KIM}"),
     _of(zeroth_order, "zero", "[14]: Morimoto et al. 2003"),
     _of(lookup_table, "lut", "[15]: Beccue et al. 2007"),
     _of(hall_vector, "hv", "[16]: Giulii Capponi et al. 2006"),

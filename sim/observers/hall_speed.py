@@ -254,35 +254,3 @@ def at(estimates: Estimates, k: int) -> Estimate:
         estimates.age[k],
         estimates.edge[k],
     )
-
-
-@jit
-def run(
-    params: Params,
-    state: State,
-    tick: NDArray[np.int64],
-    hall: NDArray[np.uint8],
-    edge_tick: NDArray[np.int64],
-    edge_hall: NDArray[np.uint8],
-    reset: NDArray[np.bool_],
-) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each sample where `reset` is set.
-
-    `tick`, `hall`, `reset`: shape (n,). `edge_tick`, `edge_hall`: shape (m,), rising ticks; an edge is
-    taken in with the first sample at or after it, and edges after the last sample are left alone (give them
-    again).
-    """
-    n = tick.shape[0]
-    m = edge_tick.shape[0]
-    out = empty(n)
-    first = 0
-    for k in range(n):
-        last = first
-        while last < m and edge_tick[last] <= tick[k]:
-            last += 1
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, tick[k], hall[k], edge_tick, edge_hall, first, last)
-        first = last
-        put(out, k, estimate)
-    return state, out

@@ -39,6 +39,7 @@ pp. 526-535, 2006.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,16 @@ J_TINY = 1e-9  # kg m2, keeps the model from dividing by zero
 TO_UNIT = math.pi / 3.0  # length of the Hall vector whose fundamental has unit length
 SIXTH = 1.0 / 5.0 + 1.0 / 7.0  # of the cross product at 6 theta: harmonics -5 and 7
 TWELFTH = 1.0 / 11.0 + 1.0 / 13.0  # at 12 theta: harmonics -11 and 13
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that it takes."""
+
+    n_p: float
+    psi_f_hat: float  # V s
+    J_hat: float  # kg m2, of the whole shaft
+    bw_hall_vector: float  # Hz
 
 
 class Params(NamedTuple):
@@ -95,25 +106,24 @@ class Estimates(NamedTuple):
     tau_load: NDArray[np.float64]
 
 
-def make_params(
-    pwm_hz: float, *, n_p: float, psi_f_hat: float, J_hat: float, bw_hall_vector: float, decouple: bool = False
-) -> Params:
-    """Constants from the drive's parameters of the same names (V s, kg m2, Hz).
+def make_params(pwm_hz: float, drive: Settings, decouple: bool = False) -> Params:
+    """Constants for control periods at `pwm_hz` Hz; `decouple`: see `hall_vector_decoupled`.
 
-    J_hat is the inertia of the whole shaft. `decouple`: see `hall_vector_decoupled`. Three poles at z = r are
-    k_theta = 1 - r^3, k_omega = 3/2 (1 - r^2) (1 - r) / T_s and k_load = (1 - r)^3 / T_s^2.
+    Three poles at z = r are k_theta = 1 - r^3, k_omega = 3/2 (1 - r^2) (1 - r) / T_s and
+    k_load = (1 - r)^3 / T_s^2.
     """
     T_s = 1.0 / float(pwm_hz)
-    inertia = max(float(J_hat), J_TINY)
-    r = math.exp(-2.0 * math.pi * float(bw_hall_vector) * T_s)
+    inertia = max(float(drive.J_hat), J_TINY)
+    bandwidth = float(drive.bw_hall_vector)
+    r = math.exp(-2.0 * math.pi * bandwidth * T_s)
     return Params(
         T_s=T_s,
-        k_torque=1.5 * float(n_p) ** 2 * float(psi_f_hat) / inertia,
+        k_torque=1.5 * float(drive.n_p) ** 2 * float(drive.psi_f_hat) / inertia,
         k_theta=1.0 - r**3,
         k_omega=1.5 * (1.0 - r**2) * (1.0 - r) / T_s,
         k_load=(1.0 - r) ** 3 / T_s**2,
-        tau_by_a=inertia / float(n_p),
-        omega_decouple=2.0 * math.pi * float(bw_hall_vector) if decouple else math.inf,
+        tau_by_a=inertia / float(drive.n_p),
+        omega_decouple=2.0 * math.pi * bandwidth if decouple else math.inf,
     )
 
 

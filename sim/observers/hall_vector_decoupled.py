@@ -23,13 +23,11 @@ vector-tracking observer", IEEE Trans. Ind. Appl., vol. 44, no. 1, pp. 161-173, 
 from __future__ import annotations
 
 from sim.observers import hall_vector
-from sim.observers.hall_vector import Estimate, Estimates, Params, State, init, run, step
+from sim.observers.hall_vector import Estimate, Estimates, Params, Settings, State, init, run, step
 
-__all__ = ["Estimate", "Estimates", "Params", "State", "init", "make_params", "run", "step"]
+__all__ = ["Estimate", "Estimates", "Params", "Settings", "State", "init", "make_params", "run", "step"]
 
 
-def make_params(pwm_hz: float, *, n_p: float, psi_f_hat: float, J_hat: float, bw_hall_vector: float) -> Params:
-    """Constants from the drive's parameters, as `hall_vector.make_params` takes them."""
-    return hall_vector.make_params(
-        pwm_hz, n_p=n_p, psi_f_hat=psi_f_hat, J_hat=J_hat, bw_hall_vector=bw_hall_vector, decouple=True
-    )
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
+    return hall_vector.make_params(pwm_hz, drive, decouple=True)

@@ -30,6 +30,7 @@ of the dead time's shape: the paper's [20], see `sim.control.dead_time`.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -39,6 +40,7 @@ from sim.numba_cache import jit, kernel
 from sim.observers import edge_learning, voltage_learning
 from sim.observers.average_speed import FASTEST, HALF_SECTOR, centre
 from sim.observers.edge_learning import BY_CODES, BY_SPEED, DEG, NEARER, Edges, Twelve
+from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
 from sim.observers.sample import Sample, Samples, at
 from sim.observers.transforms import clip, wrap
@@ -62,6 +64,22 @@ TAU_I_Q = 1e-3
 TAU_OPPOSED = 10e-3  # s, in which omega gives way to a back-EMF of the other sign
 TINY = 1e-9  # V s, least psi_f
 SENSOR_OF_BIT = (-1, 0, 1, -1, 2, -1, -1, -1)  # that changed; -1: none, or more than one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(HallEdges):
+    """The drive's parameters that it takes; an edge of 0 is not known."""
+
+    n_p: float
+    omega_m_max: float  # mechanical rad/s
+    hall_timeout: float  # s
+    R_s_hat: float  # ohm
+    L_s_hat: float  # H
+    psi_f_hat: float  # V s
+    omega_on: float  # electrical rad/s
+    omega_off: float
+    bw_omega_lpf: float  # Hz
+    learn_edges: float = 1.0  # 0 holds everything that is learned
 
 
 class Params(NamedTuple):
@@ -128,45 +146,23 @@ class Estimates(NamedTuple):
     unused: NDArray[np.int64]
 
 
-def make_params(
-    pwm_hz: float,
-    *,
-    n_p: float,
-    omega_m_max: float,
-    hall_timeout: float,
-    R_s_hat: float,
-    L_s_hat: float,
-    psi_f_hat: float,
-    omega_on: float,
-    omega_off: float,
-    bw_omega_lpf: float,
-    learn_edges: float = 1.0,
-    **edges: float,
-) -> Params:
-    """Constants from the drive's parameters of the same names, in their units (rad/s mechanical, s, ohm, H, V s, Hz).
-
-    `learn_edges`: 0 holds everything that is learned. `edges`: `edge_up_1` … `edge_down_6` (rad), ideal less actual
-    angle of the edge that opens sector 1..6 as it is passed upwards, and of the same boundary passed downwards; 0, the
-    default: not known. Raises TypeError for another name.
-    """
-    names = [f"edge_{way}_{s}" for way in ("up", "down") for s in range(1, 7)]
-    if unknown := sorted(set(edges) - set(names)):
-        raise TypeError(f"make_params has no parameter {unknown[0]!r}")
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
     T_s = 1.0 / float(pwm_hz)
     return Params(
         T_s=T_s,
-        R_s=float(R_s_hat),
-        L_by_T=float(L_s_hat) / T_s,
-        psi_f=max(float(psi_f_hat), TINY),
-        omega_on=float(omega_on),
-        omega_off=max(float(omega_off), 1.0),
-        omega_max=FASTEST * float(n_p) * float(omega_m_max),
-        timeout=float(hall_timeout),
+        R_s=float(drive.R_s_hat),
+        L_by_T=float(drive.L_s_hat) / T_s,
+        psi_f=max(float(drive.psi_f_hat), TINY),
+        omega_on=float(drive.omega_on),
+        omega_off=max(float(drive.omega_off), 1.0),
+        omega_max=FASTEST * float(drive.n_p) * float(drive.omega_m_max),
+        timeout=float(drive.hall_timeout),
         a_e_q=1.0 - math.exp(-T_s / TAU_E_Q),
         a_i_q=1.0 - math.exp(-T_s / TAU_I_Q),
-        a_omega=1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s),
-        learn=int(learn_edges),
-        given=cast("Twelve", tuple(-float(edges.get(name, 0.0)) for name in names)),
+        a_omega=1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s),
+        learn=int(drive.learn_edges),
+        given=cast("Twelve", tuple(-place for place in drive.places())),
     )
 
 

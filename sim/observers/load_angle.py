@@ -10,14 +10,14 @@ Source: (18)-(19) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sim.observers import vector_tracking
-from sim.observers.vector_tracking import Estimate, Estimates, Params, State, init, run, step
+from sim.observers.vector_tracking import Estimate, Estimates, Params, Settings, State, init, run, step
 
-__all__ = ["Estimate", "Estimates", "Params", "State", "init", "make_params", "run", "step"]
+__all__ = ["Estimate", "Estimates", "Params", "Settings", "State", "init", "make_params", "run", "step"]
 
 
-def make_params(pwm_hz: float, *, exact_inverse: bool = True, **drive: float) -> Params:
-    """Constants from the drive's parameters, as `vector_tracking.make_params` takes them."""
-    return vector_tracking.make_params(
-        pwm_hz, exact_inverse=exact_inverse, **{**drive, "load_angle_comp": 1.0, "inject": 0.0}
-    )
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
+    return vector_tracking.make_params(pwm_hz, replace(drive, load_angle_comp=1.0, inject=0.0))

@@ -24,17 +24,27 @@ Hall-effect position observer used in PMSM torque-ripple control", IEEE Trans. I
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.numba_cache import jit, kernel
+from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.sample import Sample, Samples, at
 from sim.observers.transforms import wrap
 
 Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(HallEdges):
+    """The drive's parameters that it takes: the table, and what bounds the speed."""
+
+    n_p: float
+    omega_m_max: float  # mechanical rad/s
 
 
 class Params(NamedTuple):
@@ -69,17 +79,14 @@ class Estimates(NamedTuple):
     omega: NDArray[np.float64]
 
 
-def make_params(pwm_hz: float, *, n_p: float, omega_m_max: float, **edges: float) -> Params:
-    """Constants from the drive's parameters of the same names (rad/s mechanical).
-
-    `edges`: edge_up_1..6 and edge_down_1..6, ideal less actual angle (electrical rad) of the boundary that opens
-    sector 1..6, passed upwards and downwards; one that is not given is 0, where an ideal sensor has it.
-    """
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
+    table = drive.places()
     return Params(
         1.0 / float(pwm_hz),
-        float(n_p) * float(omega_m_max),
-        _boundaries([float(edges.get(f"edge_up_{s}", 0.0)) for s in range(1, 7)]),
-        _boundaries([float(edges.get(f"edge_down_{s}", 0.0)) for s in range(1, 7)]),
+        float(drive.n_p) * float(drive.omega_m_max),
+        _boundaries(table[:6]),
+        _boundaries(table[6:]),
     )
 
 

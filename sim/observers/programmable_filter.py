@@ -34,6 +34,7 @@ rotor flux synthesizer for an induction motor drive", IEEE Trans. Power Electron
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,18 @@ from sim.observers.transforms import wrap
 STAGES = 3
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre beyond which the estimate is not believed
 X_MAX = 1.0  # rad a period: beyond any drive's, and keeps the stages stable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that it takes."""
+
+    R_s_hat: float  # ohm
+    L_s_hat: float  # H
+    psi_f_hat: float  # V s
+    omega_on: float  # electrical rad/s
+    omega_off: float
+    bw_omega_lpf: float  # Hz
 
 
 class Params(NamedTuple):
@@ -95,26 +108,17 @@ class Estimates(NamedTuple):
     on: NDArray[np.int64]
 
 
-def make_params(
-    pwm_hz: float,
-    *,
-    R_s_hat: float,
-    L_s_hat: float,
-    psi_f_hat: float,
-    omega_on: float,
-    omega_off: float,
-    bw_omega_lpf: float,
-) -> Params:
-    """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, rad/s, Hz)."""
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
     T_s = 1.0 / float(pwm_hz)
     return Params(
         T_s=T_s,
-        R_s=float(R_s_hat),
-        L_by_T=float(L_s_hat) / T_s,
-        psi_f=float(psi_f_hat),
-        omega_on=float(omega_on),
-        omega_off=float(omega_off),
-        a_omega=1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s),
+        R_s=float(drive.R_s_hat),
+        L_by_T=float(drive.L_s_hat) / T_s,
+        psi_f=float(drive.psi_f_hat),
+        omega_on=float(drive.omega_on),
+        omega_off=float(drive.omega_off),
+        a_omega=1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s),
     )
 
 

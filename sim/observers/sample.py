@@ -58,6 +58,7 @@ class State(NamedTuple):
     code: int  # after the last edge or sample; -1: none yet
 
 
+Settings = average_speed.Settings
 Params = average_speed.Params
 make_params = average_speed.make_params
 

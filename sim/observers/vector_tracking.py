@@ -39,6 +39,7 @@ Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,32 @@ DELTA_MAX = HALF_SECTOR  # rad, largest load angle
 E_TINY = 1e-6  # V, keeps (7) from dividing by zero where omega_on is zero
 INJECT_OFF, INJECT_BACK_EMF = 0, 1
 TURN = 1.0 - 1e-9  # a turn of the test sine, whose steps add up to 1 but for rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that it takes.
+
+    The gains of Fig. 6 are k_p_vt = 1268 1/s and k_i_vt = 54289 1/s². tau_max = 0.5 ms is ours: longer lets
+    the ripple of omega_h through (6), shorter the noise of the currents.
+    """
+
+    R_s_hat: float  # ohm
+    L_s_hat: float  # H
+    psi_f_hat: float  # V s
+    k_p_vt: float  # 1/s
+    k_i_vt: float  # 1/s²
+    tau_max: float  # s
+    omega_on: float  # electrical rad/s
+    omega_off: float
+    k_pc: float  # rad/A
+    k_ic: float  # rad/(A s)
+    load_angle_comp: float
+    literal_sgn: float
+    bw_omega_lpf: float  # Hz
+    inject: float = 0.0
+    inject_amplitude: float = 0.0  # rad
+    inject_hz: float = 0.0
 
 
 class Params(NamedTuple):
@@ -122,53 +149,29 @@ class Estimates(NamedTuple):
     sync: NDArray[np.int64]
 
 
-def make_params(
-    pwm_hz: float,
-    *,
-    R_s_hat: float,
-    L_s_hat: float,
-    psi_f_hat: float,
-    k_p_vt: float,
-    k_i_vt: float,
-    tau_max: float,
-    omega_on: float,
-    omega_off: float,
-    k_pc: float,
-    k_ic: float,
-    load_angle_comp: float,
-    literal_sgn: float,
-    bw_omega_lpf: float,
-    inject: float = 0.0,
-    inject_amplitude: float = 0.0,
-    inject_hz: float = 0.0,
-    exact_inverse: bool = True,
-) -> Params:
-    """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
-
-    The gains of Fig. 6 are k_p_vt = 1268 1/s and k_i_vt = 54289 1/s². tau_max = 0.5 ms is ours: longer lets
-    the ripple of omega_h through (6), shorter the noise of the currents.
-    """
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """Constants for control periods at `pwm_hz` Hz."""
     T_s = 1.0 / float(pwm_hz)
     return Params(
         T_s=T_s,
-        R_s=float(R_s_hat),
-        L_by_T=float(L_s_hat) / T_s,
-        k_p=float(k_p_vt),
-        k_i_T=float(k_i_vt) * T_s,
-        a_min=T_s / (T_s + float(tau_max)),
-        omega_on=float(omega_on),
-        omega_off=float(omega_off),
-        e_min=max(float(psi_f_hat) * float(omega_on), E_TINY),
-        e_turn=0.5 * float(psi_f_hat) * float(omega_off),
-        k_pc=float(k_pc),
-        k_ic_T=float(k_ic) * T_s,
-        load_angle_comp=int(load_angle_comp),
-        literal_sgn=int(literal_sgn),
-        exact_inverse=int(exact_inverse),
-        a_omega=1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s),
-        inject=int(inject),
-        inject_amplitude=float(inject_amplitude),
-        inject_turns=float(inject_hz) * T_s,
+        R_s=float(drive.R_s_hat),
+        L_by_T=float(drive.L_s_hat) / T_s,
+        k_p=float(drive.k_p_vt),
+        k_i_T=float(drive.k_i_vt) * T_s,
+        a_min=T_s / (T_s + float(drive.tau_max)),
+        omega_on=float(drive.omega_on),
+        omega_off=float(drive.omega_off),
+        e_min=max(float(drive.psi_f_hat) * float(drive.omega_on), E_TINY),
+        e_turn=0.5 * float(drive.psi_f_hat) * float(drive.omega_off),
+        k_pc=float(drive.k_pc),
+        k_ic_T=float(drive.k_ic) * T_s,
+        load_angle_comp=int(drive.load_angle_comp),
+        literal_sgn=int(drive.literal_sgn),
+        exact_inverse=1,
+        a_omega=1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s),
+        inject=int(drive.inject),
+        inject_amplitude=float(drive.inject_amplitude),
+        inject_turns=float(drive.inject_hz) * T_s,
     )
 
 

@@ -23,6 +23,7 @@ Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,21 @@ QUARTER = 128  # intervals of the table of sines
 SINE: NDArray[np.int64] = np.array(
     [min(round(ONE * math.sin(k * math.pi / (2 * QUARTER))), INT16_MAX) for k in range(QUARTER + 1)], np.int64
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The drive's parameters that it takes."""
+
+    R_s_hat: float  # ohm
+    L_s_hat: float  # H
+    psi_f_hat: float  # V s
+    k_p_vt: float  # 1/s
+    k_i_vt: float  # 1/s²
+    tau_max: float  # s
+    omega_on: float  # electrical rad/s
+    omega_off: float
+    bw_omega_lpf: float  # Hz
 
 
 class Constants(NamedTuple):
@@ -129,22 +145,8 @@ def _gain(value: float) -> int:
     return min(max(round(ONE * value), 1), INT16_MAX)
 
 
-def make_params(
-    pwm_hz: float,
-    base_u: float = 32.0,
-    base_i: float = 32.0,
-    *,
-    R_s_hat: float,
-    L_s_hat: float,
-    psi_f_hat: float,
-    k_p_vt: float,
-    k_i_vt: float,
-    tau_max: float,
-    omega_on: float,
-    omega_off: float,
-    bw_omega_lpf: float,
-) -> Params:
-    """Constants from the drive's parameters of the same names, in their units (ohm, H, V s, s, rad/s, Hz, …).
+def make_params(pwm_hz: float, drive: Settings, base_u: float = 32.0, base_i: float = 32.0) -> Params:
+    """Constants for control periods at `pwm_hz` Hz.
 
     `base_u` (V), `base_i` (A): full scale of the 16-bit voltages and currents, which saturate there.
     A constant that does not fit into its integer is the largest that does.
@@ -153,8 +155,8 @@ def make_params(
     step = TWO_PI / (TURN * T_s)  # rad/s, of a turn of 2^-32 a period
     volt = float(base_u) / (1 << 30)
     ohm = float(base_u) / float(base_i)
-    z_now = float(L_s_hat) / T_s + 0.5 * float(R_s_hat)
-    z_before = float(L_s_hat) / T_s - 0.5 * float(R_s_hat)
+    z_now = float(drive.L_s_hat) / T_s + 0.5 * float(drive.R_s_hat)
+    z_before = float(drive.L_s_hat) / T_s - 0.5 * float(drive.R_s_hat)
     z_shift = 15
     while z_shift > 0 and round(z_now / ohm * (1 << z_shift)) > INT16_MAX:
         z_shift -= 1
@@ -164,14 +166,14 @@ def make_params(
             z_now=_integer(z_now, z_unit, INT16_MAX),
             z_before=max(min(round(z_before / z_unit), INT16_MAX), -INT16_MAX),
             z_shift=z_shift,
-            a_min=_gain(T_s / (T_s + float(tau_max))),
-            k_p=_integer(float(k_p_vt), step, TURN_MAX),
-            k_i=_integer(float(k_i_vt), step / T_s, TURN_MAX),
-            turn_on=_integer(float(omega_on), step, TURN_MAX),
-            turn_off=_integer(float(omega_off), step, TURN_MAX),
-            e_min=max(_integer(float(psi_f_hat) * float(omega_on), volt, (1 << 30) - 1), 4),
-            e_turn=_integer(0.5 * float(psi_f_hat) * float(omega_off), volt, (1 << 30) - 1),
-            a_omega=_gain(1.0 - math.exp(-2.0 * math.pi * float(bw_omega_lpf) * T_s)),
+            a_min=_gain(T_s / (T_s + float(drive.tau_max))),
+            k_p=_integer(float(drive.k_p_vt), step, TURN_MAX),
+            k_i=_integer(float(drive.k_i_vt), step / T_s, TURN_MAX),
+            turn_on=_integer(float(drive.omega_on), step, TURN_MAX),
+            turn_off=_integer(float(drive.omega_off), step, TURN_MAX),
+            e_min=max(_integer(float(drive.psi_f_hat) * float(drive.omega_on), volt, (1 << 30) - 1), 4),
+            e_turn=_integer(0.5 * float(drive.psi_f_hat) * float(drive.omega_off), volt, (1 << 30) - 1),
+            a_omega=_gain(1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s)),
         ),
         u_scale=ONE / float(base_u),
         i_scale=ONE / float(base_i),

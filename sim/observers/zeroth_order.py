@@ -13,6 +13,7 @@ low-resolution position sensor", IEEE Trans. Ind. Appl., vol. 39, no. 3, pp. 792
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,11 @@ from sim.numba_cache import jit, kernel
 from sim.observers.average_speed import centre
 from sim.observers.sample import Sample, Samples, at
 from sim.observers.transforms import wrap
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """It takes no parameter of the drive."""
 
 
 class Params(NamedTuple):
@@ -46,8 +52,8 @@ class Estimates(NamedTuple):
     omega: NDArray[np.float64]
 
 
-def make_params(pwm_hz: float) -> Params:
-    """No constants; `pwm_hz` (Hz) is taken because every observer takes it."""
+def make_params(pwm_hz: float, drive: Settings) -> Params:
+    """No constants; the arguments are taken because every observer takes them."""
     return Params()
 
 

@@ -1,4 +1,4 @@
-"""The simulated bench in real time behind a port: `serve` is what `bench sim` and `python -m sim` run.
+"""The simulated bench in real time behind a port: `serve` is what `bench sim` runs.
 
 The server keeps the device in step with the clock, in portions of a few milliseconds, and moves bytes between it
 and its port. It never blocks on the port and never sprints: what it cannot catch up within `MAX_BEHIND` it skips
@@ -12,7 +12,6 @@ import os
 import select
 import signal
 import sys
-import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,7 +24,6 @@ from typing import TYPE_CHECKING
 from protocol.canmap.frame import BusRates
 from protocol.device.tx import TxQueue
 from protocol.links.target import (
-    DEFAULT_DATA_BITRATE,
     MAX_BAUD,
     MAX_BITRATE,
     MAX_DATA_BITRATE,
@@ -52,10 +50,6 @@ MIN_TX_BYTES = 1 << 13
 _WRITE = 1 << 15
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-CONTROLS = """test aids:
-  kill -USR1 PID   pull the cable: the pty vanishes, or the TCP connection and its port
-  kill -USR2 PID   put it back, under the same --link or port"""
-
 EXPOSED = (
     "{} is open to other machines, and HBP has no authentication: whoever reaches it can spin the motor. "
     "Better listen on 127.0.0.1 and let others in by ssh -L"
@@ -73,9 +67,7 @@ class ServeOptions:
     slcan: bool = False
     """On a CAN bus behind an slcan adapter on a pty."""
     socketcand: str | None = None
-    """HOST:PORT of a socketcand server for the CAN bus."""
-    virtual: str | None = None
-    """Channel of python-can's virtual interface, in this process, for the CAN bus. Without any of these: a pty."""
+    """HOST:PORT of a socketcand server for the CAN bus. Without any of these: a pty."""
     rates: BusRates = field(default_factory=BusRates)
     """Of the CAN bus."""
     extended: bool = False
@@ -90,13 +82,11 @@ class ServeOptions:
     """Of noise and jitter; None = another one each time."""
     store: Path | None = None
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
-    exit_with_parent: bool = False
-    """End when stdin reaches its end."""
 
     @property
     def can(self) -> bool:
         """Whether the devices are on a CAN bus."""
-        return self.slcan or self.socketcand is not None or self.virtual is not None
+        return self.slcan or self.socketcand is not None
 
 
 def parse_override(text: str) -> tuple[str, Value]:
@@ -213,16 +203,15 @@ class Server:
         )
 
 
-def serve(options: ServeOptions, say: Say | None = None) -> None:
-    """Serve until SIGINT, SIGTERM, SIGHUP or, if so told, the end of stdin.
+def serve(options: ServeOptions, tell: Say) -> None:
+    """Serve until SIGINT, SIGTERM or SIGHUP.
 
-    Prints `target: …` once it answers, through `say` (default: stdout, flushed); before that, only that it compiles.
+    `tell` gets `target: …` once it answers; before that, only that it compiles.
 
     Raises:
         ConfigError: the configuration or an option is wrong.
         LinkError: the port cannot be made.
     """
-    tell = _print if say is None else say
     params = load_params(options.config, options.overrides)
     port = _make_port(options)
     try:
@@ -240,30 +229,8 @@ def serve(options: ServeOptions, say: Say | None = None) -> None:
                 f"{params.clock.pwm_hz / 1000:g} kHz, pid {os.getpid()}, Ctrl-C ends"
             )
             server = Server(device, port, time.monotonic(), options.baud, tell)
-            _run(server, received, options.exit_with_parent, tell)
+            _run(server, received, tell)
         tell(server.summary())
-    finally:
-        port.close()
-
-
-@contextmanager
-def serving(options: ServeOptions) -> Iterator[str]:
-    """Serve from a thread of this process for as long as the context lasts; gives the target string.
-
-    Raises as `serve`. For scripts and tests, and the only way to reach python-can's virtual interface.
-    """
-    params = load_params(options.config, options.overrides)
-    port = _make_port(options)
-    received: set[int] = set()
-    try:
-        server = Server(_make_device(params, options, _say_nothing), port, time.monotonic(), options.baud)
-        thread = threading.Thread(target=_run, args=(server, received, False, _say_nothing), daemon=True)
-        thread.start()
-        try:
-            yield port.target
-        finally:
-            received.add(signal.SIGTERM)
-            thread.join()
     finally:
         port.close()
 
@@ -272,14 +239,10 @@ def _say_nothing(line: str) -> None:
     pass
 
 
-def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) -> None:
-    parent = [sys.stdin.fileno()] if exit_with_parent else []
+def _run(server: Server, received: set[int], tell: Say) -> None:
     next_step = time.monotonic()
     while not received.intersection(_STOPS):
-        fds = [*server.port.read_fds(), *parent]
-        ready = select.select(fds, [], [], max(0.0, next_step - time.monotonic()))[0]
-        if parent and parent[0] in ready and not os.read(parent[0], 4096):
-            return
+        select.select(server.port.read_fds(), [], [], max(0.0, next_step - time.monotonic()))
         now = time.monotonic()
         server.step(now)
         if now >= next_step:  # else bytes from the host woke it
@@ -296,17 +259,16 @@ def _run(server: Server, received: set[int], exit_with_parent: bool, tell: Say) 
 
 def _stop_at_once(port: Port, tell: Say) -> None:
     """End while it compiles: an exception out of the compiler's callbacks would end in a traceback."""
-    port.close()
-    tell("stopped")
-    os._exit(0)
+    try:
+        port.close()
+        tell("stopped")
+    finally:
+        os._exit(0)
 
 
 @contextmanager
 def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Iterable[int]) -> Iterator[None]:
-    """Handle these signals so for a while; only the main thread can, elsewhere nothing changes."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    """Handle these signals so for a while."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
@@ -315,15 +277,10 @@ def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Itera
             signal.signal(number, old)
 
 
-def can_rates(bitrate: int, fd: bool, data_bitrate: int | None) -> BusRates:
-    """Return the rates of a CAN bus as the command line gives them."""
-    return BusRates(bitrate, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
-
-
 def _make_port(options: ServeOptions) -> Port:
     if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
         raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
-    if options.link is not None and (options.tcp or options.socketcand or options.virtual):
+    if options.link is not None and (options.tcp or options.socketcand):
         raise ConfigError("--link goes with a pty")
     if options.baud is not None and (options.tcp or options.can):
         raise ConfigError("--baud goes with a serial line; a CAN bus has --bitrate")
@@ -336,16 +293,14 @@ def _make_port(options: ServeOptions) -> Port:
 
 def _make_can_port(options: ServeOptions) -> Port:
     check_rates(options.rates)
-    from sim.ports.can_ports import BusPort, SocketcandPort  # python-can costs 0.2 s: only those who need it pay
     from sim.ports.slcan_port import SlcanPort
+    from sim.ports.socketcand_port import SocketcandPort
 
     if options.slcan:
         check_slcan_rates(options.rates)
         return SlcanPort(options.link, options.rates, options.extended)
-    if options.socketcand is not None:
-        return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
-    assert options.virtual is not None
-    return BusPort.virtual(options.virtual, options.rates, options.extended)
+    assert options.socketcand is not None
+    return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
 
 
 def check_rates(rates: BusRates) -> None:
@@ -396,10 +351,3 @@ def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> Simul
     # compiles, or loads what was compiled, the lengths of CAN frames too: a heartbeat is on its way
     SimulatedDevice(params, network=_make_network(options)).advance(32)
     return device
-
-
-def _print(line: str) -> None:
-    try:
-        print(line, flush=True)
-    except OSError:  # whoever read this has gone, or the disk is full: nothing else may fail for it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

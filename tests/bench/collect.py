@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.analysis.chunks import join, part
-from bench.device.client import Client, SinkBase
+from bench.device.client import Client, Sink
 from bench.device.node import DRIVE, LOAD, Node
-from bench.errors import DoesNotFit
+from bench.rig.streams import configure
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bench.observers.estimators import HostObservers
 
 
-class Collector(SinkBase):
+class Collector(Sink):
     def __init__(self) -> None:
         self.chunks: list[SampleChunk | EdgeChunk] = []  # in the order in which they came
         self.events: list[tuple[int, DeviceEvent]] = []
@@ -86,14 +86,9 @@ class Bench:
         """Stream edges and samples; returns the decimation, which is a larger one where the link carries no more."""
         self.drive.stop_streams()
         self.drive.set_edges()
-        channels = self.drive.channels(names)
-        try:
-            self.drive.set_samples(channels, decimation)
-        except DoesNotFit as error:
-            decimation = error.decimation
-            self.drive.set_samples(channels, decimation)
+        config = configure(self.drive, [self.drive.channels(names)], decimation, slower=True)
         self.drive.start_streams()
-        return decimation
+        return config.decimation
 
     def rest(self) -> None:
         """Leave both machines as the next host expects to find them."""

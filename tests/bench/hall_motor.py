@@ -66,7 +66,7 @@ def capture(motor: Motor) -> Capture:
     at = np.searchsorted(edge_tick, ticks, side="right")
     hall = codes[at]
     channels = tuple(c for c in DRIVE_CHANNELS if c.name not in motor.without and not c.flags & Flag.TRUTH)
-    config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, channels, 32)
+    config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, channels, 32, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     values = _values(motor, ticks / TICK_HZ, theta, omega, hall)
     raw = np.zeros(len(theta), config.dtype)
     for channel in channels:
@@ -74,14 +74,14 @@ def capture(motor: Motor) -> Capture:
             raw[channel.name] = np.round(values[channel.name] / channel.scale)
     index = np.arange(len(theta), dtype=np.int64)
     samples = SampleChunk(config, index, ticks, raw, ())
-    edges = StreamConfig(1, 1, 2, StreamEvent.EDGES, 1, (), 32)
+    edges = StreamConfig(1, 1, 2, StreamEvent.EDGES, 1, (), 32, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     n = len(edge_tick)
     chunk = EdgeChunk(
         edges, edge_tick, codes[:-1].astype(np.uint8), codes[1:].astype(np.uint8), np.zeros(n, np.bool_),
         np.zeros(n, np.uint16), np.arange(n, dtype=np.int64), (),
     )  # fmt: skip
     parameters = {"n_p": float(motor.n_p), "R_s_hat": R_S, "L_s_hat": L_S} | motor.parameters
-    return Capture(samples, chunk, TICK_HZ, PWM_HZ, parameters)
+    return Capture(samples, chunk, parameters)
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -91,7 +91,7 @@ def record_made_up(
         wraps = channel.flags & Flag.WRAPS
         raw[channel.name] = np.mod(column + np.pi, 2 * np.pi) - np.pi if wraps else column
     info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters=parameters)
-    config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, tuple(channels), 25)
+    config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, tuple(channels), 25, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     index = np.arange(len(theta), dtype=np.int64) * decimation
     sink = FileSink(path, info, wait=True)
     sink.samples(SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ()))

@@ -15,7 +15,7 @@ from cobs import cobs
 from collect import Bench, Collector
 from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, run, simulated
 
-from bench.device.client import Client, SinkBase
+from bench.device.client import Client, Sink
 from bench.device.node import Node
 from bench.errors import RecordingError
 from bench.live import run as live
@@ -285,7 +285,7 @@ def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network
     assert after.samples.samples > losses.samples.samples + 0.3 * 16000 / decimation
 
 
-class Ages(SinkBase):
+class Ages(Sink):
     """How old the samples were when they came, by the clock that a run gives to its outputs."""
 
     def __init__(self, host_time: Callable[[float], float | None], now: Callable[[], float]) -> None:

@@ -68,7 +68,9 @@ def test_a_wrong_name_is_refused_before_anything_is_started(monkeypatch: pytest.
 
 def test_all_else_is_handed_on_as_it_came() -> None:
     bench = Bench(WatchedLink(simulated()))
-    estimators = Estimators(["average_speed"], bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz)
+    estimators = Estimators(
+        ["average_speed"], bench.drive.parameters(), bench.drive.set_samples(bench.drive.channels(None), 1)
+    )
     plain, augmented = bench.collector, Collector()
     augmenter = Augmenter(estimators, bench.drive.channels(None))
     bench.client.sinks.append(AugmentedSinks(augmenter, bench.hello.node, [augmented]))

@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import can.interfaces
 import pytest
+from virtual_bus import on_virtual_bus
 from virtual_run import RecordingScreen
 
 from bench.cli import main
@@ -23,21 +24,17 @@ from protocol.canmap.frame import BusRates
 from protocol.errors import LinkClosed, NoReply, RemoteProtocolError
 from protocol.links import open_link
 from protocol.messages import Role
-from sim.ports.server import ServeOptions, serving
-
-PATIENT = {"firmware.watchdog": 1.0, "load.watchdog": 1.0}
 
 
 @pytest.fixture(scope="module")
 def classic() -> Iterator[str]:
-    with serving(ServeOptions(virtual="cli", overrides=PATIENT)) as target:
+    with on_virtual_bus("cli") as target:
         yield target
 
 
 @pytest.fixture(scope="module")
 def fd() -> Iterator[str]:
-    rates = BusRates(1_000_000, 8_000_000)
-    with serving(ServeOptions(virtual="cli-fd", rates=rates, extended=True, overrides=PATIENT)) as target:
+    with on_virtual_bus("cli-fd", BusRates(1_000_000, 8_000_000), extended=True) as target:
         yield target
 
 
@@ -169,7 +166,7 @@ def test_host_observers_need_every_period(classic: str) -> None:
 
 
 def test_a_bus_that_is_too_slow_for_the_edges_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    with serving(ServeOptions(virtual="slow", rates=BusRates(100_000), overrides=PATIENT)) as target:
+    with on_virtual_bus("slow", BusRates(100_000)) as target:
         _, err = bench(capsys, "live", target, "--fit", "--viewer", "none", code=2)
         assert "error: can:virtual/slow (0.1 Mbit/s) is too slow: the Hall edges alone" in err
         out, _ = bench(capsys, "info", target)
@@ -215,7 +212,7 @@ def test_a_bus_that_opens_but_takes_nothing_is_one_outage_and_ends(monkeypatch: 
 
 
 def test_an_adapter_that_is_off_the_bus_is_shown() -> None:
-    with serving(ServeOptions(virtual="off", overrides=PATIENT)) as target:
+    with on_virtual_bus("off") as target:
         link = open_link(target)
         client = Client(link)
         client.connect()

@@ -31,10 +31,10 @@ from protocol.links.can_message import to_messages, to_record
 from protocol.streams import EdgeChunk, LossCounters, SampleChunk
 from protocol.wire import Decoder, StreamFrames
 from sim.config.params import load_params
-from sim.ports.can_ports import SocketcandPort
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 from sim.ports.slcan_port import SlcanPort
+from sim.ports.socketcand_port import SocketcandPort
 from sim.ports.virtual import VirtualLink
 
 EPOCH = 1_700_000_000.0  # s: when a recording begins, for formats that want a date
@@ -149,7 +149,7 @@ class Decoded:
     def __post_init__(self) -> None:
         self._session = HostSession(CanWire(self.case.rates, 1, self.case.extended))
         self._decoders: dict[tuple[int, int], Decoder] = {
-            (s.config.node, s.config.stream): self._session.decoder(s.config, s.tick_hz, s.pwm_hz) for s in self.streams
+            (s.config.node, s.config.stream): self._session.decoder(s.config) for s in self.streams
         }
 
     def feed(self, frames: np.ndarray) -> Decoded:

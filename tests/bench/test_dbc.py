@@ -58,12 +58,16 @@ def samples(
     tick0: int = 0,
     name: str = "drive",
 ) -> NodeStream:
-    config = StreamConfig(node, stream, 7, StreamEvent.PWM, decimation, channels, block, slot, tick0)
-    return NodeStream(name, 20_000_000, 16_000, config)
+    config = StreamConfig(
+        node, stream, 7, StreamEvent.PWM, decimation, channels, block, slot, tick0, tick_hz=20_000_000, pwm_hz=16_000
+    )
+    return NodeStream(name, config)
 
 
 def edges(node: int = 1, slot: int = 0, stream: int = 1, name: str = "drive") -> NodeStream:
-    return NodeStream(name, 20_000_000, 16_000, StreamConfig(node, stream, 8, StreamEvent.EDGES, 1, (), 1, slot))
+    return NodeStream(
+        name, StreamConfig(node, stream, 8, StreamEvent.EDGES, 1, (), 1, slot, tick_hz=20_000_000, pwm_hz=16_000)
+    )
 
 
 def described(database: Load) -> list[tuple[object, ...]]:
@@ -413,5 +417,5 @@ def test_over_an_slcan_adapter(start_sim: Callable[..., Sim], start: Callable[..
     path = tmp_path / "drive.dbc"
     program = start("protocol", "dbc", sim.target, "-o", str(path))
     assert program.end() == 0, program.err
-    expected = [NodeStream("simulated drive", 20_000_000, 16_000, config) for config in configs]
+    expected = [NodeStream("simulated drive", config) for config in configs]
     assert path.read_bytes().decode("cp1252") == dbc_text(expected, FD, False)

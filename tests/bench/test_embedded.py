@@ -1,16 +1,19 @@
-"""The embedded simulated drive: what it says when it cannot start, and that it survives a terminal's Ctrl-C."""
+"""The embedded simulated drive: what it says when it cannot start, what it survives, and how it ends."""
 
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
+from collect import Bench
 
 from bench.device.client import Client
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError
 from protocol.links import open_link
+from protocol.messages import DriveState
 
 
 @pytest.mark.parametrize(
@@ -41,3 +44,31 @@ def test_it_is_not_in_the_process_group_that_a_terminal_interrupts() -> None:
         link = open_link(drive.target)
         assert Client(link).connect().name == "simulated drive"
         link.close()
+
+
+def test_it_goes_on_when_nobody_reads_what_it_says() -> None:
+    with EmbeddedDrive() as drive:
+        link = open_link(drive.target)
+        bench = Bench(link)
+        bench.turn(50.0)  # it says that the outputs are on
+        assert bench.drive.stop() == DriveState.IDLE
+        bench.client.run_for(0.1)
+        assert bench.drive.state == DriveState.IDLE
+        assert drive._process.poll() is None
+        link.close()
+
+
+def test_it_ends_while_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+
+    class Enough(Exception):
+        pass
+
+    def note(text: str) -> None:
+        assert text.startswith("compiling the simulation")
+        raise Enough
+
+    drive = EmbeddedDrive(note=note)
+    with pytest.raises(Enough), drive:
+        pass
+    assert drive._process.returncode in (0, -signal.SIGTERM)  # it was not killed

@@ -287,6 +287,7 @@ def test_a_configuration_with_a_negative_resistance(tmp_path: Path, command: tup
         (("--set", "motor.R_s"), r"section\.name=value"),
         (("--pty", "--tcp", "127.0.0.1:0"), r"choose one of --tcp, --pty"),
         (("--tcp", "127.0.0.1"), r"HOST:PORT"),
+        (("--tcp", "127.0.0.1:99999"), r"from 0 to 65535"),
         (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud goes with a serial line"),
         (("--slcan", "--baud", "9600"), r"a CAN bus has --bitrate"),
         (("--slcan", "--data-bitrate", "5000000"), r"--data-bitrate is that of CAN FD: add --fd"),

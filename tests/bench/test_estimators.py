@@ -14,7 +14,7 @@ from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
-from protocol.signals import SHORT, AngleSource, Injection, Status
+from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap
 from sim.observers.catalogue import CATALOGUE, DEFAULTS
 
@@ -22,8 +22,9 @@ ALL = tuple(f"+{name}" for name in CHECKED)
 """Also what is streamed on request only."""
 
 
-def host_observers(bench: Bench) -> HostObservers:
-    return HostObservers(bench.drive.parameters(), bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
+def host_observers(bench: Bench, **parameters: float) -> HostObservers:
+    """For what `bench` has streamed."""
+    return HostObservers(bench.drive.parameters() | parameters, bench.collector.all_samples().config)
 
 
 @pytest.mark.parametrize("where", [Injection.BACK_EMF, Injection.HALL])
@@ -41,17 +42,18 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     compared, differ = feed(host_observers(bench), samples, collected.all_edges(), np.array([], int))
     assert compared > 5000
     assert differ == 0
-    still = HostObservers(bench.drive.parameters() | {"inject": 0.0}, bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED)
+    still = host_observers(bench, inject=0.0)
     assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
 
 
 def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run: Path) -> None:
     recorded = read_run(drive_run)
     info, samples, edges = recorded.info, recorded.samples, recorded.edges
-    whole = HostObservers(info.parameters, info.tick_hz, info.pwm_hz, CHECKED)
+    every = tuple(channel for channel in DRIVE_CHANNELS if channel.name in CHECKED)
+    whole = HostObservers(info.parameters, replace(samples.config, channels=every))
     whole.edges(edges)
     expected, valid = whole.samples(samples)
-    estimators = Estimators(tuple(CATALOGUE), info.parameters, info.tick_hz, info.pwm_hz)
+    estimators = Estimators(tuple(CATALOGUE), info.parameters, samples.config)
     cuts = np.sort(np.random.default_rng(4).choice(len(samples), 200, replace=False))
     pieces, sent = [], 0
     for first, last in zip([0, *cuts], [*cuts, len(samples)], strict=True):
@@ -90,9 +92,9 @@ def test_defaults_are_those_of_the_simulated_drive() -> None:
         assert entry.make_params(16_000.0, motor) == entry.make_params(16_000.0, parameters), entry.name
 
 
-def test_an_observer_that_lacks_a_parameter_names_it() -> None:
+def test_an_observer_that_lacks_a_parameter_names_it(drive_run: Path) -> None:
     with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not tell"):
-        Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, 20e6, 16e3)
+        Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, read_run(drive_run).samples.config)
 
 
 def test_observers_that_lack_a_parameter_are_left_out() -> None:
@@ -115,9 +117,7 @@ def test_another_parameter_shows_as_a_difference() -> None:
     bench.turn(50.0)
     bench.client.run_for(0.5)
     for name in ("k_p_vt", "k_i_vt", "L_s_hat", "bw_omega_lpf"):
-        observers = HostObservers(
-            parameters | {name: parameters[name] * 2}, bench.hello.tick_hz, bench.hello.pwm_hz, CHECKED
-        )
+        observers = host_observers(bench, **{name: parameters[name] * 2})
         collected = bench.collector
         compared, differ = feed(observers, collected.all_samples(), collected.all_edges(), np.array([], int))
         assert compared > differ > 1000, name
@@ -125,7 +125,6 @@ def test_another_parameter_shows_as_a_difference() -> None:
 
 def test_each_checked_channel_is_checked() -> None:
     bench = Bench(WatchedLink(simulated()))
-    observers = host_observers(bench)
     bench.stream(ALL)
     bench.turn(50.0)
     bench.client.run_for(0.4)
@@ -134,7 +133,7 @@ def test_each_checked_channel_is_checked() -> None:
         raw = samples.raw.copy()
         raw[name][-7] += 1
         assert feed(host_observers(bench), replace(samples, raw=raw), edges, np.array([], int))[1] == 1, name
-    assert feed(observers, samples, edges, np.array([], int))[1] == 0
+    assert feed(host_observers(bench), samples, edges, np.array([], int))[1] == 0
 
 
 @pytest.mark.parametrize("kind", ["samples", "edges"])
@@ -192,8 +191,7 @@ def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
     assert seen is not None
     assert seen["different"] == 0
     recorded = read_run(tmp_path / "a.rrd")
-    channels = [channel.name for channel in recorded.info.channels]
-    observers = HostObservers(recorded.info.parameters, recorded.info.tick_hz, recorded.info.pwm_hz, channels)
+    observers = HostObservers(recorded.info.parameters, recorded.samples.config)
     cuts = np.sort(np.random.default_rng(2).choice(len(recorded.samples), 50, replace=False))
     assert feed(observers, recorded.samples, recorded.edges, cuts) == (seen["compared"], 0)
 
@@ -217,7 +215,7 @@ def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> No
     info, samples, edges = recorded.info, recorded.samples, recorded.edges
     assert len(edges) > 200
     last = int(np.searchsorted(samples.tick, edges.tick[100], side="right"))
-    estimators = Estimators(["avg"], info.parameters, info.tick_hz, info.pwm_hz)
+    estimators = Estimators(["avg"], info.parameters, samples.config)
     estimators.edges(part(edges, 0, 50))
     estimators.edges(part(edges, 60, 101))
     estimators.edges(part(edges, 190, 200))  # lost before it, and not covered by any sample before the reboot

@@ -9,7 +9,7 @@ from scipy import stats
 
 from bench.errors import BenchError
 from bench.hall import pulses, reference
-from bench.hall.edges import _t, measure
+from bench.hall.edges import measure
 from bench.hall.trace import PULSE, trace
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
@@ -59,11 +59,6 @@ def test_jitter_and_confidence_are_those_of_the_passages():
         assert jitter.mean() == pytest.approx(0.5, rel=0.12)
         assert half.mean() == pytest.approx(0.5 * 2.0 / math.sqrt(found.edges[0].up.n), rel=0.5)
     assert stats.binomtest(inside, widths, 0.95).pvalue > 1e-3  # 95 % of 144, neither fewer nor more
-
-
-def test_students_t_is_that_of_the_tables():
-    for freedom in (1, 2, 3, 4, 5, 6, 8, 12, 30, 200, 10**6):
-        assert _t(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1.5e-3)
 
 
 def test_a_delay_is_told_from_the_place_of_an_edge_by_speeds_that_differ():

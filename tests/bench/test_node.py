@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from collect import Bench
 from processes import Sim
+from virtual_bus import PATIENT, on_virtual_bus
 from virtual_run import NETWORKS, WatchedLink, simulated
 
 from bench.device.client import Client
@@ -25,10 +26,7 @@ from protocol.messages import DriveState, EventCode, Fault, Feature, Role
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
 from protocol.streams import SampleChunk
 from sim.ports.device import SimulatedDevice
-from sim.ports.server import ServeOptions, serving
 
-FD = BusRates(1_000_000, 5_000_000)
-PATIENT = {"firmware.watchdog": 1.0, "load.watchdog": 1.0}
 SIMS = {
     "pty": ("--pty",),
     "tcp": ("--tcp", "127.0.0.1:0"),
@@ -38,8 +36,8 @@ SIMS = {
     "socketcand": ("--socketcand", "127.0.0.1:0"),
 }
 IN_PROCESS = {
-    "virtual": ServeOptions(virtual="bench", overrides=PATIENT),
-    "virtual, FD": ServeOptions(virtual="bench-fd", rates=FD, overrides=PATIENT),
+    "virtual": BusRates(),
+    "virtual, FD": BusRates(1_000_000, 5_000_000),
 }
 
 
@@ -64,7 +62,7 @@ def target(request: pytest.FixtureRequest) -> Iterator[str]:
     if request.param in NETWORKS:
         yield request.param
     elif request.param in IN_PROCESS:
-        with serving(IN_PROCESS[request.param]) as name:
+        with on_virtual_bus(request.param, IN_PROCESS[request.param]) as name:
             yield name
     else:
         sim = Sim(*SIMS[request.param], *(f"--set={key}={value}" for key, value in PATIENT.items()))

@@ -60,7 +60,7 @@ OUTPUTS = {
     "score --write-expect": (("score", "run.rrd", "--write-expect", "{}"), 2),
     "info --json": (("info", "serial:x", "--json", "{}"), 2),
     "devices --json": (("devices", "--json", "{}"), 2),
-    "dbc -o": (("protocol", "dbc", "-o", "{}"), 2),
+    "dbc -o": (("protocol", "dbc", "can:virtual/x", "-o", "{}"), 2),
 }
 BAD_PLACES = {
     "missing/x": "there is no directory",
@@ -244,7 +244,6 @@ def printing(run: Path) -> list[tuple[str, ...]]:
         ("--help",),
         ("--version",),
         ("completion", "bash"),
-        ("protocol", "dbc", "--channels", "i_a"),
         *with_json(run).values(),
         ("info", "serial:x", "--json"),
     ]

@@ -60,8 +60,7 @@ def go(source: AngleSource, compensation: int, path: Path) -> tuple[RunStatistic
     info = RunInfo(
         tick_hz=hello.tick_hz, pwm_hz=hello.pwm_hz, channels=channels, parameters=parameters, node=hello.node
     )
-    names = [channel.name for channel in channels]
-    live = RunStatistics(hello.node, HostObservers(parameters, hello.tick_hz, hello.pwm_hz, names))
+    live = RunStatistics(hello.node, HostObservers(parameters, drive.set_samples(channels, 1)))
     sink = FileSink(path, info, wait=True)
     client.sinks = [sink, live]
     client.run_for(0.01)  # past the drive's first period, which initialises them too
@@ -121,13 +120,13 @@ def test_live_on_the_host_no_sample_differs(told: Told) -> None:
 def test_from_the_recording_no_sample_differs_in_chunks(told: Told) -> None:
     info, samples = told.recorded.info, told.recorded.samples
     cuts = np.sort(np.random.default_rng(1).choice(len(samples), 200, replace=False))
-    observers = HostObservers(info.parameters, info.tick_hz, info.pwm_hz, CHECKED)
+    observers = HostObservers(info.parameters, samples.config)
     assert feed(observers, samples, told.recorded.edges, cuts) == (len(samples) - started(told), 0)
 
 
 def test_from_the_recording_in_one_piece_each_observer_gives_the_drives_counts(told: Told) -> None:
     info, samples, start = told.recorded.info, told.recorded.samples, started(told)
-    estimators = Estimators(tuple(CATALOGUE), info.parameters, info.tick_hz, info.pwm_hz)
+    estimators = Estimators(tuple(CATALOGUE), info.parameters, samples.config)
     estimators.edges(told.recorded.edges)
     found = estimators.samples(samples)
     assert estimators.restarts == {"start": 1, "drive": 1, "lost_samples": 0, "lost_edges": 0}

@@ -113,7 +113,7 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     assert (result.lost_samples, result.lost_edges) == ((width, 0) if lost == "samples" else (0, 2))
     samples = read_run(tmp_path / "out.rrd").samples
     assert [(g.position, g.lost_samples) for g in samples.gaps] == ([(gap, width)] if lost == "samples" else [])
-    at_once = Estimators(["vector_tracking"], run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
+    at_once = Estimators(["vector_tracking"], run.info.parameters, run.samples.config)
     rest = part(samples, anew, len(samples))
     later = int(np.searchsorted(run.edges.tick, samples.tick[anew - 1], side="right"))  # edges in the gap count
     at_once.edges(replace(part(run.edges, later, len(run.edges)), gaps=()))

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tests.benchmarks.table import Row
+from tests.sim.drive.rig import error_deg
 from tests.sim.plant.test_integrator import voltage_steps
-from tests.sim.test_accuracy import VECTOR, error_deg, forced, running
+from tests.sim.test_accuracy import VECTOR, running, settled
 
 
 def rows() -> Iterator[Row]:
@@ -17,7 +18,7 @@ def rows() -> Iterator[Row]:
     yield Row("plant, two steps a period: current", current, "A", 1e-5, at_most=True)
     yield Row("plant, two steps a period: angle", angle, "rad", 1e-6, at_most=True)
     for rpm, limit in ((50, 3.5), (500, 3.3), (1000, 4.4)):
-        recorded = forced(running(VECTOR), rpm, 4.0, 1.0, 2.0)
+        recorded = settled(running(VECTOR), rpm, 4.0, 1.0, 2.0)
         vector, average = (float(np.std(error_deg(recorded, name))) for name in ("theta_vt", "theta_avg"))
         yield Row(f"average speed, {rpm} r/min: error", average, "deg std")
         yield Row(f"vector tracking, {rpm} r/min: error", vector, "deg std", limit, at_most=True)

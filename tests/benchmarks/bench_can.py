@@ -69,7 +69,7 @@ def recorded(rates: BusRates, names: Sequence[str], decimation: int, frames: int
         device.session.push_samples(index, index * PERIOD, raw)
         data += device.tx.take()
         index += BEAT
-    return bytes(data), StreamConfig.of(1, request, reply, descriptor)
+    return bytes(data), StreamConfig.of(device.session.identity, request, reply, descriptor)
 
 
 def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat: int = 3) -> float:
@@ -78,7 +78,7 @@ def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat:
     best = float("inf")
     for _ in range(repeat):
         wire = CanWire(rates)
-        decoder = wire.decoder(config, 16_000 * PERIOD, 16_000, TickReference())
+        decoder = wire.decoder(config, TickReference())
         start = time.perf_counter()
         for part in parts:
             for item in wire.feed(part, 0.0):
@@ -92,9 +92,7 @@ def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat:
 
 def theirs(rates: BusRates, config: StreamConfig, data: bytes) -> float:
     """Return the frames/s of cantools."""
-    database = cantools.database.load_string(
-        dbc_text([NodeStream("drive", 16_000 * PERIOD, 16_000, config)], rates, False), "dbc"
-    )
+    database = cantools.database.load_string(dbc_text([NodeStream("drive", config)], rates, False), "dbc")
     records = np.frombuffer(data, CAN_RECORD)
     records = records[records["id"] >> 8 >= CanClass.SAMPLES][:OF_CANTOOLS]
     frames = [(int(record["id"]), record["data"][: record["length"]].tobytes()) for record in records]

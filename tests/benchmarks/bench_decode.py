@@ -60,8 +60,8 @@ def measure(channels: tuple[Signal, ...], n: int = 500_000, read: int = 65_536, 
         data = tx.take()
 
         host = HostSession()
-        config = StreamConfig.of(1, request, reply, descriptor)
-        decoder = SampleDecoder(config, TICKS, host.tick_reference(1))
+        config = StreamConfig.of(identity, request, reply, descriptor)
+        decoder = SampleDecoder(config, host.tick_reference(1))
         pieces = [data[k : k + read] for k in range(0, len(data), read)]
         chunks = []
         start = time.perf_counter()

@@ -18,13 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.signals import DRIVE_CHANNELS
 from sim.observers import sample, vector_tracking, vector_tracking_q15
-from sim.observers.bank import FRONT_PARAMETERS
-from sim.observers.catalogue import CATALOGUE
+from sim.observers.catalogue import CATALOGUE, chosen
 from tests.benchmarks.table import Row
+from tests.sim.drive.rig import PWM_HZ, SCALE, column
 from tests.sim.observers import q15_harness
-from tests.sim.test_accuracy import PWM_HZ, VECTOR, column, forced, running
+from tests.sim.test_accuracy import VECTOR, running, settled
 
 SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
 LOADS = (1.0, 4.0, 8.0)  # A
@@ -52,18 +51,17 @@ def _degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 def _recorded(rpm: int, i_q: float) -> tuple[dict[str, float], sample.Samples, NDArray[np.float64]]:
     """The drive's parameters, what its observers saw, and the plant's angle."""
     bench = running(VECTOR)
-    got = forced(bench, rpm, i_q, 1.0, SETTLE + MEASURED)
-    scale = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+    got = settled(bench, rpm, i_q, 1.0, SETTLE + MEASURED)
     names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
     n = len(got.samples)
-    front = sample.make_params(TICK_HZ, **{name: bench.parameters[name] for name in FRONT_PARAMETERS})
+    front = sample.make_params(TICK_HZ, chosen(sample.Settings, bench.parameters))
     tick = got.tick + np.arange(n, dtype=np.int64) * (TICK_HZ // PWM_HZ)
     _, seen = sample.run(
         front,
         sample.init(),
         tick,
         np.ascontiguousarray(got.samples["hall"]),
-        *(got.samples[name] * scale[name] for name in names),
+        *(got.samples[name] * SCALE[name] for name in names),
         np.zeros(n),
         got.edge_tick,
         got.edges["codes"] >> 3 & 7,

@@ -13,24 +13,13 @@ import numpy as np
 
 from protocol.signals import AngleSource
 from sim.observers import learned_edges, vector_tracking
+from sim.observers.catalogue import CATALOGUE
+from tests.benchmarks.replay import Run, Telemetry
 from tests.benchmarks.table import Row
 from tests.sim.observers.ideal_motor import error_deg
-from tests.sim.observers.replay import Run, Telemetry
 
 SOURCE = AngleSource.LEARNED_EDGES
 PWM_HZ = 16_000
-NEEDS = (
-    "n_p",
-    "omega_m_max",
-    "hall_timeout",
-    "R_s_hat",
-    "L_s_hat",
-    "psi_f_hat",
-    "omega_on",
-    "omega_off",
-    "bw_omega_lpf",
-)
-VT_NEEDS = (*NEEDS[3:], "k_p_vt", "k_i_vt", "tau_max", "k_pc", "k_ic", "load_angle_comp", "literal_sgn")
 WRONG = {"R_s_hat": 0.158 * 1.3, "L_s_hat": 0.176e-3 * 1.2, "psi_f_hat": 6.55e-3 * 0.9}
 LOAD = 0.05895  # N·m/A
 SLICE = 8000  # samples of a timed run: so short that other load on the machine misses some
@@ -66,7 +55,7 @@ def transient() -> Run:
 
 def replayed(run: Run, telemetry: Telemetry) -> learned_edges.Estimates:
     """The observer on a run's telemetry, with the drive's parameters."""
-    params = learned_edges.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in NEEDS})
+    params = CATALOGUE["learned_edges"].make_params(PWM_HZ, run.bench.parameters)
     return learned_edges.run(params, learned_edges.init(), telemetry.samples, telemetry.reset)[1]
 
 
@@ -84,8 +73,8 @@ def nanoseconds() -> tuple[float, float]:
     run = Run(None, 1, SOURCE)
     run.forced(1000, 4, SLICE / PWM_HZ)
     telemetry = run.telemetry()
-    own = learned_edges.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in NEEDS})
-    other = vector_tracking.make_params(PWM_HZ, **{name: run.bench.parameters[name] for name in VT_NEEDS})
+    own = CATALOGUE["learned_edges"].make_params(PWM_HZ, run.bench.parameters)
+    other = CATALOGUE["vector_tracking"].make_params(PWM_HZ, run.bench.parameters)
     best = [np.inf, np.inf]
     for _ in range(REPEAT):
         for k, (module, params) in enumerate(((learned_edges, own), (vector_tracking, other))):

@@ -23,7 +23,7 @@ from tests.benchmarks.table import Row
 @contextmanager
 def simulated_drive(*arguments: str) -> Iterator[tuple[str, psutil.Process]]:
     """The simulated drive in a process of its own: target and process."""
-    command = [sys.executable, "-m", "sim", *arguments]
+    command = [sys.executable, "-m", "bench", "sim", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
     try:
         assert process.stdout is not None

@@ -61,7 +61,7 @@ def alone(run: Run) -> dict[str, float]:
     names = list(CATALOGUE)
     best: dict[str, float] = {}
     for _ in range(REPEAT):
-        estimators = Estimators(names, run.info.parameters, run.info.tick_hz, run.info.pwm_hz)
+        estimators = Estimators(names, run.info.parameters, run.samples.config)
         estimators.edges(run.edges)
         n = len(run.samples)
         for k in range(0, n, PIECE):

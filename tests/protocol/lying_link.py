@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from small_drive import CHANNELS, TICKS, SmallDrive, identity, samples, small_link
+from small_drive import CHANNELS, TICKS, SmallDrive, identity, pack_edges, samples, small_link
 
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import CanWire
 from protocol.device.session import DeviceLink, TxQueue
 from protocol.framing import Deframer, Frame, encode_frame, parse_frame
-from protocol.streams import pack_edges
 from protocol.wire import ByteWire, HostWire
 
 Lie = Callable[[Frame], Frame]
@@ -76,7 +75,7 @@ class LyingLink:
 class LyingCanLink(LyingLink):
     """A sound small drive on a CAN FD bus, whose messages `lie` changes; its stream frames are as they should be."""
 
-    def __init__(self, lie: Lie) -> None:
+    def __init__(self, lie: Lie = lambda frame: frame) -> None:
         self._can = CanDevice(SmallDrive(), identity(boot_id=0xB0071D), CAN_FD)
         self._can.advance(0)
         link = DeviceLink(self._can.tx)

@@ -8,6 +8,7 @@ from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
 from protocol.messages import DriveState, ErrorCode, Fault, Feature, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
+from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
 
 TICKS = 1250  # in a PWM period
 CHANNELS = (
@@ -100,3 +101,12 @@ def samples(index0: int, n: int) -> np.ndarray:
     raw["i_a"] = index % 2001 - 1000
     raw["count"] = index & 0xFFFFFFFF
     return raw
+
+
+def pack_edges(tick, hall_old, hall_new, illegal, encoder):
+    """Edges as wire records (EDGE_RECORD): ticks and encoder counts are cut to 32 and 16 bits."""
+    records = np.zeros(len(tick), EDGE_RECORD)
+    records["tick"] = tick & 0xFFFFFFFF
+    records["codes"] = hall_old | hall_new << 3 | np.where(illegal, EDGE_ILLEGAL, 0).astype(np.uint8)
+    records["encoder"] = encoder & 0xFFFF
+    return records

@@ -43,12 +43,6 @@ def test_record_layout() -> None:
     assert Descriptor.of([signal], []).pack() == expected
 
 
-def test_the_scale_is_what_float32_holds() -> None:
-    channel = Descriptor.of(DRIVE_CHANNELS, []).channel("theta_enc")
-    assert channel.scale == float(np.float32(np.pi / 32768))
-    assert Descriptor.of(DRIVE_CHANNELS, []).channel("i_a").scale == 1 / 1024  # exact in float32: no rounding
-
-
 def test_dtype_is_packed_in_order() -> None:
     dtype = sample_dtype(DRIVE_CHANNELS)
     assert dtype.itemsize == sum(np.dtype(c.raw.dtype).itemsize for c in DRIVE_CHANNELS) == 83
@@ -78,10 +72,6 @@ def test_a_parameter_is_a_float32_whatever_its_record_says() -> None:
     blob[2], blob[8:16] = 99, b"\xff" * 8
     (parameter,) = Descriptor.unpack(bytes(blob)).parameters
     assert (parameter.raw, parameter.scale, parameter.offset) == (RawType.F32, 1.0, 0.0)
-
-
-def test_a_device_may_have_neither_channels_nor_parameters() -> None:
-    assert Descriptor.unpack(b"") == Descriptor((), ())
 
 
 BLOB = Descriptor.of(LOAD_CHANNELS, LOAD_PARAMETERS).pack()

@@ -158,14 +158,6 @@ def test_a_repeated_request_is_answered_but_not_executed_again(device: Device) -
     assert (app.values["gain"], app.calls) == (7.5, 2)
 
 
-def test_a_refusal_is_repeated_too(device: Device) -> None:
-    wire, session, _ = device
-    assert wire.ask(StateCommand(Command.START), tid=50).code == ErrorCode.WRONG_STATE
-    assert wire.ask(StateCommand(Command.ARM, BOOT_ID), tid=51).state is DriveState.ARMED
-    assert wire.ask(StateCommand(Command.START), tid=50).code == ErrorCode.WRONG_STATE
-    assert session.state is DriveState.ARMED
-
-
 def test_four_replies_are_kept(device: Device) -> None:
     wire, _, app = device
     for tid in (1, 2, 3, 4):
@@ -197,14 +189,6 @@ def test_time_is_never_replayed(device: Device) -> None:
     assert wire.ask(TimeSync(), tid=9).tx_tick == before + HZ // 100
 
 
-def test_replies_are_ignored_by_a_device(device: Device) -> None:
-    wire, session, _ = device
-    wire.frames()
-    wire.link.receive(encode_frame(Frame(MessageType.STATE_CMD, MAJOR | 0x10, 5, 1, b"\1\0\0\0")))
-    assert wire.frames() == []
-    assert session.ignored == 1
-
-
 # States
 
 
@@ -218,18 +202,6 @@ def test_the_way_to_running_and_back(device: Device) -> None:
     assert app.states == [DriveState.IDLE, DriveState.ARMED, DriveState.RUNNING, DriveState.IDLE]
     assert wire.ask(StateCommand(Command.STOP)).state is DriveState.IDLE
     assert session.state is DriveState.IDLE
-
-
-def test_start_needs_armed_and_arm_needs_the_token(device: Device) -> None:
-    wire, session, _ = device
-    refused = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.IDLE)
-    assert wire.ask(StateCommand(Command.START)) == refused
-    assert wire.ask(StateCommand(Command.ARM, BOOT_ID + 1)) == error(ErrorCode.BAD_TOKEN, MessageType.STATE_CMD)
-    assert session.state is DriveState.IDLE
-    run(wire)
-    assert wire.ask(StateCommand(Command.START)).state is DriveState.RUNNING  # absolute, not a toggle
-    refused = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.RUNNING)
-    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == refused
 
 
 def test_armed_lapses_after_five_seconds(device: Device) -> None:
@@ -375,16 +347,6 @@ def test_setpoints_are_counted_whether_accepted_or_not(device: Device) -> None:
     assert (beat.setpoint_counter, beat.setpoints_rejected) == (2, 5)
 
 
-def test_a_malformed_setpoint_is_rejected_aloud(device: Device) -> None:
-    wire, session, _ = device
-    run(wire)
-    wire.link.receive(encode_frame(Frame(MessageType.SETPOINT, MAJOR, 0, 1, b"\1")))
-    assert session.setpoints_rejected == 1
-    frames = wire.frames()
-    assert [f.type for f in frames] == [MessageType.EVENT, MessageType.SETPOINT]
-    assert ErrorReply.unpack(frames[1].payload).code == ErrorCode.BAD_LENGTH
-
-
 # Parameters
 
 
@@ -397,16 +359,10 @@ def test_parameters_are_read_with_range_and_default(device: Device) -> None:
     assert (reply.lo, reply.hi) == (float(np.float32(gain.lo)), float(np.float32(gain.hi)))
 
 
-def test_the_reply_is_the_value_really_stored(device: Device) -> None:
+@pytest.mark.parametrize("value", [0.1, 1e-4, 1e5])  # also the ends of the range, although float32 rounds them
+def test_the_reply_is_the_value_really_stored(device: Device, value: float) -> None:
     wire, _, app = device
-    reply = wire.ask(ParamSet(101, 0.1))
-    assert reply.stored == float(np.float32(0.1)) == app.values["gain"]
-
-
-def test_the_ends_of_a_range_can_be_set_although_float32_rounds_them(device: Device) -> None:
-    wire, _, _ = device
-    for limit in (1e-4, 1e5):
-        assert wire.ask(ParamSet(101, limit)).stored == float(np.float32(limit))
+    assert wire.ask(ParamSet(101, value)).stored == float(np.float32(value)) == app.values["gain"]
 
 
 @pytest.mark.parametrize(
@@ -491,16 +447,19 @@ def test_two_nodes_on_one_link() -> None:
     assert (wire.ask(Hello(1), node=2).node, wire.ask(Hello(1), node=1).nodes) == (2, 2)
     link.data_to_send()
     for flags in (REPLY, ERROR, REPLY | ERROR):  # replies are never answered, whomever they are for
-        link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR | flags, 5, 9, b"")))
+        for node in (9, 1):
+            link.receive(encode_frame(Frame(MessageType.PARAM_GET, MAJOR | flags, 5, node, b"")))
     assert link.data_to_send() == b""
-    assert first.ignored == 3
+    assert first.ignored == 6
     wire.ask(StateCommand(Command.ARM, 5), node=2)
     assert (first.state, second.state) == (DriveState.IDLE, DriveState.ARMED)
     wire.ask(ParamSet(101, 9.0), tid=900, node=1)
     wire.ask(ParamSet(101, 9.0), tid=900, node=2)
     assert first_app.values["gain"] == second_app.values["gain"] == 9.0
-    with pytest.raises(ValueError, match="node 2 is taken"):
-        link.add(SmallDrive(), identity(node=2))
+    link.add(SmallDrive(), identity(node=255))
+    for taken in (2, 256):
+        with pytest.raises(ValueError, match=f"node {taken} is taken or not in 1..255"):
+            link.add(SmallDrive(), identity(node=taken))
 
 
 def test_events_leave_room_for_replies(device: Device) -> None:

@@ -1,4 +1,4 @@
-"""10^6 random and 10^5 mutated frames into either end: no exception, nothing accepted, nothing changed."""
+"""Random and mutated frames by the 100 000 into either end: no exception, nothing accepted, nothing changed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, samples, small_link
+from small_drive import TICKS, SmallDrive, identity, pack_edges, samples, small_link
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
@@ -31,10 +31,10 @@ from protocol.messages import (
     StreamStart,
     StreamStop,
 )
-from protocol.streams import SampleDecoder, StreamConfig, TickReference, pack_edges
+from protocol.streams import SampleDecoder, StreamConfig, TickReference
 from protocol.wire import StreamFrames
 
-RANDOM = 1_000_000
+RANDOM = 400_000
 MUTATED = 100_000
 BOOT_ID = 0xB0071D
 
@@ -135,7 +135,7 @@ def host_snapshot(host: HostSession) -> object:
     counters = host.counters
     return (
         host.busy, dict(host.hellos), host.round_trip, counters.unexpected_replies, counters.malformed,
-        counters.unknown_types, counters.other_versions, host.next_deadline(),
+        counters.unknown_types, counters.other_versions, str(host._pending),
     )  # fmt: skip
 
 
@@ -214,7 +214,7 @@ def test_sound_frames_of_nonsense_never_raise_and_never_energise(
     link, session, app = device
     rng = np.random.default_rng(4)
     types = [0x01, 0x02, 0x04, 0x05, 0x10, 0x11, 0x12, 0x13, 0x20, 0x21, 0x30, 0x31, 0x32, 0x40, 0x41, 0x42, 0x43]
-    n = 50_000
+    n = 20_000
     heads = rng.integers(0, 256, (n, 8), np.uint8)
     lengths = rng.choice([0, 4, 8, 12, 16, 20, 36, 40, 68], n).tolist()
     pool = rng.integers(0, 256, 1 << 16, np.uint8).tobytes()
@@ -259,8 +259,8 @@ def test_samples_through_a_damaging_link_are_right_or_missing(seed: int) -> None
             data[position:position] = rng.integers(0, 256, 1 + position % 40, np.uint8).tobytes()
         else:
             data[position] = 0
-    config = StreamConfig.of(1, ask, reply, Descriptor.of(device.app.channels, []))
-    decoder = SampleDecoder(config, TICKS, TickReference())
+    config = StreamConfig.of(identity(), ask, reply, Descriptor.of(device.app.channels, []))
+    decoder = SampleDecoder(config, TickReference())
     host = HostSession()
     delivered = 0
     for start in range(0, len(data), 5000):
@@ -268,7 +268,6 @@ def test_samples_through_a_damaging_link_are_right_or_missing(seed: int) -> None
         for event in iter(host.next_event, None):
             if isinstance(event, StreamFrames):
                 chunk = decoder.decode(event.frames)
-                assert chunk is not None
                 assert (chunk.raw == samples(0, total)[chunk.index]).all()
                 assert (chunk.tick == chunk.index * TICKS).all()
                 delivered += len(chunk)

@@ -1,4 +1,4 @@
-"""Messages beyond their vectors: every value comes back, and what is wrong is named."""
+"""Messages beyond their vectors: what is wrong is named, what is unknown is kept."""
 
 from __future__ import annotations
 
@@ -10,32 +10,6 @@ from hypothesis import strategies as st
 
 from protocol import messages as m
 from protocol.errors import LocalProtocolError
-from protocol.text import printable
-
-u8, u16, u32, tick = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32, 62))
-f32 = st.floats(width=32, allow_nan=False)
-
-some_message = st.one_of(
-    st.builds(m.Hello, u32, u8, u8, u16),
-    st.builds(m.TimeSyncReply, tick, tick),
-    st.builds(m.Alive, u32),
-    st.builds(m.BlobRead, u8, u16, u32),
-    st.builds(lambda *a: m.BlobReply(a[0], len(a[3]), *a[1:]), u8, u32, u32, st.binary(max_size=100)),
-    st.builds(m.ParamReply, u16, f32, f32, f32, f32),
-    st.builds(m.ParamSet, u16, f32),
-    st.builds(m.StateCommand, st.sampled_from(m.Command), u32),
-    st.builds(m.Setpoint, st.sampled_from(m.SetpointMode), u16, f32, f32),
-    st.builds(m.StreamSet, u8, st.sampled_from(m.StreamEvent), u16, u16, st.lists(u16).map(tuple)),
-    st.builds(m.StreamReply, u8, u16, u16, u16, st.floats(0, 2, width=32)),
-    st.builds(m.ErrorReply, u16, u8, f32),
-    st.builds(m.DeviceEvent, tick, u16, u8, f32, f32),
-    st.builds(m.Log, u8, st.text(max_size=50).map(printable)),
-)  # fmt: skip
-
-
-@given(some_message)
-def test_round_trip(message: m.Payload) -> None:
-    assert type(message).unpack(message.pack()) == message
 
 
 @given(
@@ -135,7 +109,3 @@ def test_values_that_do_not_fit_are_refused() -> None:
 def test_error_reply_reads_well() -> None:
     assert str(m.ErrorReply(m.ErrorCode.OUT_OF_RANGE, 0x12, 30.0)) == "OUT_OF_RANGE (30)"
     assert str(m.ErrorReply(4711, 0x12, 0.5)) == "error 4711 (0.5)"
-
-
-def test_not_a_number_survives() -> None:
-    assert math.isnan(m.ParamSet.unpack(m.ParamSet(1, math.nan).pack()).value)

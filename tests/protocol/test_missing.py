@@ -31,7 +31,9 @@ def edges_frame(first: int, n: int) -> bytes:
 
 
 def edge_decoder() -> EdgeDecoder:
-    return EdgeDecoder(StreamConfig(1, 1, 78, StreamEvent.EDGES, 1, (), 8), TickReference())
+    return EdgeDecoder(
+        StreamConfig(1, 1, 78, StreamEvent.EDGES, 1, (), 8, tick_hz=20_000_000, pwm_hz=16_000), TickReference()
+    )
 
 
 @given(st.integers(1, 5), st.sampled_from([1, 3]), st.integers(-5, 200_000), st.integers(0, 2 * WRAP))
@@ -40,7 +42,7 @@ def edge_decoder() -> EdgeDecoder:
 @example(1, 1, TICKS, WRAP - 1)
 def test_the_samples_up_to_a_heartbeat(frames: int, decimation: int, after: int, tick0: int) -> None:
     """`tick0`: of the first sample; `after`: how long after the last one that came the heartbeat is, in ticks."""
-    decoder = SampleDecoder(config(decimation), TICKS, TickReference(tick0))
+    decoder = SampleDecoder(config(decimation), TickReference(tick0))
     decoder.decode(run_of_frames(frames, 0, tick0, decimation=decimation))
     newest = tick0 + (frames * BLOCK - 1) * decimation * TICKS
     made = range(newest + decimation * TICKS, newest + after + 1, decimation * TICKS)  # ticks of the others
@@ -50,7 +52,7 @@ def test_the_samples_up_to_a_heartbeat(frames: int, decimation: int, after: int,
 
 
 def test_samples_of_which_none_has_come_count_from_a_heartbeat_on() -> None:
-    decoder = SampleDecoder(config(3), TICKS, TickReference())
+    decoder = SampleDecoder(config(3), TickReference())
     assert decoder.missing(None, Beat(10**9, 0)) == 0
     assert decoder.missing(Beat(10**9, 0), Beat(10**9 + 30 * TICKS, 0)) == 10
     assert decoder.missing(Beat(10**9, 0), Beat(10**9 - 1, 0)) == 0

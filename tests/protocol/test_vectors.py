@@ -157,9 +157,19 @@ def test_streams(case: dict, feed: str) -> None:
     c, edges = case["config"], case["kind"] == "edges"
     event = StreamEvent.EDGES if edges else StreamEvent.PWM
     channels = tuple(SAMPLE[number - 1] for number in c["ids"])
-    config = StreamConfig(1, c["stream"], c["cfg_id"], event, c["decimation"], channels, c["block"])
+    config = StreamConfig(
+        1,
+        c["stream"],
+        c["cfg_id"],
+        event,
+        c["decimation"],
+        channels,
+        c["block"],
+        tick_hz=c.get("ticks_per_period", 1) * 16_000,
+        pwm_hz=16_000,
+    )
     reference = TickReference(case["reference_tick"])
-    decoder = EdgeDecoder(config, reference) if edges else SampleDecoder(config, c["ticks_per_period"], reference)
+    decoder = EdgeDecoder(config, reference) if edges else SampleDecoder(config, reference)
     deframer = Deframer()
     frames = [raw for wire in case["wire_hex"] for raw in deframer.feed(bytes.fromhex(wire))]
     batches = [frames] if feed == "at once" else [[raw] for raw in frames]
@@ -193,7 +203,7 @@ def test_streams(case: dict, feed: str) -> None:
 
 def test_edge_fields() -> None:
     case = next(case for case in load("streams") if case["kind"] == "edges")
-    config = StreamConfig(1, 2, 7, StreamEvent.EDGES, 1, (), 2)
+    config = StreamConfig(1, 2, 7, StreamEvent.EDGES, 1, (), 2, tick_hz=20_000_000, pwm_hz=16_000)
     decoder = EdgeDecoder(config, TickReference(case["reference_tick"]))
     deframer = Deframer()
     chunk = decoder.decode([raw for wire in case["wire_hex"] for raw in deframer.feed(bytes.fromhex(wire))])
@@ -264,10 +274,12 @@ def test_can_streams(case: dict, feed: str) -> None:
         for n, kind in enumerate(c["types"])
     )
     event = StreamEvent.EDGES if edges else StreamEvent.PWM
-    config = StreamConfig(1, 0, 1, event, c["decimation"], channels, c["block"], c["slot"], c["tick0"])
+    config = StreamConfig(
+        1, 0, 1, event, c["decimation"], channels, c["block"], c["slot"], c["tick0"], tick_hz=20_000_000, pwm_hz=16_000
+    )
     wire = CanWire(rates(c["fd"]))
     beat = Beat(case["reference_tick"], case["reference_edges"])
-    decoder = wire.decoder(config, 20_000_000, 16_000, TickReference())
+    decoder = wire.decoder(config, TickReference())
     records = can_records(case["frames"])
     assert set(records["id"].tolist()) <= set(decoder.ids)
     parts = [records] if feed == "at once" else [records[n : n + 1] for n in range(len(records))]

@@ -1,9 +1,9 @@
 """Parameters of the bench: defaults, files and overrides over them, and what is refused in which words."""
 
-import dataclasses
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource
 from sim.config.params import BenchParams, ConfigError, load_params
@@ -49,7 +49,7 @@ def test_file_then_overrides_replace_single_keys(tmp_path: Path) -> None:
 
 
 def test_params_are_frozen() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
+    with pytest.raises(ValidationError, match="frozen"):
         load_params().motor.R_s = 1.0  # type: ignore[misc]
 
 
@@ -138,6 +138,25 @@ def test_a_number_too_long_for_a_float_is_refused() -> None:
         load_params(None, {"motor.R_s": 10**400})
 
 
+def test_a_key_that_is_not_known_comes_before_what_follows_from_it(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text("[clock]\npwm_hz = 16001\n[motr]\nR_s = 1\n")
+    with pytest.raises(ConfigError, match=r"^unknown key motr in bad.toml; did you mean motor\?$"):
+        load_params(file, {"motor.R_s": -1})
+
+
+def test_a_section_stays_one_whatever_overrides_it(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text("motor = 3")
+    with pytest.raises(ConfigError, match=r"^motor is a section, got 3 \(in bad.toml\)$"):
+        load_params(file, {"motor.R_s": 1})
+
+
+def test_a_whole_number_may_be_written_with_a_point() -> None:
+    n_p = load_params(None, {"motor.n_p": 6.0}).motor.n_p
+    assert (n_p, type(n_p)) == (6, int)
+
+
 def test_sectors_may_not_vanish() -> None:
     assert "sector 2 only 3 deg wide" in refusal("hall", {"delta_deg": [0, -28, 29, 0, 0, 0], "hysteresis_deg": 5})
 
@@ -149,7 +168,7 @@ def test_refusal_names_the_file(tmp_path: Path) -> None:
         load_params(file)
 
 
-@pytest.mark.parametrize("content", [b"[motor\n", b"\xff\xfe"])
+@pytest.mark.parametrize("content", [b"[motor\n", b"\xff\xfe", b"x = " + b"1" * 5000])
 def test_broken_toml(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(content)
@@ -167,5 +186,5 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
 def test_replace_is_checked_too() -> None:
     params = load_params()
     with pytest.raises(ConfigError, match=r"^J must be > 0 kg m2, got 0$"):
-        dataclasses.replace(params.mechanics, J=0.0)
+        params.mechanics.replace(J=0.0)
     assert isinstance(params, BenchParams)

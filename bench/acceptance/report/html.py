@@ -6,13 +6,12 @@ is fetched when it is read. Whatever a test, a drive or a log says is text in it
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bench.acceptance.report import words
@@ -20,6 +19,7 @@ from bench.acceptance.report_files import keep_only
 from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest, untested
 from bench.errors import BenchError
 from bench.files import write
+from bench.reports.html import embedded, page
 from protocol.text import counted
 
 NAME = "report.html"
@@ -81,20 +81,19 @@ def write_report(run: RunResult, directory: Path) -> Path:
     where the file cannot be written.
     """
     tests = [_test(number, result, directory) for number, result in enumerate(run.tests, 1)]
-    page = (
-        _environment()
-        .get_template("template.html.j2")
-        .render(
-            run=run,
-            tests=tests,
-            failed=list(_findings(tests, FAILED)),
-            not_judged=list(_findings(tests, NOT_JUDGED)),
-            units={parameter.name: parameter.unit for parameter in run.parameters},
-            parameters=sorted(run.parameters, key=lambda p: p.value == p.default),
-        )
+    text = page(
+        __package__ or "",
+        "template.html.j2",
+        _FILTERS,
+        run=run,
+        tests=tests,
+        failed=list(_findings(tests, FAILED)),
+        not_judged=list(_findings(tests, NOT_JUDGED)),
+        units={parameter.name: parameter.unit for parameter in run.parameters},
+        parameters=sorted(run.parameters, key=lambda p: p.value == p.default),
     )
     path = directory / NAME
-    write(path, page, f"report {path}")
+    write(path, text, f"report {path}")
     made = {name for test in run.tests for name in (test.recording, *(f.path for f in test.figures)) if name}
     try:
         keep_only(directory, {NAME, *made})
@@ -120,10 +119,9 @@ def _test(number: int, result: TestResult, directory: Path) -> _Test:
 def _embedded(figure: Figure, test: TestResult, directory: Path) -> str:
     path = directory / figure.path
     try:
-        data = path.read_bytes()
+        return embedded(path)
     except OSError as error:
         raise ReportError(f"figure {path} of test {test.name} cannot be read: {error.strerror}") from None
-    return "data:image/png;base64," + base64.b64encode(data).decode("ascii")
 
 
 def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Finding]:
@@ -149,32 +147,22 @@ def _breakable(name: str) -> Markup:
     return Markup(text)  # escaped above
 
 
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("bench.acceptance.report", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {
-        "breakable": _breakable,
-        "counted": counted,
-        "duration": words.duration,
-        "labelled": words.labelled,
-        "made": words.made,
-        "margin": words.margin_text,
-        "number": words.number,
-        "paragraphs": words.paragraphs,
-        "place": words.place,
-        "plain": words.plain,
-        "setting": words.setting,
-        "span": words.span_text,
-        "tally": words.tally,
-        "untested": untested,
-        "tightest": tightest,
-        "value": words.value_text,
-        "zone": words.zone,
-    }
-    return environment
+_FILTERS: dict[str, Callable[..., Any]] = {
+    "breakable": _breakable,
+    "counted": counted,
+    "duration": words.duration,
+    "labelled": words.labelled,
+    "made": words.made,
+    "margin": words.margin_text,
+    "number": words.number,
+    "paragraphs": words.paragraphs,
+    "place": words.place,
+    "plain": words.plain,
+    "setting": words.setting,
+    "span": words.span_text,
+    "tally": words.tally,
+    "untested": untested,
+    "tightest": tightest,
+    "value": words.value_text,
+    "zone": words.zone,
+}

@@ -30,10 +30,10 @@ def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def config(channels=CHANNELS, cfg_id: int = 7) -> StreamConfig:
-    return StreamConfig(1, 0, cfg_id, StreamEvent.PWM, 1, tuple(channels), 15)
+    return StreamConfig(1, 0, cfg_id, StreamEvent.PWM, 1, tuple(channels), 15, tick_hz=20_000_000, pwm_hz=16_000)
 
 
-EDGE_CONFIG = StreamConfig(1, 1, 8, StreamEvent.EDGES, 1, (), 100)
+EDGE_CONFIG = StreamConfig(1, 1, 8, StreamEvent.EDGES, 1, (), 100, tick_hz=20_000_000, pwm_hz=16_000)
 
 
 def run_info(**changes) -> RunInfo:

@@ -147,7 +147,9 @@ def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: s
 def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:
     few = synthetic.SyntheticRun(0.1, config=synthetic.config(synthetic.CHANNELS[:3]))
     more = synthetic.SyntheticRun(0.1, start=101, config=synthetic.config(synthetic.CHANNELS[:7]))
-    load = StreamConfig(2, 0, 3, StreamEvent.PWM, 16, Descriptor.of(LOAD_CHANNELS, ()).channels, 10)
+    load = StreamConfig(
+        2, 0, 3, StreamEvent.PWM, 16, Descriptor.of(LOAD_CHANNELS, ()).channels, 10, tick_hz=20_000_000, pwm_hz=16_000
+    )
     raw = np.zeros(50, load.dtype)
     raw["omega_m"] = np.random.default_rng(0).normal(size=50)
     index = np.arange(50, dtype=np.int64) * 16

@@ -67,7 +67,7 @@ def test_a_run_and_its_streams_survive_json() -> None:
     assert back == run
     for config in (synthetic.config(), synthetic.EDGE_CONFIG):
         described = json.loads(json.dumps(schema.stream_to_json(config, "fast")))
-        assert schema.stream_from_json(described) == config
+        assert schema.stream_from_json(described, synthetic.run_info()) == config
 
 
 def test_speeds_are_mechanical_where_the_pole_pairs_are_known() -> None:

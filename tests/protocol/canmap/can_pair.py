@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from small_drive import SmallDrive, identity, samples
+from small_drive import SmallDrive, identity, pack_edges, samples
 
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
@@ -14,7 +14,7 @@ from protocol.descriptor import Descriptor
 from protocol.device.tx import TxQueue
 from protocol.host import Event, HostSession, ReplyReceived, RequestRefused, StreamFrames
 from protocol.messages import BlobRead, Payload, Request, StreamEvent, StreamReply, StreamSet, StreamStart
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig, pack_edges
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
@@ -25,7 +25,7 @@ Spoil = Callable[[np.ndarray], np.ndarray]
 
 
 class CanPair:
-    """`now` is both ends' time in s; `spoil` gets the rows of CAN_RECORDs on their way to the host."""
+    """`now` is both ends' time in s; what spoils a run gets the rows of CAN_RECORDs on their way to the host."""
 
     def __init__(
         self, rates: BusRates, extended: bool = False, node: int = 1, tx: TxQueue | None = None, boot_id: int = 0xB0071D
@@ -37,7 +37,7 @@ class CanPair:
         self.now = 0.0
         self.periods = 0
         self.edges_made = 0
-        self.spoil: Spoil = lambda records: records
+        self._spoil: Spoil = lambda records: records
         self.to_device: list[np.ndarray] = []
         self.events: list[Event] = []
         self.decoders: dict[int, object] = {}
@@ -54,7 +54,7 @@ class CanPair:
         self.receive(np.frombuffer(self.device.tx.take(), CAN_RECORD))
 
     def receive(self, records: np.ndarray) -> None:
-        records = self.spoil(records).copy()
+        records = self._spoil(records).copy()
         records["time"] = self.now
         self.host.receive_data(records.tobytes(), self.now)
         self.take_events()
@@ -69,8 +69,14 @@ class CanPair:
                 if chunk is not None:
                     self.chunks[event.stream].append(chunk)
 
-    def run(self, periods: int, edges: tuple[int, ...] = (), portion: int = 80) -> None:
-        """Let the device take samples; `edges` are PWM periods, from now on, in the middle of which there is one."""
+    def run(
+        self, periods: int, edges: tuple[int, ...] = (), portion: int = 80, spoil: Spoil = lambda records: records
+    ) -> None:
+        """Let the device take samples, with frames spoiled meanwhile.
+
+        `edges` are PWM periods, from now on, in the middle of which there is one.
+        """
+        self._spoil = spoil
         end = self.periods + periods
         at = sorted(self.periods + edge for edge in edges)
         while self.periods < end:
@@ -83,6 +89,7 @@ class CanPair:
             self.device.advance((self.periods - 1) * TICKS)
             self.now = self.periods * TICKS / HZ
             self.exchange()
+        self._spoil = lambda records: records
 
     def edge(self, ticks: np.ndarray) -> None:
         n = len(ticks)
@@ -99,10 +106,9 @@ class CanPair:
         self.host.connect(nonce, self.now)
         self.exchange()
 
-    def ask(self, message: Request, node: int = 1, exchanges: int = 1) -> Payload:
+    def ask(self, message: Request, node: int = 1) -> Payload:
         self.host.request(message, node, self.now)
-        for _ in range(exchanges):
-            self.exchange()
+        self.exchange()
         answer = next(e for e in reversed(self.events) if isinstance(e, ReplyReceived | RequestRefused))
         return answer.message if isinstance(answer, ReplyReceived) else answer.error
 
@@ -127,8 +133,8 @@ class CanPair:
         ):
             reply = self.ask(request)
             assert isinstance(reply, StreamReply), reply
-            config = StreamConfig.of(1, request, reply, descriptor)
-            self.decoders[request.stream] = self.host.decoder(config, HZ, HZ // TICKS)
+            config = StreamConfig.of(self.device.session.identity, request, reply, descriptor)
+            self.decoders[request.stream] = self.host.decoder(config)
             self.chunks[request.stream] = []
             mask |= 1 << request.stream
         self.ask(StreamStart(mask))

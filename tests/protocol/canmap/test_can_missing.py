@@ -39,8 +39,8 @@ def test_all_that_is_lost_at_the_end_is_missing(
     bus.run(4800, tuple(range(3, 4800, 31)))
     before = bus.edges_made
     lost = bus.decoders[0].ids[-1:] if half else bus.decoders[0].ids
-    bus.spoil = lambda records: records[~(np.isin(records["id"], lost) | (kinds(records) == 4))]
-    bus.run(8000, tuple(range(0, 8000, 20)))
+    gone = (*lost, *bus.decoders[1].ids)
+    bus.run(8000, tuple(range(0, 8000, 20)), spoil=lambda records: records[~np.isin(records["id"], gone)])
     beat = newest(bus)
     assert beat.tick > 11000 * TICKS
     block = bus.decoders[0].config.block
@@ -58,10 +58,9 @@ def test_streams_of_which_nothing_came_count_from_a_heartbeat_on(
     rates: BusRates, names: tuple[str, ...], decimation: int
 ) -> None:
     bus = pair(rates, names, decimation)
-    bus.spoil = lambda records: records[kinds(records) < 4]
-    bus.run(3200)
+    bus.run(3200, spoil=lambda records: records[kinds(records) < 4])
     first = newest(bus)
-    bus.run(6400, (10, 20, 30))
+    bus.run(6400, (10, 20, 30), spoil=lambda records: records[kinds(records) < 4])
     last = newest(bus)
     made = (last.tick - first.tick) // TICKS / decimation
     block = bus.decoders[0].config.block

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from can_pair import CLASSIC, FD, HZ, TICKS, CanPair
 
-from protocol.canmap.frame import CAN_RECORD, ERROR, EXTENDED, BusRates
+from protocol.canmap.frame import CAN_RECORD, BusRates
 from protocol.canmap.host import MAX_HELD
 from protocol.canmap.layout import sample_layout
 from protocol.canmap.plan import BusPlan
 from protocol.host import Rebooted
-from protocol.messages import ErrorReply, StreamEvent, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStop
+from protocol.messages import StreamEvent, StreamGet, StreamInfo, StreamSet, StreamStop
 from protocol.signals import RawType
 
 ALL = ("hall", "status", "theta", "i_a", "count")
@@ -75,8 +75,7 @@ def test_lost_frames_are_counted_exactly(rates: BusRates, names: tuple[str, ...]
         return records[~gone]
 
     bus.run(800)
-    bus.spoil = lose
-    bus.run(10_000, tuple(range(1, 10_000, 13)))
+    bus.run(10_000, tuple(range(1, 10_000, 13)), spoil=lose)
     got, counters = bus.samples(), bus.decoders[0].counters
     whole = len(range(got.index[0], got.index[-1] + 1, decimation))
     assert counters.lost_by_seq == lost["samples"] > 4
@@ -91,53 +90,13 @@ def test_lost_frames_are_counted_exactly(rates: BusRates, names: tuple[str, ...]
     assert edges.samples + edges.lost_by_index == bus.edges_made
 
 
-@pytest.mark.parametrize(("rates", "names", "decimation"), CASES)
-def test_doubled_frames_are_counted_and_change_nothing(
-    rates: BusRates, names: tuple[str, ...], decimation: int
-) -> None:
-    bus = pair(rates, names, decimation)
-    doubled = []
-
-    def double(records: np.ndarray) -> np.ndarray:
-        doubled.append(int((kinds(records) >= 4).sum()))
-        return np.repeat(records, 2)
-
-    bus.spoil = double
-    bus.run(3000, tuple(range(1, 3000, 31)))
-    got = bus.samples()
-    assert (np.diff(got.index) == decimation).all()
-    assert sum(d.counters.out_of_order for d in bus.decoders.values()) == sum(doubled)
-    assert [d.counters.lost_by_index for d in bus.decoders.values()] == [0, 0]
-    assert bus.wire.counters.duplicates >= 1
-
-
-def test_groups_of_a_sample_may_come_apart_and_are_joined() -> None:
-    bus = pair(CLASSIC, ALL, 40)
-    held: list[np.ndarray] = []
-
-    def delay(records: np.ndarray) -> np.ndarray:
-        """The second group comes three exchanges later."""
-        second = records["id"] == bus.decoders[0].ids[1]
-        held.append(records[second])
-        return np.concatenate([records[~second], *([held.pop(0)] if len(held) > 3 else [])])
-
-    bus.spoil = delay
-    bus.run(8000)
-    got = bus.samples()
-    assert (np.diff(got.index) == 40).all()
-    assert got.index[-1] > 7000
-    assert bus.decoders[0].counters.lost_by_index == 0
-
-
 def test_a_group_that_never_comes_costs_its_samples_and_no_memory() -> None:
     bus = pair(CLASSIC, ALL, 40)
     bus.run(400)
     before = len(bus.samples())
-    bus.spoil = lambda records: records[records["id"] != bus.decoders[0].ids[1]]
-    bus.run(40 * 1000)
+    bus.run(40 * 1000, spoil=lambda records: records[records["id"] != bus.decoders[0].ids[1]])
     assert len(bus.samples()) == before
     assert all(len(numbers) <= 257 for numbers, _ in bus.decoders[0]._waiting)
-    bus.spoil = lambda records: records
     bus.run(400)
     got, counters = bus.samples(), bus.decoders[0].counters
     assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, 40))
@@ -156,35 +115,25 @@ def test_edges_that_come_after_their_samples_are_marked() -> None:
 
     bus.run(800, (200,))
     assert bus.decoders[1].counters.late == 0
-    bus.spoil = delay
-    bus.run(800, (100, 300))
+    bus.run(800, (100, 300), spoil=delay)
     counters = bus.decoders[1].counters
     assert (counters.samples, counters.late, counters.lost_by_index) == (3, 2, 0)
     gaps = [gap for chunk in bus.edges() for gap in chunk.gaps]
     assert [(gap.lost_samples, gap.lost_frames) for gap in gaps] == [(0, 0), (0, 0)]
 
 
-def test_the_counter_of_classic_frames_wraps() -> None:
-    bus = pair(CLASSIC, ("hall",), 1)
-    bus.run(150_000, portion=1600)
-    got = bus.samples()
-    assert (np.diff(got.index) == 1).all()
-    assert got.index[-1] >= 149_990
-
-
-@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 10.0, 65536 * 3 / 16000])
+@pytest.mark.parametrize("silent", ["the bus", "the streams"])
+@pytest.mark.parametrize("silence", [0.2, 1.0, 65536 / 16000, 8.3])
 @pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
 def test_after_a_silence_the_gap_is_exact(
-    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
+    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float, silent: str
 ) -> None:
-    """However long, a whole turn of the counter included: the next heartbeat says what time it is."""
+    """However long, a whole turn of the counter included: heartbeats, or the next one, say what time it is."""
     bus = pair(rates, names, decimation)
-    bus.run(3200, tuple(range(1, 3200, 100)))
-    bus.spoil = lambda records: records[:0]
+    bus.run(3200, tuple(range(1, 3200, 16)))
     n = round(silence * 16000)
-    bus.run(n, tuple(range(1, n, 100)), portion=1600)
-    bus.spoil = lambda records: records
-    bus.run(3200, tuple(range(1, 3200, 100)))
+    bus.run(n, tuple(range(1, n, 16)), 1600, lambda records: records[(kinds(records) < 4) & (silent == "the streams")])
+    bus.run(3200, tuple(range(1, 3200, 16)))
     got, counters = bus.samples(), bus.decoders[0].counters
     assert got.index[-1] > bus.periods - 10 * decimation
     assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
@@ -192,6 +141,8 @@ def test_after_a_silence_the_gap_is_exact(
     edges = bus.decoders[1].counters
     assert edges.samples + edges.lost_by_index == bus.edges_made
     assert bus.edges()[-1].index[-1] == bus.edges_made - 1
+    for chunk in bus.edges():
+        assert (chunk.tick % 4096 == chunk.encoder).all()
 
 
 def test_what_a_stalled_host_reads_late_is_whole() -> None:
@@ -199,11 +150,8 @@ def test_what_a_stalled_host_reads_late_is_whole() -> None:
     bus = pair(CLASSIC, ("hall",), 1)
     bus.run(3200)
     kept: list[np.ndarray] = []
-    bus.spoil = lambda records: (kept.append(records), records[:0])[1]
-    bus.run(48_000)
-    bus.spoil = lambda records: np.concatenate([*kept, records])
-    bus.run(80)
-    bus.spoil = lambda records: records
+    bus.run(48_000, spoil=lambda records: (kept.append(records), records[:0])[1])
+    bus.run(80, spoil=lambda records: np.concatenate([*kept, records]))
     bus.run(3200)
     got = bus.samples()
     assert (np.diff(got.index) == 1).all()
@@ -216,11 +164,8 @@ def test_a_stalled_host_whose_adapter_ran_over_gets_no_wrong_time() -> None:
         bus = pair(CLASSIC, ("hall",), 1)
         bus.run(3200)
         kept: list[np.ndarray] = []
-        bus.spoil = lambda records, kept=kept: (kept.append(records[kinds(records) >= 4]), records[:0])[1]
-        bus.run(stall)
-        bus.spoil = lambda records, kept=kept: np.concatenate([*kept[:60], *kept[-10:], records])
-        bus.run(80)
-        bus.spoil = lambda records: records
+        bus.run(stall, spoil=lambda records, kept=kept: (kept.append(records[kinds(records) >= 4]), records[:0])[1])
+        bus.run(80, spoil=lambda records, kept=kept: np.concatenate([*kept[:60], *kept[-10:], records]))
         bus.run(4800)
         got, counters = bus.samples(), bus.decoders[0].counters  # `samples` compares each value with its index
         assert got.index[-1] > bus.periods - 10
@@ -233,13 +178,11 @@ def test_without_heartbeats_frames_are_held_back_and_then_given_up() -> None:
     bus.stream(("hall",), 1, edges=False, latency=0)  # a frame a sample
     bus.run(1600)
     before = len(bus.samples())
-    bus.spoil = lambda records: records[kinds(records) >= 4]
-    bus.run(16_000)
+    bus.run(16_000, spoil=lambda records: records[kinds(records) >= 4])
     assert len(bus.samples()) - before < 0.5 * 16_000  # some 0.35 s go on, the rest waits for a heartbeat
-    bus.run(16_000 * 3, portion=800)
+    bus.run(16_000 * 3, portion=800, spoil=lambda records: records[kinds(records) >= 4])
     assert bus.wire.counters.overdue > 0
     assert sum(len(part) for part in bus.wire._nodes[1].held) == MAX_HELD
-    bus.spoil = lambda records: records
     bus.run(3200)
     got, counters = bus.samples(), bus.decoders[0].counters
     assert counters.samples + counters.lost_by_index == got.index[-1] + 1
@@ -257,13 +200,11 @@ def test_old_frames_played_again_are_refused_wherever_the_counter_is() -> None:
         recorded[bus.periods] = mine
         return np.concatenate([records, recorded[bus.periods - back]]) if back else records
 
-    bus.spoil = replay
     for turn, wanted in enumerate((0, 800, 16_000, 30_000, 50_000)):
         back = 0
-        bus.run(max(1600, wanted - bus.periods // 80 * 80 + 80 * turn))
+        bus.run(max(1600, wanted - bus.periods // 80 * 80 + 80 * turn), spoil=replay)
         back = wanted
-        bus.run(1600)
-    bus.spoil = lambda records: records
+        bus.run(1600, spoil=replay)
     bus.run(800)
     got, counters = bus.samples(), bus.decoders[0].counters
     assert (np.diff(got.index) == 1).all()
@@ -284,56 +225,12 @@ def test_a_new_configuration_has_slots_of_its_own() -> None:
         bus.receive(old)
         assert bus.wire.counters.stale - stale == len(old)
         recorded: list[np.ndarray] = []
-        bus.spoil = lambda records, recorded=recorded: (recorded.append(records[kinds(records) >= 4]), records)[1]
-        bus.run(1600)
-        bus.spoil = lambda records: records
+        bus.run(1600, spoil=lambda each, recorded=recorded: (recorded.append(each[kinds(each) >= 4]), each)[1])
         old = np.concatenate(recorded)
         assert len(old)
         bus.samples()
         bus.ask(StreamStop())
     assert len(slots) == 24
-
-
-def test_frames_of_a_wrong_length_or_between_the_samples_are_malformed() -> None:
-    bus = pair(FD, ALL, 40)
-    bus.run(800)
-
-    def damage(records: np.ndarray) -> np.ndarray:
-        extra = records[kinds(records) >= 5].copy()
-        extra["length"] = 8
-        odd = records[kinds(records) >= 5].copy()
-        odd["data"][:, 0] += 1
-        return np.concatenate([records, extra, odd])
-
-    bus.spoil = damage
-    bus.run(4000)
-    counters = bus.decoders[0].counters
-    assert counters.malformed > 10
-    bus.samples()
-
-
-def test_foreign_traffic_and_error_frames_are_counted_and_ignored() -> None:
-    bus = pair(CLASSIC, ("hall",), 1)
-    rng = np.random.default_rng(5)
-    sent = 0
-
-    def add(records: np.ndarray) -> np.ndarray:
-        nonlocal sent
-        noise = np.zeros(40, CAN_RECORD)
-        noise["id"][:20] = 0x700 + rng.integers(0, 0x100, 20)
-        noise["id"][20:30] = EXTENDED | rng.integers(0, 1 << 28, 10)
-        noise["id"][30:] = ERROR | 8
-        noise["length"] = 8
-        noise["data"][:, :8] = rng.integers(0, 256, (40, 8))
-        sent += 10
-        return np.concatenate([noise, records])
-
-    bus.spoil = add
-    bus.run(4000)
-    assert (np.diff(bus.samples().index) == 1).all()
-    assert bus.wire.counters.error_frames == sent
-    assert bus.wire.counters.foreign == 3 * sent
-    assert bus.wire.counters.bad == 0
 
 
 @pytest.mark.parametrize(("rates", "names"), [(CLASSIC, ("hall",)), (FD, ALL)])
@@ -358,27 +255,6 @@ def test_forged_frames_of_the_stream_lie_near_the_present_and_do_not_stop_it(
     assert bus.edges()[-1].index[-1] == bus.edges_made - 1
 
 
-@pytest.mark.parametrize(("rates", "names", "decimation"), [CASES[0], CASES[2], CASES[5]])
-@pytest.mark.parametrize("silence", [0.25, 1.0, 4.2, 8.3])
-def test_streams_that_pause_while_heartbeats_go_on(
-    rates: BusRates, names: tuple[str, ...], decimation: int, silence: float
-) -> None:
-    bus = pair(rates, names, decimation)
-    bus.run(3200, tuple(range(1, 3200, 16)))
-    bus.spoil = lambda records: records[kinds(records) < 4]
-    n = round(silence * 16000)
-    bus.run(n, tuple(range(1, n, 16)), portion=800)
-    bus.spoil = lambda records: records
-    bus.run(3200, tuple(range(1, 3200, 16)))
-    got, counters = bus.samples(), bus.decoders[0].counters
-    assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
-    assert got.index[-1] > bus.periods - 10 * decimation
-    edges = bus.decoders[1].counters
-    assert edges.samples + edges.lost_by_index == bus.edges_made
-    for chunk in bus.edges():
-        assert (chunk.tick % 4096 == chunk.encoder).all()
-
-
 def test_frames_that_waited_in_the_device_are_given_up_there() -> None:
     """A device off the bus for 10 s does not send what is older than half a second, and says so."""
     bus = pair(CLASSIC, ("hall",), 1)
@@ -399,9 +275,7 @@ def test_frames_of_before_and_after_a_gap_in_one_read() -> None:
     bus.run(3200)
     kept: list[np.ndarray] = []
     stamps: list[float] = []
-    bus.spoil = lambda records: (kept.append(records), stamps.append(bus.now), records[:0])[2]
-    bus.run(65536 + 4000)
-    bus.spoil = lambda records: records
+    bus.run(65536 + 4000, spoil=lambda records: (kept.append(records), stamps.append(bus.now), records[:0])[2])
     old, new = np.concatenate(kept[:60]), np.concatenate(kept[-10:])
     records = np.concatenate([old, new[kinds(new) >= 4]])
     records["time"] = stamps[0]  # they may have been there since then
@@ -467,13 +341,11 @@ def test_a_forged_edge_far_ahead_does_not_stop_the_edges() -> None:
 def test_stream_get_tells_what_is_configured() -> None:
     bus = pair(CLASSIC, ("hall", "theta"), 10)
     info = bus.ask(StreamGet(0))
-    assert isinstance(info, StreamInfo)
     config = bus.decoders[0].config
     assert (info.running, info.event, info.decimation, info.max_latency_ms) == (True, StreamEvent.PWM, 10, 20)
     assert (info.slot, info.cfg_id, info.block, info.channels) == (config.slot, config.cfg_id, config.block, (1, 3))
     assert StreamInfo.unpack(info.pack()) == info
     free = bus.ask(StreamGet(2))
-    assert isinstance(free, ErrorReply)
     assert free.detail == 2
 
 
@@ -481,13 +353,11 @@ def test_what_does_not_fit_the_bus_is_refused_with_what_would() -> None:
     bus = CanPair(CLASSIC)
     bus.connect()
     refusal = bus.ask(StreamSet(0, StreamEvent.PWM, 1, 20, (3, 4)))
-    assert isinstance(refusal, ErrorReply)
     fits = int(refusal.detail)
     # 6-byte frames, one sample each: 54 stuffed bits at most 16 stuff bits, 13 that are never stuffed, at 16 kHz
     worst = (34 + 48 + (34 + 48 - 1) // 4 + 13) * 16_000 / 1e6
     assert fits == int(np.ceil(worst / 0.95)) == 2
     reply = bus.ask(StreamSet(0, StreamEvent.PWM, fits, 20, (3, 4)))
-    assert isinstance(reply, StreamReply)
     assert reply.load == pytest.approx(worst / 2, rel=1e-6)
 
 
@@ -507,7 +377,6 @@ def test_layouts_by_hand() -> None:
 def test_how_many_channels_fit_at_16_khz(data_bitrate: int | None, most: int) -> None:
     plan = BusPlan(BusRates(1_000_000, data_bitrate), False, HZ // TICKS)
     fit = plan.most([2] * 14, 1)
-    assert fit is not None
     assert fit.channels == most
     for each in plan.choices([2] * 14):
         widths = [2] * each.channels

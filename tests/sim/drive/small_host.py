@@ -22,7 +22,6 @@ from protocol.links import Link
 from protocol.messages import (
     Alive,
     BlobRead,
-    BlobReply,
     Command,
     DeviceEvent,
     DriveState,
@@ -33,15 +32,12 @@ from protocol.messages import (
     ParamGet,
     ParamReply,
     ParamSet,
-    ParamStored,
     Payload,
     Request,
     Setpoint,
     SetpointMode,
     StateCommand,
-    StateReply,
     StreamEvent,
-    StreamReply,
     StreamSet,
     StreamStart,
     StreamStop,
@@ -114,28 +110,21 @@ class SmallHost:
         return event.message
 
     def get(self, name: str, node: int = 1) -> ParamReply:
-        reply = self.request(ParamGet(self.descriptor(node).parameter(name).id), node)
-        assert isinstance(reply, ParamReply)
-        return reply
+        return self.request(ParamGet(self.descriptor(node).parameter(name).id), node)
 
     def set(self, name: str, value: float, node: int = 1) -> float:
-        reply = self.request(ParamSet(self.descriptor(node).parameter(name).id, value), node)
-        assert isinstance(reply, ParamStored)
-        return reply.stored
+        return self.request(ParamSet(self.descriptor(node).parameter(name).id, value), node).stored
 
     def descriptor(self, node: int = 1) -> Descriptor:
         blob = b""
         while True:
             reply = self.request(BlobRead(0, 1024, len(blob)), node)
-            assert isinstance(reply, BlobReply)
             blob += reply.data
             if len(blob) >= reply.total:
                 return Descriptor.unpack(blob)
 
     def command(self, command: Command, argument: int = 0, node: int = 1) -> DriveState:
-        reply = self.request(StateCommand(command, argument), node)
-        assert isinstance(reply, StateReply)
-        return reply.state
+        return self.request(StateCommand(command, argument), node).state
 
     def start(self, node: int = 1) -> None:
         """ARM and START."""
@@ -169,9 +158,8 @@ class SmallHost:
             requests.insert(0, StreamSet(1, StreamEvent.EDGES, 1, latency))
         for request in requests:
             reply = self.request(request, node)
-            assert isinstance(reply, StreamReply)
-            config = StreamConfig.of(node, request, reply, self.descriptor(node))
-            self.decoders[node, request.stream] = self.session.decoder(config, hello.tick_hz, hello.pwm_hz)
+            config = StreamConfig.of(hello, request, reply, self.descriptor(node))
+            self.decoders[node, request.stream] = self.session.decoder(config)
         self.samples[node, 0] = []
         self.request(StreamStart(3 if edges else 1), node)
 

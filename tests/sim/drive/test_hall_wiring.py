@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from rig import Rig, column
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import HallSwap
 from protocol.streams import EDGE_ILLEGAL
-from sim.config.params import ConfigError, load_params
-from sim.drive.machine import SimulatedBench
+from sim.config.params import ConfigError
 
 CODE_OF_SECTOR = np.array([1, 3, 2, 6, 4, 5])
 SWAPPED = {  # the bits c b a of codes 0..7, written out with two of them exchanged
@@ -19,7 +19,7 @@ PLAIN = {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_d
 
 
 def turning(omega_m, seed=0, **overrides):
-    bench = SimulatedBench(load_params(None, PLAIN | overrides), seed)
+    bench = Rig(seed, **PLAIN | overrides)
     bench.load_enter_state(DriveState.RUNNING)
     bench.load_setpoint(SetpointMode.SPEED, omega_m)
     return bench
@@ -27,7 +27,7 @@ def turning(omega_m, seed=0, **overrides):
 
 def sensor_codes(recorded):
     """The codes of the sensors themselves, by the plant's angle."""
-    return CODE_OF_SECTOR[np.floor(np.degrees(recorded.log[:, 7]) / 60.0).astype(int) % 6]
+    return CODE_OF_SECTOR[np.floor(np.degrees(column(recorded, "theta_e")) / 60.0).astype(int) % 6]
 
 
 def old_and_new(recorded):
@@ -65,7 +65,7 @@ def test_broken_wires_read_one_and_their_edges_vanish(wires):
 
 
 def test_a_wire_that_breaks_in_a_run_is_an_edge_where_it_changes_the_code():
-    bench = SimulatedBench(load_params(None, PLAIN), 0)  # at rest in sector 0: code 1
+    bench = Rig(**PLAIN)  # at rest in sector 0: code 1
     bench.advance(10)
     bench.set_load_param("hall_open", 1)
     assert len(bench.advance(10).edges) == 0
@@ -80,7 +80,7 @@ def test_a_wire_that_breaks_in_a_run_is_an_edge_where_it_changes_the_code():
 
 def test_false_pulses_are_short_independent_and_as_many_as_asked_for():
     rate = 2000.0
-    bench = SimulatedBench(load_params(None, PLAIN | {"wiring.hall_glitch": rate}), 7)
+    bench = Rig(7, **PLAIN | {"wiring.hall_glitch": rate})
     recorded = bench.advance(160_000)
     old, new = old_and_new(recorded)
     assert set(old[0::2]) == set(new[1::2]) == {1}
@@ -112,7 +112,7 @@ def test_false_pulses_and_edges_of_the_sensors_are_captured_in_order():
     assert len(old) == pytest.approx(2e5, rel=0.05)
     assert np.array_equal(recorded.samples["hall"][-1:], new[-1:])
     settled = recorded.edge_tick > 100 * 1250
-    theta = np.interp(recorded.edge_tick[settled], np.arange(16_000) * 1250, recorded.log[:, 7])
+    theta = np.interp(recorded.edge_tick[settled], np.arange(16_000) * 1250, column(recorded, "theta_e"))
     counts = theta / (2 * np.pi * 6) * 14400
     off = (recorded.edges["encoder"][settled] - counts + 7200) % 14400 - 7200
     assert np.abs(off + 0.5).max() < 0.6
@@ -124,7 +124,7 @@ def test_false_pulses_and_edges_of_the_sensors_are_captured_in_order():
 
 def test_no_pulse_begins_once_they_are_off():
     for seed in range(5):
-        bench = SimulatedBench(load_params(None, PLAIN | {"wiring.hall_glitch": 20.0}), seed)
+        bench = Rig(seed, **PLAIN | {"wiring.hall_glitch": 20.0})
         bench.advance(160)
         bench.set_load_param("hall_glitch", 0.0)
         bench.advance(1)
@@ -153,7 +153,7 @@ def test_sensors_that_are_moved_open_their_sectors_where_they_stand():
         bench.set_load_param(f"hall_delta_{number}", np.radians(delta))
     bench.advance(1000)
     recorded = bench.advance(8000, log=True)
-    theta = np.interp(recorded.edge_tick, recorded.tick + 1250 * np.arange(8000), recorded.log[:, 7])
+    theta = np.interp(recorded.edge_tick, recorded.tick + 1250 * np.arange(8000), column(recorded, "theta_e"))
     _, new = old_and_new(recorded)
     sector = np.array([list(CODE_OF_SECTOR).index(code) for code in new])
     offset = np.degrees(sector * np.pi / 3 - theta)

@@ -5,25 +5,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from rig import PWM_HZ, Rig, column
 
-from protocol.messages import DriveState, SetpointMode
 from protocol.signals import Injection, Status
-from sim.config.params import load_params
-from sim.drive.machine import SimulatedBench
 
 K_P, K_I = 1268.0, 54289.0  # of Fig. 6
-PWM_HZ = 16000
 ALIGNED = {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_deg": 0.0}
 
 
 def running(**overrides):
     """A shaft forced to 500 r/min, 2 A by the encoder: no estimate feeds back."""
-    bench = SimulatedBench(load_params(None, {"firmware.observer": 0} | overrides), 1)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 52.36)
-    bench.enable()
-    bench.setpoint(SetpointMode.CURRENT, 2.0)
-    bench.advance(16_000)
+    bench = Rig(1, **{"firmware.observer": 0} | overrides)
+    bench.start()
+    bench.forced(500, 2.0, 1.0)
     return bench
 
 
@@ -41,7 +35,7 @@ def response(where, hz, amplitude=0.05):
     first = int(np.flatnonzero(recorded.samples["status"] & Status.INJECTION_SYNC)[0])
     settled = slice(first + 8_000, None)
     phase = 2 * np.pi * hz / PWM_HZ * (np.arange(len(recorded.log)) - first)
-    error = np.angle(np.exp(1j * (recorded.log[:, 2] - recorded.log[:, 7])))
+    error = np.angle(np.exp(1j * (column(recorded, "theta_vt") - column(recorded, "theta_e"))))
     basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(phase)])[settled]
     (in_phase, ahead, _), *_ = np.linalg.lstsq(basis, error[settled], rcond=None)
     return (in_phase + 1j * ahead) / amplitude
@@ -83,7 +77,7 @@ def test_amplitude_zero_and_off_are_the_same_estimates():
 def test_while_the_correction_is_off_nothing_is_added():
     logs = []
     for where in (Injection.OFF, Injection.HALL, Injection.BACK_EMF):
-        bench = SimulatedBench(load_params(), 1)
+        bench = Rig(1)
         inject(bench, where, 0.5, 100.0)
         logs.append(bench.advance(1_000, log=True).log.tobytes())
     assert logs[0] == logs[1] == logs[2]

@@ -6,14 +6,13 @@ compensated; 20 mA of noise. The oracle is the plant's angle.
 
 import numpy as np
 import pytest
+from rig import Rig, column, error_deg
 
-from protocol.messages import DriveState, SetpointMode
-from protocol.signals import ANGLE, AngleSource
-from sim.config.params import load_params
-from sim.drive.machine import Recorded, SimulatedBench
-from sim.drive.tick import LOG_FIELDS
+from protocol.messages import DriveState
+from protocol.signals import AngleSource
+from sim.drive.machine import Recorded
 
-RPM = 2 * np.pi / 60
+TORQUE = 1.5 * 6 * 6.55e-3  # N·m/A
 SEEDS = range(20)
 LESSONS = ((1000, 0.5, 1.0), (1000, 4.0, 0.7), (1000, 8.0, 0.7), (1000, 1.0, 0.6))
 """Speed in r/min, q current in A, s."""
@@ -21,45 +20,23 @@ POINTS = [(speed, amps) for speed in (100, 500, 1000, 3000) for amps in (1.0, 8.
 WRONG = {"R_s_hat": 1.3, "L_s_hat": 1.2, "psi_f_hat": 0.9}
 
 
-class Motor:
+class Motor(Rig):
     """A simulated bench on the learned-edge observer, its load machine at work."""
 
     def __init__(self, seed: int, delta_deg: np.ndarray | None = None, wrong: dict[str, float] | None = None) -> None:
-        overrides = {} if delta_deg is None else {"hall.delta_deg": delta_deg.tolist()}
-        self.bench = SimulatedBench(load_params(None, overrides), seed)
-        self.bench.set_param("observer", AngleSource.LEARNED_EDGES)
+        super().__init__(seed, **{} if delta_deg is None else {"hall.delta_deg": delta_deg.tolist()})
+        self.set_param("observer", AngleSource.LEARNED_EDGES)
         for name, factor in (wrong or {}).items():
-            self.bench.set_param(name, factor * self.bench.get_param(name))
-        self.bench.load_enter_state(DriveState.RUNNING)
-        self.bench.enable()
+            self.set_param(name, factor * self.get_param(name))
+        self.load_enter_state(DriveState.RUNNING)
+        self.enable()
         for lesson in LESSONS:
-            self.held(*lesson)
+            self.forced(*lesson)
 
     def run(self, seconds: float) -> Recorded:
-        recorded = self.bench.advance(round(seconds * 16_000), log=True)
-        assert not self.bench.faults
+        recorded = super().run(seconds)
+        assert not self.faults
         return recorded
-
-    def held(self, rpm: float, amps: float, seconds: float) -> Recorded:
-        """The load holds the speed, the drive the q current."""
-        self.bench.load_setpoint(SetpointMode.SPEED, rpm * RPM)
-        self.bench.setpoint(SetpointMode.CURRENT, amps, 0.0)
-        return self.run(seconds)
-
-    def driven(self, rpm: float, load: float, seconds: float) -> Recorded:
-        """The drive holds the speed against a torque that takes `load` A."""
-        self.bench.load_setpoint(SetpointMode.TORQUE, load * 1.5 * 6 * 6.55e-3)
-        self.bench.setpoint(SetpointMode.SPEED, rpm * RPM)
-        return self.run(seconds)
-
-
-def column(recorded: Recorded, name: str) -> np.ndarray:
-    return recorded.log[:, LOG_FIELDS.index(name)]
-
-
-def error_deg(recorded: Recorded, channel: str = "theta_le") -> np.ndarray:
-    error = column(recorded, "theta_e") - recorded.samples[channel] * ANGLE
-    return np.degrees((error + np.pi) % (2 * np.pi) - np.pi)
 
 
 def thd(recorded: Recorded) -> float:
@@ -81,19 +58,19 @@ def test_the_goals_hold_over_twenty_seeds(placed: str) -> None:
     for seed in SEEDS:
         motor = Motor(seed, anywhere(seed) if placed == "anywhere" else None)
         for rpm, amps in POINTS:
-            motor.held(rpm, amps, 0.2 + 20 / rpm)
-            run = motor.held(rpm, amps, max(0.1, 25 / rpm))
-            error = error_deg(run)
+            motor.forced(rpm, amps, 0.2 + 20 / rpm)
+            run = motor.forced(rpm, amps, max(0.1, 25 / rpm))
+            error = error_deg(run, "theta_le")
             worst["std"] = max(worst["std"], error.std())
             worst["max"] = max(worst["max"], np.abs(error).max())
             if amps == 4.0:
                 worst["thd"] = max(worst["thd"], thd(run))
-        motor.driven(500, 0.0, 0.5)
-        worst["speed step"] = max(worst["speed step"], np.abs(error_deg(motor.driven(1000, 0.0, 0.3))).max())
-        motor.driven(500, 0.0, 0.5)
-        worst["4 A"] = max(worst["4 A"], np.abs(error_deg(motor.driven(500, 4.0, 0.3))).max())
-        motor.held(500, 0.2, 0.3)
-        worst["8 A"] = max(worst["8 A"], np.abs(error_deg(motor.held(500, 8.0, 0.2))).max())
+        motor.spin(500, 0.5)
+        worst["speed step"] = max(worst["speed step"], np.abs(error_deg(motor.spin(1000, 0.3), "theta_le")).max())
+        motor.spin(500, 0.5)
+        worst["4 A"] = max(worst["4 A"], np.abs(error_deg(motor.spin(500, 0.3, 4.0 * TORQUE), "theta_le")).max())
+        motor.forced(500, 0.2, 0.3)
+        worst["8 A"] = max(worst["8 A"], np.abs(error_deg(motor.forced(500, 8.0, 0.2), "theta_le")).max())
     assert 0.15 < worst["std"] < 0.5, worst
     assert 0.7 < worst["max"] < 1.5, worst
     assert 0.3 < worst["thd"] < 3.0, worst
@@ -106,7 +83,7 @@ def test_wrong_parameters_leave_it_better_than_the_papers_observer_with_true_one
         true, wrong = Motor(seed, anywhere(seed)), Motor(seed, anywhere(seed), WRONG)
         for rpm, amps in ((200, 8.0), (500, 4.0), (1000, 8.0), (3000, 1.0)):
             papers, mine = (
-                error_deg(motor.held(rpm, amps, 0.4), channel)[3200:]
+                error_deg(motor.forced(rpm, amps, 0.4), channel)[3200:]
                 for motor, channel in ((true, "theta_vt"), (wrong, "theta_le"))
             )
             assert 0.02 < mine.std() < papers.std(), (seed, rpm, amps)

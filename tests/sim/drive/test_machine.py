@@ -2,21 +2,14 @@
 
 import numpy as np
 import pytest
+from rig import Rig
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, AngleSource, Status
-from sim.config.params import load_params
-from sim.drive.machine import SimulatedBench
-
-SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
-
-
-def bench_of(seed=0, **overrides):
-    return SimulatedBench(load_params(None, overrides), seed)
+from protocol.signals import STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, AngleSource, Status
 
 
 def spinning(omega_m=52.36, seconds=0.5, **overrides):
-    bench = bench_of(**overrides)
+    bench = Rig(**overrides)
     bench.enable()
     bench.setpoint(SetpointMode.SPEED, omega_m)
     bench.advance(round(16000 * seconds))
@@ -33,7 +26,7 @@ def current(recorded):
 
 def test_same_seed_same_bits_whatever_the_portions():
     def record(portions, seed):
-        bench = bench_of(seed)
+        bench = Rig(seed)
         bench.enable()
         bench.setpoint(SetpointMode.SPEED, 100.0)
         runs = [bench.advance(n, log=True) for n in portions]
@@ -52,7 +45,7 @@ def test_same_seed_same_bits_whatever_the_portions():
 
 def test_ticks_go_on_past_32_bits():
     start = 2**32 - 5000
-    bench = bench_of(**{"clock.start_tick": start})
+    bench = Rig(**{"clock.start_tick": start})
     bench.load_enter_state(DriveState.RUNNING)
     bench.load_setpoint(SetpointMode.SPEED, 300.0)
     recorded = bench.advance(4000)
@@ -64,7 +57,7 @@ def test_ticks_go_on_past_32_bits():
 
 
 def test_states_show_in_the_status_and_arming_initialises_the_observers():
-    bench = bench_of()
+    bench = Rig()
     assert list(states(bench.advance(2))) == [DriveState.IDLE] * 2
     bench.enter_state(DriveState.ARMED)
     armed = bench.advance(3)
@@ -80,7 +73,7 @@ def test_states_show_in_the_status_and_arming_initialises_the_observers():
 
 
 def test_running_without_a_setpoint_makes_no_torque():
-    bench = bench_of()
+    bench = Rig()
     bench.enable()
     recorded = bench.advance(1600)
     assert current(recorded).max() < 0.2
@@ -132,7 +125,7 @@ def test_restart_on_a_turning_shaft_draws_no_surge():
     ],
 )
 def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(overrides, fault):
-    bench = bench_of(**overrides)
+    bench = Rig(**overrides)
     bench.advance(10)
     assert bench.faults == 0  # no fault while idle, but its cause shows
     assert bench.fault_causes == fault
@@ -167,7 +160,7 @@ def test_overcurrent_opens_the_outputs_in_the_same_period():
 
 
 def test_overspeed_trips_by_the_encoder():
-    bench = bench_of(**{"firmware.protection.omega_m_trip": 100.0})
+    bench = Rig(**{"firmware.protection.omega_m_trip": 100.0})
     bench.load_enter_state(DriveState.RUNNING)
     bench.load_setpoint(SetpointMode.SPEED, -150.0)
     bench.advance(4000)
@@ -204,7 +197,7 @@ def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
 
 
 def test_every_edge_of_the_fastest_shaft_finds_room():
-    bench = bench_of(
+    bench = Rig(
         **{"motor.n_p": 64, "load.omega_m_max": 600.0, "load.alpha_m_max": 0.0, "clock.pwm_hz": 1000,
            "clock.substeps": 20}
     )  # fmt: skip
@@ -215,7 +208,7 @@ def test_every_edge_of_the_fastest_shaft_finds_room():
 
 
 def test_parameters_are_float32_and_known_by_name():
-    bench = bench_of()
+    bench = Rig()
     bench.set_param("R_s_hat", 0.1234567890123)
     assert bench.get_param("R_s_hat") == float(np.float32(0.1234567890123))
     with pytest.raises(KeyError, match="no parameter 'R_s'; there are: n_p"):

@@ -131,56 +131,57 @@ def test_wrong_rate_is_rubbish_both_ways() -> None:
     port.close()
 
 
-def test_second_tcp_client_is_closed_and_the_next_takes_over() -> None:
+@pytest.fixture
+def tcp() -> Iterator[TcpPort]:
     port = TcpPort("127.0.0.1", 0)
-    first = open_link(port.target)
-    port.read()
-    second = open_link(port.target)
+    yield port
+    port.close()
+
+
+def test_second_tcp_client_is_closed_and_the_next_takes_over(tcp: TcpPort) -> None:
+    first = open_link(tcp.target)
+    tcp.read()
+    second = open_link(tcp.target)
     second.write(b"HELLO")  # unread by the time that the port turns it away
-    wait(port)
-    port.read()
+    wait(tcp)
+    tcp.read()
     with pytest.raises(LinkClosed, match="closed the connection without a word: is another program connected"):
         second.read(5.0)
-    port.write(b"still here")
+    tcp.write(b"still here")
     assert first.read(5.0) == b"still here"
-    assert port.refused == 1
+    assert tcp.refused == 1
     first.close()
-    wait(port)
-    port.read()
+    wait(tcp)
+    tcp.read()
     second.reopen()
-    wait(port)
-    port.read()
-    port.write(b"your turn")
+    wait(tcp)
+    tcp.read()
+    tcp.write(b"your turn")
     assert second.read(5.0) == b"your turn"
     second.close()
-    port.close()
 
 
-def test_tcp_port_in_use() -> None:
-    port = TcpPort("127.0.0.1", 0)
-    number = int(port.target.rpartition(":")[2])
+def test_tcp_port_in_use(tcp: TcpPort) -> None:
+    number = int(tcp.target.rpartition(":")[2])
     with pytest.raises(LinkError, match=f"cannot listen on tcp:127.0.0.1:{number}: Address already in use"):
         TcpPort("127.0.0.1", number)
-    port.close()
 
 
-def test_clients_that_are_turned_away_do_not_pile_up() -> None:
-    port = TcpPort("127.0.0.1", 0)
-    first = open_link(port.target)
-    port.read()
+def test_clients_that_are_turned_away_do_not_pile_up(tcp: TcpPort) -> None:
+    first = open_link(tcp.target)
+    tcp.read()
     before = len(os.listdir("/proc/self/fd"))
     others = []
     for n in range(30):
-        others.append(open_link(port.target))
-        wait(port)
-        port.read()
-        assert port.refused == n + 1
+        others.append(open_link(tcp.target))
+        wait(tcp)
+        tcp.read()
+        assert tcp.refused == n + 1
     assert len(os.listdir("/proc/self/fd")) - before <= 30 + 8
-    port.write(b"still here")
+    tcp.write(b"still here")
     assert first.read(5.0) == b"still here"
     for link in (first, *others):
         link.close()
-    port.close()
 
 
 @pytest.mark.parametrize(

@@ -312,9 +312,9 @@ def test_bad_overrides(text: str) -> None:
 
 def test_options_that_contradict_each_other(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--baud goes with a serial line"):
-        serve(ServeOptions(tcp="127.0.0.1:0", baud=9600))
+        serve(ServeOptions(tcp="127.0.0.1:0", baud=9600), print)
     with pytest.raises(TargetError, match="HOST:PORT"):
-        serve(ServeOptions(tcp="127.0.0.1"))
+        serve(ServeOptions(tcp="127.0.0.1"), print)
     with pytest.raises(ConfigError, match="R_s must be > 0 ohm, got -1"):
-        serve(ServeOptions(link=tmp_path / "x", overrides={"motor.R_s": -1}))
+        serve(ServeOptions(link=tmp_path / "x", overrides={"motor.R_s": -1}), print)
     assert list(tmp_path.iterdir()) == []

@@ -1,32 +1,31 @@
-"""The emulated slcan adapter: its answers as LAWICEL's, frames both ways, python-can's slcan as its host."""
+"""The emulated slcan adapter: its answers as LAWICEL's, frames both ways, faults."""
 
 from __future__ import annotations
 
 import os
 import select
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
-from can.interfaces.slcan import slcanBus
+from can_rows import frame
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, EXTENDED, FDF, BusRates
+from protocol.canmap.frame import (
+    BRS,
+    CAN_RECORD,
+    ERROR,
+    ERROR_CONTROLLER,
+    ERROR_PROTOCOL,
+    EXTENDED,
+    FDF,
+    BusRates,
+)
 from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
-
-
-def frame(number: int, data: bytes = b"", flags: int = 0, time: float = 0.0) -> bytes:
-    made = np.zeros(1, CAN_RECORD)
-    made["id"], made["length"], made["flags"], made["time"] = number, len(data), flags, time
-    made["data"][0, : len(data)] = list(data)
-    return made.tobytes()
 
 
 class Host:
@@ -85,19 +84,14 @@ def fd() -> Iterator[Host]:
         (b"\r", b"\r"),
         (b"C\r", b"\r"),
         (b"S0\r", b"\r"),
-        (b"S9\r", b"\r"),
         (b"S\r", b"\a"),
         (b"S10\r", b"\a"),
         (b"s031C\r", b"\r"),
         (b"s03\r", b"\a"),
-        (b"s03xx\r", b"\a"),
-        (b"Y2\r", b"\r"),
         (b"Y5\r", b"\r"),
-        (b"Y8\r", b"\r"),
         (b"Y3\r", b"\a"),
         (b"Z0\r", b"\r"),
         (b"Z2\r", b"\a"),
-        (b"W2\r", b"\a"),
         (b"W0\r", b"\r"),
         (b"M00000000\r", b"\r"),
         (b"M0000\r", b"\a"),
@@ -132,20 +126,6 @@ def test_frames_leave_in_order_only_while_open(classic: Host) -> None:
     assert numbers == [2, 3 | EXTENDED, 5 | 0x40000000, 6]
     assert sent[:80] == frame(2, b"\xaa")
     classic.must_see(b"\a\rz\rZ\r\r\a\rz\rz\r")  # and no frame of its own
-
-
-def test_bytes_cut_anywhere(classic: Host) -> None:
-    typed = b"O\rt1232AA55\rt1240\r"
-    sent = b"".join(classic.types(typed[k : k + 1]) for k in range(len(typed)))
-    assert sent == frame(0x123, b"\xaa\x55") + frame(0x124)
-
-
-def test_a_damaged_line_gets_one_bell(classic: Host) -> None:
-    classic.types(b"O\rt12\r")
-    classic.types(b"V\r")
-    classic.types(b"?\r")
-    classic.must_see(b"\r\aV1013\r\a")
-    assert classic.port.refused == 2
 
 
 def test_frames_of_the_bus_reach_the_host(fd: Host) -> None:
@@ -282,56 +262,3 @@ def test_unplugged_it_vanishes_and_comes_back_closed(tmp_path: Path) -> None:
     host.port.write(frame(3))
     host.must_see(b"\rz\rt0030\r")
     host.close()
-
-
-@contextmanager
-def served(port: SlcanPort) -> Iterator[list[bytes]]:
-    """Serve the port in a thread: the list of what the host sent grows."""
-    sent: list[bytes] = []
-    stop = threading.Event()
-
-    def serve() -> None:
-        while not stop.is_set():
-            select.select(port.read_fds(), [], [], 0.01)
-            if records := port.read():
-                sent.append(records)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield sent
-    finally:
-        stop.set()
-        thread.join()
-
-
-def test_python_can_as_host() -> None:
-    port = SlcanPort(None, FD)
-    timing = can.BitTimingFd.from_sample_point(80_000_000, 1_000_000, 80.0, 5_000_000, 80.0)
-    path = port.target.removeprefix("can:slcan/").partition("?")[0]
-    with served(port) as sent:
-        bus = slcanBus(path, sleep_after_open=0, timing=timing)
-        assert bus.get_version(5.0) == (10, 13)
-        assert bus.get_serial_number(5.0) == "SIM1"
-        bus.send(can.Message(arbitration_id=0x1234567, data=b"\x01\x02\x03", is_fd=True, bitrate_switch=True))
-        bus.send(can.Message(arbitration_id=0x12, is_extended_id=False, is_remote_frame=True, dlc=2))
-        deadline = time.monotonic() + 5.0
-        while len(b"".join(sent)) < 160 and time.monotonic() < deadline:
-            time.sleep(0.001)
-    wanted = np.frombuffer(
-        frame(0x1234567 | EXTENDED, b"\x01\x02\x03", FDF | BRS) + frame(0x40000012), CAN_RECORD
-    ).copy()
-    wanted["length"][1] = 2
-    assert b"".join(sent) == wanted.tobytes()
-    port.write(frame(0x321, bytes(range(48)), FDF))
-    got = None
-    while got is None:  # answers to what was sent come first
-        got = bus.recv(1.0)
-    assert (got.arbitration_id, got.is_fd, got.bitrate_switch, bytes(got.data)) == (
-        0x321,
-        True,
-        False,
-        bytes(range(48)),
-    )
-    bus.shutdown()
-    port.close()

@@ -8,14 +8,12 @@ import sys
 
 import numpy as np
 import pytest
+from rig import Rig, physical
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Status
-from sim.config.params import load_params
-from sim.drive.machine import SimulatedBench
 from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE, angle, clipped, edge_codes, quantised
 
-SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 IDEAL = {
     "hall.hysteresis_deg": 0.0,
     "hall.jitter_deg": 0.0,
@@ -30,10 +28,6 @@ TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
 CODES = [0b001, 0b011, 0b010, 0b110, 0b100, 0b101]
 
 
-def bench_of(seed=0, **overrides):
-    return SimulatedBench(load_params(None, overrides), seed)
-
-
 def forced(bench, omega_m, i_q=None):
     """Load machine at `omega_m`; the drive at `i_q`, or off."""
     bench.load_enter_state(DriveState.RUNNING)
@@ -42,10 +36,6 @@ def forced(bench, omega_m, i_q=None):
         bench.enable()
         bench.setpoint(SetpointMode.CURRENT, i_q)
     return bench
-
-
-def physical(recorded, name):
-    return recorded.samples[name].astype(float) * SCALE[name]
 
 
 def test_records_are_the_protocols_channels_packed():
@@ -70,7 +60,7 @@ def test_edges_come_where_and_when_the_rotor_passes_them():
     """Forced speed from standstill at once: the angle is known in closed form, so is every edge to a tick."""
     omega_m, n = 40.0, 1600
     for sign in (1, -1):
-        bench = forced(bench_of(**IDEAL), sign * omega_m)
+        bench = forced(Rig(**IDEAL), sign * omega_m)
         recorded = bench.advance(n)
         rate = sign * 6 * omega_m  # electrical rad/s; the first substep of 1/32000 s is the jump to it
         lost = 0.5 / 32000.0
@@ -93,7 +83,7 @@ def test_edges_come_where_and_when_the_rotor_passes_them():
 
 
 def test_an_edge_belongs_to_the_sample_that_shows_its_code():
-    recorded = forced(bench_of(), 200.0).advance(4000)
+    recorded = forced(Rig(), 200.0).advance(4000)
     ticks = recorded.tick + 1250 * np.arange(4000)
     last = np.searchsorted(recorded.edge_tick, ticks, side="right") - 1
     seen = last >= 0
@@ -105,7 +95,7 @@ def test_an_edge_belongs_to_the_sample_that_shows_its_code():
 
 def test_hysteresis_and_jitter_move_the_edges():
     def means(sign, **overrides):
-        recorded = forced(bench_of(**{**IDEAL, **overrides}), sign * 50.0).advance(32000)
+        recorded = forced(Rig(**{**IDEAL, **overrides}), sign * 50.0).advance(32000)
         angles = recorded.edge_tick / 20e6 * 300.0 - 300.0 * 0.5 / 32000.0
         at = np.degrees(sign * angles) + 30.0
         codes = recorded.edges["codes"] >> 3 & 7
@@ -124,7 +114,7 @@ def test_hysteresis_and_jitter_move_the_edges():
 
 def test_a_voltage_pairs_with_the_currents_of_the_period_that_ends_at_its_sample():
     """Held rotor, ideal inverter: L di/dt = u - R i must close for (u_k, i_k, i_{k-1}), and for no other shift."""
-    bench = forced(bench_of(**IDEAL), 0.0, 0.0)
+    bench = forced(Rig(**IDEAL), 0.0, 0.0)
     bench.set_param("observer", 0)
     bench.advance(100)
     bench.setpoint(SetpointMode.CURRENT, 6.0)
@@ -146,7 +136,7 @@ def test_a_voltage_pairs_with_the_currents_of_the_period_that_ends_at_its_sample
 
 def test_references_are_those_that_the_recorded_voltage_answers():
     """A step of the reference shows in i_q_ref one sample later, in u and in the current two later."""
-    bench = forced(bench_of(**IDEAL), 0.0, 0.0)
+    bench = forced(Rig(**IDEAL), 0.0, 0.0)
     bench.advance(100)
     bench.setpoint(SetpointMode.CURRENT, 6.0)
     recorded = bench.advance(10)
@@ -159,7 +149,7 @@ def test_references_are_those_that_the_recorded_voltage_answers():
 
 
 def test_current_step_answers_like_a_first_order_low_pass():
-    bench = forced(bench_of(**IDEAL), 100.0, 0.0)
+    bench = forced(Rig(**IDEAL), 100.0, 0.0)
     bench.set_param("observer", 0)
     bench.advance(400)
     bench.setpoint(SetpointMode.CURRENT, 4.0)
@@ -173,7 +163,7 @@ def test_current_step_answers_like_a_first_order_low_pass():
 
 
 def test_encoder_channels_follow_the_truth():
-    recorded = forced(bench_of(**IDEAL, **{"encoder.offset_deg": 10.0}), 52.36).advance(8000)
+    recorded = forced(Rig(**IDEAL, **{"encoder.offset_deg": 10.0}), 52.36).advance(8000)
     error = (physical(recorded, "theta_enc") - physical(recorded, "theta_true") + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(np.degrees(error) - 10.0).max() < 0.09
     assert np.abs(physical(recorded, "omega_enc")[2000:] - 6 * 52.36).max() < 2.0
@@ -181,7 +171,7 @@ def test_encoder_channels_follow_the_truth():
 
 
 def test_noise_offset_and_steps_of_the_current_sensors_are_recorded():
-    recorded = forced(bench_of(**{"current_sensor.offset": [0.1, 0.0, -0.2]}), 0.0).advance(8000)
+    recorded = forced(Rig(**{"current_sensor.offset": [0.1, 0.0, -0.2]}), 0.0).advance(8000)
     for phase, offset in (("a", 0.1), ("b", 0.0), ("c", -0.2)):
         i = physical(recorded, f"i_{phase}")
         assert i.mean() == pytest.approx(offset, abs=2e-3)
@@ -190,7 +180,7 @@ def test_noise_offset_and_steps_of_the_current_sensors_are_recorded():
 
 
 def test_torques_balance_on_the_shaft():
-    bench = forced(bench_of(**IDEAL), 60.0, 5.0)
+    bench = forced(Rig(**IDEAL), 60.0, 5.0)
     bench.set_param("observer", 0)
     recorded = bench.advance(3000)
     tau_e, tau_load = physical(recorded, "tau_e_true")[-1000:], physical(recorded, "tau_load_true")[-1000:]
@@ -202,7 +192,7 @@ def test_torques_balance_on_the_shaft():
 
 
 def test_first_sample_is_the_boot():
-    recorded = bench_of().advance(2)
+    recorded = Rig().advance(2)
     assert recorded.index == 0
     assert recorded.samples["status"][0] & Status.OBSERVERS_RESET
     assert not recorded.samples["status"][1] & Status.OBSERVERS_RESET
@@ -213,14 +203,12 @@ def test_first_sample_is_the_boot():
 
 PLAIN = """
 import json, sys
-import numpy as np
 from protocol.messages import SetpointMode, DriveState
-from sim.drive.machine import SimulatedBench
-from sim.config.params import load_params
-bench = SimulatedBench(load_params(None, {
+from rig import Rig
+bench = Rig(5, **{
     "motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3,
     "firmware.injection.inject": 2, "firmware.injection.inject_hz": 500,
-}), 5)
+})
 bench.load_enter_state(DriveState.RUNNING)
 bench.load_setpoint(SetpointMode.SPEED, 300.0)
 bench.enable()
@@ -240,7 +228,7 @@ def test_compiled_and_plain_python_agree_bit_for_bit():
     for disable in ("0", "1"):
         done = subprocess.run(
             [sys.executable, "-c", PLAIN],
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
+            env={**os.environ, "NUMBA_DISABLE_JIT": disable, "PYTHONPATH": os.pathsep.join(sys.path)},
             capture_output=True,
             text=True,
             check=False,

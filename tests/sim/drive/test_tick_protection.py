@@ -2,18 +2,13 @@
 
 import numpy as np
 import pytest
+from rig import RPM, Rig
 
 from protocol.messages import DriveState, Fault, SetpointMode
 from sim.config.params import load_params
 from sim.drive import tick_protection as protection
-from sim.drive.machine import SimulatedBench
 
-RPM = 2 * np.pi / 60
-PARAMS = protection.make_params(
-    16000.0, 6.0, True,
-    i_trip=16.0, omega_m_trip=400.0, omega_trip_time=1e-3, u_dc_min=12.0, u_dc_max=32.0,
-    hall_fault_time=5e-3, hall_fault_count=40, hall_fault_leak=0.5, hall_turns=6.0, hall_emf=0.3,
-)  # fmt: skip
+PARAMS = protection.make_params(16000.0, 6.0, True, load_params().firmware.protection)
 QUIET = protection.Sensed(0.0, 0.0, 24.0, 1, 0, 1, 0.0, 0.0)
 
 
@@ -68,7 +63,7 @@ def test_a_back_emf_against_the_hall_sensors_trips_after_its_turns():
 
 
 def drive(observer=2, **overrides):
-    bench = SimulatedBench(load_params(None, {"firmware.observer": observer, **overrides}), 1)
+    bench = Rig(1, **{"firmware.observer": observer, **overrides})
     bench.enable()
     bench.load_enter_state(DriveState.RUNNING)
     return bench
@@ -77,9 +72,7 @@ def drive(observer=2, **overrides):
 def forced(rpm, observer=2):
     """The drive at 2 A on a shaft that the load machine turns."""
     bench = drive(observer)
-    bench.load_setpoint(SetpointMode.SPEED, rpm * RPM)
-    bench.setpoint(SetpointMode.CURRENT, 2.0)
-    bench.advance(16_000)
+    bench.forced(rpm, 2.0, 1.0)
     assert bench.faults == 0
     return bench
 
@@ -87,10 +80,8 @@ def forced(rpm, observer=2):
 def loaded(rpm, torque, observer=2):
     """The drive at a speed against a torque."""
     bench = drive(observer)
-    bench.setpoint(SetpointMode.SPEED, rpm * RPM)
-    bench.advance(12_000)
-    bench.load_setpoint(SetpointMode.TORQUE, torque)
-    bench.advance(8_000)
+    bench.spin(rpm, 0.75)
+    bench.spin(rpm, 0.5, torque)
     assert bench.faults == 0
     assert bench.truth.omega_m == pytest.approx(rpm * RPM, rel=0.25)
     return bench
@@ -159,7 +150,7 @@ def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
 
 
 def test_skipped_sectors_alone_trip():
-    bench = SimulatedBench(load_params(None, {"mechanics.theta_0_deg": 30.0}), 1)  # code 1; 2 with a and b exchanged
+    bench = Rig(1, **{"mechanics.theta_0_deg": 30.0})  # code 1; 2 with a and b exchanged
     bench.enter_state(DriveState.ARMED)
     for k in range(1, 51):
         bench.set_load_param("hall_swap", k % 2)

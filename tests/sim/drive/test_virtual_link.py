@@ -9,7 +9,6 @@ import pytest
 from small_host import SmallHost
 
 from protocol.errors import LinkClosed
-from protocol.links import Link
 from protocol.messages import SetpointMode, StreamStop
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import EDGE_RECORD
@@ -36,12 +35,6 @@ def test_it_opens_from_a_file_and_dotted_keys(tmp_path: Path) -> None:
     assert SmallHost(link).connect().boot_id == SmallHost(VirtualLink.of(load_params(), 5)).connect().boot_id
     with pytest.raises(ConfigError, match="R_s must be > 0"):
         open_virtual(None, {"motor.R_s": -1.0}, 0)
-
-
-def test_it_is_a_link() -> None:
-    link: Link = VirtualLink.of(PARAMS)
-    assert link.clock() == 0.0
-    assert link.name == "virtual:"
 
 
 def test_a_wait_takes_its_virtual_time_and_no_more() -> None:
@@ -74,14 +67,6 @@ def test_settle_collects() -> None:
     data = link.read(1.0, settle=0.05)
     assert link.clock() - start <= 0.056
     assert len(data) > 0.03 * 16000 * 50
-
-
-def test_a_reply_costs_no_time() -> None:
-    link = quiet()
-    host = SmallHost(link)
-    host.connect()
-    host.descriptor()
-    assert link.clock() == 0.0
 
 
 def test_long_waits_lose_nothing() -> None:
@@ -137,20 +122,6 @@ def test_what_comes_out_is_what_the_bench_recorded() -> None:
     edges["encoder"] = np.concatenate([chunk.encoder for chunk in host.edges])
     assert len(edges) > 10
     assert (edges == recorded.edges).all()
-
-
-def test_the_run_does_not_depend_on_the_size_of_the_steps() -> None:
-    def run(step: float) -> np.ndarray:
-        host = SmallHost(VirtualLink.of(PARAMS, seed=2, step=step), wait=0.02)
-        host.stream()
-        host.start()
-        host.setpoint(SetpointMode.SPEED, 40.0)
-        host.run(0.4)
-        return np.concatenate([chunk.raw for chunk in host.samples[1, 0]])[:6000]
-
-    first = run(0.001)
-    assert len(first) == 6000
-    assert (first == run(0.02)).all()
 
 
 def test_ticks_and_index_run_over_32_bits_without_a_break() -> None:

@@ -11,27 +11,23 @@ dead time's error uncompensated: the defaults of the simulated bench. Unless a s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from ideal_motor import PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
 
-from protocol.messages import DriveState, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, AngleSource
-from sim.config.params import load_params
-from sim.drive.machine import SimulatedBench
-from sim.drive.tick import LOG_FIELDS
+from protocol.signals import AngleSource
+from sim.drive.machine import Recorded
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, chosen
+from tests.sim.drive.rig import Rig, column, physical
 
-RPM = 2 * np.pi / 60  # mechanical rad/s
 N_P = 6
 TORQUE = 1.5 * N_P * 6.55e-3  # N m/A
 HALF_HYSTERESIS = 0.25  # deg
 INSIDE = 5.0  # deg from the end of the sector where a start-up begins
 MISPLACED = np.abs(TABLE_I).max() + HALF_HYSTERESIS + 4 * 0.05  # deg, four sigma of jitter
-SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 TOLD = {"lookup_table": table(TABLE_I - HALF_HYSTERESIS, TABLE_I + HALF_HYSTERESIS)}
 """Drive parameters that an observer gets instead of the defaults: the table was measured beforehand."""
 
@@ -46,13 +42,18 @@ class Recording(NamedTuple):
     omega: np.ndarray  # electrical rad/s
     edge_samples: np.ndarray  # shape (m,): the sample that takes in each edge
     drive: dict[str, float]  # parameters
+    theta_vt: np.ndarray  # electrical rad, as the drive's own vector tracking had it
 
-    def estimates(self, name: str, believed: Mapping[str, float] | None = None):
-        """What the observer makes of it; `believed`: factors on the drive's parameters."""
+    def run(self, name: str, believed: Mapping[str, float] | None = None):
+        """State and estimates of the observer; `believed`: factors on the drive's parameters."""
         entry = CATALOGUE[name]
         drive = self.drive | TOLD.get(name, {})
         drive |= {key: drive[key] * factor for key, factor in (believed or {}).items()}
-        return entry.run(entry.make_params(PWM_HZ, drive), entry.init(), self.samples, self.reset)[1]
+        return entry.run(entry.make_params(PWM_HZ, drive), entry.init(), self.samples, self.reset)
+
+    def estimates(self, name: str, believed: Mapping[str, float] | None = None):
+        """What the observer makes of it."""
+        return self.run(name, believed)[1]
 
     def error(self, out) -> np.ndarray:
         """Actual less estimated angle, deg."""
@@ -64,17 +65,15 @@ class Tape:
 
     def __init__(self, seed: int = 1, **settings: object) -> None:
         """`settings`: as `section__name=value`."""
-        self.bench = SimulatedBench(load_params(None, {k.replace("__", "."): v for k, v in settings.items()}), seed)
+        self.bench = Rig(seed, **{key.replace("__", "."): value for key, value in settings.items()})
         self.bench.set_param("observer", AngleSource.ENCODER)
         self._parts, self._scored, self._resets, self._reset = [], [], [], True
-        for state in (DriveState.ARMED, DriveState.RUNNING):
-            self.bench.enter_state(state)
-            self.bench.load_enter_state(state)
-            self.advance(1)
+        for part in self.bench.start():
+            self._keep(part)
 
-    def advance(self, n: int, scored: bool = False) -> None:
-        """Go on for `n` periods."""
-        self._parts.append(self.bench.advance(n, log=True))
+    def _keep(self, part: Recorded, scored: bool = False) -> None:
+        n = len(part.samples)
+        self._parts.append(part)
         self._scored.append(np.full(n, scored))
         self._resets.append(np.arange(n) < self._reset)
         self._reset = False
@@ -86,15 +85,11 @@ class Tape:
 
     def forced(self, rpm: float, i_q: float, seconds: float, scored: bool = False) -> None:
         """Speed forced by the load machine, current by the drive."""
-        self.bench.load_setpoint(SetpointMode.SPEED, rpm * RPM)
-        self.bench.setpoint(SetpointMode.CURRENT, i_q, 0.0)
-        self.advance(round(seconds * PWM_HZ), scored)
+        self._keep(self.bench.forced(rpm, i_q, seconds), scored)
 
     def spin(self, rpm: float, seconds: float, scored: bool = False, load: float = 0.0) -> None:
         """Speed by the drive; `load`: torque worth so many A."""
-        self.bench.load_setpoint(SetpointMode.TORQUE, load * TORQUE)
-        self.bench.setpoint(SetpointMode.SPEED, rpm * RPM)
-        self.advance(round(seconds * PWM_HZ), scored)
+        self._keep(self.bench.spin(rpm, seconds, load * TORQUE), scored)
 
     def lap(self) -> None:
         """For those who learn."""
@@ -104,25 +99,27 @@ class Tape:
     def recording(self) -> Recording:
         """All of it."""
         assert not self.bench.faults
-        raw = np.concatenate([part.samples for part in self._parts])
-        log = np.concatenate([part.log for part in self._parts])
+        samples, edges, log = (
+            np.concatenate([getattr(part, name) for part in self._parts]) for name in ("samples", "edges", "log")
+        )
+        whole = replace(self._parts[0], samples=samples, edges=edges, log=log)
         tick = np.concatenate([part.tick + np.arange(len(part.samples)) * (TICK_HZ // PWM_HZ) for part in self._parts])
         edge_tick = np.concatenate([part.edge_tick for part in self._parts])
-        edge_hall = np.concatenate([part.edges["codes"] for part in self._parts]) >> 3 & 7
         reset = np.concatenate(self._resets)
-        seen = {name: raw[name] * SCALE[name] for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q", "i_q_ref")}
-        i_q_err = seen.pop("i_q_ref") - np.r_[0.0, seen.pop("i_q")[:-1]]
-        hall = np.ascontiguousarray(raw["hall"])
-        front = sample.make_params(TICK_HZ, **chosen(sample.make_params, self.bench.parameters))
-        inputs = (tick, hall, *seen.values(), i_q_err, edge_tick, edge_hall, reset)
-        truth = (log[:, LOG_FIELDS.index(name)].copy() for name in ("theta_e", "omega_e"))
+        seen = (physical(whole, name) for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"))
+        i_q_err = physical(whole, "i_q_ref") - np.r_[0.0, physical(whole, "i_q")[:-1]]
+        hall = np.ascontiguousarray(samples["hall"])
+        front = sample.make_params(TICK_HZ, chosen(sample.Settings, self.bench.parameters))
+        inputs = (tick, hall, *seen, i_q_err, edge_tick, edges["codes"] >> 3 & 7, reset)
         return Recording(
             sample.run(front, sample.init(), *inputs)[1],
             reset,
             np.concatenate(self._scored),
-            *truth,
+            column(whole, "theta_e").copy(),
+            column(whole, "omega_e").copy(),
             np.searchsorted(tick, edge_tick),
             dict(self.bench.parameters),
+            column(whole, "theta_vt").copy(),
         )
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.observers import sample
-from sim.observers.catalogue import keyword_parameters
+from sim.observers.catalogue import names
 
 TICK_HZ = 20_000_000
 PWM_HZ = 16_000
@@ -51,9 +51,9 @@ DRIVE = {
 }
 
 
-def own(make_params, **drive):
-    """The parameters that a `make_params` takes, from DRIVE with some changed."""
-    return {name: {**DRIVE, **drive}[name] for name in keyword_parameters(make_params)}
+def own(observer, **drive):
+    """The settings of an observer's module, from DRIVE with some changed."""
+    return observer.Settings(**{name: {**DRIVE, **drive}[name] for name in names(observer.Settings)})
 
 
 class Signals(NamedTuple):
@@ -152,7 +152,7 @@ def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
 
 def samples(s: Signals, reset=None) -> sample.Samples:
     """What the front end makes of the signals for the observers."""
-    params = sample.make_params(TICK_HZ, **{name: DRIVE[name] for name in ("n_p", "omega_m_max", "hall_timeout")})
+    params = sample.make_params(TICK_HZ, own(sample))
     return sample.run(params, sample.init(), *s.arguments(reset))[1]
 
 

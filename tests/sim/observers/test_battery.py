@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from battery import INSIDE, MISPLACED, N_P, RPM, SCENARIOS, STANDSTILL, TORQUE, limits
-from ideal_motor import PWM_HZ, error_deg
+from battery import HALF_HYSTERESIS, INSIDE, MISPLACED, N_P, SCENARIOS, STANDSTILL, TORQUE, Tape, limits
+from ideal_motor import PWM_HZ, TABLE_I, error_deg
 
+from sim.observers import edge_learning
 from sim.observers.catalogue import CATALOGUE
+from tests.sim.drive.rig import RPM
 
 LIMITS = limits("""
                    avg        vt        la      zero       lut        hv       hvd       plf       q15        le
@@ -110,6 +112,29 @@ def test_a_blocked_rotor_stands_once_edges_are_long_overdue(name, recorded):
     late = stopped + round((drive["hall_timeout"] + 0.05) * PWM_HZ)
     assert np.abs(out.omega[late:]).max() <= 0.01
     assert np.abs(one.error(out)[late + PWM_HZ // 10 :]).max() <= 30.0 + MISPLACED
+
+
+@pytest.mark.parametrize("recorded", ["steady 500", "reversal", "glitches"], indirect=True)
+def test_a_host_repeats_the_drive_bit_for_bit_from_telemetry(recorded):
+    """Raw samples and edges in, float64 estimates equal to the last bit."""
+    for one in recorded[1]:
+        assert np.array_equal(one.estimates("vector_tracking").theta, one.theta_vt)
+
+
+@pytest.mark.parametrize("believed", [{}, {"R_s_hat": 1.3, "L_s_hat": 1.2, "psi_f_hat": 0.9}], ids=["true", "wrong"])
+def test_what_is_learned_is_where_the_edges_lie_each_way_and_what_the_dead_time_leaves(believed):
+    """Forwards an edge is met half the hysteresis later than backwards; a tenth of 1 us at 24 V and 16 kHz is left."""
+    tape = Tape(3)
+    for rpm in (1000, -700):
+        tape.forced(rpm, 2.0, 1.5)
+        tape.forced(rpm, 6.0, 0.5)
+        tape.forced(rpm / 10, 4.0, 0.5)
+    state, out = tape.recording().run("learned_edges", believed)
+    up, down = (np.degrees([edge_learning.delta(state.edges, b, way) for b in range(6)]) for way in (1, -1))
+    assert up == pytest.approx(TABLE_I - HALF_HYSTERESIS, abs=0.4)
+    assert up - down == pytest.approx(-2 * HALF_HYSTERESIS, abs=0.35)
+    assert (out.learned[-1], out.sensors[-1]) == (12, 0)
+    assert state.voltage.v == pytest.approx(0.038, rel=0.4)
 
 
 @pytest.mark.parametrize("recorded", ["glitches", "gaps", "reversal", "load step", "braking"], indirect=True)

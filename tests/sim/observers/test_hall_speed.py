@@ -11,10 +11,19 @@ from ideal_motor import (
     signals,
 )
 
-from sim.observers import hall_speed
+from sim.observers import average_speed, hall_speed, sample
 
 PARAMS = hall_speed.make_params(TICK_HZ, 0.2)
 WIDTH = np.pi / 3
+
+
+def front(tick, hall, edge_tick, edge_hall, params=PARAMS):
+    """Last state and estimates of the front end, no motor connected."""
+    none = np.zeros(tick.size)
+    given = average_speed.Params(params, 0.0)
+    arguments = (tick, hall, none, none, none, none, none, none, edge_tick, edge_hall, np.zeros(tick.size, bool))
+    state, out = sample.run(given, sample.init(), *arguments)
+    return state.hall, out.hall
 
 
 def feed(events, until=None, params=PARAMS):
@@ -27,16 +36,14 @@ def feed(events, until=None, params=PARAMS):
     legal = (codes != 0) & (codes != 7)
     last = np.searchsorted(at[legal], tick, side="right") - 1
     hall = np.where(last >= 0, codes[legal][np.maximum(last, 0)], CODES[0]).astype(np.uint8)
-    return tick, hall_speed.run(params, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+    return tick, front(tick, hall, at, codes, params)
 
 
 @pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
 def test_speed_and_direction_at_constant_speed(speed):
     omega = rpm(speed)
     s = signals(constant(omega), 8 * WIDTH / abs(omega))
-    state, out = hall_speed.run(
-        PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool)
-    )
+    state, out = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
     passed = np.searchsorted(s.edge_tick, s.tick, side="right")
     assert set(out.direction[passed == 0]) == {0}
     assert set(out.omega[passed < 2]) == {0.0}  # one edge gives no speed
@@ -51,9 +58,7 @@ def test_speed_and_direction_at_constant_speed(speed):
 def test_ripple_of_the_misplaced_sensors_is_that_of_the_sector_widths():
     omega = rpm(500)
     s = signals(constant(omega), 1.0, edges_deg=PAPER_EDGES)
-    _, out = hall_speed.run(
-        PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool)
-    )
+    _, out = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
     width = np.diff(np.r_[PAPER_EDGES, 360 + PAPER_EDGES[0]])  # deg, of sector 0..5
     settled = s.tick > s.edge_tick[1]
     expected = omega * 60.0 / width[(out.sector - 1) % 6]  # the sector just passed made the speed
@@ -149,12 +154,11 @@ def test_illegal_codes_are_counted_and_change_nothing():
 
 def test_illegal_samples_are_counted_and_change_nothing():
     s = signals(constant(rpm(500)), 0.1)
-    args = (s.edge_tick, s.edge_hall, np.zeros(s.tick.size, bool))
-    _, clean = hall_speed.run(PARAMS, hall_speed.init(), s.tick, s.hall, *args)
+    _, clean = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
     hall = s.hall.copy()
     hall[100::50] = 0
     hall[101::50] = 7
-    state, out = hall_speed.run(PARAMS, hall_speed.init(), s.tick, hall, *args)
+    state, out = front(s.tick, hall, s.edge_tick, s.edge_hall)
     assert np.array_equal(out.omega, clean.omega)
     assert np.array_equal(out.sector, clean.sector)
     assert state.illegal == hall[100::50].size + hall[101::50].size
@@ -182,14 +186,14 @@ def test_lost_edges_are_noticed_by_the_sampled_code_within_two_samples():
     at = np.array([step, 2 * step], np.int64)
     codes = CODES[[1, 2]]
     hall = CODES[np.minimum(tick // step, 4)]  # edges to sectors 3 and 4 never arrive
-    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+    state, out = front(tick, hall, at, codes)
     first_wrong = 3 * step // TICKS
     assert out.sector[first_wrong] == 2
     assert out.sector[first_wrong + 1] == 3
     assert state.skipped == 2
     hall[first_wrong:] = CODES[2]
     hall[first_wrong + 10] = CODES[4]  # one odd sample alone is not believed
-    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(tick.size, bool))
+    state, out = front(tick, hall, at, codes)
     assert state.skipped == 0
 
 
@@ -204,10 +208,9 @@ def test_several_edges_in_one_period():
 
 def test_only_differences_of_ticks_count():
     s = signals(constant(rpm(300)), 0.2, edges_deg=PAPER_EDGES)
-    zeros = np.zeros(s.tick.size, bool)
-    _, near = hall_speed.run(PARAMS, hall_speed.init(), s.tick, s.hall, s.edge_tick, s.edge_hall, zeros)
+    _, near = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
     far = 1 << 60
-    _, out = hall_speed.run(PARAMS, hall_speed.init(), s.tick + far, s.hall, s.edge_tick + far, s.edge_hall, zeros)
+    _, out = front(s.tick + far, s.hall, s.edge_tick + far, s.edge_hall)
     for name in out._fields:
         assert np.array_equal(getattr(out, name), getattr(near, name)), name
 
@@ -217,7 +220,7 @@ def test_an_edge_between_samples_is_taken_with_the_next_sample_and_later_ones_ar
     at = np.array([TICKS, TICKS + 1, 2 * TICKS + 1], np.int64)  # at the sample, just after it, after the last
     codes = CODES[[1, 2, 3]]
     hall = CODES[[0, 1, 2]]
-    state, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, at, codes, np.zeros(3, bool))
+    state, out = front(tick, hall, at, codes)
     assert list(out.sector) == [0, 1, 2]
     assert state.now.sector == 2
 
@@ -226,7 +229,7 @@ def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
     tick = np.arange(3, dtype=np.int64) * TICKS
     none = np.array([], np.int64)
     hall = np.array([7, 0, CODES[4]], np.uint8)
-    _, out = hall_speed.run(PARAMS, hall_speed.init(), tick, hall, none, none.astype(np.uint8), np.zeros(3, bool))
+    _, out = front(tick, hall, none, none.astype(np.uint8))
     assert list(out.sector) == [-1, -1, 4]
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from ideal_motor import IDEAL_EDGES, PAPER_EDGES, PWM_HZ, T_S, constant, error_deg, rpm, signals
+from ideal_motor import IDEAL_EDGES, PAPER_EDGES, T_S, constant, error_deg, rpm, signals
 from test_hall_vector import W, component, estimate, loop
 
 from sim.observers import hall_vector_decoupled
@@ -46,12 +46,3 @@ def test_nothing_is_subtracted_at_a_speed_within_the_bandwidth():
         assert np.array_equal(estimate(slow).theta, decoupled(slow).theta)
         fast = signals(constant(1.3 * W), 1.0, edges_deg=edges_deg)
         assert settled(fast, decoupled(fast)).std() < 0.75 * settled(fast, estimate(fast)).std()
-
-
-@pytest.mark.parametrize("speed", [500.0, -3000.0])
-def test_after_a_gap_it_locks_again(speed):
-    s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
-    reset = np.zeros(s.tick.size, bool)
-    reset[PWM_HZ // 2] = True
-    error = error_deg(s.theta, decoupled(s, reset).theta)
-    assert np.abs(error[-PWM_HZ // 4 :]).max() < 4.5

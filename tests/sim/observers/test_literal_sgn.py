@@ -7,7 +7,7 @@ estimate can then stand still against the rotor where the two cancel, |sin(error
 import numpy as np
 import pytest
 from ideal_motor import DRIVE, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
-from test_vector_tracking import estimate, track
+from test_vector_tracking import estimate, locked
 
 
 def errors(speed, ahead_deg, literal):
@@ -16,7 +16,7 @@ def errors(speed, ahead_deg, literal):
     omega = rpm(speed)
     sign = int(np.sign(speed))
     start = np.radians(ahead_deg) * sign
-    out = track(omega, omega * t, start=start, direction=sign, literal_sgn=float(literal))
+    out = locked(omega, omega * t, start=start, direction=sign, literal_sgn=float(literal))
     return error_deg((omega * t)[1:], out.theta)
 
 
@@ -37,8 +37,8 @@ def test_above_that_speed_the_printed_form_finds_back():
 def test_the_noise_of_the_currents_throws_the_printed_form_off_at_50_rpm(seed):
     """A smooth start to 50 r/min, then steady, 20 mA of noise: nothing but that."""
     s = signals(lambda t: 0.3 + rpm(50) * np.where(t < 0.2, t**2 / 0.4, t - 0.1), 2.0, noise=0.02, seed=seed, fine=4)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).column("theta_vt")))
-    ours = np.abs(error_deg(s.theta, estimate(s).column("theta_vt")))
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta))
+    ours = np.abs(error_deg(s.theta, estimate(s).theta))
     settled = s.tick > TICK_HZ
     assert literal[settled].mean() > 30
     assert ours[settled].max() < 2.5
@@ -54,7 +54,7 @@ def test_a_reversal_throws_the_printed_form_off():
         return omega * np.minimum(t, 0.1) + omega * turning - slope * turning**2 / 2 - omega * after
 
     s = signals(angle, 1.0, i_q=-3.0, fine=20, noise=0.02)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).column("theta_vt")))
-    ours = np.abs(error_deg(s.theta, estimate(s).column("theta_vt")))
+    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta))
+    ours = np.abs(error_deg(s.theta, estimate(s).theta))
     assert literal[-PWM_HZ // 2 :].mean() > 45
     assert ours[-PWM_HZ // 2 :].max() < 1.0

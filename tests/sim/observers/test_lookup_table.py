@@ -11,6 +11,7 @@ from ideal_motor import (
     constant,
     error_deg,
     glitch,
+    own,
     rpm,
     samples,
     sectors,
@@ -27,7 +28,7 @@ SPEEDS = [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0]
 
 
 def params(offsets_deg=TABLE_I, downwards_deg=None):
-    return lookup_table.make_params(PWM_HZ, **LIMITS, **table(offsets_deg, downwards_deg))
+    return lookup_table.make_params(PWM_HZ, own(lookup_table, **table(offsets_deg, downwards_deg)))
 
 
 def passed_edges(s):
@@ -180,18 +181,6 @@ def test_a_lost_edge_holds_the_speed():
     assert np.abs(error_deg(s.theta, out.theta))[after].max() < 0.01
 
 
-def test_a_gap_forgets_all():
-    s = signals(constant(rpm(100)), 0.3, edges_deg=PAPER_EDGES)
-    reset = np.zeros(s.tick.size, bool)
-    reset[2000] = True
-    out = track(lookup_table, params(), s, reset)
-    n = int(passed_edges(s)[2000])
-    blind = (s.tick >= s.tick[2000]) & (s.tick < s.edge_tick[n + 1])
-    assert set(out.omega[blind]) == {0.0}
-    later = s.tick >= s.edge_tick[n + 1]
-    assert np.abs(error_deg(s.theta, out.theta))[later].max() < 0.01
-
-
 def test_a_table_that_leaves_a_sector_no_width():
     """Boundaries on top of each other, and even crossed: the speed of such a sector is zero, and nothing divides."""
     for offset in (30.0, 60.0):
@@ -202,11 +191,3 @@ def test_a_table_that_leaves_a_sector_no_width():
         assert out.omega[settled].min() == 0.0
         # the sector after that one is wider by the offset
         assert out.omega[settled].max() == pytest.approx(rpm(500) * (60 + offset) / 60, rel=1e-3)
-
-
-def test_an_entry_that_is_not_given_is_that_of_an_ideal_sensor():
-    entries = table()
-    del entries["edge_down_4"]
-    params = lookup_table.make_params(PWM_HZ, **LIMITS, **entries)
-    assert params.down[3] == pytest.approx(np.pi)
-    assert params.down[2] != pytest.approx(2 * np.pi / 3)

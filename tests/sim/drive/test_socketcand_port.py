@@ -1,40 +1,24 @@
-"""The simulated bus's ports, with python-can and our own link at the other end; the socketcand text also by hand."""
+"""The socketcand port of the simulated bus, with python-can and our own link at the other end, and by hand."""
 
 from __future__ import annotations
 
-import os
-import pty
 import select
 import socket
 import threading
 import time
-import tty
 from collections.abc import Iterator
 
-import can
-import numpy as np
 import pytest
+from can_ends import opened, read
+from can_rows import parts, records
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
+from protocol.canmap.frame import BRS, ERROR, EXTENDED, FDF, RECORD_BYTES, REMOTE, BusRates
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import can_open, open_link
 from protocol.links.can import CanLink
-from sim.ports.can_ports import QUIET, BusPort, SocketcandPort
+from sim.ports.socketcand_port import QUIET, SocketcandPort
 
 RATES = BusRates()
-
-
-def records(*frames: tuple[int, bytes, int], when: float = 0.0) -> bytes:
-    rows = np.zeros(len(frames), CAN_RECORD)
-    for row, (number, data, flags) in zip(rows, frames, strict=True):
-        row["id"], row["length"], row["flags"], row["time"] = number, len(data), flags, when
-        row["data"][: len(data)] = list(data)
-    return rows.tobytes()
-
-
-def parts(data: bytes) -> list[tuple[int, bytes, int]]:
-    rows = np.frombuffer(data, CAN_RECORD)
-    return [(int(row["id"]), bytes(row["data"][: row["length"]]), int(row["flags"])) for row in rows]
 
 
 CLASSIC = [
@@ -87,69 +71,17 @@ def server() -> Iterator[Server]:
     made.stop()
 
 
-def opened(target: str) -> CanLink:
-    link = open_link(target)
-    assert isinstance(link, CanLink)
-    return link
-
-
-def read(link: CanLink, n: int) -> bytes:
-    data, deadline = b"", time.monotonic() + 10.0
-    while len(data) < n * RECORD_BYTES and time.monotonic() < deadline:
-        data += link.read(0.1)
-    return data
-
-
 def test_our_link_and_the_server_understand_each_other(server: Server) -> None:
     target = server.port.target
     assert target == f"can:socketcand/can0?host=127.0.0.1&port={server.port._address[1]}&bitrate=1000000"
-    link = opened(target)
-    link.write(records(*CLASSIC))
-    assert server.wait(len(CLASSIC)) == CLASSIC
-    server.write(records(*CLASSIC, when=12.5))
-    assert parts(read(link, len(CLASSIC))) == CLASSIC
-    assert (link.name, link.rates, server.port.malformed) == ("can:socketcand/can0", RATES, 0)
-    link.close()
-
-
-def test_python_can_reads_and_writes_the_same(server: Server) -> None:
-    port = server.port._address[1]
-    bus = can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port, ignore_config=True)
-    server.now += 2 * QUIET
-    server.write(records(*CLASSIC, when=1234.000001))
-    for number, data, _ in CLASSIC:
-        message = bus.recv(5.0)
-        assert message is not None
-        assert (message.arbitration_id, message.is_extended_id) == (number & ~EXTENDED, bool(number & EXTENDED))
-        assert (bytes(message.data), message.dlc, message.timestamp) == (data, len(data), 1234.000001)
-        bus.send(message)
-    assert server.wait(len(CLASSIC)) == CLASSIC
-    bus.shutdown()
-
-
-def test_error_frames_pass_with_their_kind(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    server.write(records((ERROR | 0x40, bytes(8), 0), (ERROR | 0x20, bytes(8), 0)))
-    assert [number for number, _, _ in parts(read(link, 2))] == [ERROR | 0x40, ERROR | 0x20]
-    assert (link.health.error_frames["bus-off"], link.health.error_frames["no ack"]) == (1, 1)
-    link.close()
-
-
-def test_a_burst_passes_whole(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    n = 20_000
-    sent = records(*((k % 0x800, k.to_bytes(8, "little"), 0) for k in range(n)))
-    at = 0
-    got = bytearray()
-    while at < len(sent):
-        at += server.write(sent[at : at + 100 * RECORD_BYTES])
-        got += link.read(0.0)
-    got += read(link, n - len(got) // RECORD_BYTES)
-    assert parts(bytes(got)) == parts(sent)
-    assert link.health.dropped == 0
-    link.close()
+    errors = [(ERROR | 0x40, bytes(8), 0), (ERROR | 0x20, bytes(8), 0)]
+    with opened(target) as link:
+        link.write(records(*CLASSIC))
+        assert server.wait(len(CLASSIC)) == CLASSIC
+        server.write(records(*CLASSIC, *errors, when=12.5))
+        assert parts(read(link, len(CLASSIC) + 2))[:-2] == CLASSIC
+        assert (link.health.error_frames["bus-off"], link.health.error_frames["no ack"]) == (1, 1)
+        assert (link.name, link.rates, server.port.malformed) == ("can:socketcand/can0", RATES, 0)
 
 
 def read_empty(link: CanLink) -> None:
@@ -258,9 +190,17 @@ def test_what_cannot_be_read_is_counted_and_no_frame(port: SocketcandPort, text:
     assert client.hear() == b"< echo >"  # and no answer to the other
 
 
-def test_no_frame_follows_the_handshake_too_closely() -> None:
+@pytest.fixture
+def timed() -> Iterator[tuple[SocketcandPort, list[float]]]:
+    """A port, and its clock."""
     now = [0.0]
-    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    made = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+    yield made, now
+    made.close()
+
+
+def test_no_frame_follows_the_handshake_too_closely(timed: tuple[SocketcandPort, list[float]]) -> None:
+    port, now = timed
     frame = records((0x1, b"", 0))
     client = Client(port)
     assert port.write(frame) == len(frame)  # nobody there
@@ -278,12 +218,10 @@ def test_no_frame_follows_the_handshake_too_closely() -> None:
     second.say(b"< send 123 0 >")  # who speaks has read the last answer
     port.write(frame)
     assert second.hear() == b"< frame 001 0.000000  >"
-    port.close()
 
 
-def test_a_client_that_reads_nothing_is_bounded() -> None:
-    now = [0.0]
-    port = SocketcandPort("127.0.0.1", 0, RATES, clock=lambda: now[0])
+def test_a_client_that_reads_nothing_is_bounded(timed: tuple[SocketcandPort, list[float]]) -> None:
+    port, now = timed
     client = Client(port)
     client.shake_hands()
     now[0] = QUIET
@@ -303,7 +241,6 @@ def test_a_client_that_reads_nothing_is_bounded() -> None:
         port.read()
     datas = [bytes.fromhex(each.split()[-1].decode()) for each in text.split(b">")[:-1]]
     assert datas == [k.to_bytes(8, "little") for k in range(taken)]
-    port.close()
 
 
 def test_frames_without_a_form_are_counted(port: SocketcandPort) -> None:
@@ -331,71 +268,60 @@ def test_fd_is_refused() -> None:
 
 
 def test_a_second_client_is_sent_away(server: Server) -> None:
-    first = opened(server.port.target)
-    with pytest.raises(LinkBusy, match="is another program connected"):
+    with opened(server.port.target), pytest.raises(LinkBusy, match="is another program connected"):
         open_link(server.port.target)
     assert server.port.refused == 1
-    first.close()
-    second = opened(server.port.target)
-    second.write(records((5, b"", 0)))
-    assert server.wait(1) == [(5, b"", 0)]
-    second.close()
+    with opened(server.port.target) as second:
+        second.write(records((5, b"", 0)))
+        assert server.wait(1) == [(5, b"", 0)]
 
 
 def test_a_server_that_dies_closes_the_link(server: Server) -> None:
-    link = opened(server.port.target)
-    server.now += 2 * QUIET
-    server.write(records((1, b"tail", 0)))
-    server.stop()
-    started = time.monotonic()
-    assert parts(read(link, 1)) == [(1, b"tail", 0)]
-    with pytest.raises(LinkClosed, match="can:socketcand/can0 was"):
-        read_empty(link)
-    assert time.monotonic() - started < 5.0
-    with pytest.raises(LinkClosed):
-        link.write(records((1, b"", 0)))
-    assert "reads can:socketcand/can0" not in {thread.name for thread in threading.enumerate()}  # python-can would spin
-    with pytest.raises(LinkNotFound, match="nothing listens"):
-        link.reopen()
+    with opened(server.port.target) as link:
+        server.now += 2 * QUIET
+        server.write(records((1, b"tail", 0)))
+        server.stop()
+        started = time.monotonic()
+        assert parts(read(link, 1)) == [(1, b"tail", 0)]
+        with pytest.raises(LinkClosed, match="can:socketcand/can0 was"):
+            read_empty(link)
+        assert time.monotonic() - started < 5.0
+        with pytest.raises(LinkClosed):
+            link.write(records((1, b"", 0)))
+        names = {thread.name for thread in threading.enumerate()}
+        assert "reads can:socketcand/can0" not in names  # python-can would spin
+        with pytest.raises(LinkNotFound, match="nothing listens"):
+            link.reopen()
 
 
 def test_unplug_plug_and_reopen(server: Server) -> None:
-    link = opened(server.port.target)
-    with server._lock:
-        server.port.unplug()
-        assert server.port.read_fds() == []
-        assert server.port.write(records((1, b"", 0))) == RECORD_BYTES
-    with pytest.raises(LinkClosed):
-        read_empty(link)
-    with server._lock:
-        server.port.plug()
-    link.reopen()
-    link.write(records((6, b"", 0)))
-    assert server.wait(1) == [(6, b"", 0)]
-    link.close()
+    with opened(server.port.target) as link:
+        with server._lock:
+            server.port.unplug()
+            assert server.port.read_fds() == []
+            assert server.port.write(records((1, b"", 0))) == RECORD_BYTES
+        with pytest.raises(LinkClosed):
+            read_empty(link)
+        with server._lock:
+            server.port.plug()
+        link.reopen()
+        link.write(records((6, b"", 0)))
+        assert server.wait(1) == [(6, b"", 0)]
 
 
-def test_nothing_listens() -> None:
+def test_targets_that_no_server_has(server: Server) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         number = listener.getsockname()[1]
-    with pytest.raises(LinkNotFound, match=f"can:socketcand/can0: nothing listens on port {number} of 127.0.0.1"):
-        open_link(f"can:socketcand/can0?host=127.0.0.1&port={number}")
-
-
-def test_no_server_named() -> None:
-    with pytest.raises(TargetError, match=r"names no server: write can:socketcand/can0\?host="):
-        open_link("can:socketcand/can0?host=127.0.0.1")
-    with pytest.raises(
-        TargetError, match=r"can:socketcand names no bus of the server: write can:socketcand/can0\?host="
+    bus, here = "can:socketcand/can0", "host=127.0.0.1"
+    for target, kind, match in (
+        (f"{bus}?{here}&port={number}", LinkNotFound, f"{bus}: nothing listens on port {number} of 127.0.0.1"),
+        (f"{bus}?{here}", TargetError, rf"names no server: write {bus}\?host="),
+        (f"can:socketcand?{here}&port=29536", TargetError, rf"can:socketcand names no bus .* write {bus}\?host="),
+        (f"{bus}?{here}&port=29536&fd=1", TargetError, f"{bus}: python-can's socketcand has no CAN FD frames: leave"),
+        (server.port.target.replace("can0", "can9"), LinkNotFound, "^can:socketcand/can9: the server has no bus can9$"),
     ):
-        open_link("can:socketcand?host=127.0.0.1&port=29536")
-
-
-def test_a_target_with_fd() -> None:
-    with pytest.raises(
-        TargetError, match=r"can:socketcand/can0: python-can's socketcand has no CAN FD frames: leave fd"
-    ):
-        open_link("can:socketcand/can0?host=127.0.0.1&port=29536&fd=1")
+        with pytest.raises(kind, match=match):
+            open_link(target)
 
 
 @pytest.mark.parametrize(
@@ -427,83 +353,3 @@ def test_servers_that_are_no_socketcand(monkeypatch: pytest.MonkeyPatch, greetin
     serving.join()
     for each in (listener, *clients):
         each.close()
-
-
-def test_a_wrong_channel_is_named(server: Server) -> None:
-    with pytest.raises(LinkNotFound, match=r"^can:socketcand/can9: the server has no bus can9$"):
-        open_link(server.port.target.replace("can0", "can9"))
-
-
-# Any bus of python-can's
-
-
-@pytest.fixture
-def channel() -> str:
-    return f"port-{time.monotonic_ns()}"
-
-
-def virtual(channel: str) -> can.BusABC:
-    return can.Bus(interface="virtual", channel=channel, ignore_config=True)
-
-
-FD = [(0x10, bytes(range(64)), FDF | BRS), (0x11 | EXTENDED, bytes(12), FDF), (ERROR | 0x8, bytes(8), 0)]
-
-
-def test_a_virtual_bus_with_our_link_at_the_other_end(channel: str) -> None:
-    rates = BusRates(500_000, 2_000_000)
-    port = BusPort.virtual(channel, rates, extended=True)
-    link = opened(port.target)
-    assert (link.name, link.rates, link.extended) == (f"can:virtual/{channel}", rates, True)
-    link.write(records(*CLASSIC, *FD))
-    assert parts(port.read()) == [*CLASSIC, *FD]
-    assert port.read() == b""
-    sent = records(*CLASSIC, *FD)
-    assert port.write(sent) == len(sent)
-    assert parts(read(link, len(CLASSIC) + len(FD))) == [*CLASSIC, *FD]
-    assert port.read_fds() == []
-    link.close()
-    port.close()
-
-
-def test_a_bus_is_unplugged_and_plugged(channel: str) -> None:
-    port = BusPort.virtual(channel, RATES)
-    assert port.target == f"can:virtual/{channel}?bitrate=1000000"
-    other = virtual(channel)
-    port.unplug()
-    port.unplug()
-    other.send(can.Message(arbitration_id=1))
-    assert (port.read(), port.write(records((1, b"", 0))), port.read_fds()) == (b"", RECORD_BYTES, [])
-    port.plug()
-    other.send(can.Message(arbitration_id=2, is_extended_id=False))
-    assert parts(port.read()) == [(2, b"", 0)]
-    port.write(records((3, b"", 0)))
-    message = other.recv(5.0)
-    assert message is not None
-    assert message.arbitration_id == 3
-    other.shutdown()
-    port.close()
-
-
-def test_unreadable_frames_are_counted_and_full_buses_take_no_more(channel: str) -> None:
-    port = BusPort.virtual(channel, RATES)
-    other = can.Bus(interface="virtual", channel=channel, rx_queue_size=2, ignore_config=True)
-    other.send(can.Message(arbitration_id=0x800, is_extended_id=False))
-    other.send(can.Message(arbitration_id=0x1, is_extended_id=False))
-    assert parts(port.read()) == [(1, b"", 0)]
-    assert port.malformed == 1
-    assert port.write(records(*((k, b"", 0) for k in range(5)))) == 2 * RECORD_BYTES
-    other.shutdown()
-    port.close()
-
-
-def test_a_bus_with_a_descriptor_shows_it() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    path = os.ttyname(slave)
-    port = BusPort(lambda: can.Bus(interface="slcan", channel=path, sleep_after_open=0, ignore_config=True), "")
-    os.write(master, b"t1232AABB\r")
-    assert select.select(port.read_fds(), [], [], 5.0)[0]
-    assert parts(port.read()) == [(0x123, b"\xaa\xbb", 0)]
-    port.close()
-    os.close(master)
-    os.close(slave)

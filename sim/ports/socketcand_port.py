@@ -1,7 +1,7 @@
-"""Where the simulated CAN bus can be joined: a socketcand server, or any bus that python-can opens.
+"""A socketcand server by which the simulated CAN bus can be joined.
 
-Both are ports (`sim.ports.byte_ports.Port`) whose bytes are rows of `CAN_RECORD`: `read` gives the frames that a host
-sent, `write` takes those that the host is to see. They know no HBP and never block.
+It is a port (`sim.ports.byte_ports.Port`) whose bytes are rows of `CAN_RECORD`: `read` gives the frames that a host
+sent, `write` takes those that the host is to see. It knows no HBP and never blocks.
 """
 
 from __future__ import annotations
@@ -9,10 +9,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
-
-import can
 
 from protocol.canmap.frame import (
     ERROR,
@@ -26,7 +23,6 @@ from protocol.canmap.frame import (
     BusRates,
 )
 from protocol.errors import LinkError
-from protocol.links.can_message import to_messages, to_record
 from protocol.links.target import CanTarget
 from sim.ports.byte_ports import TcpPort
 
@@ -37,7 +33,6 @@ that arrives together with the last `< ok >` for a failed handshake."""
 
 _MAX_OUTPUT = 262144  # bytes of text that wait for a slow client; more frames are not taken
 _MAX_MESSAGE = 200  # bytes; python-can gives up a longer one too
-_MAX_BURST = 1000  # frames that one `read` of a bus gives
 _SEND = re.compile(rb"< send ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) ([0-8])((?: [0-9A-Fa-f]{1,2}){0,8}) *>")
 
 
@@ -198,85 +193,3 @@ def _read_frame(message: bytes) -> bytes:
     if len(data) != int(sent[2]) or number > (EXTENDED_MASK if extended else STANDARD_MASK):
         return b""
     return RECORD.pack(number | (EXTENDED if extended else 0), len(data), 0, 0, 0.0, data)
-
-
-class BusPort:
-    """A bus that python-can opens, such as Linux's vcan or python-can's own virtual bus.
-
-    Args:
-        make: opens the bus; called again by `plug`.
-        target: by which a host reaches the same bus.
-    """
-
-    def __init__(self, make: Callable[[], can.BusABC], target: str) -> None:
-        self.malformed = 0
-        """Frames that could not be read."""
-        self._make = make
-        self._target = target
-        self._bus: can.BusABC | None = None
-        self.plug()
-
-    @classmethod
-    def virtual(cls, channel: str, rates: BusRates, extended: bool = False) -> BusPort:
-        """Return a port on python-can's virtual bus, which ends with this process."""
-        return cls(
-            lambda: can.Bus(interface="virtual", channel=channel, ignore_config=True),
-            str(CanTarget("virtual", channel, _rate_options(rates), extended=extended)),
-        )
-
-    @property
-    def target(self) -> str:
-        """See `Port.target`."""
-        return self._target
-
-    def plug(self) -> None:
-        """See `Port.plug`."""
-        if self._bus is None:
-            self._bus = self._make()
-
-    def unplug(self) -> None:
-        """See `Port.unplug`."""
-        if self._bus is not None:
-            self._bus.shutdown()
-            self._bus = None
-
-    def close(self) -> None:
-        """See `Port.close`."""
-        self.unplug()
-
-    def account(self) -> str:
-        """See `Port.account`."""
-        return ""
-
-    def read_fds(self) -> list[int]:
-        """See `Port.read_fds`; none where the bus has no descriptor, so that it has to be asked."""
-        if self._bus is not None:
-            with suppress(NotImplementedError):
-                return [self._bus.fileno()]
-        return []
-
-    def read(self) -> bytes:
-        """See `Port.read`."""
-        rows = bytearray()
-        if self._bus is not None:
-            with suppress(can.CanError):  # an interface that went down: as if nobody sent
-                for _ in range(_MAX_BURST):
-                    message = self._bus.recv(0.0)
-                    if message is None:
-                        break
-                    try:
-                        rows += to_record(message, 0.0)
-                    except ValueError:
-                        self.malformed += 1
-        return bytes(rows)
-
-    def write(self, data: bytes) -> int:
-        """See `Port.write`; whole records."""
-        if self._bus is None:
-            return len(data)
-        taken = 0
-        with suppress(can.CanError):  # no room: the rest is not taken
-            for message in to_messages(data):
-                self._bus.send(message, 0.0)
-                taken += RECORD_BYTES
-        return taken

@@ -1,0 +1,29 @@
+"""The shell of every HTML report: one self-contained file, in which whatever anybody says is text, never markup."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+
+def page(package: str, template: str, filters: Mapping[str, Callable[..., Any]], **given: Any) -> str:
+    """The page that `template` of a package makes of what is given; it may include `style.css.j2`."""
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package, ""), PackageLoader("bench.reports", "")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= filters
+    return environment.get_template(template).render(given)
+
+
+def embedded(picture: Path) -> str:
+    """A PNG as a data URI: nothing is fetched when the page is read. Raises OSError."""
+    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode("ascii")

@@ -1,0 +1,68 @@
+"""The simulated bench with what its tests do to it, and what they read of its records."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from protocol.messages import DriveState, SetpointMode
+from protocol.signals import DRIVE_CHANNELS
+from sim.config.params import load_params
+from sim.drive.machine import Recorded, SimulatedBench
+from sim.drive.tick import LOG_FIELDS
+
+PWM_HZ = 16_000
+RPM = 2 * np.pi / 60  # mechanical rad/s
+SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
+
+
+class Rig(SimulatedBench):
+    """A simulated bench; `settings` by `section.key`."""
+
+    def __init__(self, seed: int = 0, **settings: object) -> None:
+        super().__init__(load_params(None, settings), seed)
+
+    def enable(self, on: bool = True) -> None:
+        """From IDLE through ARMED to RUNNING at once, or back to IDLE."""
+        for state in (DriveState.ARMED, DriveState.RUNNING) if on else (DriveState.IDLE,):
+            self.enter_state(state)
+
+    def start(self) -> list[Recorded]:
+        """Drive and load machine: a period ARMED, and one RUNNING, at no current and torque."""
+        records = []
+        for state in (DriveState.ARMED, DriveState.RUNNING):
+            self.enter_state(state)
+            self.load_enter_state(state)
+            records.append(self.advance(1, log=True))
+        return records
+
+    def run(self, seconds: float) -> Recorded:
+        """Go on for a time, unrounded results and truth logged."""
+        return self.advance(round(seconds * PWM_HZ), log=True)
+
+    def forced(self, rpm: float, i_q: float, seconds: float) -> Recorded:
+        """Speed forced by the load machine, current by the drive."""
+        self.load_setpoint(SetpointMode.SPEED, rpm * RPM)
+        self.setpoint(SetpointMode.CURRENT, i_q, 0.0)
+        return self.run(seconds)
+
+    def spin(self, rpm: float, seconds: float, load: float = 0.0) -> Recorded:
+        """Speed by the drive's own loop, against a torque in N·m."""
+        self.load_setpoint(SetpointMode.TORQUE, load)
+        self.setpoint(SetpointMode.SPEED, rpm * RPM)
+        return self.run(seconds)
+
+
+def column(recorded: Recorded, name: str) -> np.ndarray:
+    """A logged estimate, or the truth."""
+    return recorded.log[:, LOG_FIELDS.index(name)]
+
+
+def physical(recorded: Recorded, name: str) -> np.ndarray:
+    """A channel in its unit."""
+    return recorded.samples[name] * SCALE[name]
+
+
+def error_deg(recorded: Recorded, name: str) -> np.ndarray:
+    """Actual less estimated angle, electrical degrees; the estimate as logged, or as the channel where none is."""
+    estimate = column(recorded, name) if name in LOG_FIELDS else physical(recorded, name)
+    return (np.degrees(column(recorded, "theta_e") - estimate) + 180) % 360 - 180

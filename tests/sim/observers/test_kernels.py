@@ -1,0 +1,222 @@
+"""What all observers have in common: the same bits by step, by run and uncompiled, gaps, parameters that are zero."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, constant, own, rpm, samples, signals, table
+
+from sim.observers import (
+    hall_vector,
+    hall_vector_decoupled,
+    learned_edges,
+    load_angle,
+    lookup_table,
+    programmable_filter,
+    sample,
+    vector_tracking,
+    vector_tracking_q15,
+    zeroth_order,
+)
+from sim.observers.catalogue import CATALOGUE, DEFAULTS, names
+from sim.observers.hall_edges import EDGES
+
+MILLI = 1 / 1024
+OBSERVERS = (
+    vector_tracking,
+    load_angle,
+    zeroth_order,
+    lookup_table,
+    hall_vector,
+    hall_vector_decoupled,
+    programmable_filter,
+    vector_tracking_q15,
+    learned_edges,
+)
+EACH = pytest.mark.parametrize("observer", OBSERVERS, ids=lambda module: module.__name__.rpartition(".")[2])
+OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges"}
+TOLD = {"k_ic": 11.0, **table()}
+
+
+def busy(seconds=0.6):
+    """Standstill, start, 400 r/min, back through zero, a stop; misplaced sensors, noise, glitches, lost edges."""
+    a, omega = 5000.0, rpm(400)
+    up = omega / a
+
+    def angle(t):
+        speed_up = np.clip(t - 0.05, 0, up)
+        steady = np.clip(t - 0.05 - up, 0, 0.1)
+        turning = np.clip(t - 0.15 - up, 0, 2 * up)
+        back = np.clip(t - 0.15 - 3 * up, 0, 0.1)
+        way = a * speed_up**2 / 2 + omega * steady + omega * turning - a * turning**2 / 2 - omega * back
+        return 0.4 + way
+
+    s = signals(angle, seconds, i_q=5.0, edges_deg=PAPER_EDGES, fine=10, noise=0.02, seed=7)
+    rounded = {name: np.round(getattr(s, name) / MILLI) * MILLI for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c")}
+    rng = np.random.default_rng(3)
+    keep = np.ones(s.edge_tick.size, bool)
+    keep[20] = False
+    tick = np.r_[s.edge_tick[keep], s.edge_tick[8] + 100, s.edge_tick[8] + 140]
+    code = np.r_[s.edge_hall[keep], np.uint8(7), s.edge_hall[8]]
+    order = np.argsort(tick, kind="stable")
+    hall = s.hall.copy()
+    hall[4000] = 0
+    i_q_err = np.round(rng.standard_normal(s.tick.size) * 0.05 / MILLI) * MILLI
+    return s._replace(hall=hall, i_q_err=i_q_err, edge_tick=tick[order], edge_hall=code[order], **rounded)
+
+
+def learning():
+    """1500 r/min, 200, then 1500 with a wire broken, too short for a reset: places, R_s and doubts are learned."""
+    fast, slow = rpm(1500), rpm(200)
+    s = signals(
+        lambda t: 0.3 + fast * t - (fast - slow) * np.clip(t - 0.08, 0, 0.04),
+        0.156,
+        i_q=5.0,
+        edges_deg=PAPER_EDGES,
+        noise=0.02,
+        seed=7,
+    )
+    broken = 0.125 * TICK_HZ
+    return s._replace(hall=s.hall | (s.tick > broken), edge_hall=s.edge_hall | (s.edge_tick > broken))
+
+
+def resets(n):
+    mask = np.zeros(n, bool)
+    mask[[k for k in (0, 2500, 2501, 5200) if k < n]] = True
+    return mask
+
+
+def bits(estimates, state):
+    """Every bit of a run's result."""
+    digest = hashlib.sha256()
+    for column in estimates:
+        digest.update(np.asarray(column, np.float64).tobytes())
+    digest.update(np.array(list(numbers(state))).tobytes())
+    return digest.hexdigest()
+
+
+def numbers(value):
+    """The numbers of nested tuples, in order."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from numbers(part)
+    else:
+        yield float(value)
+
+
+@cache
+def heard(make):
+    """Samples and resets."""
+    s = make()
+    reset = resets(s.tick.size)
+    return samples(s, reset), reset
+
+
+def run_whole(observer, make):
+    """State and estimates."""
+    return observer.run(observer.make_params(PWM_HZ, own(observer, **TOLD)), observer.init(), *heard(make))
+
+
+def digests():
+    """Of every run."""
+    return [bits(*reversed(run_whole(observer, make))) for observer in OBSERVERS for make in (busy, learning)]
+
+
+@EACH
+def test_step_and_run_agree_bit_for_bit(observer):
+    seen, reset = heard(busy)
+    params, state = observer.make_params(PWM_HZ, own(observer, **TOLD)), observer.init()
+    columns = [np.empty(reset.size) for _ in observer.Estimate._fields]
+    for k in range(reset.size):
+        if reset[k]:
+            state = observer.init()
+        state, estimate = observer.step(params, state, sample.at(seen, k))
+        for column, value in zip(columns, estimate, strict=True):
+            column[k] = value
+    last, out = run_whole(observer, busy)
+    assert bits(columns, state) == bits(out, last)
+
+
+def test_the_uncompiled_kernels_agree_bit_for_bit():
+    code = "import test_kernels as t; print(*t.digests())"
+    here = Path(__file__).parent
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join([str(here), *sys.path])}
+    plain = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert plain.stdout.split() == digests()
+
+
+def test_what_can_be_learned_is_learned_where_the_bits_are_compared():
+    params = learned_edges.make_params(PWM_HZ, own(learned_edges))
+    state, out = learned_edges.run(params, learned_edges.init(), *heard(learning))
+    assert state.edges.learned == 6
+    assert 0.0 not in (state.edges.c, state.voltage.v, state.voltage.R_error)
+    assert out.sensors[-1] == 1
+
+
+@EACH
+def test_an_estimate_begins_with_angle_and_speed(observer):
+    assert observer.Estimate._fields[:2] == ("theta", "omega")
+    assert observer.Estimate._fields == observer.Estimates._fields
+    _, out = run_whole(observer, busy)
+    assert out.theta.min() >= -np.pi
+    assert out.theta.max() < np.pi
+
+
+@EACH
+def test_a_gap_forgets_everything(observer):
+    """From the reset on it is a run that begins there."""
+    seen, _ = heard(busy)
+    at = 3000
+    params, reset = observer.make_params(PWM_HZ, own(observer)), np.zeros(seen.code.size, bool)
+    reset[at] = True
+    _, out = observer.run(params, observer.init(), seen, reset)
+    rest = type(seen)(type(seen.hall)(*(c[at:] for c in seen.hall)), *(c[at:] for c in seen[1:]))
+    _, fresh = observer.run(params, observer.init(), rest, ~reset[:-at] & False)
+    for mine, its in zip(out, fresh, strict=True):
+        assert np.array_equal(mine[at:], its)
+
+
+@EACH
+def test_one_compiled_version_serves_parameters_of_all_kinds(observer):
+    """Whole numbers from a host, numpy scalars: no second compilation."""
+    if not hasattr(observer.run, "signatures"):
+        pytest.skip("not compiled")
+    reset = np.zeros(100, bool)
+    seen = samples(signals(constant(rpm(100)), 100 * T_S))
+    for kind in (float, np.float32, int):
+        drive = {name: kind(value) for name, value in DRIVE.items() if value or kind is not int}
+        params = observer.make_params(PWM_HZ, own(observer, **drive))
+        state, _ = observer.run(params, observer.init(), seen, reset)
+        observer.run(params, state, seen, reset)
+    assert len(observer.run.signatures) == 1
+
+
+@EACH
+@pytest.mark.parametrize("speed", [0.0, 500.0, -3000.0])
+def test_parameters_that_are_zero_divide_by_nothing(observer, speed):
+    """All of them, and each alone: finite estimates, standing and turning, with and without voltage."""
+    zeros = [name for name in names(observer.Settings) if name not in ("n_p", "hall_timeout") and name not in OPTIONAL]
+    s = signals(constant(rpm(speed)), 0.05, i_q=8.0)
+    driven = samples(s)
+    still = driven._replace(u_alpha=0 * s.u_alpha, u_beta=0 * s.u_beta)
+    for zero in [zeros, *([name] for name in zeros)]:
+        params = observer.make_params(PWM_HZ, own(observer, **dict.fromkeys(zero, 0.0)))
+        for seen in (driven, still):
+            for column in observer.run(params, observer.init(), seen, np.zeros(s.tick.size, bool))[1]:
+                assert np.isfinite(column).all(), zero
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_parameter_that_is_missing_is_named(name):
+    """An edge that is not given is an ideal one, a test sine that is not asked for is none."""
+    entry = CATALOGUE[name]
+    needed = [parameter for parameter in entry.parameters if parameter not in OPTIONAL]
+    assert entry.missing({}) == tuple(parameter for parameter in needed if parameter not in DEFAULTS)
+    for parameter in needed:
+        with pytest.raises(TypeError, match=parameter):
+            entry.settings(**{other: 1.0 for other in entry.parameters if other != parameter})
