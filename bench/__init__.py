@@ -39,7 +39,8 @@ __all__ = [
 
 _HOMES = {
     "BenchError": "bench.errors", "Capture": "bench.analysis.capture", "DriveTripped": "bench.rig.drive",
-    "Envelope": "bench.rig.envelope", "Rig": "bench.rig.rig", "Settings": "bench.rig.settings", "__version__": "protocol",
+    "Envelope": "bench.rig.envelope", "Rig": "bench.rig.rig", "Settings": "bench.rig.settings",
+    "__version__": "protocol",
 }  # fmt: skip
 
 
