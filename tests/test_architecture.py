@@ -6,8 +6,10 @@ import ast
 import re
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 from importlinter.cli import lint_imports
 
 ROOT = Path(__file__).parents[1]
@@ -30,6 +32,13 @@ def test_every_folder_has_a_layer() -> None:
     }
     assert folders <= layers
     assert layers <= folders | {"bench.errors", "bench.files", "protocol.host"}
+
+
+def test_no_module_imports_another_in_a_circle() -> None:
+    """Wherever the import stands, and were it for types only."""
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imports).prepare()  # raises CycleError
 
 
 def test_bench_has_at_most_four_loose_modules() -> None:
