@@ -14,7 +14,7 @@ from protocol.messages import StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 I64 = NDArray[np.int64]
-Chunk = TypeVar("Chunk", SampleChunk, EdgeChunk)
+Chunk = TypeVar("Chunk", bound=SampleChunk | EdgeChunk)
 
 _SAMPLE_FIELDS = ("index", "tick", "raw")
 _EDGE_FIELDS = ("index", "tick", "hall_old", "hall_new", "illegal", "encoder")

@@ -56,7 +56,7 @@ def check_files(
     None is no file, - is standard output. UsageError for a file that would be lost, and for an input that cannot be
     reached; BenchError as `check_output`, RecordingError for the options that are `recordings`.
     """
-    read = {_real(source): source for source in inputs if source is not None}
+    read = {os.path.realpath(source): source for source in inputs if source is not None}
     for source in read.values():
         try:
             os.stat(source)
@@ -67,7 +67,7 @@ def check_files(
     paths = {option: path for option, path in outputs.items() if path is not None}
     written: dict[str, str] = {}
     for option, path in paths.items():
-        file = _real(path)
+        file = os.path.realpath(path)
         if file in read:
             raise click.UsageError(f"{option} {path} is a file that is read: choose another name")
         if file in written:
@@ -83,7 +83,3 @@ def check_files(
 def write_json(path: Path, data: object) -> None:
     """Write plain data to a file of `--json`; numbers that JSON has not are null. Raises BenchError."""
     write(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n", f"--json {path}")
-
-
-def _real(path: Path | str) -> str:
-    return str(path) if str(path) == "-" else os.path.realpath(path)

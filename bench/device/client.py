@@ -152,6 +152,8 @@ class Client:
         self.reconnect = reconnect
         self.session = HostSession(link.wire())
         self.sinks: list[Sink] = []
+        self.change: Callable[[SampleChunk | EdgeChunk], SampleChunk | EdgeChunk] = lambda chunk: chunk
+        """What is done to each chunk before the sinks get it."""
         self.health = LinkHealth()
         self.hello: HelloReply | None = None
         self.heartbeats: dict[int, Heartbeat] = {}
@@ -354,11 +356,13 @@ class Client:
                     self.on_reboot(node)
 
     def _deliver(self, chunk: SampleChunk | EdgeChunk | None) -> None:
-        if isinstance(chunk, SampleChunk):
-            for sink in self.sinks:
+        if chunk is None:
+            return
+        chunk = self.change(chunk)
+        for sink in self.sinks:
+            if isinstance(chunk, SampleChunk):
                 sink.samples(chunk)
-        elif isinstance(chunk, EdgeChunk):
-            for sink in self.sinks:
+            else:
                 sink.edges(chunk)
 
     def _connected(self, hello: HelloReply, now: float) -> None:

@@ -262,11 +262,11 @@ class LiveRun:
             observers = HostObservers(parameters, stream)
         augmenter = None
         if options.estimate:
-            from bench.observers.augment import AugmentedSinks, Augmenter
+            from bench.observers.augment import Augmenter
             from bench.observers.estimators import Estimators
 
             estimators = Estimators(options.estimate, parameters, stream)
-            augmenter = Augmenter(estimators, stream.channels)
+            augmenter = Augmenter(estimators, stream)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
@@ -284,14 +284,14 @@ class LiveRun:
                 self.screen.note(f"dashboard: {outputs.view.url}")
             sinks: list[Sink] = [stats, *([self._judge] if self._judge else []), *outputs.sinks]
             if augmenter is not None:
-                sinks = [AugmentedSinks(augmenter, identity.node, sinks)]
+                self.client.change = augmenter.take
             self.client.sinks = [self._notes, *sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result, ended = self._with_recording(result, exit_code)
             summary.live_view = outputs.viewed()
-            if self._interrupted(lambda: outputs.end_recording(as_markdown(summary))):
+            if self._interrupted(lambda: self._finish(outputs, as_markdown(summary))):
                 ended = ended or 128 + self._signal
             if outputs.failure is not None:  # at the latest now
                 summary.result, ended = self._with_recording(result, exit_code)
@@ -373,6 +373,11 @@ class LiveRun:
             return result, exit_code
         words = f"recording failed: {str(failure).removeprefix('recording ')}"
         return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
+
+    @staticmethod
+    def _finish(outputs: Outputs, summary: str) -> None:
+        with suppress(RecordingError):  # `outputs.failure` tells
+            outputs.end_recording(summary)
 
     def _interrupted(self, action: Callable[[], None]) -> bool:
         """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""

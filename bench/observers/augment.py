@@ -12,11 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.device.client import Sink
 from bench.observers.estimators import Estimators, raw_counts
 from bench.rerunio.schema import HOST_SUFFIX
 from protocol.descriptor import Channel
-from protocol.messages import DeviceEvent, Heartbeat
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
@@ -42,12 +40,22 @@ def _like(channels: Sequence[Channel | Signal], unit: Unit, otherwise: Channel) 
 
 
 class Augmenter:
-    """Runs `estimators` over the chunks of the stream `config` and adds what they find."""
+    """Runs `estimators` over the chunks of a drive that streams `stream`, and adds what they find."""
 
-    def __init__(self, estimators: Estimators, channels: Sequence[Channel | Signal]) -> None:
+    def __init__(self, estimators: Estimators, stream: StreamConfig) -> None:
         self.estimators = estimators
-        self.channels = host_channels([entry.short for entry in estimators.entries], channels)
+        self.channels = host_channels([entry.short for entry in estimators.entries], stream.channels)
+        self._node = stream.node
         self._configs: dict[int, tuple[StreamConfig, StreamConfig]] = {}  # by id: as it came, which keeps it alive
+
+    def take(self, chunk: SampleChunk | EdgeChunk) -> SampleChunk | EdgeChunk:
+        """Samples of the drive with the estimates, after its edges up to them; all else as it is."""
+        if chunk.config.node != self._node or not len(chunk):
+            return chunk
+        if isinstance(chunk, SampleChunk):
+            return self.samples(chunk)
+        self.estimators.edges(chunk)
+        return chunk
 
     def samples(self, chunk: SampleChunk) -> SampleChunk:
         """The chunk, one sample or more, with the host's estimates as further channels."""
@@ -66,46 +74,3 @@ class Augmenter:
         if id(config) not in self._configs:
             self._configs[id(config)] = config, replace(config, channels=(*config.channels, *self.channels))
         return self._configs[id(config)][1]
-
-
-class AugmentedSinks(Sink):
-    """Sink that hands everything on to `sinks`, the samples of node `node` with the estimates."""
-
-    def __init__(self, augmenter: Augmenter, node: int, sinks: Sequence[Sink]) -> None:
-        self._augmenter = augmenter
-        self._node = node
-        self._sinks = sinks
-
-    def samples(self, chunk: SampleChunk) -> None:
-        """Add the estimates and hand on."""
-        if chunk.config.node == self._node and len(chunk):
-            chunk = self._augmenter.samples(chunk)
-        for sink in self._sinks:
-            sink.samples(chunk)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Give them to the observers and hand on."""
-        if chunk.config.node == self._node:
-            self._augmenter.estimators.edges(chunk)
-        for sink in self._sinks:
-            sink.edges(chunk)
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Hand on."""
-        for sink in self._sinks:
-            sink.heartbeat(node, heartbeat)
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Hand on."""
-        for sink in self._sinks:
-            sink.event(node, event)
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Hand on."""
-        for sink in self._sinks:
-            sink.missing(node, samples, edges)
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Hand on."""
-        for sink in self._sinks:
-            sink.note(text, level)

@@ -20,7 +20,7 @@ from bench.analysis.capture import Capture
 from bench.analysis.chunks import part, streams_none
 from bench.errors import BenchError
 from bench.files import check_output, part_of
-from bench.observers.augment import AugmentedSinks, Augmenter
+from bench.observers.augment import Augmenter
 from bench.observers.estimators import INPUTS, Estimators, all_for, entry_of, unfit
 from bench.rerunio import markdown, schema
 from bench.rerunio.recording import Run, capture_of, read_run
@@ -93,7 +93,7 @@ def replay(
         if not names:
             raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
     estimators = Estimators(names, parameters, run.samples.config)
-    augmenter = Augmenter(estimators, run.info.channels)
+    augmenter = Augmenter(estimators, run.samples.config)
     taken = {channel.name for channel in run.samples.config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
         raise BenchError(f"{path} has {double[0]} already: replay the recording that it was made from")
@@ -107,7 +107,7 @@ def replay(
     part_file = part_of(whole)
     sink = FileSink(part_file, info, wait=True)
     try:
-        _feed(run, AugmentedSinks(augmenter, run.info.node, [sink]), sink)
+        _feed(run, augmenter, sink)
         result = Replayed(
             path=out,
             observers=names,
@@ -136,7 +136,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     if why := not_replayable(capture):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
-    augmenter = Augmenter(Estimators([name], parameters, capture.samples.config), capture.samples.config.channels)
+    augmenter = Augmenter(Estimators([name], parameters, capture.samples.config), capture.samples.config)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
         raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
     augmenter.estimators.edges(capture.edges)
@@ -225,7 +225,7 @@ def _unknown(run: Run) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _feed(run: Run, sinks: AugmentedSinks, sink: FileSink) -> None:
+def _feed(run: Run, augmenter: Augmenter, sink: FileSink) -> None:
     """Hand everything on in the order in which it happened, `WINDOW` at a time: edges before their samples."""
     streams: list[SampleChunk | EdgeChunk] = [*run.edge_streams.values(), *run.streams.values()]
     first = min(int(chunk.tick[0]) for chunk in streams if len(chunk))
@@ -239,10 +239,11 @@ def _feed(run: Run, sinks: AugmentedSinks, sink: FileSink) -> None:
         for chunk, end in zip(streams, ends, strict=True):
             begin = int(end[k - 1]) if k else 0
             if begin < end[k]:
-                if isinstance(chunk, EdgeChunk):
-                    sinks.edges(part(chunk, begin, int(end[k])))
+                piece = augmenter.take(part(chunk, begin, int(end[k])))
+                if isinstance(piece, EdgeChunk):
+                    sink.edges(piece)
                 else:
-                    sinks.samples(part(chunk, begin, int(end[k])))
+                    sink.samples(piece)
         while sent < len(events) and (final or events[sent].tick < bound):
             sink.event(events[sent].node, events[sent])
             sent += 1

@@ -4,8 +4,8 @@ The acquisition thread calls `samples`, `edges`, … here and never waits: rerun
 The recording's queue takes everything (its size is watched); the live view's is short, and what does not fit is
 dropped and counted. So a slow, stopped or dead viewer costs live frames, never recorded samples.
 
-A recording that cannot be written (disk full, device gone) raises `RecordingError` out of the next call, once: the run
-ends with an error, and the calls that stop the drive still go through. kill -9 leaves a readable file.
+A recording that cannot be written (disk full, device gone) raises `RecordingError` out of `check` or `close`, once: the
+run ends with an error, and nothing is raised into the calls that stop the drive. kill -9 leaves a readable file.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class FileSink(_BlockSink):
         self._stream = _open_file(self.path, run, footer)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._start()
-        self._raise_once()
+        self.check()
 
     def summary(self, markdown: str) -> None:
         """Put the summary into the recording."""
@@ -195,11 +195,10 @@ class FileSink(_BlockSink):
             self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
             self._fail(f"{self._backlog >> 20} MiB were not written within {CLOSE_TIMEOUT:g} s; the end is missing")
-        self._raise_once()
+        self.check()
 
     def _put(self, item: _Item) -> None:
         if self.error is not None:
-            self._raise_once()
             return
         size = item.nbytes if isinstance(item, Block) else 0
         with self._room:
@@ -210,7 +209,8 @@ class FileSink(_BlockSink):
             self._backlog += size
         self._queue.put(item)
 
-    def _raise_once(self) -> None:
+    def check(self) -> None:
+        """Raise RecordingError, once, if the recording has failed."""
         if self.error is not None and not self._raised:
             self._raised = True
             raise self.error

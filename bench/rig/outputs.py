@@ -8,65 +8,24 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
 from bench.analysis.verdict import Verdict
-from bench.device.client import Sink
-from bench.errors import RecordingError
+from bench.errors import BenchError, RecordingError
 from bench.files import check_output
 from bench.rerunio.schema import RunInfo
-from protocol.messages import DeviceEvent, Heartbeat
-from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
-    from bench.rerunio.sinks import FileSink
+    from bench.rerunio.sinks import FileSink, LiveSink
     from bench.rerunio.viewer import LiveView
 
 
 def has_display() -> bool:
     """Whether a window can be opened on this machine."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-class _Recording(Sink):
-    """A recording that keeps its failure to itself: nothing is raised into the loop that stops a motor."""
-
-    def __init__(self, file: FileSink) -> None:
-        self.file = file
-        self.failure: RecordingError | None = None
-
-    def attempt(self, action: Callable[[], None]) -> None:
-        """Do it; keep the error."""
-        try:
-            action()
-        except RecordingError as error:
-            self.failure = error
-
-    def samples(self, chunk: SampleChunk) -> None:
-        """Record."""
-        self.attempt(lambda: self.file.samples(chunk))
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Record."""
-        self.attempt(lambda: self.file.edges(chunk))
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Record."""
-        self.attempt(lambda: self.file.heartbeat(node, heartbeat))
-
-    def event(self, node: int, event: DeviceEvent) -> None:
-        """Record."""
-        self.attempt(lambda: self.file.event(node, event))
-
-    def missing(self, node: int, samples: int, edges: int) -> None:
-        """Record."""
-        self.attempt(lambda: self.file.missing(node, samples, edges))
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Record."""
-        self.attempt(lambda: self.file.note(text, level))
 
 
 class Outputs:
@@ -86,10 +45,8 @@ class Outputs:
         wait: bool = False,
     ) -> None:
         """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time."""
-        self._told = False
         self.file: FileSink | None = None
         self.view: LiveView | None = None
-        self._recording: _Recording | None = None
         if viewer == "auto":
             viewer = "native" if has_display() else "web"
         if save is not None:
@@ -97,7 +54,6 @@ class Outputs:
             from bench.rerunio.sinks import FileSink
 
             self.file = FileSink(save, run, overwrite=overwrite, wait=wait, live_drops=self.live_drops)
-            self._recording = _Recording(self.file)
         if viewer != "none":
             from bench.rerunio.viewer import LiveView
 
@@ -107,28 +63,23 @@ class Outputs:
                 if self.file is not None:
                     self.file.close()
                 raise
-        for sink in self._block_sinks() if host_time else ():
+        for sink in self.sinks if host_time else ():
             sink.host_time = host_time
 
-    def _block_sinks(self) -> list[Any]:
-        return [sink for sink in (self.file, self.view and self.view.sink) if sink is not None]
-
     @property
-    def sinks(self) -> list[Sink]:
+    def sinks(self) -> list[FileSink | LiveSink]:
         """The sinks to hand to the client."""
-        view = None if self.view is None else self.view.sink
-        return [sink for sink in (self._recording, view) if sink is not None]
+        return [*([self.file] if self.file else []), *([self.view.sink] if self.view else [])]
 
     @property
     def failure(self) -> RecordingError | None:
         """Why the recording has failed, None as long as it has not."""
-        return None if self._recording is None else self._recording.failure
+        return None if self.file is None else self.file.error
 
     def check(self) -> None:
         """Raise RecordingError, once, if the recording has failed."""
-        if self.failure is not None and not self._told:
-            self._told = True
-            raise self.failure
+        if self.file is not None:
+            self.file.check()
 
     def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict) -> None:
         """See `FileSink.mark`; nothing without a recording."""
@@ -139,9 +90,8 @@ class Outputs:
         """The text that a reader of recording and view sees first."""
         if self.view is not None:
             self.view.sink.summary(markdown)
-        if self._recording is not None:
-            file = self._recording.file
-            self._recording.attempt(lambda: file.summary(markdown))
+        if self.file is not None:
+            self.file.summary(markdown)
 
     def live_drops(self) -> int:
         """Blocks that the live view has lost."""
@@ -150,14 +100,14 @@ class Outputs:
     @property
     def latency(self) -> Percentiles | None:
         """Sample-to-sink latency, of the recording if there is one, else of the live view."""
-        sinks = self._block_sinks()
+        sinks = self.sinks
         return sinks[0].latency if sinks else None
 
     def end_recording(self, summary: str) -> None:
-        """Put `summary` (markdown) into recording and view, and finish the file."""
+        """Put `summary` (markdown) into recording and view, and finish the file. Raises RecordingError, once."""
         self.summary(summary)
-        if self._recording is not None:
-            self._recording.attempt(self._recording.file.close)
+        if self.file is not None:
+            self.file.close()
 
     def recorded(self) -> dict[str, Any]:
         """What the recording holds, as plain data."""
@@ -187,5 +137,6 @@ class Outputs:
         """End the live view, and the recording if the run has not come to its regular end."""
         if self.view is not None:
             self.view.close()
-        if self._recording is not None:
-            self._recording.attempt(self._recording.file.close)
+        if self.file is not None:
+            with suppress(BenchError):  # what ended the run matters more
+                self.file.close()

@@ -226,8 +226,11 @@ class Rig:
 
     @staticmethod
     def _close_outputs(outputs: Outputs) -> None:
-        outputs.close()
-        outputs.check()
+        try:
+            if outputs.file is not None:
+                outputs.file.close()
+        finally:
+            outputs.close()
 
     # -- the end ------------------------------------------------------------------------------------------------
 

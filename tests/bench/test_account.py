@@ -454,7 +454,7 @@ def test_a_recording_that_fails_at_its_end_is_told_too(tmp_path: Path, monkeypat
 
     def fails(sink: FileSink) -> None:
         close(sink)
-        raise RecordingError(f"recording {sink.path}: the disk is full (0 KiB free)")
+        sink.error = RecordingError(f"recording {sink.path}: the disk is full (0 KiB free)")
 
     monkeypatch.setattr(FileSink, "close", fails)
     ended = run(WatchedLink(simulated()), save=tmp_path / "a.rrd")

@@ -154,7 +154,7 @@ def test_a_contact_that_comes_and_goes_is_no_wiring():
             edges.config, edges.tick[keep], edges.hall_old[keep], edges.hall_new[keep], edges.illegal[keep],
             edges.encoder[keep], edges.index[keep], (),
         ),
-        made.tick_hz, made.parameters,
+        made.parameters,
     )  # fmt: skip
     codes = [finding.code for finding in examine(trace(broken)).findings]
     assert codes == ["implausible"]

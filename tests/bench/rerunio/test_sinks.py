@@ -177,6 +177,7 @@ said = []
 for chunk in made.chunks():
     try:
         (sink.samples if hasattr(chunk, "raw") else sink.edges)(chunk)
+        sink.check()
     except sinks.RecordingError as error:
         said.append(str(error))
 sink._thread.join()
@@ -215,8 +216,9 @@ def test_a_caller_faster_than_the_disk_is_told(
     hold = threading.Event()
     monkeypatch.setattr(rr.RecordingStream, "flush", lambda *_, **__: hold.wait(20))
     file = FileSink(tmp_path / "a.rrd", synthetic.run_info())
+    made.feed(file)
     with pytest.raises(RecordingError, match="wait to be written; use a faster disk"):
-        made.feed(file)
+        file.check()
     hold.set()
     file.close()  # it was said
     assert file.error is not None
