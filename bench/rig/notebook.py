@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache, partial
 
+from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import UnsafeError
 from bench.rig.connection import SIM, load_target, open_target, target_of
 from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
+from bench.rig.interrupts import undisturbed
 from bench.rig.lock import alone_on
 from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.settings import Settings
+from protocol.errors import HbpError
 
 
 def open_rig(
@@ -31,9 +36,11 @@ def open_rig(
     rig = Rig(Plan(link, target, settings, limits, virtual=target == SIM, held=held))
     drive = rig.drive.node
 
+    confirm = partial(_confirm, rig.client)
+
     @cache
     def agree(node: Node, what: str) -> None:
-        require_consent(node, what, at_most(node, limits), yes, _confirm if _somebody_is_there() else None)
+        require_consent(node, what, at_most(node, limits), yes, confirm if _somebody_is_there() else None)
 
     try:
         check_limits(drive, limits)
@@ -57,9 +64,25 @@ def _somebody_is_there() -> bool:
     return "ipykernel" in sys.modules or (sys.stdin is not None and sys.stdin.isatty())
 
 
-def _confirm(question: str) -> bool:
-    """Ask, by whatever `input` is here; UnsafeError where that asks nobody."""
+def _confirm(client: Client, question: str) -> bool:
+    """Ask, by whatever `input` is here, and read the link meanwhile: what waits there would come late, or be lost.
+
+    UnsafeError where that asks nobody.
+    """
+    answered = threading.Event()
+
+    def read() -> None:
+        with suppress(HbpError):  # whoever polls next meets it, too
+            while not answered.is_set():
+                client.poll()
+
+    reader = threading.Thread(target=read)
+    reader.start()
     try:
         return input(f"{question} [y/N]: ").strip().lower() in ("y", "yes")
     except (EOFError, NotImplementedError) as error:  # a notebook that a program runs
         raise UnsafeError(f"nobody answers '{question}': give yes=True if the shaft is clear") from error
+    finally:
+        with undisturbed():
+            answered.set()
+            reader.join()

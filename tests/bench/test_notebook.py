@@ -9,8 +9,9 @@ import math
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT, Sim
+from test_prompt import PhysicalDrive
 from virtual_run import WatchedLink, at_rest, physical, simulated
 
 import bench
@@ -243,6 +245,30 @@ def test_somebody_is_asked_once_for_drive_and_load_and_again_after_a_no(monkeypa
         f"Spin {drive.name} (boot {drive.boot_id:08x}) on serial:{Path.cwd()}/tty: up to 600 r/min, phase current up "
         "to 4 A. Is the shaft clear? [y/N]: "
     )
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_whoever_takes_time_to_answer_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = PhysicalDrive()
+    periods = []
+
+    def take_time(question: str) -> str:
+        periods.append(drive.device.periods)
+        while drive.device.periods - periods[0] < 3 * drive.device.pwm_hz:
+            threading.Event().wait(0.05)
+        return "y"
+
+    Somebody(monkeypatch)
+    monkeypatch.setattr(builtins, "input", take_time)
+    with closing(drive), bench.connect(drive.port.target) as rig:
+        before = rig.tick()
+        rig.drive.speed(300, "r/min")
+        run = rig.record(0.2)
+        asked = rig.capture(before, int(run.samples.tick[-1]))
+    assert run.dropped == asked.dropped == ()
+    assert len(asked) > 3.2 * 16000
+    assert run["omega_enc"][-1] > 50
 
 
 def test_a_simulated_drive_asks_nobody() -> None:
