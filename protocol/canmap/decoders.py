@@ -74,13 +74,7 @@ class _Order:
 class CanSampleDecoder:
     """Decodes the frames of one configured stream of samples."""
 
-    def __init__(
-        self,
-        config: StreamConfig,
-        layout: StreamLayout,
-        reference: TickReference,
-        extended: bool,
-    ) -> None:
+    def __init__(self, config: StreamConfig, layout: StreamLayout, reference: TickReference, extended: bool) -> None:
         self.config = config
         self.counters = LossCounters()
         slots = ((config.slot + n) % STREAM_SLOTS for n in range(len(layout.groups)))
