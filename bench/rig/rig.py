@@ -261,8 +261,7 @@ class Rig:
         """Everything off and put back. Raises the first thing that could not be done, when all was tried.
 
         It is OutputsMayBeOn where something was not seen to be off, and DriveTripped, which tells both, where the drive
-        had tripped and nothing had said so yet. A signal that came meanwhile takes effect afterwards; that first thing is
-        then its cause.
+        had tripped and nothing had said so yet. A signal that came meanwhile takes effect afterwards, with it as cause.
         """
         failure: BenchError | None = None
         try:
