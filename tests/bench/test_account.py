@@ -288,6 +288,8 @@ def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network
 class Ages(Sink):
     """How old the samples were when they came, by the clock that a run gives to its outputs."""
 
+    latency = None  # which outputs ask for
+
     def __init__(self, host_time: Callable[[float], float | None], now: Callable[[], float]) -> None:
         self.ages: list[float] = []
         self._host_time, self._now = host_time, now
