@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 import pytest
 from click.shell_completion import ShellComplete
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, simulated
 
 from bench.cli import cli, main
 from bench.errors import BenchError, Interrupted, OutputsMayBeOn, UnsafeError
@@ -273,12 +273,7 @@ def test_a_signal_ends_with_the_outputs_off() -> None:
     on, off = states.index(DriveState.RUNNING), len(states) - states[::-1].index(DriveState.RUNNING)
     for at, kind in ((on + 2, signal.SIGTERM), ((on + off) // 2, signal.SIGINT), (off - 1, signal.SIGHUP)):
         device = simulated()
-
-        def interrupt(number: int, at: int = at, kind: signal.Signals = kind) -> None:
-            if number == at:
-                signal.raise_signal(kind)
-
-        with reached(device, interrupt) as links, pytest.raises((KeyboardInterrupt, Interrupted)):
+        with reached(device, raising(kind, at)) as links, pytest.raises((KeyboardInterrupt, Interrupted)):
             look(Options(TARGET, yes=True))
         assert DriveState.RUNNING in links[-1].states
         assert at_rest(device)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT, Sim
-from virtual_run import WatchedLink, at_rest, physical, simulated
+from virtual_run import WatchedLink, at_rest, physical, raising, simulated
 
 import bench
 from bench.cli import cli
@@ -130,12 +130,7 @@ def test_ctrl_c_at_any_moment_leaves_it_off_and_as_it_was() -> None:
     running = [n for n, state in enumerate(whole.states, 1) if state == DriveState.RUNNING]
     moments = [*range(1, whole.calls, 41), *running[::5], *range(running[-1], whole.calls, 7)]  # connect, record, close
     for moment in moments:
-
-        def interrupt(number: int, moment: int = moment) -> None:
-            if number == moment:
-                signal.raise_signal(signal.SIGINT)
-
-        link = WatchedLink(physical(), interrupt)
+        link = WatchedLink(physical(), raising(signal.SIGINT, moment))
         with pytest.raises(KeyboardInterrupt):
             _run(link)
         assert at_rest(link.device), moment
@@ -147,7 +142,7 @@ def test_ctrl_c_in_record_stops_at_once() -> None:
     with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012
         rig.drive.speed(500, "r/min")
         began, calls = link.clock(), link.calls
-        link._on_call = lambda number: signal.raise_signal(signal.SIGINT) if number == calls + 10 else None
+        link._on_call = raising(signal.SIGINT, calls + 10)
         rig.record(60.0)
     assert at_rest(link.device)
     assert link.clock() - began < 1.0
@@ -309,7 +304,7 @@ def test_a_drive_that_another_host_runs_is_refused_and_goes_on() -> None:
     with connected(link, yes=True) as other:
         other.drive.speed(100, "r/min")
         with (
-            patch("bench.rig.connection.open_link", lambda target: link),
+            reached(link),
             pytest.raises(BenchError, match=r"tty2 is not at rest \(its heartbeat says RUNNING, outputs on\): another"),
         ):
             bench.connect(f"serial:{Path.cwd()}/tty2", yes=True)

@@ -7,7 +7,7 @@ import re
 import signal
 
 import pytest
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, run, simulated
 
 from bench.analysis.position import position_errors
 from bench.device.node import Node
@@ -44,12 +44,7 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
     before = [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     for number, point in enumerate(sorted(points)):
         kind = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)[number % 3]
-
-        def at_point(call: int, point: int = point, kind: signal.Signals = kind) -> None:
-            if call == point:
-                signal.raise_signal(kind)
-
-        link = WatchedLink(simulated(), at_point)
+        link = WatchedLink(simulated(), raising(kind, point))
         try:
             ended = run(link, load_a=1.0, duration=0.1)
         except (KeyboardInterrupt, Interrupted):
