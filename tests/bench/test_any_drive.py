@@ -130,51 +130,35 @@ def test_a_healthy_drive_on_a_real_link(link: str, capsys: pytest.CaptureFixture
     test_a_healthy_drive(link, capsys)
 
 
-def test_a_healthy_drive_passes_a_test(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("command", "says"), [(ACCEPT, "PASS"), (HALL, "HEALTHY: wired as specified")])
+def test_a_healthy_drive_passes(command: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with usual("full", (), "bytes") as device:
-        ran = bench(ACCEPT, device, capsys)
+        ran = bench(command, device, capsys)
     assert ran.code == 0, ran.text
-    assert "PASS" in ran.text
-
-
-def test_healthy_hall_sensors(capsys: pytest.CaptureFixture[str]) -> None:
-    with usual("full", (), "bytes") as device:
-        ran = bench(HALL, device, capsys)
-    assert ran.code == 0, ran.text
-    assert "HEALTHY: wired as specified" in ran.text
+    assert says in ran.text
 
 
 # -- a drive of its own names -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_own_names_are_shown(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_of_its_own_names_is_shown_streamed_and_spun(link: str, capsys: pytest.CaptureFixture[str]) -> None:
     with own(link) as device:
         ran = bench(INFO, device, capsys)
-    assert ran.code == 0, ran.text
-    assert all(re.search(rf"^{row} ", ran.out, re.M) for row in ROWS), ran.out
-    assert re.search("serial +not told\n +build +not told\n", ran.out)
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_own_channels_are_streamed(link: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with own(link) as device:
+        assert ran.code == 0, ran.text
+        assert all(re.search(rf"^{row} ", ran.out, re.M) for row in ROWS), ran.out
+        assert re.search("serial +not told\n +build +not told\n", ran.out)
         ran = bench(WATCH + " --json -", device, capsys)
-    assert ran.code == 0, ran.text
-    assert not re.search(UNTRUE, ran.text)
-    assert "6 channels" in ran.text
-    assert json.loads(ran.out)["samples"] > 75
-    assert device.seen["ARM"] == 0
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_a_drive_of_its_own_names_is_spun(link: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with own(link) as device:
+        assert ran.code == 0, ran.text
+        assert not re.search(UNTRUE, ran.text)
+        assert "6 channels" in ran.text
+        assert json.loads(ran.out)["samples"] > 75
+        assert device.seen["ARM"] == 0
         ran = bench(SPIN.replace("300", "100"), device, capsys)
         assert not device.outputs_on
-    assert ran.code == 0, ran.text
-    assert re.search("result +(ok|.*unverified)", ran.text), ran.text
-    assert not re.search(UNTRUE, ran.text)
+        assert ran.code == 0, ran.text
+        assert re.search("result +(ok|.*unverified)", ran.text), ran.text
+        assert not re.search(UNTRUE, ran.text)
     assert device.motor.fastest == pytest.approx(100 * tau / 60, rel=0.05)
 
 

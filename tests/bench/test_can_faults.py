@@ -7,6 +7,7 @@ of the same drive, with the same seed, over a byte link that loses nothing.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,11 @@ class Rig:
         self.network = CanNetwork(rates, seed=seed)
         self.bus = self.network.bus
         self.device = SimulatedDevice(load_params(), seed, network=self.network)
+        self.samples: list[np.ndarray] = []  # what the drive handed to its streams: the truth to compare with
+        self.edges: list[np.ndarray] = []
+        drive = self.device.drive
+        drive.push_samples = kept_of(drive.push_samples, self.samples)  # type: ignore[method-assign]
+        drive.push_edges = kept_of(drive.push_edges, self.edges)  # type: ignore[method-assign]
         self.link = SteppedLink(self.device, step)
         self.bench = Bench(self.link)
         self.client = self.bench.client
@@ -43,23 +49,24 @@ class Rig:
         self.bench.turn(omega_m)
 
     def end(self) -> None:
-        """Without faults again: the streams' account comes up to date."""
+        """Without faults again: the streams' account comes up to date, and is checked."""
         self.bus.corrupt = None
         self.bus.faults.drop = self.bus.faults.duplicate = 0.0
         self.bus.faults.delay = None
         self.client.run_for(0.4)
+        self.check()
 
     def check(self) -> None:
         """Every sample is the drive's own of that index, every edge too, and what is missing is counted."""
         samples = [chunk for chunk in self.bench.collector.chunks if isinstance(chunk, SampleChunk)]
         edges = [chunk for chunk in self.bench.collector.chunks if isinstance(chunk, EdgeChunk)]
-        truth = self.device.truth
+        true_samples, true_edges = np.concatenate(self.samples), np.concatenate(self.edges)
         for chunk in samples:
             for name in NAMES:
-                assert (chunk.raw[name] == truth.samples[name][chunk.index]).all(), name
+                assert (chunk.raw[name] == true_samples[name][chunk.index]).all(), name
         for each in edges:
-            assert (each.tick & 0xFFFFFFFF == truth.edges["tick"][each.index]).all()
-            assert (each.encoder == truth.edges["encoder"][each.index]).all()
+            assert (each.tick & 0xFFFFFFFF == true_edges["tick"][each.index]).all()
+            assert (each.encoder == true_edges["encoder"][each.index]).all()
         losses = self.client.losses(1)
         index = np.concatenate([chunk.index for chunk in samples])
         decimation = samples[0].config.decimation
@@ -78,34 +85,14 @@ class SteppedLink(WatchedLink):
         self._step = max(1, round(step * device.pwm_hz))
 
 
-@pytest.fixture(autouse=True)
-def recorded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep what the simulated drive hands to its streams: the truth to compare with."""
-    monkeypatch.setattr(SimulatedDevice, "truth", property(lambda self: Truth(self._kept)), raising=False)
-    make = SimulatedDevice.__init__
+def kept_of(push: Callable[..., None], kept: list[np.ndarray]) -> Callable[..., None]:
+    """`push`, whose last argument is kept too."""
 
-    def made(self: SimulatedDevice, *args: object, **kwargs: object) -> None:
-        make(self, *args, **kwargs)  # type: ignore[arg-type]
-        self._kept = kept = []  # type: ignore[attr-defined]
-        push_samples, push_edges = self.drive.push_samples, self.drive.push_edges
+    def pushed(*arguments: Any) -> None:
+        kept.append(arguments[-1].copy())
+        push(*arguments)
 
-        def keep_samples(index: int, tick: int, raw: np.ndarray) -> None:
-            kept.append(("samples", raw.copy()))
-            push_samples(index, tick, raw)
-
-        def keep_edges(records: np.ndarray) -> None:
-            kept.append(("edges", records.copy()))
-            push_edges(records)
-
-        self.drive.push_samples, self.drive.push_edges = keep_samples, keep_edges  # type: ignore[method-assign]
-
-    monkeypatch.setattr(SimulatedDevice, "__init__", made)
-
-
-class Truth:
-    def __init__(self, kept: list[tuple[str, np.ndarray]]) -> None:
-        self.samples = np.concatenate([part for kind, part in kept if kind == "samples"])
-        self.edges = np.concatenate([part for kind, part in kept if kind == "edges"])
+    return pushed
 
 
 @pytest.fixture(params=[CLASSIC, FD], ids=["classic", "FD"])
@@ -117,7 +104,6 @@ def test_without_faults_nothing_is_lost(rig: Rig) -> None:
     rig.go()
     rig.client.run_for(1.0)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == losses.edges.late == 0
     assert rig.client.session.counters.framing.bad == 0
@@ -129,7 +115,6 @@ def test_dropped_frames_are_counted(rig: Rig) -> None:
     rig.bus.faults.drop = 0.05
     rig.client.run_for(1.0)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert losses.samples.lost_by_seq > 10
     assert losses.samples.lost_by_index >= losses.samples.lost_by_seq / 3
@@ -145,7 +130,6 @@ def test_doubled_frames_are_counted(rig: Rig) -> None:
     rig.bus.faults.duplicate = 0.2
     rig.client.run_for(1.0)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert losses.samples.out_of_order > 50
@@ -165,7 +149,6 @@ def test_identifiers_that_overtake_each_other(rig: Rig) -> None:
     rig.bus.faults.delay = lambda can_id: float(rng.uniform(0.0, 0.02))
     rig.client.run_for(0.5)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert rig.device.drive.state is DriveState.RUNNING
@@ -177,7 +160,6 @@ def test_error_frames_cost_time_only(rig: Rig) -> None:
     rig.bus.corrupt = lambda record, time: bool(rng.random() < 0.05)
     rig.client.run_for(1.0)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert rig.bus.error_frames > 50
@@ -201,7 +183,6 @@ def test_the_drive_goes_bus_off_and_comes_back(rig: Rig) -> None:
     assert rig.client.wait(lambda: controller.state is State.ACTIVE, 1.0)
     rig.client.run_for(0.5)
     rig.end()
-    rig.check()
     losses = rig.client.losses(1)
     assert 0 < losses.samples.lost_by_seq + losses.edges.lost_by_seq <= rig.bus.abandoned  # the rest were no stream's
     assert rig.client.session.counters.framing.error_frames >= 32  # 256 / 8 errors to bus-off
@@ -235,7 +216,6 @@ def test_the_adapter_goes_bus_off(rig: Rig) -> None:
     assert rig.device.drive.machine.faults == Fault.WATCHDOG
     rig.client.run_for(0.6)
     rig.end()
-    rig.check()
     assert rig.bench.drive.state is DriveState.FAULT
 
 
@@ -293,7 +273,6 @@ def test_foreign_frames_are_counted(rig: Rig) -> None:
     if remote is not None:
         rig.bus.detach(remote)
     rig.end()
-    rig.check()
     foreign = rig.client.session.counters.framing.foreign
     assert 0 < foreign < rig.bus.frames - before
     assert rig.client.losses(1).samples.lost_by_index == 0
@@ -306,10 +285,9 @@ def test_an_overloaded_bus_loses_streams_not_control(rig: Rig) -> None:
     rig.bus.babble(0x3FF, 0.7)
     rig.client.run_for(2.0)
     rig.bench.drive.speed(60.0)
-    rig.end()
     rig.client.run_for(0.5)
+    rig.end()
     assert rig.device.drive.state is DriveState.RUNNING
     losses, heartbeat = rig.client.losses(1), rig.client.heartbeats[1]
     assert heartbeat.tx_dropped > 0
     assert losses.samples.lost_by_seq + losses.edges.lost_by_seq <= heartbeat.tx_dropped
-    rig.check()

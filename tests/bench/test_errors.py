@@ -242,18 +242,6 @@ def test_an_option_that_cannot_be(fail: Fail, tmp_path: Path, arguments: tuple[s
     assert [path.name for path in tmp_path.iterdir()] == ["there.rrd"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_directory_that_cannot_be_written(fail: Fail, tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    assert "Permission denied" in fail(*SPIN, "--save", str(tmp_path / "a.rrd"), link=WatchedLink(simulated()), code=3)
-
-
-def test_a_recording_on_a_full_disk(fail: Fail) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
-    assert "exists" in fail(*SPIN, "--save", "/dev/full", link=WatchedLink(simulated()))
-
-
 def test_the_web_viewers_port_in_use(fail: Fail) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -96,13 +96,6 @@ def test_too_little_data_is_refused_with_what_to_do() -> None:
         learnt(examine(trace(capture(REAL.but(turns=((60.0, 2.0),))))))
 
 
-def test_what_is_learnt_is_ideal_minus_actual_by_direction() -> None:
-    found = learnt(examine(trace(capture(REAL))))
-    assert np.degrees(found.edge_up) == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.05)
-    assert np.degrees(found.edge_down) == pytest.approx(np.array(TABLE_I) + 0.25, abs=0.05)
-    assert list(found.parameters()) == NAMES
-
-
 # -- drives that will not have them -----------------------------------------------------------------------------
 
 
@@ -153,8 +146,3 @@ def test_a_recording_is_learnt_into_a_file(tmp_path: Path) -> None:
     main(["hall", "learn", str(run), "--out", str(out)])
     up = json.loads(out.read_text())["edge_up"]
     assert [math.degrees(value) for value in up] == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.06)
-
-
-def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match=r"^--out .*/nowhere/edges.toml cannot be written: No such file"):
-        save(tmp_path / "nowhere" / "edges.toml", SOME)

@@ -5,6 +5,7 @@ What looks into the simulated device is in virtual time only, on a byte link, a 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from unittest.mock import patch
 from zlib import crc32
@@ -274,6 +275,10 @@ def test_a_host_that_no_longer_hears_the_drive_stops_feeding_its_watchdog(networ
     assert link.clock() - start < 0.3 + 0.2 + 0.1  # telemetry is stale after 0.3 s, the watchdog waits for 0.2 s
     assert link.device.drive.machine.faults == Fault.WATCHDOG
     assert not link.device.drive.app.outputs_on
+    link.deaf = False
+    bench.client.run_for(0.2)
+    why = r"this host sent no ALIVE for 0\.\d\d s, because nothing was heard of the drive"
+    assert re.fullmatch(why, bench.client.starved(1))
 
 
 # -- links that fail --------------------------------------------------------------------------------------------

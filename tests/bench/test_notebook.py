@@ -23,7 +23,7 @@ import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT, Sim
 from test_prompt import PhysicalDrive
-from virtual_run import WatchedLink, at_rest, physical, simulated
+from virtual_run import WatchedLink, at_rest, physical, raising, simulated
 
 import bench
 from bench.cli import cli
@@ -136,12 +136,7 @@ def test_ctrl_c_at_any_moment_leaves_it_off_and_as_it_was() -> None:
     running = [n for n, state in enumerate(whole.states, 1) if state == DriveState.RUNNING]
     moments = [*range(1, whole.calls, 41), *running[::5], *range(running[-1], whole.calls, 7)]  # connect, record, close
     for moment in moments:
-
-        def interrupt(number: int, moment: int = moment) -> None:
-            if number == moment:
-                signal.raise_signal(signal.SIGINT)
-
-        link = WatchedLink(physical(), interrupt)
+        link = WatchedLink(physical(), raising(signal.SIGINT, moment))
         with pytest.raises(KeyboardInterrupt):
             _run(link)
         assert at_rest(link.device), moment
@@ -153,7 +148,7 @@ def test_ctrl_c_in_record_stops_at_once() -> None:
     with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012
         rig.drive.speed(500, "r/min")
         began, calls = link.clock(), link.calls
-        link._on_call = lambda number: signal.raise_signal(signal.SIGINT) if number == calls + 10 else None
+        link._on_call = raising(signal.SIGINT, calls + 10)
         rig.record(60.0)
     assert at_rest(link.device)
     assert link.clock() - began < 1.0
@@ -271,13 +266,6 @@ def test_whoever_takes_time_to_answer_loses_nothing(monkeypatch: pytest.MonkeyPa
     assert run["omega_enc"][-1] > 50
 
 
-def test_a_simulated_drive_asks_nobody() -> None:
-    link = WatchedLink(simulated())
-    with connected(link) as rig:
-        rig.drive.speed(100, "r/min")
-    assert DriveState.RUNNING in link.states
-
-
 def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
     link = WatchedLink(physical())
     app = link.device.sessions[0].app
@@ -346,7 +334,7 @@ def test_a_drive_that_another_host_runs_is_refused_and_goes_on() -> None:
     with connected(link, yes=True) as other:
         other.drive.speed(100, "r/min")
         with (
-            patch("bench.rig.connection.open_link", lambda target: link),
+            reached(link),
             pytest.raises(BenchError, match=r"tty2 is not at rest \(its heartbeat says RUNNING, outputs on\): another"),
         ):
             bench.connect(f"serial:{Path.cwd()}/tty2", yes=True)
@@ -539,9 +527,6 @@ def test_settings_change_the_estimate_by_either_name(run: bench.Capture) -> None
     [
         ("vector_trackin", {}, r"no observer 'vector_trackin' \(did you mean vector_tracking\?\)"),
         ("vt", {"k_p": 1e9}, r"k_p: must be 0\.\.100000, got 1e\+09"),
-        ("vt", {"gain": 1.0}, "gain: it is no parameter; there are "),
-        ("vt", {"observer": 2.0}, "observer: it changes nothing in vector_tracking; there are "),
-        ("vt", {"k_p": 1.0, "k_p_vt": 1.0}, "k_p_vt: k_p_vt is set already"),
     ],
 )
 def test_estimates_that_cannot_be_made(

@@ -260,7 +260,7 @@ def stdout_is(stream: TextIO) -> Iterator[None]:
             stream.close()
 
 
-def test_standard_output_on_a_full_device_is_told(
+def test_standard_output_on_a_full_device_is_told_and_a_reader_that_has_gone_ends_as_sigpipe_does(
     bench: Callable[..., Ran], drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -270,13 +270,6 @@ def test_standard_output_on_a_full_device_is_told(
         last = err.splitlines()[-1]
         assert (code, last) == (2, "error: standard output cannot be written: No space left on device"), arguments
         assert err.count("error: ") == 1, arguments
-
-
-def test_a_reader_that_has_gone_ends_a_command_as_sigpipe_does(
-    bench: Callable[..., Ran], drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for arguments in printing(drive_run):
         reader, writer = os.pipe()
         os.close(reader)
         with stdout_is(open(writer, "w")):

@@ -7,11 +7,12 @@ import re
 import signal
 
 import pytest
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, run, simulated
 
 from bench.analysis.position import position_errors
 from bench.device.node import Node
 from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.live.summary import run_rows
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
@@ -43,18 +44,13 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
     before = [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     for number, point in enumerate(sorted(points)):
         kind = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)[number % 3]
-
-        def at_point(call: int, point: int = point, kind: signal.Signals = kind) -> None:
-            if call == point:
-                signal.raise_signal(kind)
-
-        link = WatchedLink(simulated(), at_point)
+        link = WatchedLink(simulated(), raising(kind, point))
         try:
             ended = run(link, load_a=1.0, duration=0.1)
         except (KeyboardInterrupt, Interrupted):
             assert DriveState.ARMED not in link.states, point  # before the run, which would have summed up
         else:
-            assert ended.exit_code == 128 + kind, point
+            assert (ended.exit_code, ended.summary.result) == (128 + kind, f"ended by {kind.name}"), point
         assert at_rest(link.device), (point, link.states[-1])
         assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
     assert [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
@@ -115,21 +111,6 @@ def test_an_exception_that_is_under_way_is_not_replaced_by_a_signal() -> None:
 
     with pytest.raises(BenchError, match="the disk is full"):
         put_back()
-
-
-def test_a_signal_while_the_motor_is_switched_off_ends_a_run_that_was_at_its_end() -> None:
-    states = calls_of_a_run()
-    off = len(states) - states[::-1].index(DriveState.RUNNING)
-    for point in range(off - 1, len(states)):
-
-        def at_point(call: int, point: int = point) -> None:
-            if call == point:
-                signal.raise_signal(signal.SIGTERM)
-
-        link = WatchedLink(simulated(), at_point)
-        ended = run(link, load_a=1.0, duration=0.1)
-        assert (ended.exit_code, ended.summary.result) == (128 + signal.SIGTERM, "ended by SIGTERM"), point
-        assert at_rest(link.device)
 
 
 # -- exceptions -------------------------------------------------------------------------------------------------
@@ -258,13 +239,18 @@ def test_an_outage_is_counted_and_the_motor_is_not_started_again() -> None:
 
 
 @pytest.mark.usefixtures("no_waiting")
-def test_a_link_that_does_not_come_back_ends_the_run() -> None:
+def test_a_link_that_does_not_come_back_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     link = Cable(simulated(), 0.8, 1e9)
     ended = run(link, duration=100.0)
     assert ended.exit_code == 5  # nobody has seen what the watchdog did
     assert ended.summary.result.startswith("OUTPUTS MAY STILL BE ON: cut the power. ")
     assert ended.summary.result.endswith("(link lost: virtual: did not come back within 30 s)")
     assert not any(session.app.outputs_on for session in link.device.sessions)
+    monkeypatch.setattr("bench.live.run.RECONNECT", 3.0)
+    watched = run(Cable(simulated(), 0.5, 1e9), speed_rpm=None, duration=100.0)
+    assert watched.exit_code == 1  # it turned nothing
+    assert watched.summary.link["downtime_s"] == pytest.approx(3.0, abs=0.1)
+    assert ["link", "1 outage, 3.0 s down, 0 reboots"] in run_rows(watched.summary)
 
 
 @pytest.mark.usefixtures("no_waiting")
@@ -302,11 +288,14 @@ def never_armed(link: WatchedLink) -> bool:
     return not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
 
 
-def test_a_physical_drive_is_not_energised_where_nobody_can_be_asked() -> None:
-    link = WatchedLink(physical())
+@pytest.mark.parametrize("what", [{}, {"speed_rpm": None, "load_a": 1.0}], ids=["drive", "load alone"])
+def test_a_physical_bench_is_not_energised_where_nobody_can_be_asked(what: dict[str, float | None]) -> None:
+    link: Link = WatchedLink(physical())
     with pytest.raises(UnsafeError, match=r"will not spin simulated drive .* on serial:/dev/ttyTEST.*--yes"):
-        run(link, confirm=None)
+        run(link, confirm=None, **what)  # type: ignore[arg-type]
     assert never_armed(link)
+    with pytest.raises(LinkClosed):
+        link.read(0.0)
 
 
 def test_a_physical_drive_is_not_energised_against_a_no_and_the_question_says_what_is_at_stake() -> None:
@@ -341,21 +330,6 @@ def test_watching_a_physical_drive_needs_no_yes_and_arms_nothing() -> None:
     assert ended.exit_code == 0
     assert ended.summary.samples > 15000
     assert never_armed(link)
-
-
-def test_a_load_alone_needs_consent_too() -> None:
-    link = WatchedLink(physical())
-    with pytest.raises(UnsafeError):
-        run(link, confirm=None, speed_rpm=None, load_a=1.0)
-    assert never_armed(link)
-
-
-def test_the_link_is_closed_however_a_run_ends() -> None:
-    link: Link = WatchedLink(physical())
-    with pytest.raises(UnsafeError):
-        run(link)
-    with pytest.raises(LinkClosed):
-        link.read(0.0)
 
 
 class TripsAtStop(WatchedLink):

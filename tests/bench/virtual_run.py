@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -73,6 +74,11 @@ class WatchedLink(VirtualLink):
     def write(self, data: bytes) -> None:
         self._count()
         super().write(data)
+
+
+def raising(kind: signal.Signals, at: int) -> Callable[[int], None]:
+    """For `WatchedLink`: this signal comes at that call."""
+    return lambda number: signal.raise_signal(kind) if number == at else None
 
 
 @contextmanager
