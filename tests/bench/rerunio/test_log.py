@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import synthetic
-from rerun.chunk import RrdReader
+from synthetic import column
 
 from bench.rerunio import schema
 from bench.rerunio.log import identity_text
@@ -18,17 +17,6 @@ from bench.rerunio.sinks import FileSink
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Unit
 from protocol.streams import SampleChunk
-
-
-def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
-    """Times in ns and values of a component, in order of time; of one time the last that was logged comes last."""
-    found: list[tuple[int, Any]] = []
-    for chunk in RrdReader(path).stream().filter(content=f"/{entity}").to_chunks():
-        batch = chunk.to_record_batch()
-        if component in batch.schema.names and schema.TIMELINE in batch.schema.names:
-            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            found += zip(times, batch.column(component).to_pylist(), strict=True)
-    return sorted(found, key=lambda row: row[0])
 
 
 def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -> None:
