@@ -139,6 +139,9 @@ class SyntheticRun:
                 sent = upto
             yield SampleChunk(self.config, self.index[part], self.tick[part], self.raw[part], ())
 
+    def sample_chunks(self, samples: int = 160) -> list[SampleChunk]:
+        return [chunk for chunk in self.chunks(samples) if isinstance(chunk, SampleChunk)]
+
     def edge_chunk(self, first: int, stop: int) -> EdgeChunk:
         n = stop - first
         return EdgeChunk(

@@ -64,7 +64,7 @@ def test_the_drives_lanes_follow_its_status_word(recording: Path, made: syntheti
 
 
 def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    chunks = [chunk for chunk in made.chunks(100) if isinstance(chunk, SampleChunk)][:60]
+    chunks = made.sample_chunks(100)[:60]
     again = synthetic.config(cfg_id=9)  # as after a reconnect: same stream, another number
     chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
     sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
