@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from unittest.mock import patch
 
+from processes import ENVIRONMENT
 from virtual_run import RecordingScreen, WatchedLink, at_rest
 
 from bench.acceptance.accept import AcceptOptions, accept
@@ -100,6 +103,12 @@ class SpoiltLink(WatchedLink):
 def _is(raw: bytes, kind: MessageType, first: int) -> bool:
     frames = [parse_frame(frame) for frame in Deframer().feed(b"\0" + raw + b"\0")]
     return any(frame.node == DRIVE and frame.type == kind and frame.payload[0] == first for frame in frames)
+
+
+def plain_pytest(directory: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Pytest itself, in a process of its own; text of what it printed."""
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
+    return subprocess.run(command, cwd=directory, env=ENVIRONMENT | environment, capture_output=True, text=True)
 
 
 def never_armed(link: WatchedLink) -> bool:

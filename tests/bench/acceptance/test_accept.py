@@ -6,14 +6,12 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from accepting import HEAD, Accepting, Run, SpoiltLink
+from accepting import HEAD, Accepting, Run, SpoiltLink, plain_pytest
 from processes import ENVIRONMENT, Program
 from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
@@ -471,15 +469,14 @@ def test_plain(): pass
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM])
 def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(
-    accepting: Accepting, start: Callable[..., Program], number: signal.Signals
+    accepting: Accepting, start: Callable[..., Program]
 ) -> None:
     file = accepting.write(SLOW)
     run = start("accept", "sim", "--tests", str(file), "--jobs", "2", "--json", "a.json")
     for done in range(2):
         run.line(f"PASS +quick.{done}.")
-    run.send(number)
+    run.send(signal.SIGTERM)
     assert run.end() == 130
     written = run_from_json(json.loads(Path("a.json").read_text()))
     verdicts = {test.name: str(test.verdict) for test in written.tests}
@@ -575,10 +572,7 @@ def test_plain():
 def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "test_plain.py").write_text(PLAIN)
     (tmp_path / "bench.toml").write_text("this is = of another tool")
-    options = ("-p", "no:cacheprovider", "--strict-markers", "-q")
-    ended = subprocess.run(
-        [sys.executable, "-m", "pytest", *options], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
-    )
+    ended = plain_pytest(tmp_path, "--strict-markers", "-q")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "1 passed" in ended.stdout
     assert ended.stderr == ""
@@ -624,18 +618,14 @@ def test_options_and_fixtures_of_others_stay_theirs(
 ) -> None:
     (tmp_path / "conftest.py").write_text(conftest)
     (tmp_path / "test_own.py").write_text(test)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "test_own.py"]
-    environment = ENVIRONMENT | {"BENCH_TARGET": "tcp:nowhere:1"}  # an option that is not seen would be told
-    ended = subprocess.run(
-        [*command, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-    )
+    command = ("-q", "-c", os.devnull, "test_own.py", *arguments)
+    ended = plain_pytest(tmp_path, *command, BENCH_TARGET="tcp:nowhere:1")  # an option that is not seen would be told
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
 def test_a_fixture_that_is_not_asked_for_by_argument_is_refused(tmp_path: Path) -> None:
     (tmp_path / "test_own.py").write_text("def test_a(request): request.getfixturevalue('drive')\n")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "test_own.py"]
-    ended = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    ended = plain_pytest(tmp_path, "-q", "-c", os.devnull, "test_own.py")
     assert ended.returncode == 1
     assert "test_a gets a fixture of the bench by getfixturevalue: ask for it by argument" in ended.stdout
     assert "KeyError" not in ended.stdout
@@ -643,10 +633,7 @@ def test_a_fixture_that_is_not_asked_for_by_argument_is_refused(tmp_path: Path) 
 
 def test_acceptance_tests_run_in_a_plain_pytest_too(accepting: Accepting) -> None:
     file = accepting.write(TESTS)
-    options = ("-p", "no:cacheprovider", "-c", os.devnull, "--bench-json", "a.json")
-    ended = subprocess.run(
-        [sys.executable, "-m", "pytest", file, *options], env=ENVIRONMENT, capture_output=True, text=True
-    )
+    ended = plain_pytest(Path.cwd(), str(file), "-c", os.devnull, "--bench-json", "a.json")
     assert ended.returncode == 1
     assert "bad.nan = nan deg [≤ 1 deg] FAIL" in ended.stdout
     run = run_from_json(json.loads(Path("a.json").read_text()))

@@ -23,7 +23,7 @@ from bench.errors import BenchError, UnsafeError
 from bench.rig.consent import require_agreement
 from bench.rig.drive import DriveTripped
 from bench.rig.envelope import Envelope
-from bench.rig.loads import NodeLoad, OwnLoad, PersonLoad, own_load
+from bench.rig.loads import NodeLoad, OwnLoad, PersonLoad
 from bench.rig.lock import alone_on
 from bench.rig.person import Answered, Ask
 from bench.rig.rig import Plan, Rig
@@ -113,7 +113,7 @@ def with_load(kind: str) -> None:
 # -- a node -----------------------------------------------------------------------------------------------------
 
 
-def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go() -> None:
+def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a_speed() -> None:
     """In the plant: friction and load are what the current's torque holds against."""
     link = SpoiltLink(simulated())
     with rig_with("node", link) as rig:
@@ -134,12 +134,7 @@ def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go() -> None:
         assert link.device.load.state == DriveState.IDLE
         rig.wait(0.6)
         assert rig.record(0.2)["i_q"].mean() == pytest.approx(free["i_q"].mean(), abs=0.1)
-    assert at_rest(link.device)
-
-
-def test_a_node_forces_a_speed() -> None:
-    link = SpoiltLink(simulated())
-    with rig_with("node", link) as rig:
+        rig.drive.stop()
         rig.load.speed(-200 * RPM)
         rig.wait(0.5)
         assert link.device.bench.truth.omega_m == pytest.approx(-200 * RPM, rel=0.01)
@@ -254,17 +249,6 @@ def refusing(node: Node, refused: str, order: list[str]) -> Iterator[None]:
 
     with patch.object(node, "set", set_one):
         yield
-
-
-def test_its_parameters_are_as_before_once_it_is_off() -> None:
-    link = SpoiltLink(simulated())
-    _, before = link.left()
-    with rig_with("node", link) as rig:
-        assert isinstance(rig.load, NodeLoad)
-        rig.load.set("tau_max", 0.5)
-        rig.load.set("tau_max", 0.4)
-        assert link.left()[1]["2.tau_max"] == pytest.approx(0.4)
-    assert link.left() == (True, before)
 
 
 # -- none, or somebody ------------------------------------------------------------------------------------------
@@ -457,21 +441,20 @@ def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(
 # -- a class of one's own ---------------------------------------------------------------------------------------
 
 
-def test_a_class_of_ones_own_is_told_what_the_test_wants_and_off_at_its_end(brake: Accepting) -> None:
-    with_load("brake.py:Brake")
+@pytest.mark.parametrize(
+    ("kind", "forces", "told", "can"),
+    [("Brake", "SKIPPED", ["off"], "torque"), ("Both", "PASS", ["speed 1", "off"], "speed, torque")],
+)
+def test_a_class_of_ones_own_is_told_what_the_test_wants_and_forces_a_speed_if_it_has_the_method(
+    brake: Accepting, kind: str, forces: str, told: list[str], can: str
+) -> None:
+    with_load(f"brake.py:{kind}")
     run = brake(BRAKES)
-    assert run.tests == {"brakes": "PASS", "forces": "SKIPPED"}
+    assert run.tests == {"brakes": "PASS", "forces": forces}
     # one object, off at each test's end, closed at the last
-    assert Path("told.txt").read_text().split("\n") == ["made", "torque 0.25", "off", "off", "close", ""]
+    assert Path("told.txt").read_text().splitlines() == ["made", "torque 0.25", "off", *told, "close"]
     assert run.result is not None
-    assert run.result.rig["load"] == "OwnLoad: torque"
-
-
-def test_it_can_force_a_speed_if_it_has_the_method(brake: Accepting) -> None:
-    with_load("brake.py:Both")
-    assert brake(BRAKES).tests == {"brakes": "PASS", "forces": "PASS"}
-    told = Path("told.txt").read_text().splitlines()
-    assert told == ["made", "torque 0.25", "off", "speed 1", "off", "close"]
+    assert run.result.rig["load"] == f"OwnLoad: {can}"
 
 
 def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting) -> None:
@@ -511,9 +494,11 @@ def test_one_that_does_not_close_is_the_runs_error(brake: Accepting) -> None:
     [("brake.py:NoOff", r"load brake.py:NoOff: the class has no method off\(\)"),
      ("brake.py:Absent", "load 'brake.py:Absent': OSError: no such instrument"),
      ("brake.py:Brkae", "load 'brake.py:Brkae': AttributeError: .* has no attribute 'Brkae'.*"),
+     ("bad.py:Brake", r"load 'bad.py:Brake': SyntaxError: [^\n]*"),
      ("nowhere.py:Brake", "load 'nowhere.py:Brake': no Python file .*nowhere.py; it must look like my_brake.py:Brake")],
 )  # fmt: skip
 def test_what_is_no_load_is_said_and_nothing_turns(brake: Accepting, kind: str, why: str) -> None:
+    Path("bad.py").write_text("def (:\n")
     link = SpoiltLink(simulated())
     with pytest.raises(BenchError, match=f"^{why}$"), rig_with(kind, link):
         pass
@@ -538,12 +523,6 @@ def test_abilities_are_what_the_class_says() -> None:
         def off(self) -> None: ...
 
     assert set(OwnLoad("shy", Shy()).abilities) == {"torque"}
-
-
-def test_a_file_with_an_error_in_it_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "bad.py").write_text("def (:\n")
-    with pytest.raises(BenchError, match=r"^load 'bad.py:Brake': SyntaxError: [^\n]*$"):
-        own_load("bad.py:Brake", tmp_path)
 
 
 # -- a device on a link of its own ------------------------------------------------------------------------------

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
-from accepting import Accepting
+from accepting import Accepting, plain_pytest
 
 PAGE = Path(__file__).parents[3] / "docs" / "acceptance.md"
 
@@ -35,7 +33,6 @@ def test_it_fails_where_the_load_is_too_much(tmp_path: Path) -> None:
 
 def test_it_passes_with_plain_pytest(tmp_path: Path) -> None:
     (tmp_path / "test_mine.py").write_text(printed())
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py", "--target", "sim"]
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    ran = plain_pytest(tmp_path, "-q", "test_mine.py", "--target", "sim")
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "1 passed" in ran.stdout

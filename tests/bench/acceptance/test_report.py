@@ -388,26 +388,23 @@ def test_a_figure_is_as_wide_as_a_page_and_always_the_same(tmp_path: Path) -> No
     assert b"tIME" not in first
 
 
-def test_a_long_legend_stays_within_the_axes() -> None:
+@pytest.mark.parametrize(
+    ("names", "rows"),
+    [([f"a quantity with a long name {k}" for k in range(9)], None),
+     (["vector tracking", "encoder", "reference", "last set point", "FAULT"], 1)],
+    ids=("long names", "five of unequal length"),
+)  # fmt: skip
+def test_a_legend_stays_within_the_axes_and_is_as_low_as_it_can_be(names: list[str], rows: int | None) -> None:
     figure, (ax,) = style.new_figure()
-    for k in range(9):
-        style.line(ax, np.arange(2.0), np.arange(2.0), f"a quantity with a long name {k}")
+    for k, name in enumerate(names):
+        style.line(ax, np.arange(2.0), np.arange(2.0) + k, name, label=name)
     style.legend_above(ax)
     figure.draw_without_rendering()
     legend, axes = ax.get_legend().get_window_extent(), ax.get_window_extent()
     assert legend.x1 <= axes.x1
     assert legend.y0 >= axes.y1 - 1
-
-
-def test_five_entries_of_unequal_length_stand_on_one_line() -> None:
-    figure, (ax,) = style.new_figure()
-    for k, text in enumerate(("vector tracking", "encoder", "reference", "last set point", "FAULT")):
-        style.line(ax, np.arange(2.0), np.arange(2.0) + k, text, label=text)
-    style.legend_above(ax)
-    figure.draw_without_rendering()
-    texts = ax.get_legend().get_texts()
-    assert len({round(text.get_window_extent().y0) for text in texts}) == 1
-    assert ax.get_legend().get_window_extent().x1 <= ax.get_window_extent().x1
+    lines = {round(text.get_window_extent().y0) for text in ax.get_legend().get_texts()}
+    assert rows is None or len(lines) == rows
 
 
 def test_limits_of_the_ordinate_are_named_once() -> None:

@@ -307,12 +307,6 @@ def test_with_yes_it_turns(accepting: Accepting) -> None:
     assert at_rest(link.device)
 
 
-def test_listing_opens_no_link(accepting: Accepting) -> None:
-    link = SpoiltLink(physical())
-    accepting('@limit("x", "A", hi=1)' + ANNOUNCED, link, list_only=True)
-    assert link.opened == []
-
-
 # -- processes --------------------------------------------------------------------------------------------------
 
 ENDLESS = """

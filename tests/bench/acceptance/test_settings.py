@@ -62,9 +62,7 @@ def test_what_is_wrong_is_one_line_and_nothing_runs(
     assert capfd.readouterr().err == ""
 
 
-def test_a_limit_that_no_test_has_is_told_whatever_is_selected_and_the_list_shows_what_there_is(
-    accepting: Accepting,
-) -> None:
+def test_what_is_wrong_is_told_whatever_is_selected_and_the_list_shows_what_there_is(accepting: Accepting) -> None:
     Path("bench.toml").write_text("[limits]\n'measures.spraed' = { hi = 3 }")
     text = TESTS + "def test_nothing(drive): pass\n"
     with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
@@ -72,6 +70,11 @@ def test_a_limit_that_no_test_has_is_told_whatever_is_selected_and_the_list_show
     with pytest.raises(BenchError, match=r"did you mean measures.spread\?"):
         accepting(text, list_only=True)
     assert "measures.spread: 1 … 2 deg" in accepting.screen.notes
+    Path("bench.toml").write_text("[limits]\n'measures.spread' = { lo = 3 }")
+    with pytest.raises(BenchError, match="the lower limit 3 is above the upper one, 2"):
+        accepting(TESTS, list_only=True)
+    with pytest.raises(BenchError, match=r"^no file nowhere\.toml$"):
+        accepting(TESTS, bench_toml=Path("nowhere.toml"))
 
 
 def test_a_limit_for_a_test_of_another_run_is_told_and_no_error(accepting: Accepting) -> None:
@@ -116,12 +119,14 @@ def test_a_test_that_is_misspelt_is_told_and_another_working_point_is_none(name:
             settings.check_names(tests)
 
 
-def test_the_name_with_the_file_holds_whatever_else_is_run(accepting: Accepting) -> None:
+def test_the_name_with_the_file_holds_whatever_else_is_run_or_selected(accepting: Accepting) -> None:
     text = '@limit("err", hi=5)\ndef test_same(measure): measure("err", 1)\n'
     one, other = accepting.write(text, "one"), accepting.write(text, "other")
     Path("bench.toml").write_text(f"[limits]\n'{one.stem}.same.err' = {{ hi = 0.1 }}")
     both = accepting(text, tests=(one, other))
     assert both.tests == {f"{one.stem}.same": "FAIL", f"{other.stem}.same": "PASS"}
+    selected = accepting(text, tests=(one, other), keyword="own_one_")
+    assert selected.tests == {f"{one.stem}.same": "FAIL"}
     alone = accepting(text, tests=(one,))
     assert alone.tests == {"same": "FAIL"}
     assert alone.measured["same.err"].limits.hi == 0.1
@@ -130,42 +135,15 @@ def test_the_name_with_the_file_holds_whatever_else_is_run(accepting: Accepting)
         accepting(text, tests=(one,))
 
 
-def test_the_list_refuses_limits_that_leave_no_room(accepting: Accepting) -> None:
-    Path("bench.toml").write_text("[limits]\n'measures.spread' = { lo = 3 }")
-    with pytest.raises(BenchError, match="the lower limit 3 is above the upper one, 2"):
-        accepting(TESTS, list_only=True)
-
-
-def test_a_file_that_is_asked_for_must_be_there(accepting: Accepting) -> None:
-    with pytest.raises(BenchError, match=r"^no file nowhere\.toml$"):
-        accepting(TESTS, bench_toml=Path("nowhere.toml"))
-
-
 def test_a_limit_replaces_the_bounds_that_it_names_and_is_marked(accepting: Accepting) -> None:
     Path("bench.toml").write_text("[limits]\n'measures.spread' = { hi = 3 }")
     run = accepting(TESTS)
-    assert run.code == 0
+    assert run.code == 0  # without the file it is 1, for the same value
     spread, other = run.measured["measures.spread"].limits, run.measured["measures.other"].limits
     assert (spread.lo, spread.hi, spread.unit, spread.overridden) == (1, 3, "deg", True)
     assert (other.lo, other.hi, other.overridden) == (0, None, False)
     listed = accepting(TESTS, list_only=True)
     assert "measures.spread: 1 … 3 deg" in listed.screen.notes
-
-
-def test_without_the_file_the_same_value_fails(accepting: Accepting) -> None:
-    assert accepting(TESTS).code == 1
-
-
-def test_a_name_does_not_depend_on_what_else_is_selected(accepting: Accepting) -> None:
-    """Two files with a test of the same name: each is called by its file too, also when it is alone."""
-    directory = accepting.directory
-    text = '@limit("x", hi=1)\ndef test_same(measure): measure("x", 2)\n'
-    first, second = accepting.write(text, "first"), accepting.write(text, "second")
-    Path("bench.toml").write_text(f"[limits]\n'own_first_{directory.name}.same.x' = {{ hi = 3 }}")
-    run = accepting(text, tests=(first, second))
-    assert list(run.tests.values()) == ["PASS", "FAIL"]
-    alone = accepting(text, tests=(first, second), keyword="own_first_")
-    assert alone.tests == {f"own_first_{directory.name}.same": "PASS"}
 
 
 def test_config_is_relative_to_the_file(accepting: Accepting) -> None:

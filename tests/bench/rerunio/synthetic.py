@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rerun.chunk import RrdReader
 
+from bench.rerunio import schema
 from bench.rerunio.schema import RunInfo
 from protocol.descriptor import Descriptor
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
@@ -135,6 +139,9 @@ class SyntheticRun:
                 sent = upto
             yield SampleChunk(self.config, self.index[part], self.tick[part], self.raw[part], ())
 
+    def sample_chunks(self, samples: int = 160) -> list[SampleChunk]:
+        return [chunk for chunk in self.chunks(samples) if isinstance(chunk, SampleChunk)]
+
     def edge_chunk(self, first: int, stop: int) -> EdgeChunk:
         n = stop - first
         return EdgeChunk(
@@ -180,3 +187,14 @@ def heartbeat(tick: int, **changes) -> Heartbeat:
         "outputs_on": True,
     } | changes
     return Heartbeat(**values)
+
+
+def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
+    """Times in ns and values of a component, in order of time; of one time the last that was logged comes last."""
+    found: list[tuple[int, Any]] = []
+    for chunk in RrdReader(path).stream().filter(content=f"/{entity}").to_chunks():
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and schema.TIMELINE in batch.schema.names:
+            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
+            found += zip(times, batch.column(component).to_pylist(), strict=True)
+    return sorted(found, key=lambda row: row[0])

@@ -7,17 +7,13 @@ import synthetic
 
 from bench.analysis.chunks import join
 from bench.rerunio.blocks import BlockBuilder
-from protocol.streams import EdgeChunk, Gap, SampleChunk
-
-
-def sample_chunks(run: synthetic.SyntheticRun, samples: int) -> list[SampleChunk]:
-    return [chunk for chunk in run.chunks(samples) if isinstance(chunk, SampleChunk)]
+from protocol.streams import EdgeChunk, Gap
 
 
 def test_a_block_closes_after_its_period_of_device_time() -> None:
     builder = BlockBuilder(0.05, synthetic.TICK_HZ)
     sizes = []
-    for chunk in sample_chunks(synthetic.SyntheticRun(0.5), 160):
+    for chunk in synthetic.SyntheticRun(0.5).sample_chunks(160):
         builder.samples(chunk, now=0.0)  # the host's clock stands still
         if block := builder.take(0.0):
             sizes.append(block.n_samples)
@@ -40,7 +36,7 @@ def test_without_samples_a_block_closes_by_the_hosts_clock() -> None:
 
 
 def test_joined_chunks_are_the_whole_with_gaps_in_place(made: synthetic.SyntheticRun) -> None:
-    chunks = [replace(c, gaps=(Gap(3, 5, 1, True),)) if k == 2 else c for k, c in enumerate(sample_chunks(made, 100))]
+    chunks = [replace(c, gaps=(Gap(3, 5, 1, True),)) if k == 2 else c for k, c in enumerate(made.sample_chunks(100))]
     whole = join(chunks)
     assert whole.raw.dtype == made.raw.dtype
     assert (whole.raw == made.raw).all()
@@ -54,7 +50,7 @@ def test_joined_chunks_are_the_whole_with_gaps_in_place(made: synthetic.Syntheti
 
 def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthetic.SyntheticRun) -> None:
     builder = BlockBuilder(1e9, synthetic.TICK_HZ)
-    chunks = sample_chunks(made, 100)
+    chunks = made.sample_chunks(100)
     builder.samples(chunks[0], 0.0)
     builder.samples(replace(chunks[2], gaps=(Gap(0, 100, 7, False),)), 0.0)
     edges = made.edge_chunk(4, 8)
@@ -86,7 +82,7 @@ def test_what_is_lost_at_the_end_of_the_streams_is_counted_without_a_chunk_to_te
 def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun) -> None:
     """After a lost link streams start anew: the decoder has no gap to tell of, the index has."""
     builder = BlockBuilder(1e9, synthetic.TICK_HZ)
-    chunks = sample_chunks(made, 100)
+    chunks = made.sample_chunks(100)
     for chunk in (chunks[0], chunks[5], replace(chunks[1])):  # the last one goes back: a reboot is no loss
         builder.samples(chunk, 0.0)
     block = builder.take(0.0, everything=True)
@@ -97,7 +93,7 @@ def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun
 
 def test_an_outage_is_counted_whole_when_the_first_frame_after_it_is_lost_too(made: synthetic.SyntheticRun) -> None:
     builder = BlockBuilder(1e9, synthetic.TICK_HZ)
-    chunks = sample_chunks(made, 100)
+    chunks = made.sample_chunks(100)
     builder.samples(chunks[0], 0.0)
     builder.samples(replace(chunks[20], gaps=(Gap(0, 15, 1, False), Gap(50, 2, 1, True))), 0.0)
     block = builder.take(0.0, everything=True)

@@ -15,7 +15,6 @@ from bench.rerunio import schema
 from bench.rerunio.plots import plots
 from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
-from protocol.streams import SampleChunk
 
 VIEWS = {
     "TimeSeries": len(plots(synthetic.run_info())),
@@ -112,9 +111,8 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
     sink = FileSink(path, run, wait=True)
     made = synthetic.SyntheticRun(0.5, config=synthetic.config(channels))
     made.raw[:] = np.arange(len(made.index)) if foreign else made.raw
-    for chunk in made.chunks():
-        if isinstance(chunk, SampleChunk):
-            sink.samples(chunk)
+    for chunk in made.sample_chunks():
+        sink.samples(chunk)
     sink.heartbeat(1, synthetic.heartbeat(int(made.tick[-1])))
     sink.close()
     assert read_run(path).samples.raw.tobytes() == made.raw.tobytes()

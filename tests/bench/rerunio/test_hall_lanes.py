@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from rerun.chunk import RrdReader
 
 from bench.rerunio import schema
 from bench.rerunio.recording import read_run
@@ -31,15 +30,8 @@ def record(path: Path, made: synthetic.SyntheticRun, edges: bool = True, **chang
 
 
 def lanes(path: Path) -> dict[str, np.ndarray]:
-    times: list[int] = []
-    words: list[list[str]] = []
-    for chunk in RrdReader(path).stream().filter(content=f"/{schema.HALL_LANES}").to_chunks():
-        batch = chunk.to_record_batch()
-        if schema.TIMELINE in batch.schema.names:
-            times += batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            words += batch.column("StateChange:state").to_pylist()
-    order = np.argsort(times, kind="stable")
-    return {"t": np.array(times)[order] / 1e9, "words": np.array(words)[order]}
+    rows = synthetic.column(path, schema.HALL_LANES, "StateChange:state")
+    return {"t": np.array([at for at, _ in rows]) / 1e9, "words": np.array([words for _, words in rows])}
 
 
 def truth(made: synthetic.SyntheticRun, t: np.ndarray) -> list[list[str]]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import synthetic
-from rerun.chunk import RrdReader
+from synthetic import column
 
 from bench.rerunio import schema
 from bench.rerunio.log import identity_text
@@ -17,18 +16,6 @@ from bench.rerunio.recording import read_run
 from bench.rerunio.sinks import FileSink
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Unit
-from protocol.streams import SampleChunk
-
-
-def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
-    """Times in ns and values of a component, in order of time; of one time the last that was logged comes last."""
-    found: list[tuple[int, Any]] = []
-    for chunk in RrdReader(path).stream().filter(content=f"/{entity}").to_chunks():
-        batch = chunk.to_record_batch()
-        if component in batch.schema.names and schema.TIMELINE in batch.schema.names:
-            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            found += zip(times, batch.column(component).to_pylist(), strict=True)
-    return sorted(found, key=lambda row: row[0])
 
 
 def test_errors_stand_out_in_the_log_and_what_follows_does_not(tmp_path: Path) -> None:
@@ -73,9 +60,8 @@ def test_a_heartbeat_from_before_the_first_sample_tears_no_lane(tmp_path: Path) 
     made = synthetic.SyntheticRun(0.3)
     sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
     sink.heartbeat(1, synthetic.heartbeat(int(made.tick[0]) - synthetic.TICK_HZ))
-    for chunk in made.chunks():
-        if isinstance(chunk, SampleChunk):
-            sink.samples(chunk)
+    for chunk in made.sample_chunks():
+        sink.samples(chunk)
     sink.close()
     rows = column(tmp_path / "a.rrd", schema.DRIVE, "StateChange:state")
     first_sample = int(made.tick[0]) * 1_000_000_000 // synthetic.TICK_HZ
@@ -97,9 +83,8 @@ def test_values_that_are_not_finite_are_recorded_without_a_word(tmp_path: Path) 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=channels), wait=True)
-        for chunk in made.chunks():
-            if isinstance(chunk, SampleChunk):
-                sink.samples(chunk)
+        for chunk in made.sample_chunks():
+            sink.samples(chunk)
         sink.close()
     assert sink.error is None
     shown = column(tmp_path / "a.rrd", schema.FAST, schema.value_component("theta"))

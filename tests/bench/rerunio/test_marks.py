@@ -73,20 +73,16 @@ def test_the_log_tells_every_mark_where_it_begins(marked: Path) -> None:
 
 
 def test_the_lane_shows_the_worst_of_marks_that_overlap(marked: Path) -> None:
-    shown: list[tuple[float, str]] = []
+    lane = synthetic.column(marked, schema.ACCEPTANCE, "StateChange:state")
+    assert [(at / 1e9 - 100, words[0]) for at, words in lane if words] == LANE
     coloured: dict[str, int] = {}
     for chunk in RrdReader(marked).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks():
         batch = chunk.to_record_batch()
-        if "StateChange:state" in batch.schema.names:
-            at = batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            words = batch.column("StateChange:state").to_pylist()
-            shown += [(t / 1e9 - 100, lane[0]) for t, lane in zip(at, words, strict=True) if lane]
         if "StateConfiguration:colors" in batch.schema.names:
             values, colours = (
                 batch.column(f"StateConfiguration:{name}").flatten().to_pylist() for name in ("values", "colors")
             )
             coloured |= dict(zip(values, colours, strict=True))
-    assert sorted(shown) == LANE
     assert set(coloured) == {words for _, words in LANE}
     reds = {words for words, colour in coloured.items() if colour >> 24 > 200 and colour >> 16 & 0xFF < 100}
     assert reds == {words for words in coloured if words.startswith("FAIL")}

@@ -53,12 +53,7 @@ def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun)
 
 def test_the_drives_lanes_follow_its_status_word(recording: Path, made: synthetic.SyntheticRun) -> None:
     """State, angle source and correction change in the timeline at the very sample that says so."""
-    changed: dict[int, list[str]] = {}
-    for chunk in RrdReader(recording).stream().filter(content="/drive").to_chunks():
-        batch = chunk.to_record_batch()
-        if "StateChange:state" in batch.schema.names:
-            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            changed |= zip(times, batch.column("StateChange:state").to_pylist(), strict=True)
+    changed = dict(synthetic.column(recording, schema.DRIVE, "StateChange:state"))
     at = np.array(sorted(changed))
     status = made.raw["status"].astype(int)
     for sample, t_ns in enumerate(schema.ns_from_tick(made.tick, synthetic.TICK_HZ)):
@@ -69,7 +64,7 @@ def test_the_drives_lanes_follow_its_status_word(recording: Path, made: syntheti
 
 
 def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    chunks = [chunk for chunk in made.chunks(100) if isinstance(chunk, SampleChunk)][:60]
+    chunks = made.sample_chunks(100)[:60]
     again = synthetic.config(cfg_id=9)  # as after a reconnect: same stream, another number
     chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
     sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
@@ -124,12 +119,8 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
         gaps = (Gap(0, 4, 1, False),) if number == 8 else ()
         sink.samples(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
     sink.close()
-    lanes = {}
-    for chunk in RrdReader(tmp_path / "a.rrd").stream().filter(content="/drive").to_chunks():
-        batch = chunk.to_record_batch()
-        if "StateChange:state" in batch.schema.names:
-            times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
-            lanes |= zip(times, [row[4] for row in batch.column("StateChange:state").to_pylist()], strict=True)
+    states = synthetic.column(tmp_path / "a.rrd", schema.DRIVE, "StateChange:state")
+    lanes = {at: row[4] for at, row in states}
     assert lanes[200_000_000] == "TELEMETRY GAP"
     assert lanes[400_000_000] == "telemetry complete"
     assert min(at for at, word in lanes.items() if word == "TELEMETRY GAP") == 200_000_000

@@ -70,12 +70,6 @@ def test_a_run_and_its_streams_survive_json() -> None:
         assert schema.stream_from_json(described, synthetic.run_info()) == config
 
 
-def test_speeds_are_mechanical_where_the_pole_pairs_are_known() -> None:
-    run = synthetic.run_info()
-    assert run.speed_unit == "r/min"
-    assert abs(100.0 * run.speed_factor - 100 * 60 / (2 * np.pi) / 6) < 1e-12
-
-
 @pytest.mark.parametrize("n_p", [None, 0.0, -3.0, 2.5, math.nan, math.inf, -math.inf])
 def test_speeds_stay_electrical_where_the_pole_pairs_are_not_known(n_p: float | None) -> None:
     run = synthetic.run_info(parameters={} if n_p is None else {"n_p": n_p})

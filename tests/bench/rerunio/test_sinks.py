@@ -144,7 +144,7 @@ def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, m
     clock = {"now": 50.0}
     file = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True, now=lambda: clock["now"])
     file.host_time = lambda tick: tick / synthetic.TICK_HZ - 51.0  # device time 100 s is host time 49 s
-    first = next(chunk for chunk in made.chunks(960) if hasattr(chunk, "raw"))
+    first = made.sample_chunks(960)[0]
     file.samples(first)
     file.close()
     assert file.latency.n == 960
@@ -154,7 +154,7 @@ def test_latency_counts_from_the_drives_clock_when_it_is_known(tmp_path: Path, m
 def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
     """While the drive's clock is not known there is none, whatever is known when the block is written."""
     file = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True, now=lambda: 50.0)
-    chunks = [chunk for chunk in made.chunks(96) if hasattr(chunk, "raw")][:3]
+    chunks = made.sample_chunks(96)[:3]
     clocks = (None, chunks[1].tick[0] / synthetic.TICK_HZ - 49.9, None)
     for chunk, offset in zip(chunks, clocks, strict=True):
         file.host_time = lambda tick, offset=offset: None if offset is None else tick / synthetic.TICK_HZ - offset
