@@ -66,7 +66,7 @@ class Observer(click.Choice[str]):
 )
 @click.option("--fit", is_flag=True, help="If the link cannot carry that: the highest rate that fits.")
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
-@click.option("--clear-faults", is_flag=True, help="Clear the faults that the drive shows before it is armed.")
+@click.option("--clear-faults", is_flag=True, help="First clear the faults that the drive shows.")
 @click.option(
     "--host-observers",
     is_flag=True,

@@ -171,12 +171,11 @@ class LiveRun:
 
     def check(self, acts: tuple[Act, ...], confirm: Callable[[str], bool] | None) -> None:
         """Limits and consent: raises before anything is energised."""
-        if not acts:
-            return
-        self._require()
-        envelope = self.rig.drive.envelope
-        check_limits(self.drive, envelope)
-        require_consent(self.drive, self.target, envelope, self.options.yes, confirm)
+        if acts:
+            self._require()
+            envelope = self.rig.drive.envelope
+            check_limits(self.drive, envelope)
+            require_consent(self.drive, self.target, envelope, self.options.yes, confirm)
         if self.options.clear_faults:
             self.drive.clear_faults()
 
@@ -538,7 +537,7 @@ def run(
             entry_of(name)
     with ExitStack() as stack:
         stack.enter_context(signals_as_exceptions())
-        target = options.target or "sim"
+        target = "sim" if options.target is None else options.target
         if options.embedded:
             target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
         link = open_link(target)

@@ -23,7 +23,7 @@ SIM = "sim"
 
 def target_of(given: str | None, settings: Settings) -> str:
     """By option, environment, bench.toml; else the simulated drive."""
-    return given or os.environ.get("BENCH_TARGET") or settings.target or SIM
+    return given if given is not None else os.environ.get("BENCH_TARGET") or settings.target or SIM
 
 
 def open_target(target: str, settings: Settings, name: str = "") -> Link:

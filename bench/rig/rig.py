@@ -162,7 +162,7 @@ class Rig:
         if heartbeat is not None and heartbeat.state == DriveState.FAULT:
             raise BenchError(
                 f"{target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
-                "(bench live --clear-faults)"
+                "(bench live TARGET --clear-faults --duration 1)"
             )
         if heartbeat is None:
             raise BenchError(f"{target} sends no heartbeat: whether its outputs are off is not known")

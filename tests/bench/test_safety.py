@@ -278,7 +278,10 @@ def test_a_trip_during_the_run_ends_with_the_fault_named() -> None:
     with pytest.raises(BenchError, match=r"latched fault \(OVERSPEED\).*--clear-faults"):
         run(WatchedLink(device))
     assert device.drive.state == DriveState.FAULT
-    assert run(WatchedLink(device), clear_faults=True).exit_code == 0
+    watched = WatchedLink(device)
+    assert run(watched, speed_rpm=None, clear_faults=True).exit_code == 0
+    assert never_armed(watched)
+    assert device.drive.state == DriveState.IDLE
 
 
 # -- consent ----------------------------------------------------------------------------------------------------
