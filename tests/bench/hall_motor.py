@@ -56,6 +56,11 @@ class Motor:
         return replace(self, **changed)  # type: ignore[arg-type]
 
 
+TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
+"""deg, the sensors of Kim et al. 2011, which the simulated drive has too."""
+REAL = Motor(delta_deg=TABLE_I, hysteresis_deg=0.5, jitter_deg=0.05)
+
+
 def capture(motor: Motor) -> Capture:
     """Record it."""
     lasts = [round(seconds * PWM_HZ) for _, seconds in motor.turns]

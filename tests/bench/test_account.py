@@ -79,14 +79,14 @@ class Streamed:
 
 
 class Lossy(WatchedLink):
-    """A virtual link that loses the stream frames of which `loses(time)` says so, and delays others by `delay` s.
+    """A virtual link that loses stream frames while it `loses` them, and delays others by `delay` s.
 
     Heartbeats and replies always come, and at once.
     """
 
     def __init__(self, device: SimulatedDevice) -> None:
         super().__init__(device)
-        self.loses: Callable[[float], bool] = lambda time: False
+        self.loses = False
         self.delay = 0.0
         self._late: list[tuple[float, bytes]] = []
 
@@ -96,7 +96,7 @@ class Lossy(WatchedLink):
         for frame, stream in split(data, isinstance(self.wire(), CanWire)):
             if not stream:
                 out.append(frame)
-            elif not self.loses(now):
+            elif not self.loses:
                 self._late.append((now + self.delay, frame))
         while self._late and self._late[0][0] <= now:
             out.append(self._late.pop(0)[1])
@@ -117,11 +117,14 @@ def network(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def bench_on(network: str, seed: int = 1) -> tuple[Bench, Lossy, Streamed]:
-    link = Lossy(simulated(seed, network))
+def streaming(link: Lossy, seconds: float, decimation: int = 1) -> tuple[Bench, Streamed, int]:
+    """A drive that has turned for a while, with all streams; and the decimation that the link carries."""
     bench, streamed = Bench(link), Streamed(link.device)
     streamed.collector = bench.collector
-    return bench, link, streamed
+    decimation = bench.stream(NAMES, decimation)
+    bench.turn(50.0)
+    bench.client.run_for(seconds)
+    return bench, streamed, decimation
 
 
 def block_of(bench: Bench) -> int:
@@ -147,11 +150,9 @@ NAMES = ("hall", "theta_enc", "i_a")
 
 @pytest.mark.parametrize("decimation", [1, 7])
 def test_what_is_lost_at_the_end_of_the_streams_is_counted(network: str, decimation: int) -> None:
-    bench, link, streamed = bench_on(network)
-    decimation = bench.stream(NAMES, decimation)
-    bench.turn(50.0)
-    bench.client.run_for(0.4)
-    link.loses = lambda time: True
+    link = Lossy(simulated(1, network))
+    bench, streamed, decimation = streaming(link, 0.4, decimation)
+    link.loses = True
     bench.client.run_for(0.5)
     before = bench.client.losses(1)
     assert before.edges.lost_by_index == before.samples.lost_by_index == 0  # nobody can tell yet
@@ -166,11 +167,9 @@ def test_what_is_lost_at_the_end_of_the_streams_is_counted(network: str, decimat
 
 def test_what_is_under_way_when_the_streams_are_stopped_is_not_lost(network: str) -> None:
     """Stream frames come 0.4 s after the heartbeats, the replies and the STOP that they precede."""
-    bench, link, streamed = bench_on(network)
+    link = Lossy(simulated(1, network))
     link.delay = 0.4
-    decimation = bench.stream(NAMES)
-    bench.turn(50.0)
-    bench.client.run_for(1.0)
+    bench, streamed, decimation = streaming(link, 1.0)
     bench.drive.stop_streams()
     losses = bench.client.losses(1)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == losses.samples.lost_by_seq == 0
@@ -181,8 +180,10 @@ def test_what_is_under_way_when_the_streams_are_stopped_is_not_lost(network: str
 
 
 def test_streams_of_which_nothing_ever_came_are_lost_whole(network: str) -> None:
-    bench, link, streamed = bench_on(network)
-    link.loses = lambda time: True
+    link = Lossy(simulated(1, network))
+    link.loses = True
+    bench, streamed = Bench(link), Streamed(link.device)
+    streamed.collector = bench.collector
     decimation = bench.stream(NAMES)
     bench.client.run_for(0.3)
     known = bench.collector.heartbeats[-1][1].tick
@@ -198,17 +199,15 @@ def test_streams_of_which_nothing_ever_came_are_lost_whole(network: str) -> None
 
 
 def test_a_drive_that_is_stopped_twice_is_counted_once(network: str) -> None:
-    bench, link, _ = bench_on(network)
-    bench.stream(NAMES)
-    bench.turn(50.0)
-    bench.client.run_for(0.3)
-    link.loses = lambda time: True
+    link = Lossy(simulated(1, network))
+    bench, _, _ = streaming(link, 0.3)
+    link.loses = True
     bench.client.run_for(0.3)
     bench.drive.stop_streams()
     once = bench.client.losses(1)
     bench.drive.stop_streams()
     assert bench.client.losses(1) == once
-    link.loses = lambda time: False
+    link.loses = False
     bench.stream(NAMES)
     bench.client.run_for(0.3)
     bench.drive.stop_streams()
@@ -216,11 +215,9 @@ def test_a_drive_that_is_stopped_twice_is_counted_once(network: str) -> None:
 
 
 def test_a_link_that_is_lost_for_good_leaves_what_heartbeats_had_told(network: str) -> None:
-    bench, link, streamed = bench_on(network)
-    decimation = bench.stream(NAMES)
-    bench.turn(50.0)
-    bench.client.run_for(0.3)
-    link.loses = lambda time: True
+    link = Lossy(simulated(1, network))
+    bench, streamed, decimation = streaming(link, 0.3)
+    link.loses = True
     bench.client.run_for(0.35)
     known = bench.collector.heartbeats[-1][1].tick
     link.close()
@@ -236,7 +233,7 @@ def test_an_acceptance_test_counts_what_is_lost_at_its_end_too() -> None:
         rig.drive.start("encoder")
         rig.drive.speed(50.0)
         rig.wait(0.4)
-        link.loses = lambda time: True
+        link.loses = True
         rig.wait(0.4)
     quality = rig.quality()
     assert quality.lost_samples > 0.3 * 16000
@@ -266,14 +263,11 @@ class Rebooting(Lossy):
 
 def test_the_streams_of_a_drive_that_reboots_end_with_its_last_heartbeat(network: str) -> None:
     link = Rebooting(network)
-    bench, streamed = Bench(link), Streamed(link.device)
-    decimation = bench.stream(NAMES)
-    bench.turn(50.0)
-    bench.client.run_for(0.3)
-    link.loses = lambda time: True
+    bench, streamed, decimation = streaming(link, 0.3)
+    link.loses = True
     bench.client.run_for(0.35)
     known = bench.client.heartbeats[1].tick
-    link.loses = lambda time: False
+    link.loses = False
     link.reboot()
     assert bench.client.wait(lambda: bench.client.health.reboots == 2, 1.0)  # both nodes
     losses = accounted(bench, streamed, known, decimation)
@@ -355,15 +349,10 @@ def test_a_host_that_stood_still_says_so_though_nothing_tripped() -> None:
     assert "longest pause of this program" not in dict(map(tuple, run_rows(fine.summary)))
 
 
-def turning(link: WatchedLink) -> Bench:
-    bench = Bench(link)
-    bench.turn(50.0)
-    return bench
-
-
 def test_a_watchdog_that_this_host_starved_is_laid_at_its_door(network: str) -> None:
     link = WatchedLink(simulated(1, network))
-    bench = turning(link)
+    bench = Bench(link)
+    bench.turn(50.0)
     bench.client.run_for(0.3)
     assert bench.client.starved(1) == ""
     link.device.advance(round(0.43 * 16000))

@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from collect import Bench
 from virtual_run import WatchedLink, run, simulated
 
-from bench.cli import cli
-from bench.errors import BenchError
 from bench.observers.augment import Augmenter, host_channels
 from bench.observers.estimators import Estimators
 from bench.rerunio.recording import read_run
 from protocol.descriptor import Channel
-from protocol.messages import DriveState
 from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -37,33 +33,6 @@ def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
     for name in ("theta_vt", "omega_vt", "theta_avg", "omega_avg"):
         assert np.array_equal(raw[name][after:], raw[f"{name}_host"][after:]), name
     assert {"theta_vt_host", "theta_avg_host"} < set(recorded.info.position_estimates)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"estimate": ("vt",), "rate_hz": 8000.0}, "--estimate needs every PWM period"),
-        (
-            {"estimate": ("vt",), "channels": ("hall", "i_a")},
-            "--estimate needs every PWM period and the channels status",
-        ),
-    ],
-)
-def test_what_cannot_be_estimated_is_told_before_anything_turns(options: dict[str, object], words: str) -> None:
-    link = WatchedLink(simulated())
-    with pytest.raises(BenchError) as raised:
-        run(link, **options)
-    assert words in str(raised.value)
-    assert set(link.states) == {DriveState.IDLE}
-
-
-def test_a_wrong_name_is_refused_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr("bench.live.run.open_link", asked.append)
-    options = ["live", "sim", "--viewer", "none", "--duration", "1", "--estimate", "vector-trackin"]
-    done = CliRunner().invoke(cli, options)
-    assert "no observer 'vector-trackin' (did you mean vector_tracking?)" in str(done.exception)
-    assert asked == []
 
 
 def test_all_else_is_handed_on_as_it_came() -> None:

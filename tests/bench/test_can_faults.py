@@ -18,7 +18,7 @@ from protocol.canmap.frame import EXTENDED, REMOTE, BusRates
 from protocol.messages import DriveState, Fault
 from protocol.streams import EdgeChunk, SampleChunk
 from sim.config.params import load_params
-from sim.ports.can_bus import State
+from sim.ports.can_bus import Controller, State
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 
@@ -172,14 +172,19 @@ def of_node(node: int) -> Callable[[bytes, float], bool]:
     return lambda record, time: record[0] >> 4 == node and record[1] & 7 in (1, 3, 4, 5, 6)
 
 
-def test_the_drive_goes_bus_off_and_comes_back(rig: Rig) -> None:
+def go_bus_off(rig: Rig, controller: Controller, corrupt: Callable[[bytes, float], bool]) -> None:
+    """Destroy these frames until the controller has given up."""
     rig.go()
     rig.client.run_for(0.3)
+    rig.bus.corrupt = corrupt
+    assert rig.client.wait(lambda: controller.state is State.BUS_OFF, 2.0)
+    rig.bus.corrupt = None
+
+
+def test_the_drive_goes_bus_off_and_comes_back(rig: Rig) -> None:
     controller = rig.bus._nodes[1]
     assert controller.name == "simulated drive"
-    rig.bus.corrupt = of_node(1)
-    assert rig.client.wait(lambda: controller.state is State.BUS_OFF, 1.0)
-    rig.bus.corrupt = None
+    go_bus_off(rig, controller, of_node(1))
     assert rig.client.wait(lambda: controller.state is State.ACTIVE, 1.0)
     rig.client.run_for(0.5)
     rig.end()
@@ -189,13 +194,9 @@ def test_the_drive_goes_bus_off_and_comes_back(rig: Rig) -> None:
 
 
 def test_a_drive_that_stays_off_the_bus_switches_off_by_itself(rig: Rig) -> None:
-    rig.go()
-    rig.client.run_for(0.3)
     controller = rig.bus._nodes[1]
     controller.auto_restart = None
-    rig.bus.corrupt = of_node(1)
-    assert rig.client.wait(lambda: controller.state is State.BUS_OFF, 1.0)
-    rig.bus.corrupt = None
+    go_bus_off(rig, controller, of_node(1))
     rig.client.run_for(0.3)
     assert rig.device.drive.machine.faults == Fault.WATCHDOG
     assert not rig.device.drive.app.outputs_on
@@ -206,12 +207,9 @@ def test_a_drive_that_stays_off_the_bus_switches_off_by_itself(rig: Rig) -> None
 
 
 def test_the_adapter_goes_bus_off(rig: Rig) -> None:
-    rig.go()
-    rig.client.run_for(0.3)
-    rig.network.adapter.auto_restart = 0.5
-    rig.bus.corrupt = lambda record, time: record[1] & 7 == 2 or record[0:2] == b"\x15\x01"  # what the host sends
-    assert rig.client.wait(lambda: rig.network.adapter.state is State.BUS_OFF, 2.0)
-    rig.bus.corrupt = None
+    adapter = rig.network.adapter
+    adapter.auto_restart = 0.5
+    go_bus_off(rig, adapter, lambda record, time: record[1] & 7 == 2 or record[0:2] == b"\x15\x01")  # the host's
     rig.client.run_for(0.4)
     assert rig.device.drive.machine.faults == Fault.WATCHDOG
     rig.client.run_for(0.6)

@@ -7,19 +7,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect import Bench, Collector, feed
-from virtual_run import WatchedLink, run, simulated
+from collect import Bench, feed
+from virtual_run import WatchedLink, simulated
 
 from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.rerunio.recording import read_run
 from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource, Injection, Status
-from protocol.streams import EdgeChunk, Gap
+from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers.catalogue import CATALOGUE, DEFAULTS
 
 ALL = tuple(f"+{name}" for name in CHECKED)
 """Also what is streamed on request only."""
+
+
+NO_CUTS = np.array([], int)
+
+
+def turned(bench: Bench) -> tuple[SampleChunk, EdgeChunk]:
+    """What it streams while the drive turns."""
+    bench.stream(ALL)
+    bench.turn(50.0)
+    bench.client.run_for(0.5)
+    return bench.collector.all_samples(), bench.collector.all_edges()
 
 
 def host_observers(bench: Bench, **parameters: float) -> HostObservers:
@@ -33,17 +44,12 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
     for name, value in (("inject", where), ("inject_amplitude", 0.1), ("inject_hz", 123.4)):
         bench.drive.set(name, value)
     bench.load.set("hall_glitch", 50.0)
-    bench.stream(ALL)
-    bench.turn(50.0)
-    bench.client.run_for(0.5)
-    collected = bench.collector
-    samples = collected.all_samples()
+    samples, edges = turned(bench)
     assert np.any(samples.raw["status"] & Status.INJECTION_SYNC)
-    compared, differ = feed(host_observers(bench), samples, collected.all_edges(), np.array([], int))
+    compared, differ = feed(host_observers(bench), samples, edges, NO_CUTS)
     assert compared > 5000
     assert differ == 0
-    still = host_observers(bench, inject=0.0)
-    assert feed(still, samples, collected.all_edges(), np.array([], int))[1] > 1000
+    assert feed(host_observers(bench, inject=0.0), samples, edges, NO_CUTS)[1] > 1000
 
 
 def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run: Path) -> None:
@@ -113,27 +119,20 @@ def test_observers_that_lack_a_parameter_are_left_out() -> None:
 def test_another_parameter_shows_as_a_difference() -> None:
     bench = Bench(WatchedLink(simulated()))
     parameters = bench.drive.parameters()
-    bench.stream(ALL)
-    bench.turn(50.0)
-    bench.client.run_for(0.5)
+    samples, edges = turned(bench)
     for name in ("k_p_vt", "k_i_vt", "L_s_hat", "bw_omega_lpf"):
-        observers = host_observers(bench, **{name: parameters[name] * 2})
-        collected = bench.collector
-        compared, differ = feed(observers, collected.all_samples(), collected.all_edges(), np.array([], int))
+        compared, differ = feed(host_observers(bench, **{name: parameters[name] * 2}), samples, edges, NO_CUTS)
         assert compared > differ > 1000, name
 
 
 def test_each_checked_channel_is_checked() -> None:
     bench = Bench(WatchedLink(simulated()))
-    bench.stream(ALL)
-    bench.turn(50.0)
-    bench.client.run_for(0.4)
-    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    samples, edges = turned(bench)
     for name in CHECKED:
         raw = samples.raw.copy()
         raw[name][-7] += 1
-        assert feed(host_observers(bench), replace(samples, raw=raw), edges, np.array([], int))[1] == 1, name
-    assert feed(host_observers(bench), samples, edges, np.array([], int))[1] == 0
+        assert feed(host_observers(bench), replace(samples, raw=raw), edges, NO_CUTS)[1] == 1, name
+    assert feed(host_observers(bench), samples, edges, NO_CUTS)[1] == 0
 
 
 @pytest.mark.parametrize("kind", ["samples", "edges"])
@@ -168,10 +167,7 @@ def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> No
 
 def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
     bench = Bench(WatchedLink(simulated()))
-    bench.stream(ALL)
-    bench.turn(50.0)
-    bench.client.run_for(0.4)
-    samples, edges = bench.collector.all_samples(), bench.collector.all_edges()
+    samples, edges = turned(bench)
     reset = int(np.flatnonzero(samples.raw["status"] & Status.OBSERVERS_RESET)[0])
     gap = reset + 2000
     keep = np.r_[0:gap, gap + 50 : len(samples)]
@@ -182,32 +178,6 @@ def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
     assert observers.compare(holed) == (gap - reset, 0)
     later = part(samples, len(samples) - 10, len(samples))
     assert observers.compare(later) == (0, 0)
-
-
-def test_a_recorded_run_gives_the_same(tmp_path: Path) -> None:
-    link = WatchedLink(simulated())
-    ended = run(link, duration=1.0, load_a=1.0, host_observers=True, save=tmp_path / "a.rrd")
-    seen = ended.summary.host_observers
-    assert seen is not None
-    assert seen["different"] == 0
-    recorded = read_run(tmp_path / "a.rrd")
-    observers = HostObservers(recorded.info.parameters, recorded.samples.config)
-    cuts = np.sort(np.random.default_rng(2).choice(len(recorded.samples), 50, replace=False))
-    assert feed(observers, recorded.samples, recorded.edges, cuts) == (seen["compared"], 0)
-
-
-def test_collected_chunks_bring_edges_before_the_samples_that_cover_them() -> None:
-    bench = Bench(WatchedLink(simulated()))
-    bench.stream(ALL)
-    bench.turn(50.0)
-    bench.client.run_for(0.5)
-    collector: Collector = bench.collector
-    covered = -1
-    for chunk in collector.chunks:
-        if isinstance(chunk, EdgeChunk):
-            assert chunk.tick[0] > covered
-        else:
-            covered = int(chunk.tick[-1])
 
 
 def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> None:

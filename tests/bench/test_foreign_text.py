@@ -8,20 +8,18 @@ import re
 import sys
 import termios
 import threading
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from html import escape
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Self
 from unittest.mock import patch
 
 import pytest
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
-from bench.rerunio.markdown import escaped, table
 from bench.rerunio.recording import read_run
 from protocol.descriptor import Descriptor
 from protocol.messages import Feature
@@ -59,77 +57,55 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
     return device
 
 
-class Talking(WatchedLink):
-    """Its drive logs a line at every 50th call."""
+@contextmanager
+def terminal(typed: bytes) -> Iterator[bytearray]:
+    """The standard streams are a terminal; gives what is written on it, whole once it is left."""
+    controller, other = pty.openpty()
+    mode = termios.tcgetattr(other)
+    mode[3] &= ~termios.ECHO  # what is typed is not what is shown
+    termios.tcsetattr(other, termios.TCSANOW, mode)
+    os.write(controller, typed)
+    shown = bytearray()
 
-    def __init__(self, device: SimulatedDevice) -> None:
-        super().__init__(device, lambda number: None if number % 50 else device.drive.log(3, LOG))
+    def read() -> None:
+        with suppress(OSError):  # the other end has gone
+            while data := os.read(controller, 65536):
+                shown.extend(data)
 
-
-class Terminal:
-    """The standard streams are a terminal; `ended` gives all that was written on it."""
-
-    def __init__(self) -> None:
-        self._controller, self._terminal = pty.openpty()
-        mode = termios.tcgetattr(self._terminal)
-        mode[3] &= ~termios.ECHO  # what is typed is not what is shown
-        termios.tcsetattr(self._terminal, termios.TCSANOW, mode)
-        self._data = b""
-        self._reader = threading.Thread(target=self._read)
-        self._before = sys.stdin, sys.stdout, sys.stderr, sys.__stdin__
-
-    def __enter__(self) -> Self:
-        self._reader.start()
-        sys.stdin = sys.__stdin__ = open(self._terminal, closefd=False)
-        sys.stdout = sys.stderr = open(self._terminal, "w", closefd=False)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        sys.stdin, sys.stdout, sys.stderr, sys.__stdin__ = self._before  # type: ignore[misc]
-        os.close(self._terminal)
-        self._reader.join(10.0)
-        os.close(self._controller)
-
-    def type(self, text: bytes) -> None:
-        os.write(self._controller, text)
-
-    @property
-    def text(self) -> str:
-        """Of a terminal that was left."""
-        return self._data.decode()
-
-    def _read(self) -> None:
-        while True:
-            try:
-                data = os.read(self._controller, 65536)
-            except OSError:  # the other end has gone
-                return
-            if not data:
-                return
-            self._data += data
+    reader = threading.Thread(target=read)
+    reader.start()
+    with open(other, "w") as out, open(other, closefd=False) as typing:
+        streams = {"stdin": typing, "__stdin__": typing, "stdout": out, "stderr": out}
+        with patch.multiple(sys, **streams):
+            yield shown
+    reader.join(10.0)
+    os.close(controller)
 
 
 @pytest.fixture
 def on_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[int, str]]:
-    """Run `bench ARGUMENTS…` on a terminal; whatever target it opens is `device`."""
+    """Run `bench ARGUMENTS…` on a terminal; whatever target it opens is `device`, which logs at every 50th call."""
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.chdir(tmp_path)
 
     def run(device: SimulatedDevice, *arguments: str, reply: bytes = b"") -> tuple[int, str]:
+        def link(target: str) -> WatchedLink:
+            return WatchedLink(device, lambda number: None if number % 50 else device.drive.log(3, LOG))
+
         code = 0
-        with ExitStack() as stack:
-            stack.enter_context(reached_by(Talking(device)))
-            for opener in ("bench.rig.connection.open_link", "protocol.links.open_link"):
-                stack.enter_context(patch(opener, lambda target: Talking(device)))
-            with Terminal() as terminal:
-                terminal.type(reply)
-                try:
-                    main(list(arguments))
-                except SystemExit as ended:
-                    code = ended.code if isinstance(ended.code, int) else 0
-        return code, terminal.text
+        with (
+            reached_by(link("")),
+            patch("bench.rig.connection.open_link", link),
+            patch("protocol.links.open_link", link),
+            terminal(reply) as shown,
+        ):
+            try:
+                main(list(arguments))
+            except SystemExit as ended:
+                code = ended.code if isinstance(ended.code, int) else 0
+        return code, shown.decode()
 
     return run
 
@@ -231,9 +207,3 @@ def test_the_report_of_accept(on_terminal: Callable[..., tuple[int, str]]) -> No
         assert tag not in page
     assert sorted(str(path) for path in Path("out").rglob("*.rrd")) == ["out/recordings/it.rrd"]
     assert harmless(read_run("out/recordings/it.rrd").summary)
-
-
-def test_a_cell_of_a_table_in_markdown_is_text() -> None:
-    assert escaped(r"a|b`c`<i>*[x](http://y)\|" + "\n") == r"a\|b\`c\`\<i\>\*\[x\](http://y)\\\|\\n"
-    lines = table(("run", ""), [["a|b", "c\nd"], ["e", 5]]).splitlines()
-    assert lines == ["| run |  |", "| --- | --- |", r"| a\|b | c\\nd |", "| e | 5 |"]

@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from hall_motor import Motor, capture
+from hall_motor import REAL, TABLE_I, capture
 from virtual_run import simulated
 
 from bench.cli import main
@@ -24,9 +24,7 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
 TARGET = "serial:/dev/ttyLEARN"
-TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
 NAMES = [f"{name}_{s}" for name in ("edge_up", "edge_down") for s in range(1, 7)]
-REAL = Motor(delta_deg=TABLE_I, hysteresis_deg=0.5, jitter_deg=0.05)
 
 
 def learn(device: SimulatedDevice, *arguments: str) -> None:
@@ -80,15 +78,6 @@ def test_edges_known_too_badly_are_refused_with_how_badly() -> None:
     long = ((60.0, 9.0), (0.0, 0.05), (-60.0, 9.0))
     found = learnt(examine(trace(capture(rough.but(turns=long)))))
     assert np.degrees(found.edge_up) == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.5)
-
-
-@pytest.mark.parametrize("zero_deg", [5.0, -7.0])
-def test_edges_are_not_learnt_by_an_encoder_whose_zero_is_off(zero_deg: float) -> None:
-    moved = REAL.but(encoder=lambda theta: theta + math.radians(zero_deg))
-    with pytest.raises(
-        BenchError, match=rf"the encoder's zero is {zero_deg:.0f}\.\d deg off; align the encoder's zero"
-    ):
-        learnt(examine(trace(capture(moved))))
 
 
 def test_too_little_data_is_refused_with_what_to_do() -> None:
