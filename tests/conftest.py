@@ -22,7 +22,6 @@ ALONE = (
 )
 REAL_TIME = (
     "bench/acceptance/test_safety_accept.py",
-    "bench/test_can_logs.py::test_cantools",
     "bench/test_errors.py::test_a_wrong_baud_rate",
     "bench/test_interrupts.py::test_ctrl_c_in_a_terminal",
     "bench/test_live_process.py",
