@@ -6,7 +6,8 @@ import numpy as np
 
 from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
-from protocol.messages import DriveState, ErrorCode, Fault, Feature, Role, SetpointMode
+from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.messages import DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
 
@@ -89,6 +90,15 @@ def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app
+
+
+def wire_of(message: Request, tid: int = 0, node: int = 1) -> bytes:
+    return encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
+
+
+def frames_in(data: bytes) -> list[Frame]:
+    """Return the frames of what an end has to send, all of it."""
+    return [parse_frame(raw) for raw in Deframer().feed(b"\0" + data)]
 
 
 def samples(index0: int, n: int) -> np.ndarray:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from zlib import crc32
 
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, identity, pack_edges, samples, small_link
+from small_drive import TICKS, SmallDrive, frames_in, identity, pack_edges, samples, small_link, wire_of
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
-from protocol.framing import MAJOR, Deframer, Frame, encode_frame
+from protocol.framing import MAJOR, Frame, encode_frame
 from protocol.host import HostSession
 from protocol.messages import (
     Alive,
@@ -22,7 +21,6 @@ from protocol.messages import (
     ParamGet,
     ParamReply,
     ParamSet,
-    Request,
     Setpoint,
     SetpointMode,
     StateCommand,
@@ -84,22 +82,18 @@ def mutate(rng: np.random.Generator, wires: list[bytes], n: int) -> list[bytes]:
     return out
 
 
-def request(message: Request, tid: int, node: int = 1) -> bytes:
-    return encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
-
-
 def to_device() -> list[bytes]:
     """Return what a host says in a run, all of which would change something."""
     return [
-        request(Hello(1), 1),
-        request(StateCommand(Command.ARM, BOOT_ID), 2),
-        request(StateCommand(Command.START), 3),
-        request(ParamSet(101, 9.0), 4),
-        request(Setpoint(SetpointMode.SPEED, 5, 100.0), 0),
-        request(Alive(6), 0),
-        request(StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2, 3)), 7),
-        request(StreamStart(1), 8),
-        request(StreamStop(), 9),
+        wire_of(Hello(1), 1),
+        wire_of(StateCommand(Command.ARM, BOOT_ID), 2),
+        wire_of(StateCommand(Command.START), 3),
+        wire_of(ParamSet(101, 9.0), 4),
+        wire_of(Setpoint(SetpointMode.SPEED, 5, 100.0)),
+        wire_of(Alive(6)),
+        wire_of(StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2, 3)), 7),
+        wire_of(StreamStart(1), 8),
+        wire_of(StreamStop(), 9),
     ]
 
 
@@ -108,18 +102,15 @@ def to_host() -> list[bytes]:
     link, device, _ = small_link(TxQueue(1 << 24))
     for wire in to_device()[:-1]:
         link.receive(wire)
-    link.receive(request(StreamSet(1, StreamEvent.EDGES, 1, 20), 10))
-    link.receive(request(StreamStart(2), 11))
+    link.receive(wire_of(StreamSet(1, StreamEvent.EDGES, 1, 20), 10))
+    link.receive(wire_of(StreamStart(2), 11))
     ticks = np.arange(8, dtype=np.int64) * 20_000
     ones = np.ones(8, np.uint8)
     device.push_edges(pack_edges(ticks, ones, ones * 3, ones > 5, ticks))
     device.push_samples(0, 0, samples(0, 2000))
     link.advance(2_000_000)
-    deframer = Deframer()
-    return [
-        b"\0" + cobs.encode(raw + crc32(raw).to_bytes(4, "little")) + b"\0"
-        for raw in deframer.feed(b"\0" + link.data_to_send())
-    ] + [encode_frame(Frame(0x11, MAJOR | 0x10, 1, 1, ParamReply(101, 1, 0, 2, 1).pack()))]
+    reply = Frame(0x11, MAJOR | 0x10, 1, 1, ParamReply(101, 1, 0, 2, 1).pack())
+    return [encode_frame(frame) for frame in (*frames_in(link.data_to_send()), reply)]
 
 
 def device_snapshot(session: DeviceSession, app: SmallDrive) -> object:

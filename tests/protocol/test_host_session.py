@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_drive import pack_edges, samples, small_link
+from small_drive import frames_in, pack_edges, samples, small_link, wire_of
 
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
@@ -57,8 +57,7 @@ def events(host: HostSession) -> list[Event]:
 
 
 def sent(host: HostSession) -> list[Frame]:
-    deframer = Deframer()
-    return [parse_frame(raw) for raw in deframer.feed(b"\0" + host.data_to_send())]
+    return frames_in(host.data_to_send())
 
 
 def reply(type_: int, tid: int, payload: bytes, node: int = 1, flags: int = REPLY) -> bytes:
@@ -353,7 +352,7 @@ def test_stream_frames_come_as_one_event_a_stream_with_edges_first(host: HostSes
         StreamSet(2, StreamEvent.PWM, 10, 20, (5,)),
         StreamStart(7),
     ):
-        link.receive(encode_frame(Frame(message.TYPE, MAJOR, next(tids), 1, message.pack())))
+        link.receive(wire_of(message, next(tids)))
     link.data_to_send()
     for first in range(0, 4000, 400):
         tick = np.array([first * 1250 + 5])

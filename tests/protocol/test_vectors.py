@@ -11,7 +11,7 @@ import can_rows
 import make_vectors
 import numpy as np
 import pytest
-from small_drive import small_link
+from small_drive import frames_in, small_link
 from test_streams import decode_all, joined
 
 from protocol import messages
@@ -134,11 +134,10 @@ def test_sequences(case: dict) -> None:
     for step in case["steps"]:
         request = bytes.fromhex(step["request_hex"])
         link.receive(request)
-        sent = link.data_to_send()
-        frames = [parse_frame(raw) for raw in Deframer().feed(b"\0" + sent)]
+        frames = frames_in(link.data_to_send())
         replies = [frame for frame in frames if frame.is_reply]
         if step["reply_hex"] is None:
-            (asked,) = (parse_frame(raw) for raw in Deframer().feed(request))
+            (asked,) = frames_in(request)
             assert [(f.type, f.tid, f.node, f.is_error) for f in replies] == [(asked.type, asked.tid, 1, False)]
         else:
             assert b"".join(map(encode_frame, replies)).hex() == step["reply_hex"]
