@@ -7,17 +7,13 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from test_spec import KINDS
 
 from protocol import messages as m
 from protocol.errors import LocalProtocolError
 
 
-@given(
-    st.sampled_from(
-        sorted({*m.REQUESTS.values(), *m.REPLIES.values(), *m.UNSOLICITED.values(), m.ErrorReply}, key=str)
-    ),
-    st.binary(max_size=128),
-)
+@given(st.sampled_from(KINDS), st.binary(max_size=128))
 def test_any_bytes_unpack_or_are_refused(kind: type[m.Payload], payload: bytes) -> None:
     try:
         message = kind.unpack(payload)
