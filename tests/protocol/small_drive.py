@@ -120,3 +120,10 @@ def pack_edges(tick, hall_old, hall_new, illegal, encoder):
     records["codes"] = hall_old | hall_new << 3 | np.where(illegal, EDGE_ILLEGAL, 0).astype(np.uint8)
     records["encoder"] = encoder & 0xFFFF
     return records
+
+
+def edges_at(ticks):
+    """Edges from code 1 to 3, as wire records; the encoder stands where the tick does."""
+    ticks = np.asarray(ticks, np.int64)
+    ones = np.ones(len(ticks), np.uint8)
+    return pack_edges(ticks, ones, ones * 3, ones > 5, ticks)

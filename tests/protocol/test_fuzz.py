@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, frames_in, identity, pack_edges, samples, small_link, wire_of
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link, wire_of
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
@@ -35,6 +35,7 @@ from protocol.wire import StreamFrames
 RANDOM = 400_000
 MUTATED = 100_000
 BOOT_ID = 0xB0071D
+Device = tuple[DeviceLink, DeviceSession, SmallDrive]
 
 
 def random_frames(rng: np.random.Generator, n: int) -> bytes:
@@ -104,9 +105,7 @@ def to_host() -> list[bytes]:
         link.receive(wire)
     link.receive(wire_of(StreamSet(1, StreamEvent.EDGES, 1, 20), 10))
     link.receive(wire_of(StreamStart(2), 11))
-    ticks = np.arange(8, dtype=np.int64) * 20_000
-    ones = np.ones(8, np.uint8)
-    device.push_edges(pack_edges(ticks, ones, ones * 3, ones > 5, ticks))
+    device.push_edges(edges_at(range(0, 160_000, 20_000)))
     device.push_samples(0, 0, samples(0, 2000))
     link.advance(2_000_000)
     reply = Frame(0x11, MAJOR | 0x10, 1, 1, ParamReply(101, 1, 0, 2, 1).pack())
@@ -131,7 +130,7 @@ def host_snapshot(host: HostSession) -> object:
 
 
 @pytest.fixture
-def device() -> tuple[DeviceLink, DeviceSession, SmallDrive]:
+def device() -> Device:
     link, session, app = small_link()
     link.data_to_send()
     return link, session, app
@@ -144,7 +143,7 @@ def host() -> HostSession:
     return session
 
 
-def test_the_oracle_frames_are_sound(device: tuple[DeviceLink, DeviceSession, SmallDrive]) -> None:
+def test_the_oracle_frames_are_sound(device: Device) -> None:
     """Undamaged, the same frames do have their effect: the tests below are not empty."""
     link, session, app = device
     link.receive(b"".join(to_device()[:6]))
@@ -157,7 +156,7 @@ def test_the_oracle_frames_are_sound(device: tuple[DeviceLink, DeviceSession, Sm
     assert kinds == {"StreamFrames", "HeartbeatReceived", "DeviceEventReceived", "ReplyReceived"}
 
 
-def test_random_frames_change_nothing(device: tuple[DeviceLink, DeviceSession, SmallDrive], host: HostSession) -> None:
+def test_random_frames_change_nothing(device: Device, host: HostSession) -> None:
     link, session, app = device
     before = device_snapshot(session, app), host_snapshot(host)
     rng = np.random.default_rng(1)
@@ -175,7 +174,7 @@ def test_random_frames_change_nothing(device: tuple[DeviceLink, DeviceSession, S
     assert link.data_to_send() == b""
 
 
-def test_mutated_requests_change_nothing(device: tuple[DeviceLink, DeviceSession, SmallDrive]) -> None:
+def test_mutated_requests_change_nothing(device: Device) -> None:
     link, session, app = device
     before = device_snapshot(session, app)
     link.receive(b"".join(mutate(np.random.default_rng(2), to_device(), MUTATED)))
@@ -198,9 +197,7 @@ def test_mutated_answers_change_nothing(host: HostSession) -> None:
     assert host.next_event() is None
 
 
-def test_sound_frames_of_nonsense_never_raise_and_never_energise(
-    device: tuple[DeviceLink, DeviceSession, SmallDrive], host: HostSession
-) -> None:
+def test_sound_frames_of_nonsense_never_raise_and_never_energise(device: Device, host: HostSession) -> None:
     """A right CRC around random content: what a faulty program may send."""
     link, session, app = device
     rng = np.random.default_rng(4)

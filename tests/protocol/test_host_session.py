@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from small_drive import frames_in, pack_edges, samples, small_link, wire_of
+from small_drive import edges_at, frames_in, samples, small_link, wire_of
 
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
@@ -340,9 +339,7 @@ def test_stream_frames_come_as_one_event_a_stream_with_edges_first(host: HostSes
     link.receive(wire_of(StreamStart(7), 4))
     link.data_to_send()
     for first in range(0, 4000, 400):
-        tick = np.array([first * 1250 + 5])
-        ones = np.ones(1, np.uint8)
-        device.push_edges(pack_edges(tick, ones, ones, ones > 5, tick))
+        device.push_edges(edges_at([first * 1250 + 5]))
         device.push_samples(first, first * 1250, samples(first, 400))
     host.receive_data(link.data_to_send(), 1.0)
     got = events(host)

@@ -94,12 +94,9 @@ def test_ticks_stay_below_2_to_the_62() -> None:
 
 
 def test_values_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(LocalProtocolError, match=r"ParamGet.*cannot be sent"):
-        m.ParamGet(65536).pack()
-    with pytest.raises(LocalProtocolError, match="cannot be sent"):
-        m.ParamSet(1, 1e39).pack()
-    with pytest.raises(LocalProtocolError, match="cannot be sent"):
-        m.StreamSet(0, m.StreamEvent.PWM, 1, 20, (70000,)).pack()
+    for message in (m.ParamGet(65536), m.ParamSet(1, 1e39), m.StreamSet(0, m.StreamEvent.PWM, 1, 20, (70000,))):
+        with pytest.raises(LocalProtocolError, match=f"{type(message).__name__}.*cannot be sent"):
+            message.pack()
 
 
 def test_error_reply_reads_well() -> None:

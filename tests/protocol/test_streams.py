@@ -168,17 +168,17 @@ def test_what_a_frame_says_besides_its_samples(seq: int, late: int, flags: int, 
 
 
 def test_the_configuration_must_agree_with_the_descriptor() -> None:
-    request = StreamSet(0, StreamEvent.PWM, 1, 20, (3, 1))
-    stream = StreamConfig.of(identity(), request, StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR)
-    assert stream.dtype.names == ("theta", "hall")
+    def of(sample_bytes: int, block: int, *channels: int) -> StreamConfig:
+        request = StreamSet(0, StreamEvent.PWM, 1, 20, channels)
+        return StreamConfig.of(identity(), request, StreamReply(0, 5, sample_bytes, block, 0.0), DESCRIPTOR)
+
+    assert of(3, 10, 3, 1).dtype.names == ("theta", "hall")
     with pytest.raises(RemoteProtocolError, match="stream 0: 4 bytes a sample, 10 a frame by the device, 3"):
-        StreamConfig.of(identity(), request, StreamReply(0, 5, 4, 10, 0.0), DESCRIPTOR)
+        of(4, 10, 3, 1)
     with pytest.raises(RemoteProtocolError, match="3 bytes a sample, 0 a frame"):
-        StreamConfig.of(identity(), request, StreamReply(0, 5, 3, 0, 0.0), DESCRIPTOR)
+        of(3, 0, 3, 1)
     with pytest.raises(RemoteProtocolError, match=r"no channels with the ids \[99\]"):
-        StreamConfig.of(
-            identity(), StreamSet(0, StreamEvent.PWM, 1, 20, (3, 99)), StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR
-        )
+        of(3, 10, 3, 99)
 
 
 edge_batches = st.lists(st.integers(0, 5), min_size=1, max_size=30)
