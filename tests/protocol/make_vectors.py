@@ -28,6 +28,13 @@ def hello(nonce: int, major_min: int = 1, major_max: int = 1, rx_max: int = 1024
     return F(("u32", nonce), ("u8", major_min), ("u8", major_max), ("u16", rx_max))
 
 
+def flipped(data: bytes, at: int, bits: int) -> bytes:
+    """Return the data with some bits of one byte wrong."""
+    changed = bytearray(data)
+    changed[at] ^= bits
+    return bytes(changed)
+
+
 def framing() -> list[Case]:
     cases: list[Case] = []
 
@@ -67,9 +74,7 @@ def framing() -> list[Case]:
     whole, crc = wire(printed), crc32(printed)
     bad("bad_crc", "bad crc", wire(printed, crc ^ 1), printed)
     bad("bad_crc", "crc big-endian", wire(printed, int.from_bytes(crc.to_bytes(4, "little"), "big")), printed)
-    flipped = bytearray(whole)
-    flipped[10] ^= 0x40
-    bad("bad_crc", "one bit of the payload flipped", bytes(flipped), printed)
+    bad("bad_crc", "one bit of the payload flipped", flipped(whole, 10, 0x40), printed)
     bad("bad_length", "length field one too small", wire(body(1, 1, 1, 0, printed[8:], 7)))
     bad("bad_length", "length field one too large", wire(body(1, 1, 1, 0, printed[8:], 9)))
     bad("bad_length", "shorter than an empty frame, crc right", wire(printed[:7]))
@@ -487,14 +492,12 @@ def can_messages() -> list[Case]:
             aborted=1)  # fmt: skip
         add(f"{form}, the first frame lost, then another transfer", fd, on(to_host(), a[1:] + again), [reply(20, 7)],
             orphans=len(a) - 1)  # fmt: skip
-        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x20]), *a[2:]]
-        add(f"{form}, toggle error", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
-        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x01]), *a[2:]]
-        add(f"{form}, another transfer id in the middle", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
-        wrong = [a[0], bytes([a[1][0] ^ 0x80]) + a[1][1:], *a[2:]]
+        for error, bits in (("toggle error", 0x20), ("another transfer id in the middle", 0x01)):
+            wrong = [a[0], flipped(a[1], -1, bits), *a[2:]]
+            add(f"{form}, {error}", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
+        wrong = [a[0], flipped(a[1], 0, 0x80), *a[2:]]
         add(f"{form}, a bit is wrong", fd, on(to_host(), wrong), [], bad_crc=1)
-        first = again[0][:-1] + bytes([again[0][-1] ^ 0x20])
-        add(f"{form}, a first frame with toggle 0", fd, on(to_host(), [first]), [], orphans=1)
+        add(f"{form}, a first frame with toggle 0", fd, on(to_host(), [flipped(again[0], -1, 0x20)]), [], orphans=1)
         tids = [reply(0, 1 + k) for k in range(34)]
         all_frames = [data for k, each in enumerate(tids) for data in can_frames(each, fd, k)]
         add(f"{form}, the transfer id wraps", fd, on(to_host(), all_frames), tids)

@@ -72,15 +72,8 @@ class SmallDrive:
 
 
 def identity(node: int = 1, boot_id: int = 0xB0071D, **changes: object) -> Identity:
-    values = {
-        "node": node,
-        "role": Role.DRIVE,
-        "name": "small",
-        "firmware": "1.0",
-        "boot_id": boot_id,
-        "features": Feature.EDGES,
-    }
-    return Identity(**(values | changes))
+    values = {"role": Role.DRIVE, "name": "small", "firmware": "1.0", "features": Feature.EDGES} | changes
+    return Identity(node=node, boot_id=boot_id, **values)
 
 
 def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink, DeviceSession, SmallDrive]:

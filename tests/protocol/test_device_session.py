@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -84,8 +85,11 @@ def wire() -> Wire:
     return Wire(small_link()[0])
 
 
-def error(code: ErrorCode, request: MessageType, detail: float = 0.0) -> ErrorReply:
-    return ErrorReply(code, request, detail)
+def refusing(refusal: Refused) -> Callable[..., None]:
+    def refuse(*_: object) -> None:
+        raise refusal
+
+    return refuse
 
 
 def run(wire: Wire) -> None:
@@ -98,7 +102,7 @@ def test_boot_ends_with_the_first_tick() -> None:
     session = link.add(SmallDrive(), identity())
     wire = Wire(link)
     assert session.state is wire.ask(Hello(1)).state is DriveState.BOOT
-    expected = error(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.BOOT)
+    expected = ErrorReply(ErrorCode.WRONG_STATE, MessageType.STATE_CMD, DriveState.BOOT)
     assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == expected
     link.advance(0)
     assert session.state is DriveState.IDLE
@@ -139,7 +143,7 @@ def test_descriptor_is_read_in_parts(wire: Wire) -> None:
             break
     assert blob == wire.session.descriptor.pack()
     assert wire.ask(BlobRead(0, 8, len(blob))).data == b""
-    expected = error(ErrorCode.OUT_OF_RANGE, MessageType.BLOB_READ, len(blob))
+    expected = ErrorReply(ErrorCode.OUT_OF_RANGE, MessageType.BLOB_READ, len(blob))
     assert wire.ask(BlobRead(0, 8, len(blob) + 1)) == expected
 
 
@@ -159,14 +163,10 @@ def test_four_replies_are_kept(wire: Wire) -> None:
 
 
 def test_a_new_host_may_use_the_same_tids(wire: Wire) -> None:
-    wire.ask(Hello(1), tid=1)
-    wire.ask(ParamSet(101, 7.0), tid=2)
-    wire.ask(Hello(1), tid=1)  # a late repetition forgets nothing
-    wire.ask(ParamSet(101, 7.0), tid=2)
-    assert wire.app.calls == 1
-    wire.ask(Hello(2), tid=1)
-    wire.ask(ParamSet(101, 7.0), tid=2)
-    assert wire.app.calls == 2
+    for nonce, calls in ((1, 1), (1, 1), (2, 2)):  # a late repetition forgets nothing
+        wire.ask(Hello(nonce), tid=1)
+        wire.ask(ParamSet(101, 7.0), tid=2)
+        assert wire.app.calls == calls
 
 
 def test_time_is_never_replayed(wire: Wire) -> None:
@@ -179,7 +179,6 @@ def test_time_is_never_replayed(wire: Wire) -> None:
 
 
 def test_the_way_to_running_and_back(wire: Wire) -> None:
-    wire.frames()
     run(wire)
     assert wire.app.outputs_on
     assert wire.ask(StateCommand(Command.STOP)).state is DriveState.IDLE
@@ -209,13 +208,9 @@ def test_arming_starts_the_watchdog_and_arming_again_the_five_seconds(wire: Wire
 
 
 def test_the_drive_may_refuse_to_be_armed(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-
-    def refuse(state: DriveState) -> None:
-        raise Refused("DC link too low", ErrorCode.BUSY, 17.5)
-
-    monkeypatch.setattr(wire.app, "enter_state", refuse)
-    expected = error(ErrorCode.BUSY, MessageType.STATE_CMD, 17.5)
-    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == expected
+    monkeypatch.setattr(wire.app, "enter_state", refusing(Refused("DC link too low", ErrorCode.BUSY, 17.5)))
+    refusal = ErrorReply(ErrorCode.BUSY, MessageType.STATE_CMD, 17.5)
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == refusal
     assert wire.session.state is DriveState.IDLE
 
 
@@ -273,24 +268,23 @@ def test_faults_latch_and_are_cleared_by_name(wire: Wire) -> None:
     assert (beat.faults, beat.first_fault) == (Fault.OVERCURRENT | Fault.UNDERVOLTAGE, Fault.OVERCURRENT)
     assert wire.ask(StateCommand(Command.STOP)).state is DriveState.FAULT  # outputs stay off, the latch stays
     kind = MessageType.STATE_CMD
-    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == error(ErrorCode.WRONG_STATE, kind, DriveState.FAULT)
+    assert wire.ask(StateCommand(Command.ARM, BOOT_ID)) == ErrorReply(ErrorCode.WRONG_STATE, kind, DriveState.FAULT)
     clear = StateCommand(Command.FAULT_CLEAR, Fault.OVERCURRENT)
-    assert wire.ask(clear) == error(ErrorCode.FAULTS_CHANGED, kind, 10)
+    assert wire.ask(clear) == ErrorReply(ErrorCode.FAULTS_CHANGED, kind, 10)
     wire.app.persisting = Fault.UNDERVOLTAGE
     clear = StateCommand(Command.FAULT_CLEAR, Fault.OVERCURRENT | Fault.UNDERVOLTAGE)
-    assert wire.ask(clear) == error(ErrorCode.FAULT_PERSISTS, kind, Fault.UNDERVOLTAGE)
+    assert wire.ask(clear) == ErrorReply(ErrorCode.FAULT_PERSISTS, kind, Fault.UNDERVOLTAGE)
     assert wire.session.state is DriveState.FAULT
     wire.app.persisting = Fault(0)
     assert wire.ask(clear).state is DriveState.IDLE
     beat = wire.session.heartbeat()
     assert (beat.faults, beat.first_fault) == (0, 0)
-    assert wire.ask(clear) == error(ErrorCode.WRONG_STATE, kind, DriveState.IDLE)
+    assert wire.ask(clear) == ErrorReply(ErrorCode.WRONG_STATE, kind, DriveState.IDLE)
 
 
 def test_a_fault_in_idle_latches_as_well(wire: Wire) -> None:
     wire.session.fault(Fault.HALL)
-    assert wire.session.state is DriveState.FAULT
-    assert wire.ask(Hello(1)).state is DriveState.FAULT
+    assert wire.session.state is wire.ask(Hello(1)).state is DriveState.FAULT
 
 
 # Setpoints
@@ -333,18 +327,17 @@ def test_the_reply_is_the_value_really_stored(wire: Wire, value: float) -> None:
         (ParamSet(101, math.inf), ErrorCode.BAD_VALUE, math.inf),
         (ParamSet(102, 2.5), ErrorCode.BAD_VALUE, 2.5),
         (ParamSet(103, 1.0), ErrorCode.READ_ONLY, 103),
-        (ParamSet(999, 1.0), ErrorCode.UNKNOWN_ID, 999),
     ],
 )
 def test_what_cannot_be_set_is_refused(wire: Wire, message: ParamSet, code: ErrorCode, detail: float) -> None:
     before = dict(wire.app.values)
-    assert wire.ask(message) == error(code, MessageType.PARAM_SET, detail)
+    assert wire.ask(message) == ErrorReply(code, MessageType.PARAM_SET, detail)
     assert wire.app.values == before
 
 
 def test_idle_only_parameters_wait_for_outputs_off(wire: Wire) -> None:
     run(wire)
-    refused = error(ErrorCode.WRONG_STATE, MessageType.PARAM_SET, DriveState.RUNNING)
+    refused = ErrorReply(ErrorCode.WRONG_STATE, MessageType.PARAM_SET, DriveState.RUNNING)
     assert wire.ask(ParamSet(102, 4)) == refused
     assert wire.ask(ParamSet(101, 4)).stored == 4
     assert wire.ask(ParamCommit()).code == ErrorCode.WRONG_STATE
@@ -355,12 +348,8 @@ def test_idle_only_parameters_wait_for_outputs_off(wire: Wire) -> None:
 def test_commit(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
     wire.ask(ParamCommit())
     assert wire.app.commits == 1
-
-    def refuse() -> None:
-        raise Refused("no file", ErrorCode.NOT_SUPPORTED)
-
-    monkeypatch.setattr(wire.app, "commit", refuse)
-    assert wire.ask(ParamCommit()) == error(ErrorCode.NOT_SUPPORTED, MessageType.PARAM_COMMIT)
+    monkeypatch.setattr(wire.app, "commit", refusing(Refused("no file", ErrorCode.NOT_SUPPORTED)))
+    assert wire.ask(ParamCommit()) == ErrorReply(ErrorCode.NOT_SUPPORTED, MessageType.PARAM_COMMIT, 0.0)
 
 
 # Heartbeats and the link
@@ -372,9 +361,7 @@ def test_heartbeats_come_ten_times_a_second(wire: Wire) -> None:
     for _ in range(1000):
         wire.wait(0.001)
         beats += wire.heartbeats()
-    assert len(beats) == 10
-    assert {b.tick % (HZ // 10) for b in beats} == {0}
-    assert beats[0].boot_id == BOOT_ID
+    assert [(beat.tick, beat.boot_id) for beat in beats] == [(k * HZ // 10, BOOT_ID) for k in range(1, 11)]
 
 
 def test_unread_heartbeats_do_not_pile_up(wire: Wire) -> None:
@@ -391,9 +378,8 @@ def test_the_heartbeat_names_the_last_tid_and_the_damage(wire: Wire) -> None:
 
 
 def test_two_nodes_on_one_link() -> None:
-    link, first, first_app = small_link()
-    second_app = SmallDrive()
-    second = link.add(second_app, identity(node=2, boot_id=5))
+    link, first, _ = small_link()
+    second = link.add(SmallDrive(), identity(node=2, boot_id=5))
     link.advance(1)
     wire = Wire(link)
     assert wire.ask(Hello(1), node=0).node == 1
@@ -408,7 +394,7 @@ def test_two_nodes_on_one_link() -> None:
     assert (first.state, second.state) == (DriveState.IDLE, DriveState.ARMED)
     wire.ask(ParamSet(101, 9.0), tid=900, node=1)
     wire.ask(ParamSet(101, 9.0), tid=900, node=2)
-    assert first_app.values["gain"] == second_app.values["gain"] == 9.0
+    assert first.app.values["gain"] == second.app.values["gain"] == 9.0
     link.add(SmallDrive(), identity(node=255))
     for taken in (2, 256):
         with pytest.raises(ValueError, match=f"node {taken} is taken or not in 1..255"):

@@ -143,14 +143,12 @@ def host() -> HostSession:
     return session
 
 
-def test_the_oracle_frames_are_sound(device: Device) -> None:
+def test_the_oracle_frames_are_sound(device: Device, host: HostSession) -> None:
     """Undamaged, the same frames do have their effect: the tests below are not empty."""
     link, session, app = device
     link.receive(b"".join(to_device()[:6]))
     assert session.state is DriveState.RUNNING
     assert (app.values["gain"], app.setpoints) == (9.0, [(SetpointMode.SPEED, 100.0, 0.0)])
-    host = HostSession()
-    host.request(ParamGet(101), 1, 0.0)
     host.receive_data(b"\0" + b"".join(to_host()), 0.01)
     kinds = {type(event).__name__ for event in iter(host.next_event, None)}
     assert kinds == {"StreamFrames", "HeartbeatReceived", "DeviceEventReceived", "ReplyReceived"}

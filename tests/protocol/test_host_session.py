@@ -8,7 +8,7 @@ import pytest
 from small_drive import edges_at, frames_in, samples, small_link, wire_of
 
 from protocol.errors import LocalProtocolError, RemoteProtocolError
-from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
+from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame
 from protocol.host import (
     Connected,
     DeviceEventReceived,
@@ -100,7 +100,7 @@ def test_connect_ends_half_frames_and_says_hello() -> None:
     host.connect(0x1234, 5.0)
     data = host.data_to_send()
     assert data.startswith(bytes(16))
-    assert [Hello.unpack(frame.payload) for frame in map(parse_frame, Deframer().feed(data))] == [Hello(0x1234)]
+    assert [Hello.unpack(frame.payload) for frame in frames_in(data)] == [Hello(0x1234)]
     host.receive_data(b"garbage\0" + reply(1, 1, hello_reply(0x1234)), 5.02)
     event = only(host, Connected)
     assert (event.hello.name, host.hellos[1], host.busy) == ("small", event.hello, False)
@@ -194,8 +194,7 @@ def test_strangers_are_counted_and_dropped(host: HostSession) -> None:
         reply(MessageType.PARAM_GET, tid, good, node=2),
         reply(MessageType.PARAM_GET, 0, ErrorReply(1, 2, 0).pack(), flags=REPLY | ERROR),
     ]
-    for wire in strangers:
-        host.receive_data(wire, 1.01)
+    host.receive_data(b"".join(strangers), 1.01)
     assert host.counters.unexpected_replies == 4
     host.receive_data(unasked(MessageType.HEARTBEAT, bytes(7)) + unasked(MessageType.DATA, bytes(15)), 1.02)
     host.receive_data(reply(MessageType.PARAM_GET, tid, good, flags=ERROR), 1.02)

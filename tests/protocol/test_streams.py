@@ -38,10 +38,8 @@ def run_of_frames(n: int, index0: int = 0, tick0: int = 0, seq0: int = 0, decima
     """Return n full blocks in a row."""
     step = BLOCK * decimation
     return [
-        data_frame(
-            seq0 + k, index0 + k * step, tick0 + k * step * TICKS, samples(index0 + k * step, step)[::decimation]
-        )
-        for k in range(n)
+        data_frame(seq0 + k, index0 + at, tick0 + at * TICKS, samples(index0 + at, step)[::decimation])
+        for k, at in enumerate(range(0, n * step, step))
     ]
 
 
@@ -108,10 +106,8 @@ def test_a_gap_of_more_than_65536_frames_is_counted_in_full() -> None:
     decoder = SampleDecoder(config(), TickReference())
     lost = 3 * 65536 + 5
     decoder.decode(run_of_frames(1))
-    later = run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1)
-    chunk = decoder.decode(later)
-    assert chunk.gaps[0].lost_frames == lost
-    assert chunk.gaps[0].lost_samples == lost * BLOCK
+    chunk = decoder.decode(run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1))
+    assert (chunk.gaps[0].lost_frames, chunk.gaps[0].lost_samples) == (lost, lost * BLOCK)
 
 
 def test_ticks_unwrap_against_a_fresh_reference_after_a_long_pause() -> None:
