@@ -121,8 +121,7 @@ def can_frames(body_: bytes, fd: bool, transfer: int) -> list[bytes]:
         tail += 64 if n == len(parts) - 1 else 0
         tail += 32 if n % 2 == 0 else 0
         if fd:
-            while len(part) + 1 not in DLC_LENGTHS:
-                part += b"\0"
+            part = fd_padded(part + b"\0")[:-1]
         frames.append(part + bytes([tail]))
     return frames
 

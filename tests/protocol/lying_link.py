@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from small_drive import CHANNELS, TICKS, SmallDrive, identity, pack_edges, samples, small_link
+from small_drive import CHANNELS, TICKS, SmallDrive, edges_at, identity, samples, small_link
 
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, BusRates
@@ -62,9 +62,7 @@ class LyingLink:
         """Nothing to close."""
 
     def _push(self, n: int) -> None:
-        tick = np.array([self._periods * TICKS], np.int64)
-        one = np.ones(1, np.uint8)
-        self.session.push_edges(pack_edges(tick, one, one * 3, one > 5, tick))
+        self.session.push_edges(edges_at([self._periods * TICKS]))
         self.session.push_samples(self._periods, self._periods * TICKS, samples(self._periods, n))
 
     def _sent(self) -> bytes:

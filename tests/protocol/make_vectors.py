@@ -12,278 +12,168 @@ from hbp_reference import body, can_frames, can_id, cobs_encode, crc32, fd_padde
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 F = fields
+Case = dict[str, object]  # bytes in it become hex
+CanFrame = tuple[int, bytes]  # identifier, data
+Exchange = tuple[bytes, bytes]  # request and reply on the wire
+Step = tuple[bytes, bytes | None, bytes]  # request, reply (None: any that is no refusal), rejection of a setpoint
 
 
-def framing() -> list[dict[str, object]]:
-    """Frames, good and damaged. `verdict` is "ok" or the counter that a damaged one adds to."""
-    cases: list[dict[str, object]] = []
+def frame_case(name: str, fields_: Case | None, body_: bytes | None, wire_: bytes, verdict: str = "ok") -> Case:
+    """Return a frame, good or damaged: `verdict` is "ok" or the counter that a damaged one adds to."""
+    return {"name": name, "fields": fields_, "body_hex": body_, "wire_hex": wire_, "verdict": verdict}
 
-    def add(name: str, body_: bytes | None, wire_: bytes | None = None, verdict: str = "ok") -> None:
-        wire_ = wire(body_) if wire_ is None and body_ is not None else wire_
-        assert wire_ is not None
-        decoded = None
-        if body_ is not None and verdict == "ok":
-            decoded = {
-                "type": body_[0],
-                "flags": body_[1],
-                "tid": int.from_bytes(body_[2:4], "little"),
-                "len": int.from_bytes(body_[4:6], "little"),
-                "node": body_[6],
-            }
-        cases.append(
-            {
-                "name": name,
-                "fields": decoded,
-                "body_hex": None if body_ is None else body_.hex(),
-                "wire_hex": wire_.hex(),
-                "verdict": verdict,
-            }
-        )
 
-    hello = body(1, 1, 1, 0, F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)))
-    add("hello, as printed in SPEC.md", hello)
-    add("empty payload", body(0x02, 1, 2, 0, b""))
-    add("tid 65535, node 255", body(0x02, 1, 65535, 255, b""))
+def hello(nonce: int, major_min: int = 1, major_max: int = 1, rx_max: int = 1024) -> bytes:
+    """Payload of HELLO."""
+    return F(("u32", nonce), ("u8", major_min), ("u8", major_max), ("u16", rx_max))
+
+
+def flipped(data: bytes, at: int, bits: int) -> bytes:
+    """Return the data with some bits of one byte wrong."""
+    changed = bytearray(data)
+    changed[at] ^= bits
+    return bytes(changed)
+
+
+def framing() -> list[Case]:
+    cases: list[Case] = []
+
+    def good(name: str, body_: bytes) -> None:
+        header: Case = {
+            "type": body_[0],
+            "flags": body_[1],
+            "tid": int.from_bytes(body_[2:4], "little"),
+            "len": int.from_bytes(body_[4:6], "little"),
+            "node": body_[6],
+        }
+        cases.append(frame_case(name, header, body_, wire(body_)))
+
+    def bad(verdict: str, name: str, wire_: bytes, body_: bytes | None = None) -> None:
+        cases.append(frame_case(name, None, body_, wire_, verdict))
+
+    printed = body(1, 1, 1, 0, hello(0x12345678))
+    good("hello, as printed in SPEC.md", printed)
+    good("empty payload", body(0x02, 1, 2, 0, b""))
+    good("tid 65535, node 255", body(0x02, 1, 65535, 255, b""))
     ones = bytes(1 + i % 255 for i in range(1024))
     for run in (252, 253, 254, 255, 508, 509):
-        add(f"run of {run} without a zero", body(0x10, 0x11, 7, 1, ones[:run] + b"\0\x01"))
-        add(f"run of {run} at the end of a payload of zeros", body(0x10, 0x11, 7, 1, b"\0\0" + ones[:run]))
+        good(f"run of {run} without a zero", body(0x10, 0x11, 7, 1, ones[:run] + b"\0\x01"))
+        good(f"run of {run} at the end of a payload of zeros", body(0x10, 0x11, 7, 1, b"\0\0" + ones[:run]))
     for length in (1, 4, 240, 241, 242, 243, 1024):
-        add(f"{length} zeros", body(0x10, 0x11, 8, 1, bytes(length)))
-    add("1024 bytes without a zero", body(0x10, 0x11, 9, 1, ones))
-    add("1024 bytes of ff", body(0x10, 0x11, 9, 1, b"\xff" * 1024))
+        good(f"{length} zeros", body(0x10, 0x11, 8, 1, bytes(length)))
+    good("1024 bytes without a zero", body(0x10, 0x11, 9, 1, ones))
+    good("1024 bytes of ff", body(0x10, 0x11, 9, 1, b"\xff" * 1024))
     tid = next(t for t in range(1, 65536) if crc32(body(0x02, 1, t, 0, b"")) & 0xFF == 0)
-    add("crc whose first byte is zero", body(0x02, 1, tid, 0, b""))
+    good("crc whose first byte is zero", body(0x02, 1, tid, 0, b""))
     tid = next(t for t in range(1, 65536) if crc32(body(0x02, 1, t, 0, b"")) >> 24 == 0)
-    add("crc whose last byte is zero", body(0x02, 1, tid, 0, b""))
-    add("unknown type: the framing passes it on", body(0x7E, 1, 3, 0, b"\x01\x02\x03\x04"))
-    add("unknown flags and major: the framing passes them on", body(0x02, 0x8F, 4, 0, b""))
-    add("a byte of the reserved field set: ignored by receivers", body(0x02, 1, 4, 0, b"")[:7] + b"\x01")
+    good("crc whose last byte is zero", body(0x02, 1, tid, 0, b""))
+    good("unknown type: the framing passes it on", body(0x7E, 1, 3, 0, b"\x01\x02\x03\x04"))
+    good("unknown flags and major: the framing passes them on", body(0x02, 0x8F, 4, 0, b""))
+    good("a byte of the reserved field set: ignored by receivers", body(0x02, 1, 4, 0, b"")[:7] + b"\x01")
 
-    good = wire(hello)
-    add("bad crc", hello, wire(hello, crc32(hello) ^ 1), "bad_crc")
-    add(
-        "crc big-endian",
-        hello,
-        wire(hello, int.from_bytes(crc32(hello).to_bytes(4, "little"), "big")),
-        "bad_crc",
-    )
-    flipped = bytearray(good)
-    flipped[10] ^= 0x40
-    add("one bit of the payload flipped", hello, bytes(flipped), "bad_crc")
-    add("length field one too small", None, wire(body(1, 1, 1, 0, hello[8:], 7)), "bad_length")
-    add("length field one too large", None, wire(body(1, 1, 1, 0, hello[8:], 9)), "bad_length")
-    short = hello[:7]
-    add("shorter than an empty frame, crc right", None, wire(short), "bad_length")
-    add("crc alone", None, wire(b""), "bad_length")
-    add("truncated: the last block lacks bytes", None, good[:-3] + b"\0", "bad_cobs")
-    add("truncated between blocks", None, good[:7] + b"\0", "bad_length")
-    long = body(0x10, 0x11, 9, 1, ones + b"\x01")
-    add("payload of 1025 bytes", None, wire(long), "too_long")
-    add("1100 bytes without a delimiter", None, b"\0" + b"\x55" * 1100 + b"\0", "too_long")
-    add("cobs code past the end", None, b"\0\x05\x01\x02\0", "bad_cobs")
-    add("only delimiters", None, bytes(16), "nothing")
+    whole, crc = wire(printed), crc32(printed)
+    bad("bad_crc", "bad crc", wire(printed, crc ^ 1), printed)
+    bad("bad_crc", "crc big-endian", wire(printed, int.from_bytes(crc.to_bytes(4, "little"), "big")), printed)
+    bad("bad_crc", "one bit of the payload flipped", flipped(whole, 10, 0x40), printed)
+    bad("bad_length", "length field one too small", wire(body(1, 1, 1, 0, printed[8:], 7)))
+    bad("bad_length", "length field one too large", wire(body(1, 1, 1, 0, printed[8:], 9)))
+    bad("bad_length", "shorter than an empty frame, crc right", wire(printed[:7]))
+    bad("bad_length", "crc alone", wire(b""))
+    bad("bad_cobs", "truncated: the last block lacks bytes", whole[:-3] + b"\0")
+    bad("bad_length", "truncated between blocks", whole[:7] + b"\0")
+    bad("too_long", "payload of 1025 bytes", wire(body(0x10, 0x11, 9, 1, ones + b"\x01")))
+    bad("too_long", "1100 bytes without a delimiter", b"\0" + b"\x55" * 1100 + b"\0")
+    bad("bad_cobs", "cobs code past the end", b"\0\x05\x01\x02\0")
+    bad("nothing", "only delimiters", bytes(16))
     assert cobs_encode(b"") == b"\x01"
     return cases
 
 
-def messages() -> list[dict[str, object]]:
-    """One of each message, by the name of its class and of its fields."""
-    cases: list[dict[str, object]] = []
+def laid_out(layout: str, values: tuple[object, ...]) -> tuple[Case, bytes]:
+    """Return values by their names, and their bytes. A layout: "u16 id, pad 2, f32 value"; "u16s": their number first.
 
-    def add(message: str, header: tuple[int, int, int, int], values: dict[str, object], payload: bytes) -> None:
-        body_ = body(*header, payload)
-        cases.append(
-            {
-                "name": message,
-                "fields": values,
-                "body_hex": body_.hex(),
-                "wire_hex": wire(body_).hex(),
-                "verdict": "ok",
-            }
-        )
+    "flag" is a bool in a byte, "utf8" a text without an end.
+    """
+    named: Case = {}
+    out, left = b"", iter(values)
+    for kind, name in (each.split() for each in layout.split(",") if layout):
+        if kind == "pad":
+            out += bytes(int(name))
+            continue
+        value = named[name] = next(left)
+        if kind == "u16s":
+            assert isinstance(value, list)
+            out += F(("u16", len(value)), *(("u16", each) for each in value))
+        elif kind == "utf8":
+            out += str(value).encode()
+        else:
+            out += F(("u8" if kind == "flag" else kind, value))
+    return named, out
+
+
+def messages() -> list[Case]:
+    """One of each message, by the name of its class and of its fields."""
+    cases: list[Case] = []
+
+    def add(message: str, type_: int, flags: int, tid: int, layout: str = "", *values: object, node: int = 1) -> None:
+        named, payload = laid_out(layout, values)
+        body_ = body(type_, flags, tid, node, payload)
+        cases.append(frame_case(message, named, body_, wire(body_)))
 
     req, rep, err = 0x01, 0x11, 0x31
-    add(
-        "Hello",
-        (0x01, req, 1, 0),
-        {"nonce": 0x12345678, "major_min": 1, "major_max": 1, "rx_max": 1024},
-        F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)),
-    )
-    for name, firmware, serial, build in (
+    layout = "u32 nonce, u8 major_min, u8 major_max, u16 rx_max"
+    add("Hello", 0x01, req, 1, layout, 0x12345678, 1, 1, 1024, node=0)
+    layout = """u32 nonce, u32 boot_id, u8 major, u8 minor, u16 rx_max, u16 tx_max, pad 2, u32 features,
+        u32 schema_crc, u32 tick_hz, u32 pwm_hz, u8 state, u8 node, u8 role, u8 nodes, text16 name, text16 firmware,
+        text24 serial, text24 build"""
+    numbers = (0x12345678, 0xCAFE0001, 1, 0, 1024, 512, 7, 0xCBF43926, 20_000_000, 16_000, 1, 1, 1, 2)
+    for texts in (
         ("drive", "0.1.0", "33FFD8054D48383611571943", "9f2c61e-dirty"),
         ("drive", "", "", ""),
         ("Ω" * 8, "0123456789abcdef", "µ" * 12, "€" * 8),
     ):
-        add(
-            "HelloReply",
-            (0x01, rep, 1, 1),
-            {
-                "nonce": 0x12345678,
-                "boot_id": 0xCAFE0001,
-                "major": 1,
-                "minor": 0,
-                "rx_max": 1024,
-                "tx_max": 512,
-                "features": 7,
-                "schema_crc": 0xCBF43926,
-                "tick_hz": 20_000_000,
-                "pwm_hz": 16_000,
-                "state": 1,
-                "node": 1,
-                "role": 1,
-                "nodes": 2,
-                "name": name,
-                "firmware": firmware,
-                "serial": serial,
-                "build": build,
-            },
-            F(
-                ("u32", 0x12345678), ("u32", 0xCAFE0001), ("u8", 1), ("u8", 0), ("u16", 1024), ("u16", 512),
-                ("pad", 2), ("u32", 7), ("u32", 0xCBF43926), ("u32", 20_000_000), ("u32", 16_000),
-                ("u8", 1), ("u8", 1), ("u8", 1), ("u8", 2), ("text16", name), ("text16", firmware),
-                ("text24", serial), ("text24", build),
-            ),
-        )  # fmt: skip
-    add("TimeSync", (0x02, req, 2, 1), {}, b"")
-    add(
-        "TimeSyncReply",
-        (0x02, rep, 2, 1),
-        {"rx_tick": 0x100000002, "tx_tick": 0x100000FFF},
-        F(("u64", 0x100000002), ("u64", 0x100000FFF)),
-    )
-    add(
-        "Heartbeat",
-        (0x04, req, 0, 1),
-        {
-            "tick": 0x0000000500000001,
-            "boot_id": 0xCAFE0001,
-            "faults": 33,
-            "first_fault": 1,
-            "tx_dropped": 3,
-            "rx_bad": 70000,
-            "setpoint_counter": 65535,
-            "setpoints_rejected": 2,
-            "last_tid": 17,
-            "watchdog_ms": 65535,
-            "state": 4,
-            "outputs_on": False,
-            "edges": 0xFFFFFFF0,
-        },
-        F(
-            ("u64", 0x0000000500000001), ("u32", 0xCAFE0001), ("u32", 33), ("u32", 1), ("u32", 3),
-            ("u32", 70000), ("u16", 65535), ("u16", 2), ("u16", 17), ("u16", 65535),
-            ("u8", 4), ("u8", 0), ("pad", 2), ("u32", 0xFFFFFFF0),
-        ),
-    )  # fmt: skip
-    add("Alive", (0x05, req, 0, 1), {"counter": 0x01020304}, F(("u32", 0x01020304)))
-    add(
-        "BlobRead",
-        (0x10, req, 3, 1),
-        {"id": 0, "length": 1000, "offset": 65536},
-        F(("u8", 0), ("pad", 1), ("u16", 1000), ("u32", 65536)),
-    )
-    add(
-        "BlobReply",
-        (0x10, rep, 3, 1),
-        {"id": 0, "length": 5, "offset": 65536, "total": 65541, "data": "0001020304"},
-        F(("u8", 0), ("pad", 1), ("u16", 5), ("u32", 65536), ("u32", 65541), ("bytes", bytes(range(5)))),
-    )
-    add("ParamGet", (0x11, req, 4, 1), {"id": 102}, F(("u16", 102), ("pad", 2)))
-    add(
-        "ParamReply",
-        (0x11, rep, 4, 1),
-        {"id": 102, "value": 0.15625, "lo": 0.0, "hi": 100.0, "default": 0.25},
-        F(("u16", 102), ("pad", 2), ("f32", 0.15625), ("f32", 0.0), ("f32", 100.0), ("f32", 0.25)),
-    )
-    add("ParamSet", (0x12, req, 5, 1), {"id": 102, "value": -1.5}, F(("u16", 102), ("pad", 2), ("f32", -1.5)))
-    add(
-        "ParamStored",
-        (0x12, rep, 5, 1),
-        {"id": 102, "stored": 0.5},
-        F(("u16", 102), ("pad", 2), ("f32", 0.5)),
-    )
-    add("ParamCommit", (0x13, req, 6, 1), {}, b"")
-    add("Empty", (0x13, rep, 6, 1), {}, b"")
-    add(
-        "StateCommand",
-        (0x20, req, 7, 1),
-        {"command": 1, "argument": 0xCAFE0001},
-        F(("u8", 1), ("pad", 3), ("u32", 0xCAFE0001)),
-    )
-    add("StateReply", (0x20, rep, 7, 1), {"state": 2}, F(("u8", 2), ("pad", 3)))
-    add("ErrorReply", (0x20, err, 7, 1), {"code": 6, "request": 0x20, "detail": 0.0},
-        F(("u16", 6), ("u8", 0x20), ("pad", 1), ("f32", 0.0)))  # fmt: skip
-    add(
-        "Setpoint",
-        (0x21, req, 0, 1),
-        {"mode": 2, "counter": 9, "value": 4.0, "value2": -0.5},
-        F(("u8", 2), ("pad", 1), ("u16", 9), ("f32", 4.0), ("f32", -0.5)),
-    )
-    add(
-        "StreamSet",
-        (0x30, req, 8, 1),
-        {"stream": 0, "event": 0, "decimation": 16, "max_latency_ms": 20, "channels": [3, 5, 1]},
-        F(("u8", 0), ("u8", 0), ("u16", 16), ("u16", 20), ("u16", 3), ("u16", 3), ("u16", 5), ("u16", 1)),
-    )
-    add(
-        "StreamReply",
-        (0x30, rep, 8, 1),
-        {
-            "stream": 0,
-            "cfg_id": 0xABCD,
-            "sample_bytes": 5,
-            "block": 20,
-            "load": 0.125,
-            "slot": 17,
-            "tick0": 0x100000003,
-        },
-        F(
-            ("u8", 0),
-            ("pad", 1),
-            ("u16", 0xABCD),
-            ("u16", 5),
-            ("u16", 20),
-            ("f32", 0.125),
-            ("u8", 17),
-            ("pad", 3),
-            ("u64", 0x100000003),
-        ),
-    )
-    add("StreamGet", (0x33, req, 8, 1), {"stream": 2}, F(("u8", 2), ("pad", 3)))
-    add(
-        "StreamInfo",
-        (0x33, rep, 8, 1),
-        {
-            "stream": 2, "running": True, "event": 0, "slot": 17, "decimation": 16, "max_latency_ms": 20,
-            "cfg_id": 0xABCD, "sample_bytes": 5, "block": 12, "tick0": 0x100000003, "channels": [3, 5, 1],
-        },
-        F(
-            ("u8", 2), ("u8", 1), ("u8", 0), ("u8", 17), ("u16", 16), ("u16", 20), ("u16", 0xABCD), ("u16", 5),
-            ("u16", 12), ("pad", 2), ("u64", 0x100000003), ("u16", 3), ("u16", 3), ("u16", 5), ("u16", 1),
-        ),
-    )  # fmt: skip
-    add("StreamStart", (0x31, req, 9, 1), {"mask": 3}, F(("u32", 3)))
-    add("StreamStop", (0x32, req, 10, 1), {"mask": 0xFFFFFFFF}, F(("u32", 0xFFFFFFFF)))
-    add(
-        "DeviceEvent",
-        (0x42, req, 0, 1),
-        {"tick": 0x1000000000, "code": 3, "node": 1, "arg": 4.0, "detail": 300.0},
-        F(("u64", 0x1000000000), ("u16", 3), ("u8", 1), ("pad", 1), ("f32", 4.0), ("f32", 300.0)),
-    )
-    add(
-        "Log",
-        (0x43, req, 0, 1),
-        {"level": 6, "text": "R = 0.158 Ω"},
-        F(("u8", 6), ("bytes", "R = 0.158 Ω".encode())),
-    )
+        add("HelloReply", 0x01, rep, 1, layout, *numbers, *texts)
+    add("TimeSync", 0x02, req, 2)
+    add("TimeSyncReply", 0x02, rep, 2, "u64 rx_tick, u64 tx_tick", 0x100000002, 0x100000FFF)
+    layout = """u64 tick, u32 boot_id, u32 faults, u32 first_fault, u32 tx_dropped, u32 rx_bad, u16 setpoint_counter,
+        u16 setpoints_rejected, u16 last_tid, u16 watchdog_ms, u8 state, flag outputs_on, pad 2, u32 edges"""
+    health = (0x0000000500000001, 0xCAFE0001, 33, 1, 3, 70000, 65535, 2, 17, 65535, 4)
+    add("Heartbeat", 0x04, req, 0, layout, *health, False, 0xFFFFFFF0)
+    add("Alive", 0x05, req, 0, "u32 counter", 0x01020304)
+    add("BlobRead", 0x10, req, 3, "u8 id, pad 1, u16 length, u32 offset", 0, 1000, 65536)
+    layout = "u8 id, pad 1, u16 length, u32 offset, u32 total, bytes data"
+    add("BlobReply", 0x10, rep, 3, layout, 0, 5, 65536, 65541, bytes(range(5)))
+    add("ParamGet", 0x11, req, 4, "u16 id, pad 2", 102)
+    layout = "u16 id, pad 2, f32 value, f32 lo, f32 hi, f32 default"
+    add("ParamReply", 0x11, rep, 4, layout, 102, 0.15625, 0.0, 100.0, 0.25)
+    add("ParamSet", 0x12, req, 5, "u16 id, pad 2, f32 value", 102, -1.5)
+    add("ParamStored", 0x12, rep, 5, "u16 id, pad 2, f32 stored", 102, 0.5)
+    add("ParamCommit", 0x13, req, 6)
+    add("Empty", 0x13, rep, 6)
+    add("StateCommand", 0x20, req, 7, "u8 command, pad 3, u32 argument", 1, 0xCAFE0001)
+    add("StateReply", 0x20, rep, 7, "u8 state, pad 3", 2)
+    add("ErrorReply", 0x20, err, 7, "u16 code, u8 request, pad 1, f32 detail", 6, 0x20, 0.0)
+    add("Setpoint", 0x21, req, 0, "u8 mode, pad 1, u16 counter, f32 value, f32 value2", 2, 9, 4.0, -0.5)
+    layout = "u8 stream, u8 event, u16 decimation, u16 max_latency_ms, u16s channels"
+    add("StreamSet", 0x30, req, 8, layout, 0, 0, 16, 20, [3, 5, 1])
+    layout = "u8 stream, pad 1, u16 cfg_id, u16 sample_bytes, u16 block, f32 load, u8 slot, pad 3, u64 tick0"
+    add("StreamReply", 0x30, rep, 8, layout, 0, 0xABCD, 5, 20, 0.125, 17, 0x100000003)
+    add("StreamGet", 0x33, req, 8, "u8 stream, pad 3", 2)
+    layout = """u8 stream, flag running, u8 event, u8 slot, u16 decimation, u16 max_latency_ms, u16 cfg_id,
+        u16 sample_bytes, u16 block, pad 2, u64 tick0, u16s channels"""
+    add("StreamInfo", 0x33, rep, 8, layout, 2, True, 0, 17, 16, 20, 0xABCD, 5, 12, 0x100000003, [3, 5, 1])
+    add("StreamStart", 0x31, req, 9, "u32 mask", 3)
+    add("StreamStop", 0x32, req, 10, "u32 mask", 0xFFFFFFFF)
+    layout = "u64 tick, u16 code, u8 node, pad 1, f32 arg, f32 detail"
+    add("DeviceEvent", 0x42, req, 0, layout, 0x1000000000, 3, 1, 4.0, 300.0)
+    add("Log", 0x43, req, 0, "u8 level, utf8 text", 6, "R = 0.158 Ω")
     return cases
 
 
-def refusal(code: int, frame: tuple[int, int, int, int], payload: bytes, detail: float) -> tuple[str, str]:
+def refusal(code: int, frame: tuple[int, int, int, int], payload: bytes, detail: float) -> Exchange:
     """Return a request, given as type, flags, tid, node and payload, and its refusal by node 1, on the wire."""
     error = F(("u16", code), ("u8", frame[0]), ("pad", 1), ("f32", detail))
-    return wire(body(*frame, payload)).hex(), wire(body(frame[0], 0x31, frame[2], 1, error)).hex()
+    return wire(body(*frame, payload)), wire(body(frame[0], 0x31, frame[2], 1, error))
 
 
 def stream_set(stream: int, event: int, decimation: int, *ids: int, n: int | None = None) -> bytes:
@@ -297,11 +187,11 @@ def command(number: int, argument: int = 0) -> bytes:
     return F(("u8", number), ("pad", 3), ("u32", argument))
 
 
-def exchanges() -> list[dict[str, object]]:
+def exchanges() -> list[Case]:
     """Requests that any device answers the same way, whatever its state. The device is node 1 and alone."""
 
-    def ignored(frame: tuple[int, int, int, int], payload: bytes) -> tuple[str, str]:
-        return wire(body(*frame, payload)).hex(), ""
+    def ignored(frame: tuple[int, int, int, int], payload: bytes) -> Exchange:
+        return wire(body(*frame, payload)), b""
 
     nan = float("nan")
     speed = F(("u8", 1), ("pad", 1), ("u16", 9), ("f32", 1.0), ("f32", 0.0))
@@ -310,15 +200,9 @@ def exchanges() -> list[dict[str, object]]:
         "a reserved type": refusal(1, (0x06, 1, 5, 1), b"\1\2\3\4", 0x06),
         "unsolicited type as a request": refusal(1, (0x04, 1, 6, 1), b"", 0x04),
         "another major": refusal(13, (0x02, 2, 7, 1), b"", 1),
-        "HELLO without a common major": refusal(
-            13, (0x01, 2, 8, 0), F(("u32", 1), ("u8", 2), ("u8", 3), ("u16", 1024)), 1
-        ),
-        "HELLO with a receiver that is too small": refusal(
-            4, (0x01, 1, 8, 0), F(("u32", 1), ("u8", 1), ("u8", 1), ("u16", 127)), 128
-        ),
-        "HELLO with both errors: the major first": refusal(
-            13, (0x01, 1, 8, 0), F(("u32", 1), ("u8", 2), ("u8", 3), ("u16", 127)), 1
-        ),
+        "HELLO without a common major": refusal(13, (0x01, 2, 8, 0), hello(1, 2, 3), 1),
+        "HELLO with a receiver that is too small": refusal(4, (0x01, 1, 8, 0), hello(1, rx_max=127), 128),
+        "HELLO with both errors: the major first": refusal(13, (0x01, 1, 8, 0), hello(1, 2, 3, 127), 1),
         "request too short": refusal(2, (0x11, 1, 9, 1), b"\x65\0", 2),
         "request too long": refusal(2, (0x11, 1, 10, 1), b"\x65\0\0\0\0", 5),
         "channel ids disagree with the length": refusal(2, (0x30, 1, 11, 1), stream_set(0, 0, 1, 1, n=3), 10),
@@ -365,37 +249,35 @@ def exchanges() -> list[dict[str, object]]:
     return [{"name": name, "request_hex": pair[0], "reply_hex": pair[1]} for name, pair in cases.items()]
 
 
-def sequences() -> list[dict[str, object]]:
+def sequences() -> list[Case]:
     """Requests one after the other, and what comes of each, for the device that SPEC.md describes beside them."""
-    cases: list[dict[str, object]] = []
+    cases: list[Case] = []
     boot_id, nan, inf = 0x00B0071D, float("nan"), float("inf")
     idle, armed, running = 1, 2, 3
 
-    def add(name: str, *steps: tuple[str, str | None, str], features: int = 1) -> None:
+    def add(name: str, *steps: Step, features: int = 1) -> None:
         keys = ("request_hex", "reply_hex", "rejected_hex")
         cases.append(
             {"name": name, "features": features, "steps": [dict(zip(keys, step, strict=True)) for step in steps]}
         )
 
-    def ask(kind: int, tid: int, payload: bytes, reply: bytes | None) -> tuple[str, str | None, str]:
-        answer = None if reply is None else wire(body(kind, 0x11, tid, 1, reply)).hex()
-        return wire(body(kind, 1, tid, 1, payload)).hex(), answer, ""
+    def ask(kind: int, tid: int, payload: bytes, reply: bytes | None) -> Step:
+        answer = None if reply is None else wire(body(kind, 0x11, tid, 1, reply))
+        return wire(body(kind, 1, tid, 1, payload)), answer, b""
 
-    def no(kind: int, tid: int, payload: bytes, code: int, detail: float) -> tuple[str, str | None, str]:
-        return *refusal(code, (kind, 1, tid, 1), payload, detail), ""
+    def no(kind: int, tid: int, payload: bytes, code: int, detail: float) -> Step:
+        return *refusal(code, (kind, 1, tid, 1), payload, detail), b""
 
-    def do(tid: int, number: int, argument: int, state: int) -> tuple[str, str | None, str]:
+    def do(tid: int, number: int, argument: int, state: int) -> Step:
         return ask(0x20, tid, command(number, argument), F(("u8", state), ("pad", 3)))
 
-    def setpoint(
-        mode: int, value: float, value2: float, code: int = 0, detail: float = 0.0
-    ) -> tuple[str, str | None, str]:
+    def setpoint(mode: int, value: float, value2: float, code: int = 0, detail: float = 0.0) -> Step:
         payload = F(("u8", mode), ("pad", 1), ("u16", 9), ("f32", value), ("f32", value2))
-        return wire(body(0x21, 1, 0, 1, payload)).hex(), "", rejected(code, detail)
+        return wire(body(0x21, 1, 0, 1, payload)), b"", rejected(code, detail)
 
-    def rejected(code: int, detail: float) -> str:
+    def rejected(code: int, detail: float) -> bytes:
         event = F(("u16", 3), ("u8", 1), ("pad", 1), ("f32", code), ("f32", detail))
-        return event.hex() if code else ""
+        return event if code else b""
 
     run = (do(1, 1, boot_id, armed), do(2, 2, 0, running))
     add(
@@ -432,7 +314,7 @@ def sequences() -> list[dict[str, object]]:
     add(
         "a kept refusal, until there is another host",
         no(0x31, 9, start, 7, 0), ask(0x30, 10, stream_set(0, 0, 1, 3, 1), None), no(0x31, 9, start, 7, 0),
-        ask(0x01, 1, F(("u32", 77), ("u8", 1), ("u8", 1), ("u16", 1024), ("u32", 5)), None), ask(0x31, 9, start, b""),
+        ask(0x01, 1, hello(77) + b"\5\0\0\0", None), ask(0x31, 9, start, b""),
         ask(0x32, 11, stop, b""),
     )  # fmt: skip
     add(
@@ -457,13 +339,25 @@ def sequences() -> list[dict[str, object]]:
     return cases
 
 
-def streams() -> list[dict[str, object]]:
+def account(frames: int, index: list[int], gaps: tuple[tuple[int, ...], ...], rejected: dict[str, int]) -> Case:
+    """Return what a receiver counts, but for zeros: a frame is used or rejected, and a gap says what it lacks."""
+    counts = {
+        "samples": len(index),
+        "frames": frames - sum(rejected.values()),
+        "lost_by_index": sum(gap[1] for gap in gaps),
+        "lost_by_seq": sum(gap[2] for gap in gaps),
+        "overruns": sum(any(gap[3:]) for gap in gaps),
+    }
+    return {name: count for name, count in (counts | rejected).items() if count}
+
+
+def streams() -> list[Case]:
     """DATA and EDGES: frames in, records and account out; wrap-around of seq, index and tick.
 
     Channel 1 is count, u16, and channel 2 half, i8 (as u8 here), half of it. `gaps` are
     [position, lost_samples, lost_frames, overrun].
     """
-    cases: list[dict[str, object]] = []
+    cases: list[Case] = []
     data, edges = 0x40, 0x41
 
     def frame(
@@ -476,146 +370,60 @@ def streams() -> list[dict[str, object]]:
         )  # fmt: skip
         return body(kind, 1, 0, 1, head + b"".join(records))
 
-    def sample(count: int) -> bytes:
-        return F(("u16", count & 0xFFFF), ("u8", count & 0x7F))
+    def run(first: int, n: int) -> list[bytes]:
+        return [F(("u16", count & 0xFFFF), ("u8", count & 0x7F)) for count in range(first, first + n)]
+
+    def block(seq: int, first: int, n: int = 2, **changes: int) -> bytes:
+        """Samples of a device whose tick was 0 at index 0."""
+        return frame(data, seq, first, 1250 * first, run(first, n), **changes)
 
     def add(
-        name: str, frames: list[bytes], index: list[int], tick: list[int], gaps: list[list[object]],
-        account: dict[str, int], reference: int = 0, decimation: int = 1, kind: str = "samples",
-        ids: tuple[int, ...] = (1, 2),
+        name: str, frames: list[bytes], index: list[int], *gaps: tuple[int, ...], tick: list[int] | None = None,
+        reference: int = 0, decimation: int = 1, kind: str = "samples", ids: tuple[int, ...] = (1, 2), **rejected: int,
     ) -> None:  # fmt: skip
+        config = {"ids": ids, "stream": 2, "cfg_id": 7, "decimation": decimation, "block": 2, "ticks_per_period": 1250}
         cases.append(
             {
                 "name": name,
                 "kind": kind,
-                "config": {
-                    "ids": [] if kind == "edges" else list(ids),
-                    "stream": 2,
-                    "cfg_id": 7,
-                    "decimation": decimation,
-                    "block": 2,
-                    "ticks_per_period": 1250,
-                },
+                "config": config,
                 "reference_tick": reference,
-                "wire_hex": [wire(each).hex() for each in frames],
+                "wire_hex": [wire(each) for each in frames],
                 "index": index,
-                "tick": tick,
+                "tick": [1250 * each for each in index] if tick is None else tick,
                 "gaps": gaps,
-                "account": account,
+                "account": account(len(frames), index, gaps, rejected),
             }
         )
 
-    def run(first: int, n: int) -> list[bytes]:
-        return [sample(first + i) for i in range(n)]
-
-    add(
-        "two blocks",
-        [frame(data, 0, 100, 125000, run(100, 2)), frame(data, 1, 102, 127500, run(102, 2))],
-        [100, 101, 102, 103],
-        [125000, 126250, 127500, 128750],
-        [],
-        {"samples": 4, "frames": 2},
-    )
+    add("two blocks", [block(0, 100), block(1, 102)], [100, 101, 102, 103])
+    wrap = 0xFFFFFB1E
     add(
         "index and tick wrap at 2^32",
         [
-            frame(data, 0, 0xFFFFFFFE, 0xFFFFFB1E - 1250, run(0xFFFFFFFE, 2)),
-            frame(data, 1, 0x100000000, 0xFFFFFB1E + 1250, run(0, 2)),
+            frame(data, 0, 0xFFFFFFFE, wrap - 1250, run(0xFFFFFFFE, 2)),
+            frame(data, 1, 0x100000000, wrap + 1250, run(0, 2)),
         ],
         [0xFFFFFFFE, 0xFFFFFFFF, 0x100000000, 0x100000001],
-        [0x3FFFFFB1E - 1250, 0x3FFFFFB1E, 0x3FFFFFB1E + 1250, 0x3FFFFFB1E + 2500],
-        [],
-        {"samples": 4, "frames": 2},
+        tick=[0x300000000 + wrap + 1250 * k for k in (-1, 0, 1, 2)],
         reference=0x400000000,
     )
-    add(
-        "decimation 10, a late partial block",
-        [
-            frame(data, 0, 20, 25000, run(20, 2)),
-            frame(data, 1, 40, 50000, run(40, 1)),
-            frame(data, 2, 50, 62500, run(50, 2)),
-        ],
-        [20, 30, 40, 50, 60],
-        [25000, 37500, 50000, 62500, 75000],
-        [],
-        {"samples": 5, "frames": 3},
-        decimation=10,
-    )  # fmt: skip
-    add(
-        "a frame lost on the link",
-        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 2, 4, 5000, run(4, 2))],
-        [0, 1, 4, 5],
-        [0, 1250, 5000, 6250],
-        [[2, 2, 1, False]],
-        {"samples": 4, "frames": 2, "lost_by_index": 2, "lost_by_seq": 1},
-    )
-    add(
-        "two frames dropped by the device, overrun flag",
-        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 3, 6, 7500, run(6, 2), flags=1)],
-        [0, 1, 6, 7],
-        [0, 1250, 7500, 8750],
-        [[2, 4, 2, True]],
-        {"samples": 4, "frames": 2, "lost_by_index": 4, "lost_by_seq": 2, "overruns": 1},
-    )
-    add(
-        "the first frame is lost",
-        [frame(data, 1, 12, 15000, run(12, 2))],
-        [12, 13],
-        [15000, 16250],
-        [[0, 2, 1, False]],
-        {"samples": 2, "frames": 1, "lost_by_index": 2, "lost_by_seq": 1},
-    )
-    add(
-        "the device skipped periods: discontinuity flag",
-        [frame(data, 0, 0, 0, run(0, 2)), frame(data, 1, 7, 8750, run(7, 2), flags=2)],
-        [0, 1, 7, 8],
-        [0, 1250, 8750, 10000],
-        [[2, 5, 0, False]],
-        {"samples": 4, "frames": 2, "lost_by_index": 5},
-    )
-    add(
-        "channels named as 2, 1",
-        [frame(data, 0, 0, 0, [each[2:] + each[:2] for each in run(300, 2)])],
-        [0, 1],
-        [0, 1250],
-        [],
-        {"samples": 2, "frames": 1},
-        ids=(2, 1),
-    )
-    first, second = frame(data, 0, 0, 0, run(0, 2)), frame(data, 1, 2, 2500, run(2, 2))
-    third = frame(data, 2, 4, 5000, run(4, 2))
-    add(
-        "a repeated frame",
-        [first, second, second, third],
-        [0, 1, 2, 3, 4, 5],
-        [0, 1250, 2500, 3750, 5000, 6250],
-        [],
-        {"samples": 6, "frames": 3, "out_of_order": 1},
-    )
-    add(
-        "two frames swapped",
-        [first, third, second],
-        [0, 1, 4, 5],
-        [0, 1250, 5000, 6250],
-        [[2, 2, 1, False]],
-        {"samples": 4, "frames": 2, "lost_by_index": 2, "lost_by_seq": 1, "out_of_order": 1},
-    )
-    add(
-        "a frame of another configuration",
-        [first, frame(data, 1, 2, 2500, run(2, 2), cfg_id=6), second],
-        [0, 1, 2, 3],
-        [0, 1250, 2500, 3750],
-        [],
-        {"samples": 4, "frames": 2, "stale": 1},
-    )
-    add(
-        "n disagrees with the length; n is 0",
-        [first, frame(data, 1, 2, 2500, run(2, 2), n=3), frame(data, 1, 2, 2500, []), second],
-        [0, 1, 2, 3],
-        [0, 1250, 2500, 3750],
-        [],
-        {"samples": 4, "frames": 2, "malformed": 2},
-    )
+    late = [block(0, 20), block(1, 40, 1), block(2, 50)]
+    add("decimation 10, a late partial block", late, [20, 30, 40, 50, 60], decimation=10)
+    first, second, third = block(0, 0), block(1, 2), block(2, 4)
+    add("a frame lost on the link", [first, third], [0, 1, 4, 5], (2, 2, 1, False))
+    overrun = [first, block(3, 6, flags=1)]
+    add("two frames dropped by the device, overrun flag", overrun, [0, 1, 6, 7], (2, 4, 2, True))
+    add("the first frame is lost", [block(1, 12)], [12, 13], (0, 2, 1, False))
+    skipped = [first, block(1, 7, flags=2)]
+    add("the device skipped periods: discontinuity flag", skipped, [0, 1, 7, 8], (2, 5, 0, False))
+    turned = frame(data, 0, 0, 0, [each[2:] + each[:2] for each in run(300, 2)])
+    add("channels named as 2, 1", [turned], [0, 1], ids=(2, 1))
+    add("a repeated frame", [first, second, second, third], list(range(6)), out_of_order=1)
+    add("two frames swapped", [first, third, second], [0, 1, 4, 5], (2, 2, 1, False), out_of_order=1)
+    add("a frame of another configuration", [first, block(1, 2, cfg_id=6), second], [0, 1, 2, 3], stale=1)
+    wrong = [frame(data, 1, 2, 2500, run(2, 2), n=3), block(1, 2, 0)]
+    add("n disagrees with the length; n is 0", [first, *wrong, second], [0, 1, 2, 3], malformed=2)
 
     def edge(tick: int, old: int, new: int, illegal: bool, encoder: int) -> bytes:
         return F(("u32", tick & 0xFFFFFFFF), ("u8", old | new << 3 | illegal << 6), ("u8", 0), ("u16", encoder))
@@ -627,42 +435,32 @@ def streams() -> list[dict[str, object]]:
             frame(edges, 2, 44, 0x2000, [edge(0x2000, 2, 7, True, 220)]),
         ],
         [41, 42, 44],
-        [0x2FFFFFF00, 0x300000010, 0x300002000],
-        [[2, 1, 1, False]],
-        {"samples": 3, "frames": 2, "lost_by_index": 1, "lost_by_seq": 1},
+        (2, 1, 1, False),
+        tick=[0x2FFFFFF00, 0x300000010, 0x300002000],
         reference=0x300000000,
         kind="edges",
+        ids=(),
     )
     seqs = [0xFFFE, 0xFFFF, 0, 1]
     add(
         "seq wraps at 2^16 (the first 65534 frames are lost)",
         [frame(data, seq, 200000 + 2 * k, 2500 * k, run(2 * k, 2)) for k, seq in enumerate(seqs)],
         [200000 + k for k in range(8)],
-        [1250 * k for k in range(8)],
-        [[0, 131068, 65534, False]],
-        {"samples": 8, "frames": 4, "lost_by_index": 131068, "lost_by_seq": 65534},
+        (0, 131068, 65534, False),
+        tick=[1250 * k for k in range(8)],
     )
     return cases
 
 
-def can_messages() -> list[dict[str, object]]:
+def can_messages() -> list[Case]:
     """Transfers to a host: frames on identifiers, the messages that they make (in order of completion), the counts."""
-    cases: list[dict[str, object]] = []
+    cases: list[Case] = []
 
     def add(
-        name: str, fd: bool, frames: list[tuple[int, bytes]], good: list[bytes], extended: bool = False, **counts: int
+        name: str, fd: bool, frames: list[CanFrame], good: list[bytes], extended: bool = False, **counts: int
     ) -> None:
-        cases.append(
-            {
-                "name": name,
-                "host": 0,
-                "fd": fd,
-                "extended": extended,
-                "frames": [[number, data.hex()] for number, data in frames],
-                "bodies_hex": [each.hex() for each in good],
-                "counts": counts,
-            }
-        )
+        form: Case = {"name": name, "host": 0, "fd": fd, "extended": extended}
+        cases.append(form | {"frames": frames, "bodies_hex": good, "counts": counts})
 
     def to_host(node: int = 1, extended: bool = False) -> int:
         return can_id(3, node, 0, extended)
@@ -670,7 +468,7 @@ def can_messages() -> list[dict[str, object]]:
     def reply(n: int, tid: int = 5, node: int = 1, first: int = 0x20) -> bytes:
         return body(0x10, 0x11, tid, node, bytes((first + k) % 256 for k in range(n)))
 
-    def on(number: int, frames: list[bytes]) -> list[tuple[int, bytes]]:
+    def on(number: int, frames: list[bytes]) -> list[CanFrame]:
         return [(number, data) for data in frames]
 
     for fd in (False, True):
@@ -694,14 +492,12 @@ def can_messages() -> list[dict[str, object]]:
             aborted=1)  # fmt: skip
         add(f"{form}, the first frame lost, then another transfer", fd, on(to_host(), a[1:] + again), [reply(20, 7)],
             orphans=len(a) - 1)  # fmt: skip
-        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x20]), *a[2:]]
-        add(f"{form}, toggle error", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
-        wrong = [a[0], a[1][:-1] + bytes([a[1][-1] ^ 0x01]), *a[2:]]
-        add(f"{form}, another transfer id in the middle", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
-        wrong = [a[0], bytes([a[1][0] ^ 0x80]) + a[1][1:], *a[2:]]
+        for error, bits in (("toggle error", 0x20), ("another transfer id in the middle", 0x01)):
+            wrong = [a[0], flipped(a[1], -1, bits), *a[2:]]
+            add(f"{form}, {error}", fd, on(to_host(), wrong), [], aborted=1, orphans=len(a) - 2)
+        wrong = [a[0], flipped(a[1], 0, 0x80), *a[2:]]
         add(f"{form}, a bit is wrong", fd, on(to_host(), wrong), [], bad_crc=1)
-        first = again[0][:-1] + bytes([again[0][-1] ^ 0x20])
-        add(f"{form}, a first frame with toggle 0", fd, on(to_host(), [first]), [], orphans=1)
+        add(f"{form}, a first frame with toggle 0", fd, on(to_host(), [flipped(again[0], -1, 0x20)]), [], orphans=1)
         tids = [reply(0, 1 + k) for k in range(34)]
         all_frames = [data for k, each in enumerate(tids) for data in can_frames(each, fd, k)]
         add(f"{form}, the transfer id wraps", fd, on(to_host(), all_frames), tids)
@@ -711,8 +507,8 @@ def can_messages() -> list[dict[str, object]]:
     long = can_frames(reply(60), False, 1)
     lie = [long[0][:4] + b"\x18\0" + long[0][6:], *long[1:]]
     add("classic, longer than it says", False, on(to_host(), lie), [], bad_length=1)
-    hello = body(1, 1, 1, 1, F(("u32", 0x12345678), ("u8", 1), ("u8", 1), ("u16", 1024)))
-    add("HELLO as printed in SPEC.md is for a device", False, on(can_id(2, 1, 0), can_frames(hello, False, 0)), [],
+    printed = body(1, 1, 1, 1, hello(0x12345678))
+    add("HELLO as printed in SPEC.md is for a device", False, on(can_id(2, 1, 0), can_frames(printed, False, 0)), [],
         foreign=3)  # fmt: skip
     add(
         "identifiers of others",
@@ -724,109 +520,96 @@ def can_messages() -> list[dict[str, object]]:
     return cases
 
 
-def can_streams() -> list[dict[str, object]]:
+def can_streams() -> list[Case]:
     """Stream frames: what of them is delivered, where there are gaps, and the account. 20 MHz, 1250 ticks a period."""
-    cases: list[dict[str, object]] = []
+    cases: list[Case] = []
 
     def add(
-        name: str, config: dict[str, object], frames: list[tuple[int, bytes]], index: list[int],
-        gaps: list[list[int]], account: dict[str, int], reference: tuple[int, int] = (0, 0),
+        name: str, config: Case, frames: list[CanFrame], index: list[int], *gaps: tuple[int, ...],
+        reference: tuple[int, int] = (0, 0), **rejected: int,
     ) -> None:  # fmt: skip
-        base: dict[str, object] = {"fd": False, "decimation": 1, "types": ["u16"], "slot": 0, "tick0": 0, "block": 3}
-        base = base | config
+        base: Case = {"fd": False, "decimation": 1, "types": ["u16"], "slot": 0, "tick0": 0, "block": 3}
         cases.append(
             {
                 "name": name,
-                "config": base,
+                "config": base | config,
                 "reference_tick": reference[0],
                 "reference_edges": reference[1],
-                "frames": [[number, data.hex()] for number, data in frames],
+                "frames": frames,
                 "index": index,
                 "gaps": gaps,
-                "account": account,
+                "account": account(len(frames), index, gaps, rejected),
             }
         )
 
-    def classic(slot: int, number: int, *values: int, kind: str = "u16") -> tuple[int, bytes]:
+    def classic(slot: int, number: int, *values: int) -> CanFrame:
         """A classic frame of node 1: counter and values."""
-        data = F(("u16", number % 65536), *((kind, value % 65536) for value in values))
+        data = F(("u16", number % 65536), *(("u16", value % 65536) for value in values))
         return can_id(5 + slot // 16, 1, slot % 16), data
 
-    def fd(slot: int, index: int, *values: int) -> tuple[int, bytes]:
+    def fd(index: int, *values: int) -> CanFrame:
         data = F(("u32", index % 2**32), *(("u16", value % 65536) for value in values))
-        return can_id(5 + slot // 16, 1, slot % 16), fd_padded(data)
+        return can_id(5, 1, 0), fd_padded(data)
 
-    def three(number: int) -> tuple[int, bytes]:
+    def three(number: int) -> CanFrame:
         return classic(0, number, number, number + 1, number + 2)
 
-    add("three samples a frame", {}, [three(0), three(3)], list(range(6)), [], {"samples": 6, "frames": 2})
-    add("a frame lost", {}, [three(0), three(6)], [0, 1, 2, 6, 7, 8], [[3, 3, 1]],
-        {"samples": 6, "frames": 2, "lost_by_index": 3, "lost_by_seq": 1})  # fmt: skip
-    add("a frame twice", {}, [three(0), three(3), three(3), three(6)], list(range(9)), [],
-        {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
-    add("an old frame", {}, [three(0), three(3), three(0), three(6)], list(range(9)), [],
-        {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
-    add("the counter wraps", {}, [three(65532), three(65535), three(65538)], list(range(65532, 65541)), [],
-        {"samples": 9, "frames": 3}, (65530 * 1250, 0))  # fmt: skip
-    add("the first frame is placed by the heartbeat before it", {"tick0": 77}, [three(5 * 65536 + 3)],
-        [5 * 65536 + 3 + k for k in range(3)], [], {"samples": 3, "frames": 1}, (77 + 5 * 65536 * 1250, 0))  # fmt: skip
-    add("half a second ahead of the heartbeat at most", {}, [three(0), three(3), three(9000), three(6)],
-        list(range(9)), [], {"samples": 9, "frames": 3, "out_of_order": 1})  # fmt: skip
-    add("a wrong length", {}, [three(0), (three(3)[0], three(3)[1][:6]), three(3)], list(range(6)), [],
-        {"samples": 6, "frames": 2, "malformed": 1})  # fmt: skip
-    add("decimation 10: the counter counts samples", {"decimation": 10}, [three(4), three(10)],
-        [40, 50, 60, 100, 110, 120], [[3, 3, 1]],
-        {"samples": 6, "frames": 2, "lost_by_index": 3, "lost_by_seq": 1}, (400 * 1250, 0))  # fmt: skip
+    def ticks(periods: int) -> tuple[int, int]:
+        return periods * 1250, 0
 
-    groups: dict[str, object] = {"types": ["u16", "u16", "u16", "u16"], "block": 1, "slot": 15}
+    six, nine = list(range(6)), list(range(9))
+    add("three samples a frame", {}, [three(0), three(3)], six)
+    add("a frame lost", {}, [three(0), three(6)], [0, 1, 2, 6, 7, 8], (3, 3, 1))
+    add("a frame twice", {}, [three(0), three(3), three(3), three(6)], nine, out_of_order=1)
+    add("an old frame", {}, [three(0), three(3), three(0), three(6)], nine, out_of_order=1)
+    wrap = [three(65532), three(65535), three(65538)]
+    add("the counter wraps", {}, wrap, list(range(65532, 65541)), reference=ticks(65530))
+    name, after = "the first frame is placed by the heartbeat before it", 5 * 65536
+    add(name, {"tick0": 77}, [three(after + 3)], [after + 3 + k for k in range(3)], reference=(77 + after * 1250, 0))
+    ahead = [three(0), three(3), three(9000), three(6)]
+    add("half a second ahead of the heartbeat at most", {}, ahead, nine, out_of_order=1)
+    add("a wrong length", {}, [three(0), (three(3)[0], three(3)[1][:6]), three(3)], six, malformed=1)
+    name, index = "decimation 10: the counter counts samples", [40, 50, 60, 100, 110, 120]
+    add(name, {"decimation": 10}, [three(4), three(10)], index, (3, 3, 1), reference=ticks(400))
 
-    def halves(number: int) -> list[tuple[int, bytes]]:
+    groups: Case = {"types": ["u16", "u16", "u16", "u16"], "block": 1, "slot": 15}
+
+    def halves(number: int) -> list[CanFrame]:
         return [classic(15, number, number, number + 1, number + 2), classic(16, number, number + 3)]
 
-    add("two groups, over the end of the first class", groups, [*halves(0), *halves(1)], [0, 1], [],
-        {"samples": 2, "frames": 4})  # fmt: skip
-    add("a share lost: its sample is", groups, [*halves(0), halves(1)[0], *halves(2)], [0, 2], [[1, 1, 1]],
-        {"samples": 2, "frames": 5, "lost_by_index": 1, "lost_by_seq": 1})  # fmt: skip
-    add("groups that overtake each other", groups, [halves(0)[0], halves(1)[0], halves(0)[1], halves(1)[1]], [0, 1], [],
-        {"samples": 2, "frames": 4})  # fmt: skip
+    add("two groups, over the end of the first class", groups, [*halves(0), *halves(1)], [0, 1])
+    add("a share lost: its sample is", groups, [*halves(0), halves(1)[0], *halves(2)], [0, 2], (1, 1, 1))
+    add("groups that overtake each other", groups, [halves(0)[0], halves(1)[0], halves(0)[1], halves(1)[1]], [0, 1])
 
-    fast: dict[str, object] = {"fd": True, "block": 3}
-    first, second = fd(0, 0, 0, 1, 2), fd(0, 3, 3, 4, 5)
-    add("FD: filled to 12 bytes", fast, [first, second], list(range(6)), [], {"samples": 6, "frames": 2})
-    add("FD: the index wraps at 2^32", fast, [fd(0, 2**32 - 3, -3, -2, -1), fd(0, 2**32, 0, 1, 2)],
-        [2**32 - 3 + k for k in range(6)], [], {"samples": 6, "frames": 2}, ((2**32 - 3) * 1250, 0))  # fmt: skip
-    add("FD: an index between the samples", fast | {"decimation": 10}, [fd(0, 20, 2, 3, 4), fd(0, 55, 5, 6, 7)],
-        [20, 30, 40], [], {"samples": 3, "frames": 1, "malformed": 1}, (0, 0))  # fmt: skip
+    fast: Case = {"fd": True, "block": 3}
+    add("FD: filled to 12 bytes", fast, [fd(0, 0, 1, 2), fd(3, 3, 4, 5)], six)
+    last = 2**32 - 3
+    wrap = [fd(last, -3, -2, -1), fd(2**32, 0, 1, 2)]
+    add("FD: the index wraps at 2^32", fast, wrap, [last + k for k in range(6)], reference=ticks(last))
+    between = [fd(20, 2, 3, 4), fd(55, 5, 6, 7)]
+    add("FD: an index between the samples", fast | {"decimation": 10}, between, [20, 30, 40], malformed=1)
 
-    def edge(number: int, tick: int) -> tuple[int, bytes]:
+    def edge(number: int, tick: int) -> CanFrame:
         data = F(("u32", tick % 2**32), ("u8", 1 | 3 << 3), ("u8", number % 256), ("u16", tick % 65536))
         return can_id(4, 1, 7), data
 
-    edges: dict[str, object] = {"types": [], "slot": 7, "block": 1}
-    add("edges", edges, [edge(0, 100), edge(1, 200), edge(2, 300)], [0, 1, 2], [], {"samples": 3, "frames": 3})
-    add("edges lost, and the counter wraps", edges, [edge(254, 100), edge(257, 200)], [254, 257], [[1, 2, 2]],
-        {"samples": 2, "frames": 2, "lost_by_index": 2, "lost_by_seq": 2}, (0, 250))  # fmt: skip
-    add("an edge twice", edges, [edge(5, 100), edge(5, 100), edge(6, 200)], [5, 6], [],
-        {"samples": 2, "frames": 2, "out_of_order": 1}, (0, 5))  # fmt: skip
-    add("an edge older than the last", edges, [edge(5, 200), edge(90, 100), edge(6, 300)], [5, 6], [],
-        {"samples": 2, "frames": 2, "out_of_order": 1}, (0, 5))  # fmt: skip
+    edges: Case = {"types": [], "slot": 7, "block": 1}
+    add("edges", edges, [edge(0, 100), edge(1, 200), edge(2, 300)], [0, 1, 2])
+    lost = [edge(254, 100), edge(257, 200)]
+    add("edges lost, and the counter wraps", edges, lost, [254, 257], (1, 2, 2), reference=(0, 250))
+    twice = [edge(5, 100), edge(5, 100), edge(6, 200)]
+    add("an edge twice", edges, twice, [5, 6], reference=(0, 5), out_of_order=1)
+    older = [edge(5, 200), edge(90, 100), edge(6, 300)]
+    add("an edge older than the last", edges, older, [5, 6], reference=(0, 5), out_of_order=1)
     return cases
 
 
-ALL = {
-    "framing": framing,
-    "messages": messages,
-    "exchanges": exchanges,
-    "sequences": sequences,
-    "streams": streams,
-    "can_messages": can_messages,
-    "can_streams": can_streams,
-}
+ALL = {make.__name__: make for make in (framing, messages, exchanges, sequences, streams, can_messages, can_streams)}
 
 
 def text(name: str) -> str:
     """Return the whole text of a file."""
-    return json.dumps(ALL[name](), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(ALL[name](), indent=1, ensure_ascii=False, default=bytes.hex) + "\n"
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ import numpy as np
 
 from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
-from protocol.messages import DriveState, ErrorCode, Fault, Feature, Role, SetpointMode
+from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.messages import DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
 
@@ -71,15 +72,8 @@ class SmallDrive:
 
 
 def identity(node: int = 1, boot_id: int = 0xB0071D, **changes: object) -> Identity:
-    values = {
-        "node": node,
-        "role": Role.DRIVE,
-        "name": "small",
-        "firmware": "1.0",
-        "boot_id": boot_id,
-        "features": Feature.EDGES,
-    }
-    return Identity(**(values | changes))
+    values = {"role": Role.DRIVE, "name": "small", "firmware": "1.0", "features": Feature.EDGES} | changes
+    return Identity(node=node, boot_id=boot_id, **values)
 
 
 def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink, DeviceSession, SmallDrive]:
@@ -89,6 +83,15 @@ def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app
+
+
+def wire_of(message: Request, tid: int = 0, node: int = 1) -> bytes:
+    return encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
+
+
+def frames_in(data: bytes) -> list[Frame]:
+    """Return the frames of what an end has to send, all of it."""
+    return [parse_frame(raw) for raw in Deframer().feed(b"\0" + data)]
 
 
 def samples(index0: int, n: int) -> np.ndarray:
@@ -110,3 +113,10 @@ def pack_edges(tick, hall_old, hall_new, illegal, encoder):
     records["codes"] = hall_old | hall_new << 3 | np.where(illegal, EDGE_ILLEGAL, 0).astype(np.uint8)
     records["encoder"] = encoder & 0xFFFF
     return records
+
+
+def edges_at(ticks):
+    """Edges from code 1 to 3, as wire records; the encoder stands where the tick does."""
+    ticks = np.asarray(ticks, np.int64)
+    ones = np.ones(len(ticks), np.uint8)
+    return pack_edges(ticks, ones, ones * 3, ones > 5, ticks)

@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_drive import CHANNELS, TICKS, SmallDrive, identity, pack_edges, samples, small_link
+from small_drive import CHANNELS, TICKS, SmallDrive, edges_at, identity, samples, small_link
 
 from protocol.descriptor import Descriptor
-from protocol.device.session import DeviceLink, DeviceSession, TxQueue
+from protocol.device.session import TxQueue
 from protocol.errors import Refused
 from protocol.framing import Deframer, encoded_length
 from protocol.messages import ErrorCode, StreamEvent, StreamReply, StreamSet
-from protocol.streams import (
-    OVERRUN,
-    STREAM_HEADER,
-    EdgeDecoder,
-    SampleDecoder,
-    StreamConfig,
-    TickReference,
-)
+from protocol.streams import OVERRUN, STREAM_HEADER, EdgeDecoder, SampleDecoder, StreamConfig, TickReference
 
 DESCRIPTOR = Descriptor.of(CHANNELS, [])
 ALL = tuple(channel.id for channel in CHANNELS)
@@ -44,17 +37,17 @@ class Device:
     def push(self, index0: int, n: int) -> None:
         self.session.push_samples(index0, index0 * TICKS, samples(index0, n))
 
-    def frames(self, kind: int = 0x40, limit: int | None = None) -> list[bytes]:
-        return [raw for raw in self.deframer.feed(self.link.data_to_send(limit)) if raw[0] == kind]
+    def frames(self, kind: int = 0x40) -> list[bytes]:
+        return [raw for raw in self.deframer.feed(self.link.data_to_send()) if raw[0] == kind]
 
 
 def pwm(channels: tuple[int, ...] = ALL, decimation: int = 1, latency: int = 20, stream: int = 0) -> StreamSet:
     return StreamSet(stream, StreamEvent.PWM, decimation, latency, channels)
 
 
-def edges_at(ticks: list[int]) -> np.ndarray:
-    ones = np.ones(len(ticks), np.uint8)
-    return pack_edges(np.array(ticks, np.int64), ones, ones * 3, ones > 5, np.zeros(len(ticks), np.int64))
+def records_in(raw: bytes) -> int:
+    """Return how many samples or edges a frame says that it has."""
+    return int.from_bytes(raw[10:12], "little")
 
 
 @given(
@@ -89,15 +82,13 @@ def test_every_chosen_sample_arrives_once(
         name = DESCRIPTOR.channels[number - 1].name
         assert (chunk.raw[name] == full[name]).all()
     assert decoder.counters.lost_by_index == decoder.counters.lost_by_seq == 0
-    blocks = [int.from_bytes(raw[10:12], "little") for raw in frames]
-    assert set(blocks[:-1]) <= {reply.block}  # only the last one is partial
+    assert {records_in(raw) for raw in frames[:-1]} <= {reply.block}  # only the last one is partial
 
 
 def test_a_block_holds_what_fits_and_waits_no_longer_than_asked() -> None:
     device = Device()
-    size = 10
     _, reply = device.start(pwm(latency=1000))
-    assert (reply.sample_bytes, reply.block) == (size, (1024 - STREAM_HEADER.size) // size)
+    assert (reply.sample_bytes, reply.block) == (10, (1024 - STREAM_HEADER.size) // 10)
     assert device.start(pwm(latency=1, stream=1))[1].block == 16  # 1 ms at 16 kHz
     assert device.start(pwm(latency=1, decimation=10, stream=2))[1].block == 1
     assert device.start(pwm(latency=0, stream=3))[1].block == 1
@@ -111,7 +102,7 @@ def test_a_partial_block_goes_out_when_it_is_late() -> None:
     device.link.advance(5 * 20_000 - 1)
     assert device.frames() == []
     device.link.advance(5 * 20_000)
-    assert [int.from_bytes(raw[10:12], "little") for raw in device.frames()] == [10]
+    assert [records_in(raw) for raw in device.frames()] == [10]
 
 
 def test_nothing_is_sent_before_start_and_after_stop() -> None:
@@ -123,7 +114,7 @@ def test_nothing_is_sent_before_start_and_after_stop() -> None:
     device.push(1000, 200)
     device.session.streams.stop(1)
     device.push(1200, 1000)
-    assert sum(int.from_bytes(raw[10:12], "little") for raw in device.frames()) == 200
+    assert sum(records_in(raw) for raw in device.frames()) == 200
     with pytest.raises(Refused, match="stream 0 is not configured"):
         device.session.streams.start(1)
 
@@ -158,8 +149,7 @@ def test_edges_never_trail_the_samples(edges: list[int], pushes: list[int], late
     sent = -1
     seen = 0
     for raw in device.deframer.feed(device.link.data_to_send()):
-        n = int.from_bytes(raw[10:12], "little")
-        tick = int.from_bytes(raw[20:24], "little")
+        n, tick = records_in(raw), int.from_bytes(raw[20:24], "little")
         if raw[0] == 0x41:
             ticks = np.frombuffer(raw[24:], "<u4")[::2]
             assert (ticks > sent).all(), "an edge came after a sample at or after it"
@@ -276,9 +266,7 @@ def test_the_load_is_predicted_and_what_does_not_fit_is_refused() -> None:
 
 
 def test_the_load_counts_all_streams_of_the_link() -> None:
-    tx = TxQueue(capacity=100_000.0)
-    link = DeviceLink(tx)
-    first: DeviceSession = link.add(SmallDrive(), identity())
+    link, first, _ = small_link(TxQueue(capacity=100_000.0))
     second = link.add(SmallDrive(), identity(node=2))
     one = first.streams.configure(pwm(decimation=4), 1024).load
     two = second.streams.configure(pwm(decimation=4), 1024).load

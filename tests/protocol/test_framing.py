@@ -23,15 +23,6 @@ frames = st.builds(
 )
 
 
-def test_crc_check_value() -> None:
-    assert reference.crc32(b"123456789") == 0xCBF43926
-
-
-def test_hello_as_in_the_specification() -> None:
-    wire = "00040101010208010107785634120101060" + "41e88436400"
-    assert encode_frame(Frame(1, 1, 1, 0, bytes.fromhex("7856341201010004"))).hex() == wire
-
-
 @given(frames)
 def test_encoding_agrees_with_the_reference_and_comes_back(frame: Frame) -> None:
     wire = encode_frame(frame)

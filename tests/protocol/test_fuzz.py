@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from zlib import crc32
 
 import numpy as np
 import pytest
 from cobs import cobs
-from small_drive import TICKS, SmallDrive, identity, pack_edges, samples, small_link
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link, wire_of
 
 from protocol.descriptor import Descriptor
 from protocol.device.session import DeviceLink, DeviceSession, TxQueue
-from protocol.framing import MAJOR, Deframer, Frame, encode_frame
+from protocol.framing import MAJOR, Frame, encode_frame
 from protocol.host import HostSession
 from protocol.messages import (
     Alive,
@@ -22,7 +21,6 @@ from protocol.messages import (
     ParamGet,
     ParamReply,
     ParamSet,
-    Request,
     Setpoint,
     SetpointMode,
     StateCommand,
@@ -37,6 +35,7 @@ from protocol.wire import StreamFrames
 RANDOM = 400_000
 MUTATED = 100_000
 BOOT_ID = 0xB0071D
+Device = tuple[DeviceLink, DeviceSession, SmallDrive]
 
 
 def random_frames(rng: np.random.Generator, n: int) -> bytes:
@@ -84,22 +83,18 @@ def mutate(rng: np.random.Generator, wires: list[bytes], n: int) -> list[bytes]:
     return out
 
 
-def request(message: Request, tid: int, node: int = 1) -> bytes:
-    return encode_frame(Frame(message.TYPE, MAJOR, tid, node, message.pack()))
-
-
 def to_device() -> list[bytes]:
     """Return what a host says in a run, all of which would change something."""
     return [
-        request(Hello(1), 1),
-        request(StateCommand(Command.ARM, BOOT_ID), 2),
-        request(StateCommand(Command.START), 3),
-        request(ParamSet(101, 9.0), 4),
-        request(Setpoint(SetpointMode.SPEED, 5, 100.0), 0),
-        request(Alive(6), 0),
-        request(StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2, 3)), 7),
-        request(StreamStart(1), 8),
-        request(StreamStop(), 9),
+        wire_of(Hello(1), 1),
+        wire_of(StateCommand(Command.ARM, BOOT_ID), 2),
+        wire_of(StateCommand(Command.START), 3),
+        wire_of(ParamSet(101, 9.0), 4),
+        wire_of(Setpoint(SetpointMode.SPEED, 5, 100.0)),
+        wire_of(Alive(6)),
+        wire_of(StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2, 3)), 7),
+        wire_of(StreamStart(1), 8),
+        wire_of(StreamStop(), 9),
     ]
 
 
@@ -108,18 +103,13 @@ def to_host() -> list[bytes]:
     link, device, _ = small_link(TxQueue(1 << 24))
     for wire in to_device()[:-1]:
         link.receive(wire)
-    link.receive(request(StreamSet(1, StreamEvent.EDGES, 1, 20), 10))
-    link.receive(request(StreamStart(2), 11))
-    ticks = np.arange(8, dtype=np.int64) * 20_000
-    ones = np.ones(8, np.uint8)
-    device.push_edges(pack_edges(ticks, ones, ones * 3, ones > 5, ticks))
+    link.receive(wire_of(StreamSet(1, StreamEvent.EDGES, 1, 20), 10))
+    link.receive(wire_of(StreamStart(2), 11))
+    device.push_edges(edges_at(range(0, 160_000, 20_000)))
     device.push_samples(0, 0, samples(0, 2000))
     link.advance(2_000_000)
-    deframer = Deframer()
-    return [
-        b"\0" + cobs.encode(raw + crc32(raw).to_bytes(4, "little")) + b"\0"
-        for raw in deframer.feed(b"\0" + link.data_to_send())
-    ] + [encode_frame(Frame(0x11, MAJOR | 0x10, 1, 1, ParamReply(101, 1, 0, 2, 1).pack()))]
+    reply = Frame(0x11, MAJOR | 0x10, 1, 1, ParamReply(101, 1, 0, 2, 1).pack())
+    return [encode_frame(frame) for frame in (*frames_in(link.data_to_send()), reply)]
 
 
 def device_snapshot(session: DeviceSession, app: SmallDrive) -> object:
@@ -140,7 +130,7 @@ def host_snapshot(host: HostSession) -> object:
 
 
 @pytest.fixture
-def device() -> tuple[DeviceLink, DeviceSession, SmallDrive]:
+def device() -> Device:
     link, session, app = small_link()
     link.data_to_send()
     return link, session, app
@@ -153,20 +143,18 @@ def host() -> HostSession:
     return session
 
 
-def test_the_oracle_frames_are_sound(device: tuple[DeviceLink, DeviceSession, SmallDrive]) -> None:
+def test_the_oracle_frames_are_sound(device: Device, host: HostSession) -> None:
     """Undamaged, the same frames do have their effect: the tests below are not empty."""
     link, session, app = device
     link.receive(b"".join(to_device()[:6]))
     assert session.state is DriveState.RUNNING
     assert (app.values["gain"], app.setpoints) == (9.0, [(SetpointMode.SPEED, 100.0, 0.0)])
-    host = HostSession()
-    host.request(ParamGet(101), 1, 0.0)
     host.receive_data(b"\0" + b"".join(to_host()), 0.01)
     kinds = {type(event).__name__ for event in iter(host.next_event, None)}
     assert kinds == {"StreamFrames", "HeartbeatReceived", "DeviceEventReceived", "ReplyReceived"}
 
 
-def test_random_frames_change_nothing(device: tuple[DeviceLink, DeviceSession, SmallDrive], host: HostSession) -> None:
+def test_random_frames_change_nothing(device: Device, host: HostSession) -> None:
     link, session, app = device
     before = device_snapshot(session, app), host_snapshot(host)
     rng = np.random.default_rng(1)
@@ -184,7 +172,7 @@ def test_random_frames_change_nothing(device: tuple[DeviceLink, DeviceSession, S
     assert link.data_to_send() == b""
 
 
-def test_mutated_requests_change_nothing(device: tuple[DeviceLink, DeviceSession, SmallDrive]) -> None:
+def test_mutated_requests_change_nothing(device: Device) -> None:
     link, session, app = device
     before = device_snapshot(session, app)
     link.receive(b"".join(mutate(np.random.default_rng(2), to_device(), MUTATED)))
@@ -207,9 +195,7 @@ def test_mutated_answers_change_nothing(host: HostSession) -> None:
     assert host.next_event() is None
 
 
-def test_sound_frames_of_nonsense_never_raise_and_never_energise(
-    device: tuple[DeviceLink, DeviceSession, SmallDrive], host: HostSession
-) -> None:
+def test_sound_frames_of_nonsense_never_raise_and_never_energise(device: Device, host: HostSession) -> None:
     """A right CRC around random content: what a faulty program may send."""
     link, session, app = device
     rng = np.random.default_rng(4)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from small_drive import pack_edges, samples, small_link
+from small_drive import edges_at, frames_in, samples, small_link, wire_of
 
 from protocol.errors import LocalProtocolError, RemoteProtocolError
-from protocol.framing import ERROR, MAJOR, REPLY, Deframer, Frame, encode_frame, parse_frame
+from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame
 from protocol.host import (
     Connected,
     DeviceEventReceived,
@@ -56,13 +54,23 @@ def events(host: HostSession) -> list[Event]:
     return list(iter(host.next_event, None))
 
 
+def only(host: HostSession, kind: type[Event]) -> Event:
+    """Return the only event, which must be of this kind."""
+    (event,) = events(host)
+    assert isinstance(event, kind)
+    return event
+
+
 def sent(host: HostSession) -> list[Frame]:
-    deframer = Deframer()
-    return [parse_frame(raw) for raw in deframer.feed(b"\0" + host.data_to_send())]
+    return frames_in(host.data_to_send())
 
 
 def reply(type_: int, tid: int, payload: bytes, node: int = 1, flags: int = REPLY) -> bytes:
     return encode_frame(Frame(type_, MAJOR | flags, tid, node, payload))
+
+
+def unasked(type_: int, payload: bytes, major: int = MAJOR) -> bytes:
+    return encode_frame(Frame(type_, major, 0, 1, payload))
 
 
 def hello_reply(nonce: int, boot_id: int = 7, node: int = 1) -> bytes:
@@ -70,13 +78,19 @@ def hello_reply(nonce: int, boot_id: int = 7, node: int = 1) -> bytes:
     return session._hello(Hello(nonce)).pack()
 
 
+def greeted(answer: bytes) -> HostSession:
+    """Return a session whose HELLO with the nonce 5 at t = 0 has had this answer after 10 ms."""
+    session = HostSession()
+    session.connect(5, 0.0)
+    session.data_to_send()
+    session.receive_data(b"\0" + reply(1, 1, answer), 0.01)
+    return session
+
+
 @pytest.fixture
 def host() -> HostSession:
     """A session connected at t = 0 with a round trip of 10 ms."""
-    session = HostSession()
-    session.connect(0xABCD, 0.0)
-    session.data_to_send()
-    session.receive_data(b"\0" + reply(1, 1, hello_reply(0xABCD)), 0.01)
+    session = greeted(hello_reply(5))
     events(session)
     return session
 
@@ -86,13 +100,10 @@ def test_connect_ends_half_frames_and_says_hello() -> None:
     host.connect(0x1234, 5.0)
     data = host.data_to_send()
     assert data.startswith(bytes(16))
-    assert [Hello.unpack(frame.payload) for frame in map(parse_frame, Deframer().feed(data))] == [Hello(0x1234)]
+    assert [Hello.unpack(frame.payload) for frame in frames_in(data)] == [Hello(0x1234)]
     host.receive_data(b"garbage\0" + reply(1, 1, hello_reply(0x1234)), 5.02)
-    (event,) = events(host)
-    assert isinstance(event, Connected)
-    assert event.hello.name == "small"
-    assert host.hellos[1] == event.hello
-    assert not host.busy
+    event = only(host, Connected)
+    assert (event.hello.name, host.hellos[1], host.busy) == ("small", event.hello, False)
     assert host.round_trip == pytest.approx(0.02)
 
 
@@ -109,13 +120,11 @@ def test_hello_is_repeated_with_back_off_for_as_long_as_it_takes() -> None:
 
 
 def test_only_the_matching_nonce_connects() -> None:
-    host = HostSession()
-    host.connect(2, 0.0)
-    host.receive_data(b"\0" + reply(1, 1, hello_reply(1)), 0.01)
+    host = greeted(hello_reply(4))
     assert events(host) == []
     assert host.counters.unexpected_replies == 1
-    host.receive_data(reply(1, 1, hello_reply(2)), 0.02)
-    assert isinstance(events(host)[0], Connected)
+    host.receive_data(reply(1, 1, hello_reply(5)), 0.02)
+    only(host, Connected)
 
 
 def test_a_device_of_another_major_is_reported() -> None:
@@ -124,7 +133,7 @@ def test_a_device_of_another_major_is_reported() -> None:
     error = ErrorReply(ErrorCode.BAD_VERSION, MessageType.HELLO, 2.0)
     host.receive_data(b"\0" + encode_frame(Frame(1, 2 | REPLY | ERROR, 1, 1, error.pack())), 0.01)
     assert events(host) == [RequestRefused(1, 1, error)]
-    host.receive_data(encode_frame(Frame(MessageType.LOG, 2, 0, 1, b"\6hi")), 0.02)
+    host.receive_data(unasked(MessageType.LOG, b"\6hi", major=2), 0.02)
     assert events(host) == []
     assert host.counters.other_versions == 1
 
@@ -170,8 +179,7 @@ def test_a_reply_after_a_retry_counts_once(host: HostSession) -> None:
     host.tick(1.5)
     answer = reply(MessageType.PARAM_COMMIT, tid, b"")
     host.receive_data(answer + answer, 1.55)
-    (event,) = events(host)
-    assert isinstance(event, ReplyReceived)
+    event = only(host, ReplyReceived)
     assert (event.tid, event.message) == (tid, Empty())
     assert host.counters.unexpected_replies == 1
     assert host.round_trip == pytest.approx(0.01)  # which transmission was answered is unknown: no measurement
@@ -186,28 +194,24 @@ def test_strangers_are_counted_and_dropped(host: HostSession) -> None:
         reply(MessageType.PARAM_GET, tid, good, node=2),
         reply(MessageType.PARAM_GET, 0, ErrorReply(1, 2, 0).pack(), flags=REPLY | ERROR),
     ]
-    for wire in strangers:
-        host.receive_data(wire, 1.01)
+    host.receive_data(b"".join(strangers), 1.01)
     assert host.counters.unexpected_replies == 4
-    host.receive_data(encode_frame(Frame(MessageType.HEARTBEAT, MAJOR, 0, 1, bytes(7))), 1.02)
-    host.receive_data(encode_frame(Frame(MessageType.DATA, MAJOR, 0, 1, bytes(15))), 1.02)
+    host.receive_data(unasked(MessageType.HEARTBEAT, bytes(7)) + unasked(MessageType.DATA, bytes(15)), 1.02)
     host.receive_data(reply(MessageType.PARAM_GET, tid, good, flags=ERROR), 1.02)
     assert host.counters.malformed == 3
-    host.receive_data(encode_frame(Frame(0x7E, MAJOR, 0, 1, b"")), 1.02)
-    host.receive_data(encode_frame(Frame(MessageType.PARAM_GET, MAJOR, tid, 1, good)), 1.02)  # no reply flag
+    host.receive_data(unasked(0x7E, b""), 1.02)
+    host.receive_data(reply(MessageType.PARAM_GET, tid, good, flags=0), 1.02)
     assert host.counters.unknown_types == 2
     assert events(host) == []
     assert host.busy
     host.receive_data(reply(MessageType.PARAM_GET, tid, good), 1.03)
-    assert len(events(host)) == 1
+    only(host, ReplyReceived)
 
 
 def unusable(host: HostSession) -> str:
     """What is wrong with the reply that the host has just had: nothing else happened, and it does not ask again."""
-    (event,) = events(host)
-    assert isinstance(event, ReplyUnusable)
-    assert not host.busy
-    assert host.counters.malformed == 1
+    event = only(host, ReplyUnusable)
+    assert (host.busy, host.counters.malformed) == (False, 1)
     assert isinstance(event.error, RemoteProtocolError)
     return str(event.error)
 
@@ -240,10 +244,7 @@ def test_a_descriptor_that_cannot_be_is_refused_at_once(host: HostSession, total
     ],
 )
 def test_a_hello_that_cannot_be_is_refused(changes: dict[str, object], words: str) -> None:
-    host = HostSession()
-    host.connect(5, 0.0)
-    answer = replace(HelloReply.unpack(hello_reply(5)), **changes)
-    host.receive_data(b"\0" + reply(1, 1, answer.pack()), 0.01)
+    host = greeted(replace(HelloReply.unpack(hello_reply(5)), **changes).pack())
     text = unusable(host)
     assert text.startswith("HELLO of node 1: ")
     assert words in text
@@ -251,28 +252,19 @@ def test_a_hello_that_cannot_be_is_refused(changes: dict[str, object], words: st
 
 
 def test_a_hello_without_serial_and_build_is_too_short() -> None:
-    host = HostSession()
-    host.connect(5, 0.0)
-    host.receive_data(b"\0" + reply(1, 1, hello_reply(5)[:68]), 0.01)
-    assert "HelloReply of 68 bytes, expected 116" in unusable(host)
+    assert "HelloReply of 68 bytes, expected 116" in unusable(greeted(hello_reply(5)[:68]))
 
 
 def test_a_hello_that_is_only_odd_connects() -> None:
-    host = HostSession()
-    host.connect(5, 0.0)
     odd = replace(HelloReply.unpack(hello_reply(5)), role=Role(7), state=DriveState(9), nodes=0, firmware="", tx_max=0)
-    host.receive_data(b"\0" + reply(1, 1, odd.pack()), 0.01)
-    (event,) = events(host)
-    assert isinstance(event, Connected)
+    event = only(greeted(odd.pack()), Connected)
     assert (event.hello.role.name, event.hello.state.name) == ("role 7", "state 9")
 
 
 def test_node_zero_takes_the_answer_of_whoever_is_there(host: HostSession) -> None:
     tid = host.request(ParamCommit(), 0, 1.0)
     host.receive_data(reply(MessageType.PARAM_COMMIT, tid, b"", node=3), 1.01)
-    (event,) = events(host)
-    assert isinstance(event, ReplyReceived)
-    assert event.node == 3
+    assert only(host, ReplyReceived).node == 3
 
 
 def test_tid_wraps_from_65535_to_1(host: HostSession) -> None:
@@ -301,7 +293,7 @@ def test_unsolicited_messages_are_events(host: HostSession) -> None:
     beat = small_link(boot_id=7)[1].heartbeat()
     happening, log = DeviceEvent(5, 1, 1, 2.0), Log(6, "hello")
     for type_, message in ((0x04, beat), (0x42, happening), (0x43, log)):
-        host.receive_data(encode_frame(Frame(type_, MAJOR, 0, 1, message.pack())), 1.0)
+        host.receive_data(unasked(type_, message.pack()), 1.0)
     assert events(host) == [HeartbeatReceived(1, beat), DeviceEventReceived(1, happening), LogReceived(1, log)]
 
 
@@ -310,17 +302,14 @@ def test_a_reboot_shows_in_hello_and_in_the_heartbeat(host: HostSession) -> None
     host.receive_data(reply(1, 2, hello_reply(55, boot_id=8)), 1.01)
     assert events(host)[0] == Rebooted(1, 7, 8)
     beat = small_link(boot_id=9)[1].heartbeat()
-    wire = encode_frame(Frame(0x04, MAJOR, 0, 1, beat.pack()))
-    host.receive_data(wire + wire, 2.0)
+    host.receive_data(unasked(0x04, beat.pack()) * 2, 2.0)
     assert [event for event in events(host) if isinstance(event, Rebooted)] == [Rebooted(1, 8, 9)]
 
 
 def test_hello_to_a_second_node_is_a_plain_request(host: HostSession) -> None:
     tid = host.request(Hello(56), 2, 1.0)
     host.receive_data(reply(1, tid, hello_reply(56, boot_id=3, node=2), node=2), 1.01)
-    (event,) = events(host)
-    assert isinstance(event, ReplyReceived)
-    assert isinstance(event.message, HelloReply)
+    assert isinstance(only(host, ReplyReceived).message, HelloReply)
     assert set(host.hellos) == {1, 2}
 
 
@@ -328,10 +317,8 @@ def test_the_tick_reference_follows_heartbeats_and_time_sync(host: HostSession) 
     tid = host.request(TimeSync(), 1, 1.0)
     host.receive_data(reply(MessageType.TIME_SYNC, tid, TimeSyncReply(100, 1 << 40).pack()), 1.01)
     assert host.tick_reference(1).tick == 1 << 40
-    beat = Heartbeat(5 << 40, 7, *([0] * 10))
-    host.receive_data(encode_frame(Frame(0x04, MAJOR, 0, 1, beat.pack())), 1.0)
-    assert host.tick_reference(1).tick == 5 << 40
-    assert host.tick_reference(2).tick == 0
+    host.receive_data(unasked(0x04, Heartbeat(5 << 40, 7, *([0] * 10)).pack()), 1.0)
+    assert (host.tick_reference(1).tick, host.tick_reference(2).tick) == (5 << 40, 0)
 
 
 def test_reconnecting_drops_half_a_frame_and_the_outstanding_request(host: HostSession) -> None:
@@ -340,36 +327,27 @@ def test_reconnecting_drops_half_a_frame_and_the_outstanding_request(host: HostS
     host.receive_data(whole[:6], 1.01)
     host.connect(9, 2.0)
     host.receive_data(whole[6:] + reply(1, tid + 1, hello_reply(9, boot_id=7)), 2.01)
-    (event,) = events(host)
-    assert isinstance(event, Connected)
+    only(host, Connected)
 
 
 def test_stream_frames_come_as_one_event_a_stream_with_edges_first(host: HostSession) -> None:
     link, device, _ = small_link(boot_id=7)
-    tids = itertools.count(1)
-    for message in (
-        StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2)),
-        StreamSet(1, StreamEvent.EDGES, 1, 20),
-        StreamSet(2, StreamEvent.PWM, 10, 20, (5,)),
-        StreamStart(7),
-    ):
-        link.receive(encode_frame(Frame(message.TYPE, MAJOR, next(tids), 1, message.pack())))
+    link.receive(wire_of(StreamSet(0, StreamEvent.PWM, 1, 20, (1, 2)), 1))
+    link.receive(wire_of(StreamSet(1, StreamEvent.EDGES, 1, 20), 2))
+    link.receive(wire_of(StreamSet(2, StreamEvent.PWM, 10, 20, (5,)), 3))
+    link.receive(wire_of(StreamStart(7), 4))
     link.data_to_send()
     for first in range(0, 4000, 400):
-        tick = np.array([first * 1250 + 5])
-        ones = np.ones(1, np.uint8)
-        device.push_edges(pack_edges(tick, ones, ones, ones > 5, tick))
+        device.push_edges(edges_at([first * 1250 + 5]))
         device.push_samples(first, first * 1250, samples(first, 400))
     host.receive_data(link.data_to_send(), 1.0)
     got = events(host)
     assert all(isinstance(event, StreamFrames) for event in got)
-    assert [(e.stream, e.type) for e in got] == [(1, 0x41), (0, 0x40), (2, 0x40)]
-    assert [len(e.frames) for e in got] == [10, 12, 12]
+    assert [(e.stream, e.type, len(e.frames)) for e in got] == [(1, 0x41, 10), (0, 0x40, 12), (2, 0x40, 12)]
 
 
 def test_order_between_streams_and_other_messages_is_kept(host: HostSession) -> None:
-    data = encode_frame(Frame(MessageType.DATA, MAJOR, 0, 1, bytes(20)))
-    log = encode_frame(Frame(MessageType.LOG, MAJOR, 0, 1, b"\6x"))
+    data, log = unasked(MessageType.DATA, bytes(20)), unasked(MessageType.LOG, b"\6x")
     host.receive_data(data + log + data + data, 1.0)
     kinds = [(type(e).__name__, len(getattr(e, "frames", ()))) for e in events(host)]
     assert kinds == [("StreamFrames", 1), ("LogReceived", 0), ("StreamFrames", 2)]

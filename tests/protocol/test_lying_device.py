@@ -6,7 +6,6 @@ The device is sound, but for one field of one kind of message: that is replaced 
 from __future__ import annotations
 
 import json
-import re
 import struct
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,6 +13,7 @@ from dataclasses import dataclass, fields
 
 import pytest
 from lying_link import LyingCanLink, LyingLink
+from test_spec import HEADER_NAMES, RECORD, RECORD_NAMES, walk
 
 from bench.device.client import Client
 from bench.device.description import inspect_node
@@ -49,15 +49,15 @@ class Field:
     code: str
 
 
-def layout_fields(kind: str, type_: int | None, error: bool, layout: struct.Struct, names: list[str]) -> list[Field]:
-    found, offset, left = [], 0, iter(names)
-    for count, code in re.findall(r"(\d*)([a-zA-Z])", layout.format):
-        whole = count + code if code == "s" else code
-        for _ in range(1 if code == "s" else int(count or 1)):
-            if code != "x":
-                found.append(Field(f"{kind}.{next(left)}", type_, error, offset, whole))
-            offset += struct.calcsize("<" + whole)
-    return found
+def layout_fields(
+    kind: str, type_: int | None, layout: struct.Struct, names: list[str], error: bool = False, at: int = 0
+) -> list[Field]:
+    left = iter(names)
+    return [
+        Field(f"{kind}.{next(left)}", type_, error, at + offset, code)
+        for offset, code in walk(layout)
+        if not code.endswith("x")
+    ]
 
 
 def every_field() -> list[Field]:
@@ -65,16 +65,12 @@ def every_field() -> list[Field]:
     kinds: list[tuple[int | None, type[Payload]]] = [*REPLIES.items(), *UNSOLICITED.items(), (None, ErrorReply)]
     for type_, kind in kinds:
         names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-        found += layout_fields(kind.__name__, type_, kind is ErrorReply, kind._LAYOUT, names)
-    header = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]
+        found += layout_fields(kind.__name__, type_, kind._LAYOUT, names, kind is ErrorReply)
     for type_ in (MessageType.DATA, MessageType.EDGES):
-        found += layout_fields(type_.name, type_, False, STREAM_HEADER, header)
-    record = struct.Struct("<HBBHHff16s")  # of the first channel, then of the first parameter
-    names = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
-    for title, at in (("channel", 0), ("parameter", 5 * record.size)):
-        for field in layout_fields(title, MessageType.BLOB_READ, False, record, names):
-            shifted = BlobReply.FIXED_BYTES + at + field.offset
-            found.append(Field(field.name, field.type, field.error, shifted, field.code))
+        found += layout_fields(type_.name, type_, STREAM_HEADER, HEADER_NAMES)
+    for title, record in (("channel", 0), ("parameter", 5)):  # the first of each in the descriptor
+        at = BlobReply.FIXED_BYTES + record * RECORD.size
+        found += layout_fields(title, MessageType.BLOB_READ, RECORD, RECORD_NAMES, at=at)
     return found
 
 
@@ -135,8 +131,7 @@ def test_the_sound_device_has_only_the_errors_that_are_asked_for(link: type[Lyin
     too_much = ["do not fit"] if link is LyingLink else []  # it fits a CAN FD bus
     expected = ["gain must be", "READ_ONLY", *too_much, "WRONG_STATE", "rejected the setpoint SPEED 10000", "BUSY"]
     assert len(errors) == len(expected), errors
-    for error, words in zip(errors, expected, strict=True):
-        assert words in error
+    assert all(words in error for words, error in zip(expected, errors, strict=True)), errors
 
 
 ON_CAN = ("StreamReply", "TimeSyncReply", "Heartbeat.tick", "Heartbeat.edges", "Heartbeat.boot_id")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import pytest
@@ -17,7 +18,7 @@ from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import DoesNotFit, NodeError
 from protocol.device.session import DeviceLink
-from protocol.errors import DeviceDefect
+from protocol.errors import DeviceDefect, VersionError
 from protocol.framing import Frame
 from protocol.messages import HelloReply, MessageType, Role
 from protocol.signals import Flag, RawType, Signal, Unit
@@ -33,11 +34,23 @@ class Other(SmallDrive):
         self.values |= values
 
 
-def link_to(app: SmallDrive, **changes: object) -> LyingLink:
+def link_to(app: SmallDrive, nodes: Iterable[int] = (1,), **changes: object) -> LyingLink:
     device = DeviceLink()
-    device.add(app, identity(**changes))
+    for node in nodes:
+        device.add(app, identity(node, **changes))
     device.advance(0)
     return LyingLink(device=device)
+
+
+def hello_with(**changes: object) -> Callable[[Frame], Frame]:
+    """Lie about these fields of HELLO's reply."""
+
+    def lie(frame: Frame) -> Frame:
+        if frame.type != MessageType.HELLO or frame.is_error:
+            return frame
+        return frame._replace(payload=replace(HelloReply.unpack(frame.payload), **changes).pack())
+
+    return lie
 
 
 def many(n: int, raw: RawType) -> tuple[Signal, ...]:
@@ -84,24 +97,15 @@ def test_a_device_with_neither_channels_nor_parameters(info) -> None:
         node_of(link).channels(None)
 
 
-def test_all_nodes_of_a_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    device = DeviceLink()
-    for number in range(1, 41):
-        device.add(Other(), identity(node=number))
-    device.advance(0)
-    monkeypatch.setattr(inspect, "open_link", lambda target: LyingLink(device=device))
-    found = inspect.inspect_link("tcp:x:1")
+def test_all_nodes_of_a_link(info) -> None:
+    found, _, error = info(link_to(Other(), range(1, 41)))
+    assert error is None
     assert [node["identity"]["node"] for node in found["nodes"]] == list(range(1, 41))
     assert not found["unread"]
 
 
 def test_nodes_that_are_not_there_are_named_after_those_that_are(info) -> None:
-    def lie(frame: Frame) -> Frame:
-        if frame.type != MessageType.HELLO or frame.is_error:
-            return frame
-        return frame._replace(payload=replace(HelloReply.unpack(frame.payload), nodes=3).pack())
-
-    found, text, error = info(LyingLink(lie, small_link()[0]))
+    found, text, error = info(LyingLink(hello_with(nodes=3), small_link()[0]))
     assert [node["identity"]["node"] for node in found["nodes"]] == [1]
     assert found["unread"] == {number: f"HELLO was refused: UNKNOWN_NODE ({number})" for number in ("2", "3")}
     assert isinstance(error, NodeError)
@@ -154,10 +158,7 @@ def test_a_descriptor_of_4096_records_is_read() -> None:
 
 
 def test_a_device_of_another_major_says_so_at_once() -> None:
-    def lie(frame: Frame) -> Frame:
-        return frame._replace(payload=replace(HelloReply.unpack(frame.payload), major=2).pack())
-
-    link = LyingLink(lambda frame: lie(frame) if frame.type == MessageType.HELLO else frame)
-    with pytest.raises(Exception, match=r"the device speaks HBP 2.0, this host 1"):
+    link = LyingLink(hello_with(major=2))
+    with pytest.raises(VersionError, match=r"the device speaks HBP 2.0, this host 1"):
         Client(link).connect()
     assert link.clock() < 0.2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import fields
 
 import make_spec
@@ -17,6 +18,9 @@ from protocol.validity import RECORD_BYTES
 
 TEXT = make_spec.SPEC.read_text(encoding="utf-8")
 TAILS = {"BlobReply": "data", "StreamSet": "u16 each", "StreamInfo": "u16 each", "Log": "text"}
+HEADER_NAMES = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]  # of STREAM_HEADER
+RECORD = struct.Struct("<HBBHHff16s")  # of the descriptor
+RECORD_NAMES = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
 CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text16", "24s": "text24"}
 
 
@@ -31,19 +35,22 @@ def table_after(mark: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")][:3] for line in table.splitlines()[2:]]
 
 
+def walk(layout: struct.Struct) -> Iterator[tuple[int, str]]:
+    """Yield offset and code of each field and padding of a struct."""
+    offset = 0
+    for count, code in re.findall(r"(\d*)([a-zA-Z])", layout.format):
+        for unit in [count + code] if code in "sx" else [code] * int(count or 1):
+            yield offset, unit
+            offset += struct.calcsize("<" + unit)
+
+
 def rows_of(layout: struct.Struct, names: list[str]) -> list[list[str]]:
     """Return [offset, type, name] of each field and padding of a struct."""
-    rows, offset, left = [], 0, iter(names)
-    for count, code in re.findall(r"(\d*)([a-zA-Z])", layout.format):
-        if code == "x":
-            rows.append([str(offset), f"pad {count or 1}", ""])
-            offset += int(count or 1)
-            continue
-        unit = count + code if code == "s" else code
-        for _ in range(1 if code == "s" else int(count or 1)):
-            rows.append([str(offset), CODES[unit], next(left)])
-            offset += struct.calcsize("<" + unit)
-    return rows
+    left = iter(names)
+    return [
+        [str(at), f"pad {unit[:-1] or 1}", ""] if unit.endswith("x") else [str(at), CODES[unit], next(left)]
+        for at, unit in walk(layout)
+    ]
 
 
 KINDS = sorted(
@@ -76,15 +83,12 @@ def test_every_type_has_its_chapter() -> None:
 
 
 def test_stream_header_edge_and_descriptor_record() -> None:
-    names = ["stream", "flags", "n", "cfg_id", "seq", "index", "tick"]
-    assert table_after("DATA and EDGES begin with the same 16 bytes") == rows_of(STREAM_HEADER, names)
+    assert table_after("DATA and EDGES begin with the same 16 bytes") == rows_of(STREAM_HEADER, HEADER_NAMES)
     assert EDGE_RECORD.names is not None
     assert table_after("A record of EDGES is") == rows_of(struct.Struct("<IBBH"), list(EDGE_RECORD.names))
     assert EDGE_RECORD.itemsize == 8
-    names = ["id", "type", "unit", "flags", "reserved", "scale", "offset", "name"]
-    layout = struct.Struct("<HBBHHff16s")
-    assert table_after("Blob 0 is a row of 32-byte records") == rows_of(layout, names)
-    assert layout.size == RECORD_BYTES
+    assert table_after("Blob 0 is a row of 32-byte records") == rows_of(RECORD, RECORD_NAMES)
+    assert RECORD.size == RECORD_BYTES
 
 
 def test_the_printed_frame() -> None:

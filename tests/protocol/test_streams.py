@@ -13,13 +13,8 @@ from protocol.descriptor import Descriptor
 from protocol.device.session import TxQueue
 from protocol.errors import RemoteProtocolError
 from protocol.messages import StreamEvent, StreamReply, StreamSet
-from protocol.streams import (
-    DISCONTINUITY,
-    EdgeDecoder,
-    SampleDecoder,
-    StreamConfig,
-    TickReference,
-)
+from protocol.streams import DISCONTINUITY, EdgeDecoder, SampleDecoder, StreamConfig, TickReference
+from protocol.wire import Decoder
 
 DESCRIPTOR = Descriptor.of(CHANNELS, [])
 BLOCK = 4
@@ -43,25 +38,24 @@ def run_of_frames(n: int, index0: int = 0, tick0: int = 0, seq0: int = 0, decima
     """Return n full blocks in a row."""
     step = BLOCK * decimation
     return [
-        data_frame(
-            seq0 + k, index0 + k * step, tick0 + k * step * TICKS, samples(index0 + k * step, step)[::decimation]
-        )
-        for k in range(n)
+        data_frame(seq0 + k, index0 + at, tick0 + at * TICKS, samples(index0 + at, step)[::decimation])
+        for k, at in enumerate(range(0, n * step, step))
     ]
 
 
-def decode_all(decoder: SampleDecoder, batches: list[list[bytes]]) -> tuple[list[int], list[int], list[tuple]]:
-    index, tick, gaps = [], [], []
-    for batch in batches:
-        chunk = decoder.decode(batch)
-        if chunk is None:
-            continue
-        full = chunk.index + np.where(chunk.index < 2**31, 2**32, 0)
-        assert (chunk.raw == samples_at(full)).all()
-        gaps += [(g.position + len(index), g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps]
-        index += chunk.index.tolist()
-        tick += chunk.tick.tolist()
-    return index, tick, gaps
+def decode_all(decoder: Decoder, batches: list) -> tuple[list, list[tuple]]:
+    """Return the chunks, and their gaps with positions from the first sample on."""
+    chunks, gaps, n = [], [], 0
+    for chunk in map(decoder.decode, batches):
+        if chunk is not None:
+            gaps += [(n + g.position, g.lost_samples, g.lost_frames, g.overrun) for g in chunk.gaps]
+            n += len(chunk)
+            chunks.append(chunk)
+    return chunks, gaps
+
+
+def joined(chunks: list, name: str) -> list:
+    return [value for chunk in chunks for value in getattr(chunk, name).tolist()]
 
 
 def samples_at(index: np.ndarray) -> np.ndarray:
@@ -83,7 +77,10 @@ def test_any_delivery_is_accounted_for(order: list[int], cut: list[int], decimat
     bounds = sorted({0, len(order), *(c for c in cut if c < len(order))})
     arrived = [frames[k] for k in order]
     batches = [arrived[a:b] for a, b in zip(bounds, bounds[1:] or [len(order)], strict=False)]
-    index, tick, gaps = decode_all(decoder, batches)
+    chunks, gaps = decode_all(decoder, batches)
+    for chunk in chunks:
+        full = chunk.index + np.where(chunk.index < 2**31, 2**32, 0)
+        assert (chunk.raw == samples_at(full)).all()
 
     newest, delivered, lost, rejected = -1, [], 0, 0
     for k in order:  # the oracle: a frame counts if it is newer than all before it
@@ -95,8 +92,8 @@ def test_any_delivery_is_accounted_for(order: list[int], cut: list[int], decimat
         delivered.append(k)
     expected = [index0 + k * step + i * decimation for k in delivered for i in range(BLOCK)]
     shift = 2**32 if delivered and delivered[0] >= 15 else 0  # the first index that comes is taken as it is
-    assert index == [i - shift for i in expected]
-    assert tick == [tick0 + (i - index0) * TICKS for i in expected]
+    assert joined(chunks, "index") == [i - shift for i in expected]
+    assert joined(chunks, "tick") == [tick0 + (i - index0) * TICKS for i in expected]
     counters = decoder.counters
     assert (counters.frames, counters.samples) == (len(delivered), len(expected))
     assert (counters.lost_by_seq, counters.lost_by_index) == (lost, lost * BLOCK)
@@ -109,10 +106,8 @@ def test_a_gap_of_more_than_65536_frames_is_counted_in_full() -> None:
     decoder = SampleDecoder(config(), TickReference())
     lost = 3 * 65536 + 5
     decoder.decode(run_of_frames(1))
-    later = run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1)
-    chunk = decoder.decode(later)
-    assert chunk.gaps[0].lost_frames == lost
-    assert chunk.gaps[0].lost_samples == lost * BLOCK
+    chunk = decoder.decode(run_of_frames(1, (lost + 1) * BLOCK, (lost + 1) * BLOCK * TICKS, lost + 1))
+    assert (chunk.gaps[0].lost_frames, chunk.gaps[0].lost_samples) == (lost, lost * BLOCK)
 
 
 def test_ticks_unwrap_against_a_fresh_reference_after_a_long_pause() -> None:
@@ -138,8 +133,7 @@ def test_physical_values() -> None:
     assert len(chunk) == 8
     assert chunk.physical("i_a").tolist() == [(k - 1000) / 1024 for k in range(8)]
     assert chunk.physical("i_a").dtype == np.float64
-    offset = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, tuple(DESCRIPTOR.channels), 1, tick_hz=20_000_000, pwm_hz=16_000)
-    assert offset.channel("theta").scale == float(np.float32(np.pi / 32768))
+    assert chunk.config.channel("theta").scale == float(np.float32(np.pi / 32768))
     with pytest.raises(KeyError, match="no channel 'i_b' in the stream; there are: hall, status"):
         chunk.physical("i_b")
 
@@ -170,17 +164,17 @@ def test_what_a_frame_says_besides_its_samples(seq: int, late: int, flags: int, 
 
 
 def test_the_configuration_must_agree_with_the_descriptor() -> None:
-    request = StreamSet(0, StreamEvent.PWM, 1, 20, (3, 1))
-    stream = StreamConfig.of(identity(), request, StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR)
-    assert stream.dtype.names == ("theta", "hall")
+    def of(sample_bytes: int, block: int, *channels: int) -> StreamConfig:
+        request = StreamSet(0, StreamEvent.PWM, 1, 20, channels)
+        return StreamConfig.of(identity(), request, StreamReply(0, 5, sample_bytes, block, 0.0), DESCRIPTOR)
+
+    assert of(3, 10, 3, 1).dtype.names == ("theta", "hall")
     with pytest.raises(RemoteProtocolError, match="stream 0: 4 bytes a sample, 10 a frame by the device, 3"):
-        StreamConfig.of(identity(), request, StreamReply(0, 5, 4, 10, 0.0), DESCRIPTOR)
+        of(4, 10, 3, 1)
     with pytest.raises(RemoteProtocolError, match="3 bytes a sample, 0 a frame"):
-        StreamConfig.of(identity(), request, StreamReply(0, 5, 3, 0, 0.0), DESCRIPTOR)
+        of(3, 0, 3, 1)
     with pytest.raises(RemoteProtocolError, match=r"no channels with the ids \[99\]"):
-        StreamConfig.of(
-            identity(), StreamSet(0, StreamEvent.PWM, 1, 20, (3, 99)), StreamReply(0, 5, 3, 10, 0.0), DESCRIPTOR
-        )
+        of(3, 10, 3, 99)
 
 
 edge_batches = st.lists(st.integers(0, 5), min_size=1, max_size=30)
