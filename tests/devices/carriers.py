@@ -161,8 +161,7 @@ class Pty(ByteCarrier):
         self._master, self._slave = os.openpty()  # held open, so that a host that leaves is no error
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
-        self.target = f"serial:{self.path}"
+        self.target = f"serial:{os.ttyname(self._slave)}"
 
     def _descriptor(self) -> int:
         return self._master

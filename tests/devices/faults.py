@@ -17,7 +17,7 @@ import numpy as np
 from tests.devices.device import UNFED, Device, Peer
 from tests.devices.motor import Samples
 from tests.devices.spec import PWM, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, State, Type, Unit
-from tests.devices.vocabulary import FULL, Channel, Vocabulary, text16
+from tests.devices.vocabulary import FULL, Channel, Vocabulary, encoded
 
 FAULTS: dict[str, type[Device]] = {}
 
@@ -80,11 +80,8 @@ class StopRefused(Device):
 
 
 @fault("stop-unanswered")
-class StopUnanswered(Device):
+class StopUnanswered(StopSaysRunning):
     """STOP is neither obeyed nor answered."""
-
-    def stop(self) -> State:
-        return self.state
 
     def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
         if request.type != Type.STATE_CMD or request.payload[0] != Command.STOP:
@@ -214,17 +211,6 @@ class DoesNotTurn(Device):
         self.motor.jammed = True
 
 
-@fault("wrong-pole-pairs")
-class WrongPolePairs(Device):
-    """The parameter n_p is twice that of the motor, and the angle by the encoder is made with it."""
-
-    def boot(self) -> None:
-        super().boot()
-        for row in self.vocabulary.parameters:
-            if row.name == "n_p":
-                self.values[row.id] = 2.0 * self.vocabulary.pole_pairs
-
-
 @fault("estimate-off")
 class EstimateOff(Device):
     """The position estimates are 103 deg off."""
@@ -257,11 +243,12 @@ class Backwards(Device):
 
 
 def _rejects(code: Code) -> type[Device]:
+    """Every setpoint is rejected with this code."""
+
     class Rejects(Device):
         def set_point(self, mode: int, value: float, value2: float) -> None:
             raise Refusal(code, 10)
 
-    Rejects.__doc__ = f"Every setpoint is rejected with {code.name}."
     return Rejects
 
 
@@ -273,6 +260,8 @@ for _code in (Code.OUT_OF_RANGE, Code.WRONG_STATE, Code.BAD_VALUE):
 
 
 def _faulty_event(argument: float) -> type[Device]:
+    """EVENT FAULT with this argument, idle and running, and no fault in the heartbeat."""
+
     class FaultyEvent(Device):
         beats = 0
 
@@ -282,9 +271,6 @@ def _faulty_event(argument: float) -> type[Device]:
             if self.beats % 3 == 0:
                 self.event(Event.FAULT, argument)
 
-    FaultyEvent.__doc__ = (
-        f"EVENT FAULT with the argument {argument:g}, idle and running, and no fault in the heartbeat."
-    )
     return FaultyEvent
 
 
@@ -293,13 +279,14 @@ for _name, _argument in (("inf", inf), ("nan", nan), ("1e20", 1e20), ("negative"
 
 
 def _fits(detail: float) -> type[Device]:
+    """STREAM_SET of samples is refused with DOES_NOT_FIT and this detail."""
+
     class DoesNotFit(Device):
         def stream_set(self, message: Message, peer: Peer) -> bytes:
             if message.payload[1] == PWM:
                 raise Refusal(Code.DOES_NOT_FIT, detail)
             return super().stream_set(message, peer)
 
-    DoesNotFit.__doc__ = f"STREAM_SET of samples is refused with DOES_NOT_FIT, detail {detail:g}."
     return DoesNotFit
 
 
@@ -308,6 +295,8 @@ for _name, _argument in (("nan", nan), ("inf", inf), ("negative", -3.5)):
 
 
 def _value_of(name: str, value: float) -> type[Device]:
+    """A parameter that has this value."""
+
     class ValueOf(Device):
         def boot(self) -> None:
             super().boot()
@@ -315,22 +304,23 @@ def _value_of(name: str, value: float) -> type[Device]:
                 if row.name == name:
                     self.values[row.id] = value
 
-    ValueOf.__doc__ = f"The parameter {name} is {value:g}."
     return ValueOf
 
 
 for _name, _argument in (("zero", 0.0), ("nan", nan), ("inf", inf), ("negative", -4.0)):
     fault(f"n-p-{_name}")(_value_of("n_p", _argument))
+fault("wrong-pole-pairs")(_value_of("n_p", 2.0 * FULL.pole_pairs))  # by which the angle of the encoder is made
 fault("i-max-nan")(_value_of("i_max", nan))
 fault("watchdog-nan")(_value_of("watchdog", nan))
 
 
 def _hello(**fields: Any) -> type[Device]:
+    """HELLO says something else."""
+
     class OddHello(Device):
         def hello_fields(self, rx_max: int) -> dict[str, Any]:
             return super().hello_fields(rx_max) | fields
 
-    OddHello.__doc__ = f"HELLO says {', '.join(f'{name} {value}' for name, value in fields.items())}."
     return OddHello
 
 
@@ -339,6 +329,7 @@ fault("tick-hz-zero")(_hello(tick_hz=0))
 fault("tick-hz-odd")(_hello(tick_hz=1_000_001))
 fault("role-7")(_hello(role=7))
 fault("nodes-zero")(_hello(nodes=0))
+fault("nodes-absent")(_hello(nodes=255))  # only one is there
 fault("tx-max-zero")(_hello(tx_max=0))
 
 
@@ -375,14 +366,6 @@ class Nodes255(Device):
         for self.node in range(1, 256):
             super().heartbeat()
         self.node = 1
-
-
-@fault("nodes-absent")
-class NodesAbsent(Device):
-    """HELLO says 255 nodes, and only one is there."""
-
-    def hello_fields(self, rx_max: int) -> dict[str, Any]:
-        return super().hello_fields(rx_max) | {"nodes": 255}
 
 
 # -- the descriptor ---------------------------------------------------------------------------------------------------
@@ -462,7 +445,7 @@ class BadUtf8(Device):
 
     def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
         first, *rest = vocabulary.channels
-        channels = (replace(first, name=b"\xff\xfe" + text16(first.name)[:6]), *rest)
+        channels = (replace(first, name=b"\xff\xfe" + encoded(first.name)[:6]), *rest)
         own = replace(vocabulary, name=b"dr\xc3ive \xff", firmware=b"\x80", serial=b"\xff" * 24, build=b"\xe2\x82")
         super().__init__(replace(own, channels=channels), **options)
 
