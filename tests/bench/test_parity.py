@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect import Bench, feed
+from collect import Bench
 from virtual_run import WatchedLink, simulated
 
 from bench.live.summary import RunStatistics
@@ -115,13 +115,6 @@ def test_live_on_the_host_no_sample_differs(told: Told) -> None:
     assert told.live.samples_seen == len(told.recorded.samples)
     assert told.live.edges_seen == len(told.recorded.edges)
     assert (told.live.host_compared, told.live.host_differ) == (len(told.recorded.samples) - started(told), 0)
-
-
-def test_from_the_recording_no_sample_differs_in_chunks(told: Told) -> None:
-    info, samples = told.recorded.info, told.recorded.samples
-    cuts = np.sort(np.random.default_rng(1).choice(len(samples), 200, replace=False))
-    observers = HostObservers(info.parameters, samples.config)
-    assert feed(observers, samples, told.recorded.edges, cuts) == (len(samples) - started(told), 0)
 
 
 def test_from_the_recording_in_one_piece_each_observer_gives_the_drives_counts(told: Told) -> None:

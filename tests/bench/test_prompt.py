@@ -96,7 +96,7 @@ def on_terminal(
 
 def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
     """Run `bench live` on a terminal and answer its question."""
-    options = ["--speed", "300", "--duration", "0.5", "--viewer", "none"]
+    options = ["--speed", "-300", "--duration", "0.5", "--viewer", "none"]
     return on_terminal(["live", drive.port.target, *options], b"[y/N]", reply)
 
 

@@ -298,40 +298,6 @@ def test_a_physical_bench_is_not_energised_where_nobody_can_be_asked(what: dict[
         link.read(0.0)
 
 
-def test_a_physical_drive_is_not_energised_against_a_no_and_the_question_says_what_is_at_stake() -> None:
-    link = WatchedLink(physical())
-    asked: list[str] = []
-
-    def no(question: str) -> bool:
-        asked.append(question)
-        return False
-
-    with pytest.raises(UnsafeError, match="not confirmed"):
-        run(link, confirm=no, speed_rpm=-750.0)
-    assert never_armed(link)
-    (question,) = asked
-    i_max = link.device.drive.app.get_param("i_max")
-    for part in ("simulated drive", f"{link.device.drive.identity.boot_id:08x}", "serial:/dev/ttyTEST", "750 r/min",
-                 f"{i_max:g} A", "clear?"):  # fmt: skip
-        assert part in question
-
-
-@pytest.mark.parametrize("how", [{"confirm": lambda question: True}, {"yes": True}])
-def test_a_physical_drive_turns_after_a_yes(how: dict[str, object]) -> None:
-    link = WatchedLink(physical())
-    assert run(link, **how).exit_code == 0  # type: ignore[arg-type]
-    assert DriveState.RUNNING in link.states
-    assert at_rest(link.device)
-
-
-def test_watching_a_physical_drive_needs_no_yes_and_arms_nothing() -> None:
-    link = WatchedLink(physical())
-    ended = run(link, speed_rpm=None, duration=1.0)
-    assert ended.exit_code == 0
-    assert ended.summary.samples > 15000
-    assert never_armed(link)
-
-
 class TripsAtStop(WatchedLink):
     """A virtual link whose drive has an overcurrent at the moment in which STOP is on its way."""
 
