@@ -21,10 +21,6 @@ from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.ports.device import SimulatedDevice
 
 
-def handled(number: signal.Signals) -> object:
-    return signal.getsignal(number)
-
-
 # -- signals ----------------------------------------------------------------------------------------------------
 
 
@@ -41,9 +37,10 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
     off = len(states) - states[::-1].index(DriveState.RUNNING)
     points = {*range(1, len(states), 7), *range(armed - 4, on + 9), *range(off - 2, len(states))}
     assert armed < on < off < len(states)
-    before = [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    kinds = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    before = [signal.getsignal(kind) for kind in kinds]
     for number, point in enumerate(sorted(points)):
-        kind = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)[number % 3]
+        kind = kinds[number % 3]
         link = WatchedLink(simulated(), raising(kind, point))
         try:
             ended = run(link, load_a=1.0, duration=0.1)
@@ -53,7 +50,7 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
             assert (ended.exit_code, ended.summary.result) == (128 + kind, f"ended by {kind.name}"), point
         assert at_rest(link.device), (point, link.states[-1])
         assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
-    assert [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert [signal.getsignal(kind) for kind in kinds] == before
 
 
 def test_signals_in_a_burst_end_with_the_outputs_off() -> None:

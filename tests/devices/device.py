@@ -13,11 +13,13 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite, nan
-from typing import Any, Protocol
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
+from tests.devices.can_carriers import CanCarrier
+from tests.devices.carriers import ByteCarrier
 from tests.devices.motor import U_DC, Motor, Samples, edges_between, hall_code
 from tests.devices.spec import (
     ERROR,
@@ -70,33 +72,6 @@ class Peer:
         """Request, its reply, and the transfer id with which that went (on CAN)."""
 
 
-class Carrier(Protocol):
-    """What carries messages: a pty or TCP (`carriers`), or a CAN bus (`can_carriers`)."""
-
-    target: str
-    """What `bench` connects to."""
-    bad: int
-    """Damaged frames."""
-
-    def wait(self, seconds: float) -> None:
-        """Until there is something to read, or so long."""
-
-    def receive(self) -> list[tuple[Message, int]]:
-        """The messages that have come, with the number of the host."""
-
-    def close(self) -> None:
-        """Done."""
-
-    def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
-        """Send; returns its transfer id, for sending it again."""
-
-    def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
-        """Fill in block, load and slot. Raises Refusal(DOES_NOT_FIT)."""
-
-    def emit(self, stream: Stream, records: list[tuple[int, int, bytes]], node: int) -> int:
-        """Send up to a block of records; returns how many frames found no room."""
-
-
 class Device:
     """Node `node` of a link.
 
@@ -117,11 +92,11 @@ class Device:
         watchdog: float = WATCHDOG,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.vocabulary = vocabulary
+        self.vocabulary = self.words(vocabulary)
         self.after = after
         self.pwm_hz = pwm_hz
         self.watchdog = watchdog
-        self.carrier: Carrier
+        self.carrier: ByteCarrier | CanCarrier
         self.link: Any = None  # in virtual time
         self.seen: Counter[str] = Counter()
         self.stops: list[float] = []
@@ -179,6 +154,10 @@ class Device:
     def value(self, name: str, otherwise: float = nan) -> float:
         """A parameter by name."""
         return next((self.values[row.id] for row in self.vocabulary.parameters if row.name == name), otherwise)
+
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
+        """What it says instead of `vocabulary`, for faults."""
+        return vocabulary
 
     def descriptor(self) -> bytes:
         return self.vocabulary.descriptor()

@@ -181,22 +181,20 @@ class HeartbeatsStop(Device):
             super().heartbeat()
 
 
-@fault("tid-zero")
-class TidZero(Device):
-    """Replies have the tid 0."""
+def _answers_with(tid: Callable[[int], int]) -> type[Device]:
+    """Replies, but those to HELLO, have another tid than their request."""
 
-    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
-        tid = answer.tid if request.type == Type.HELLO else 0
-        super().answer(request, answer._replace(tid=tid), peer, keeps)
+    class OtherTid(Device):
+        def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
+            if request.type != Type.HELLO:
+                answer = answer._replace(tid=tid(answer.tid))
+            super().answer(request, answer, peer, keeps)
+
+    return OtherTid
 
 
-@fault("tid-other")
-class TidOther(Device):
-    """Replies have another tid than their request."""
-
-    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
-        tid = answer.tid if request.type == Type.HELLO else answer.tid % 0xFFFF + 1
-        super().answer(request, answer._replace(tid=tid), peer, keeps)
+fault("tid-zero")(_answers_with(lambda tid: 0))
+fault("tid-other")(_answers_with(lambda tid: tid % 0xFFFF + 1))
 
 
 # -- a motor that cannot be right ---------------------------------------------------------------------------------
@@ -338,12 +336,13 @@ class State9(Device):
     """The state in HELLO and heartbeats is 9 while it is IDLE."""
 
     def hello_fields(self, rx_max: int) -> dict[str, Any]:
-        fields = super().hello_fields(rx_max)
-        return fields | {"state": 9 if self.state == State.IDLE else self.state}
+        return self._odd(super().hello_fields(rx_max))
 
     def heartbeat_fields(self) -> dict[str, Any]:
-        fields = super().heartbeat_fields()
-        return fields | {"state": 9 if self.state == State.IDLE else self.state}
+        return self._odd(super().heartbeat_fields())
+
+    def _odd(self, fields: dict[str, Any]) -> dict[str, Any]:
+        return fields | {"state": 9} if self.state == State.IDLE else fields
 
 
 @fault("nodes-255")
@@ -375,20 +374,20 @@ class Nodes255(Device):
 class NoChannels(Device):
     """The descriptor has parameters only."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
-        super().__init__(replace(vocabulary, channels=()), **options)
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
+        return replace(vocabulary, channels=())
 
 
 @fault("channels-600")
 class Channels600(Device):
     """600 channels of a byte."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         rows = (
             Channel(number, f"c{number}", Raw.U8, Unit.NONE, Flag.NONE, 1.0, lambda s: s.index % 256)
             for number in range(1, 601)
         )
-        super().__init__(replace(vocabulary, channels=tuple(rows)), **options)
+        return replace(vocabulary, channels=tuple(rows))
 
 
 @fault("descriptor-endless")
@@ -421,16 +420,15 @@ class ControlCharacters(Device):
 
     beats = 0
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         names = (TITLE, CLEAR, OVERRIDE, "two\nlines", "a\x9b31mred", "b\rc")
         kept, last = vocabulary.channels[: -len(names)], vocabulary.channels[-len(names) :]
         channels = (*kept, *(replace(row, name=name) for row, name in zip(last, names, strict=False)))
         parameters = (*vocabulary.parameters, replace(vocabulary.parameters[0], id=900, name=CLEAR))
-        own = replace(
+        return replace(
             vocabulary, name=TITLE + "!", firmware=CLEAR + "1.0", serial=OVERRIDE, build="2\n" + TITLE,
             channels=channels, parameters=parameters,
         )  # fmt: skip
-        super().__init__(own, **options)
 
     def heartbeat(self) -> None:
         super().heartbeat()
@@ -443,11 +441,11 @@ class ControlCharacters(Device):
 class BadUtf8(Device):
     """Names that are no UTF-8."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         first, *rest = vocabulary.channels
         channels = (replace(first, name=b"\xff\xfe" + encoded(first.name)[:6]), *rest)
         own = replace(vocabulary, name=b"dr\xc3ive \xff", firmware=b"\x80", serial=b"\xff" * 24, build=b"\xe2\x82")
-        super().__init__(replace(own, channels=channels), **options)
+        return replace(own, channels=channels)
 
     def heartbeat(self) -> None:
         super().heartbeat()
@@ -473,9 +471,9 @@ class LogFlood(Device):
 class NanSamples(Device):
     """Every f32 channel is NaN."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         channels = (
             replace(row, values=lambda s: np.full(len(s.index), nan)) if row.raw == Raw.F32 else row
             for row in vocabulary.channels
         )
-        super().__init__(replace(vocabulary, channels=tuple(channels)), **options)
+        return replace(vocabulary, channels=tuple(channels))
