@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ class Motor:
     without: tuple[str, ...] = ()
     """Channels that are not recorded."""
     seed: int = 1
+    parameters: dict[str, float] = field(default_factory=dict)
 
     def but(self, **changed: object) -> Motor:
         return replace(self, **changed)  # type: ignore[arg-type]
@@ -79,7 +80,8 @@ def capture(motor: Motor) -> Capture:
         edges, edge_tick, codes[:-1].astype(np.uint8), codes[1:].astype(np.uint8), np.zeros(n, np.bool_),
         np.zeros(n, np.uint16), np.arange(n, dtype=np.int64), (),
     )  # fmt: skip
-    return Capture(samples, chunk, {"n_p": float(motor.n_p), "R_s_hat": R_S, "L_s_hat": L_S})
+    parameters = {"n_p": float(motor.n_p), "R_s_hat": R_S, "L_s_hat": L_S} | motor.parameters
+    return Capture(samples, chunk, parameters)
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:

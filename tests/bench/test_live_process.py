@@ -78,18 +78,6 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     sim.line(r"outputs off: STOP \(node 1")
 
 
-def test_ctrl_c_ends_in_stop(start: Start, start_sim: StartSim) -> None:
-    sim = start_sim("--pty", *PATIENT)
-    live = start("live", sim.target, *SPIN, "--load", "1")
-    live.line(TURNING)
-    live.send(signal.SIGINT)
-    sim.line(r"outputs off: STOP \(node 1")
-    sim.line(r"outputs off: STOP \(node 2")
-    assert live.end() == 130
-    assert json.loads("\n".join(live.out))["result"] == "ended by SIGINT"
-    assert not any("Traceback" in line for line in live.err)
-
-
 @pytest.fixture(params=["a limit on files", "a full disk"])
 def small_place(
     request: pytest.FixtureRequest, tmp_path: Path

@@ -20,7 +20,6 @@ from protocol.links import Link
 from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.ports.device import SimulatedDevice
 
-
 # -- signals ----------------------------------------------------------------------------------------------------
 
 
