@@ -9,6 +9,7 @@ import numpy as np
 from bench.analysis.chunks import join, part
 from bench.device.client import Client, Sink
 from bench.device.node import DRIVE, LOAD, Node
+from bench.rerunio.schema import RunInfo
 from bench.rig.streams import configure
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat
@@ -89,6 +90,11 @@ class Bench:
         config = configure(self.drive, [self.drive.channels(names)], decimation, slower=True)
         self.drive.start_streams()
         return config.decimation
+
+    def info(self, names: tuple[str, ...] | None = None) -> RunInfo:
+        """What a recording of these channels of the drive begins with."""
+        hello, channels = self.hello, self.drive.channels(names)
+        return RunInfo(hello.tick_hz, hello.pwm_hz, channels, self.drive.parameters(), node=hello.node)
 
     def rest(self) -> None:
         """Leave both machines as the next host expects to find them."""

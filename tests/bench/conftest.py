@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -13,29 +14,15 @@ from recorded import record_drive
 @pytest.fixture
 def start() -> Iterator[Callable[..., Program]]:
     """Start `python -m bench …`; killed at the end of the test."""
-    started: list[Program] = []
-
-    def run(*arguments: str, **options: object) -> Program:
-        started.append(Program("bench", *arguments, **options))  # type: ignore[arg-type]
-        return started[-1]
-
-    yield run
-    for program in started:
-        program.close()
+    with ExitStack() as started:
+        yield lambda *arguments, **options: started.enter_context(closing(Program("bench", *arguments, **options)))
 
 
 @pytest.fixture
 def start_sim() -> Iterator[Callable[..., Sim]]:
     """Start `bench sim …`; killed at the end of the test."""
-    started: list[Sim] = []
-
-    def run(*arguments: str) -> Sim:
-        started.append(Sim(*arguments))
-        return started[-1]
-
-    yield run
-    for program in started:
-        program.close()
+    with ExitStack() as started:
+        yield lambda *arguments: started.enter_context(closing(Sim(*arguments)))
 
 
 @pytest.fixture(scope="session")

@@ -26,15 +26,7 @@ def record_drive(path: Path) -> None:
     """Start-up, a speed step, a load step and a reversal, with a note, a mark and a summary: 2.2 s."""
     bench = Bench(WatchedLink(simulated(seed=5)))
     drive, load, client = bench.drive, bench.load, bench.client
-    info = RunInfo(
-        tick_hz=bench.hello.tick_hz,
-        pwm_hz=bench.hello.pwm_hz,
-        channels=drive.channels(None),
-        parameters=drive.parameters(),
-        identity={"target": "virtual:"},
-        node=bench.hello.node,
-    )
-    sink = FileSink(path, info, wait=True)
+    sink = FileSink(path, bench.info(), wait=True)
     client.sinks = [sink]
     bench.stream()
     client.run_for(0.2)

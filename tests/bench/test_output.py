@@ -18,8 +18,8 @@ from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
 from bench.cli.streams import echo, standard_streams
-from bench.errors import BenchError, RecordingError
-from bench.files import check_output, write
+from bench.errors import BenchError
+from bench.files import write
 
 Ran = tuple[int, str, str]
 
@@ -72,13 +72,19 @@ BAD_PLACES = {
 
 
 @pytest.fixture
-def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The present directory, with what `BAD_PLACES` needs."""
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The present directory, an empty one."""
     monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def places(here: Path) -> Iterator[Path]:
+    """The present directory, with what `BAD_PLACES` needs."""
     Path("run.rrd").write_text("precious")
     Path("loop").symlink_to("loop")
     Path("closed").mkdir(0o000)
-    yield tmp_path
+    yield here
     Path("closed").chmod(0o700)
 
 
@@ -167,18 +173,6 @@ def test_a_file_is_written_whole_or_not_at_all(places: Path, monkeypatch: pytest
     assert not [path for path in places.iterdir() if path.name.endswith(".part")]
 
 
-def test_the_check_changes_nothing_and_lets_devices_be(places: Path) -> None:
-    check_output(Path("new"), "new", False)
-    check_output(Path("run.rrd"), "run.rrd", True)
-    check_output(Path("/dev/null"), "/dev/null", False)
-    with pytest.raises(BenchError, match="exists"):
-        check_output(Path("/dev/null"), "/dev/null", False, recording=True)
-    with pytest.raises(RecordingError):
-        check_output(Path("missing/x"), "x", False, recording=True)
-    assert not Path("new").exists()
-    assert Path("run.rrd").read_text() == "precious"
-
-
 # -- files: JSON ---------------------------------------------------------------------------------------------------
 
 
@@ -197,14 +191,13 @@ def with_json(run: Path) -> dict[str, tuple[str, ...]]:
 
 
 def test_json_goes_to_standard_output_alone_or_to_a_file(
-    bench: Callable[..., Ran], drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Callable[..., Ran], drive_run: Path, here: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     for name, arguments in with_json(drive_run).items():
         code, out, _ = bench(*arguments, "--json")
         assert isinstance(json.loads(out), dict | list), name
         assert not Path("-").exists()
-        file = tmp_path / f"{name}.json"
+        file = here / f"{name}.json"
         same, table, _ = bench(*arguments, "--json", str(file))
         assert same == code, name
         assert type(json.loads(file.read_text())) is type(json.loads(out)), name
@@ -222,9 +215,10 @@ def test_json_does_not_swallow_an_argument(bench: Callable[..., Ran], taken: str
     assert err.startswith(f"error: --json takes {taken} as the file to write: put it last, or give --json=-")
 
 
-def test_only_text_goes_to_standard_output(bench: Callable[..., Ran], places: Path) -> None:
+def test_only_text_goes_to_a_stream(bench: Callable[..., Ran], places: Path) -> None:
     for arguments, says in (
         (("live", "serial:x", "--save", "-"), "--save -: a recording needs a file"),
+        (("live", "serial:x", "--save", "/dev/null"), "--save /dev/null exists"),
         (("replay", "run.rrd", "--out", "-"), "--out -: a recording needs a file"),
         (("accept", "sim", "--junit", "-"), "--junit -: only --json goes to standard output"),
         (("score", "run.rrd", "--json", "--csv", "-"), "--json and --csv are the same file, -"),
@@ -261,9 +255,8 @@ def stdout_is(stream: TextIO) -> Iterator[None]:
 
 
 def test_standard_output_on_a_full_device_is_told_and_a_reader_that_has_gone_ends_as_sigpipe_does(
-    bench: Callable[..., Ran], drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Callable[..., Ran], drive_run: Path, here: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     for arguments in printing(drive_run):
         with stdout_is(open("/dev/full", "w")):
             code, _, err = bench(*arguments)
@@ -280,13 +273,12 @@ def test_standard_output_on_a_full_device_is_told_and_a_reader_that_has_gone_end
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_a_terminal_without_the_characters_gets_others(
-    bench: Callable[..., Ran], drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
+    bench: Callable[..., Ran], drive_run: Path, here: Path, encoding: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     shown = ""
     for arguments in printing(drive_run):
         expected, utf8, _ = bench(*arguments)
-        file = tmp_path / "shown"
+        file = here / "shown"
         with stdout_is(file.open("w", encoding=encoding)):
             code, _, err = bench(*arguments)
         assert "unexpected" not in err, arguments

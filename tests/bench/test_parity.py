@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect import Bench, feed
+from collect import Bench
 from virtual_run import WatchedLink, simulated
 
 from bench.live.summary import RunStatistics
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, raw_counts
 from bench.rerunio.recording import Run, read_run
-from bench.rerunio.schema import RunInfo
 from bench.rerunio.sinks import FileSink
 from protocol.messages import Fault
 from protocol.signals import AngleSource, Status
@@ -50,17 +49,14 @@ def go(source: AngleSource, compensation: int, path: Path) -> tuple[RunStatistic
         held.append((live.samples_seen, omega_m))
 
     bench = Bench(WatchedLink(simulated(seed=3)))
-    drive, load, client, hello = bench.drive, bench.load, bench.client, bench.hello
+    drive, load, client = bench.drive, bench.load, bench.client
     for name, value in (("observer", source), ("load_angle_comp", compensation), ("k_pc", 0.01 * compensation)):
         drive.set(name, value)
     for sector, delta in enumerate(TABLE_I, 1):
         for way in ("up", "down"):
             drive.set(f"edge_{way}_{sector}", math.radians(delta))
-    parameters, channels = drive.parameters(), drive.channels(ESTIMATES)
-    info = RunInfo(
-        tick_hz=hello.tick_hz, pwm_hz=hello.pwm_hz, channels=channels, parameters=parameters, node=hello.node
-    )
-    live = RunStatistics(hello.node, HostObservers(parameters, drive.set_samples(channels, 1)))
+    info = bench.info(ESTIMATES)
+    live = RunStatistics(info.node, HostObservers(info.parameters, drive.set_samples(drive.channels(ESTIMATES), 1)))
     sink = FileSink(path, info, wait=True)
     client.sinks = [sink, live]
     client.run_for(0.01)  # past the drive's first period, which initialises them too
@@ -115,13 +111,6 @@ def test_live_on_the_host_no_sample_differs(told: Told) -> None:
     assert told.live.samples_seen == len(told.recorded.samples)
     assert told.live.edges_seen == len(told.recorded.edges)
     assert (told.live.host_compared, told.live.host_differ) == (len(told.recorded.samples) - started(told), 0)
-
-
-def test_from_the_recording_no_sample_differs_in_chunks(told: Told) -> None:
-    info, samples = told.recorded.info, told.recorded.samples
-    cuts = np.sort(np.random.default_rng(1).choice(len(samples), 200, replace=False))
-    observers = HostObservers(info.parameters, samples.config)
-    assert feed(observers, samples, told.recorded.edges, cuts) == (len(samples) - started(told), 0)
 
 
 def test_from_the_recording_in_one_piece_each_observer_gives_the_drives_counts(told: Told) -> None:

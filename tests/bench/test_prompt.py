@@ -11,18 +11,18 @@ import select
 import subprocess
 import sys
 import termios
-import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 
 import pytest
 from processes import ENVIRONMENT, LIMIT
+from virtual_bus import in_real_time
 from virtual_run import physical
 
 from protocol.messages import DriveState
 from sim.ports.byte_ports import PtyPort
 from sim.ports.device import SimulatedDevice
-from sim.ports.server import STEP, Server
 
 
 class PhysicalDrive:
@@ -34,27 +34,16 @@ class PhysicalDrive:
             app.set_param("watchdog", 1.0)
         self.port = PtyPort()
         self.states: set[DriveState] = set()
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        server = Server(self.device, self.port, time.monotonic())
-        while not self._end.wait(STEP):
-            server.step(time.monotonic())
-            self.states.add(self.device.drive.state)
-
-    def close(self) -> None:
-        self._end.set()
-        self._thread.join()
-        self.port.close()
+        with ExitStack() as stack:
+            stack.enter_context(closing(self.port))
+            stack.enter_context(in_real_time(self.device, self.port, lambda: self.states.add(self.device.drive.state)))
+            self.close = stack.pop_all().close
 
 
 @pytest.fixture
 def drive() -> Iterator[PhysicalDrive]:
-    drive = PhysicalDrive()
-    yield drive
-    drive.close()
+    with closing(PhysicalDrive()) as drive:
+        yield drive
 
 
 def on_terminal(
@@ -96,7 +85,7 @@ def on_terminal(
 
 def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
     """Run `bench live` on a terminal and answer its question."""
-    options = ["--speed", "300", "--duration", "0.5", "--viewer", "none"]
+    options = ["--speed", "-300", "--duration", "0.5", "--viewer", "none"]
     return on_terminal(["live", drive.port.target, *options], b"[y/N]", reply)
 
 

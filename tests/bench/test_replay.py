@@ -17,9 +17,8 @@ from bench.observers.estimators import Estimators, raw_counts
 from bench.observers.replay import replay
 from bench.rerunio.recording import Run, read_run
 from bench.rerunio.sinks import FileSink
-from protocol.signals import Flag, Status
+from protocol.signals import Status
 from protocol.streams import Gap
-from sim.observers.catalogue import CATALOGUE
 
 
 @pytest.fixture(scope="module")
@@ -70,23 +69,6 @@ def test_all_that_was_recorded_is_still_there(run: Run, replayed: Run) -> None:
     assert replayed.info.parameters == run.info.parameters
     assert replayed.info.started == run.info.started
     assert replayed.info.recording_id != run.info.recording_id
-
-
-def test_the_dashboard_shows_the_hosts_estimates(replayed: Run) -> None:
-    assert {f"theta_{entry.short}_host" for entry in CATALOGUE.values()} <= set(replayed.info.position_estimates)
-    assert {f"omega_{entry.short}_host" for entry in CATALOGUE.values()} <= set(replayed.info.speeds)
-    wraps = {c.name for c in replayed.info.channels if c.flags & Flag.WRAPS}
-    assert "theta_vt_host" in wraps
-    assert "omega_vt_host" not in wraps
-
-
-def test_another_gain_changes_the_estimate_and_no_other(drive_run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "slow.rrd"
-    replay(drive_run, ("vt", "average_speed"), {"k_p": 600.0, "k_i": 9000.0}, out)
-    raw = read_run(out).samples.raw
-    assert np.array_equal(raw["theta_avg"], raw["theta_avg_host"])
-    assert np.mean(raw["theta_vt"] != raw["theta_vt_host"]) > 0.5
-    assert "theta_la_host" not in raw.dtype.names
 
 
 @pytest.mark.parametrize("lost", ["samples", "edges"])

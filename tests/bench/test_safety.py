@@ -20,11 +20,6 @@ from protocol.links import Link
 from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.ports.device import SimulatedDevice
 
-
-def handled(number: signal.Signals) -> object:
-    return signal.getsignal(number)
-
-
 # -- signals ----------------------------------------------------------------------------------------------------
 
 
@@ -41,9 +36,10 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
     off = len(states) - states[::-1].index(DriveState.RUNNING)
     points = {*range(1, len(states), 7), *range(armed - 4, on + 9), *range(off - 2, len(states))}
     assert armed < on < off < len(states)
-    before = [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    kinds = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    before = [signal.getsignal(kind) for kind in kinds]
     for number, point in enumerate(sorted(points)):
-        kind = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)[number % 3]
+        kind = kinds[number % 3]
         link = WatchedLink(simulated(), raising(kind, point))
         try:
             ended = run(link, load_a=1.0, duration=0.1)
@@ -53,7 +49,7 @@ def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
             assert (ended.exit_code, ended.summary.result) == (128 + kind, f"ended by {kind.name}"), point
         assert at_rest(link.device), (point, link.states[-1])
         assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
-    assert [handled(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert [signal.getsignal(kind) for kind in kinds] == before
 
 
 def test_signals_in_a_burst_end_with_the_outputs_off() -> None:
@@ -299,40 +295,6 @@ def test_a_physical_bench_is_not_energised_where_nobody_can_be_asked(what: dict[
     assert never_armed(link)
     with pytest.raises(LinkClosed):
         link.read(0.0)
-
-
-def test_a_physical_drive_is_not_energised_against_a_no_and_the_question_says_what_is_at_stake() -> None:
-    link = WatchedLink(physical())
-    asked: list[str] = []
-
-    def no(question: str) -> bool:
-        asked.append(question)
-        return False
-
-    with pytest.raises(UnsafeError, match="not confirmed"):
-        run(link, confirm=no, speed_rpm=-750.0)
-    assert never_armed(link)
-    (question,) = asked
-    i_max = link.device.drive.app.get_param("i_max")
-    for part in ("simulated drive", f"{link.device.drive.identity.boot_id:08x}", "serial:/dev/ttyTEST", "750 r/min",
-                 f"{i_max:g} A", "clear?"):  # fmt: skip
-        assert part in question
-
-
-@pytest.mark.parametrize("how", [{"confirm": lambda question: True}, {"yes": True}])
-def test_a_physical_drive_turns_after_a_yes(how: dict[str, object]) -> None:
-    link = WatchedLink(physical())
-    assert run(link, **how).exit_code == 0  # type: ignore[arg-type]
-    assert DriveState.RUNNING in link.states
-    assert at_rest(link.device)
-
-
-def test_watching_a_physical_drive_needs_no_yes_and_arms_nothing() -> None:
-    link = WatchedLink(physical())
-    ended = run(link, speed_rpm=None, duration=1.0)
-    assert ended.exit_code == 0
-    assert ended.summary.samples > 15000
-    assert never_armed(link)
 
 
 class TripsAtStop(WatchedLink):

@@ -26,14 +26,6 @@ def test_a_sawtooth_has_its_figures() -> None:
     assert figures["p99"] == pytest.approx(32.0 - 0.6, abs=1e-3)  # beyond 28 only one side is there: 1 % is 0.6
 
 
-def test_a_constant_has_no_spread() -> None:
-    assert error_figures(np.full(7, -0.5)) == {"n": 7, "bias": -0.5, "std": 0.0, "rms": 0.5, "max": 0.5, "p99": 0.5}
-
-
-def test_no_samples_have_no_figures() -> None:
-    assert set(error_figures(np.empty(0)).values()) == {0, None}
-
-
 @pytest.mark.parametrize("tau", [50e-6, -120e-6, 0.0])
 def test_an_angle_that_is_late_errs_in_proportion_to_the_speed(tau: float) -> None:
     rng = np.random.default_rng(1)

@@ -8,7 +8,7 @@ import pytest
 from bench.analysis.percentiles import Percentiles
 from bench.analysis.position import Moments, wrap
 from bench.device.counters import DeviceCounters
-from protocol.messages import DriveState, Fault, Heartbeat
+from tests.bench.rerunio.synthetic import heartbeat
 
 
 def test_moments_merged_in_chunks_are_those_of_the_whole() -> None:
@@ -52,27 +52,10 @@ def test_wrap_covers_the_half_open_turn() -> None:
     )
 
 
-def heartbeat(boot_id: int, dropped: int, bad: int = 0, rejected: int = 0) -> Heartbeat:
-    return Heartbeat(
-        tick=0,
-        boot_id=boot_id,
-        faults=Fault(0),
-        first_fault=Fault(0),
-        tx_dropped=dropped,
-        rx_bad=bad,
-        setpoint_counter=0,
-        setpoints_rejected=rejected,
-        last_tid=0,
-        watchdog_ms=0xFFFF,
-        state=DriveState.IDLE,
-        outputs_on=False,
-    )
-
-
 def test_a_devices_counts_are_those_since_the_first_heartbeat_and_go_on_over_a_reboot() -> None:
     device = DeviceCounters()
     assert not device.seen
-    for beat in (heartbeat(1, 900, 5), heartbeat(1, 900, 6), heartbeat(1, 912, 6), heartbeat(2, 3, 0, 1)):
-        device.add(beat)
+    for boot_id, dropped, bad, rejected in ((1, 900, 5, 0), (1, 900, 6, 0), (1, 912, 6, 0), (2, 3, 0, 1)):
+        device.add(heartbeat(0, boot_id=boot_id, tx_dropped=dropped, rx_bad=bad, setpoints_rejected=rejected))
     assert device.seen
     assert device.risen == {"tx_dropped": 12 + 3, "rx_bad": 1, "setpoints_rejected": 1}

@@ -1,11 +1,11 @@
-"""The simulated bench on python-can's virtual bus, which several hosts of this process can join."""
+"""The simulated bench in real time in a thread; on python-can's virtual bus several hosts of this process can join."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 
 import can
 
@@ -13,6 +13,7 @@ from protocol.canmap.frame import BusRates
 from protocol.links.can_message import to_messages, to_record
 from protocol.links.target import CanTarget
 from sim.config.params import load_params
+from sim.ports.byte_ports import Port
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 from sim.ports.server import STEP, Server
@@ -38,28 +39,40 @@ class VirtualPort:
             self.bus.send(message)
         return len(data)
 
+    def close(self) -> None:
+        self.bus.shutdown()
+
 
 @contextmanager
-def on_virtual_bus(channel: str, rates: BusRates = CLASSIC, extended: bool = False) -> Iterator[str]:
-    """Run it in real time in a thread, with a watchdog of 1 s; gives its target string."""
-    device = SimulatedDevice(load_params(None, PATIENT), network=CanNetwork(rates, extended))
-    device.advance(32)  # compiles, or loads what was compiled
-    port = VirtualPort(channel)
+def in_real_time(
+    device: SimulatedDevice, port: Port | VirtualPort, after_step: Callable[[], None] = lambda: None
+) -> Iterator[None]:
+    """Serve the device at the port."""
     server = Server(device, port, time.monotonic())  # type: ignore[arg-type]
     stop = threading.Event()
 
     def run() -> None:
         while not stop.wait(STEP):
             server.step(time.monotonic())
+            after_step()
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    options = [("bitrate", str(rates.bitrate))]
-    if rates.data_bitrate is not None:
-        options += [("fd", "1"), ("data_bitrate", str(rates.data_bitrate))]
     try:
-        yield str(CanTarget("virtual", channel, tuple(options), extended=extended))
+        yield
     finally:
         stop.set()
         thread.join()
-        port.bus.shutdown()
+
+
+@contextmanager
+def on_virtual_bus(channel: str, rates: BusRates = CLASSIC, extended: bool = False) -> Iterator[str]:
+    """Run it with a watchdog of 1 s; gives its target string."""
+    device = SimulatedDevice(load_params(None, PATIENT), network=CanNetwork(rates, extended))
+    device.advance(32)  # compiles, or loads what was compiled
+    port = VirtualPort(channel)
+    options = [("bitrate", str(rates.bitrate))]
+    if rates.data_bitrate is not None:
+        options += [("fd", "1"), ("data_bitrate", str(rates.data_bitrate))]
+    with closing(port), in_real_time(device, port):
+        yield str(CanTarget("virtual", channel, tuple(options), extended=extended))

@@ -11,8 +11,8 @@ In a test, over a pty, TCP or CAN in real time, or in virtual time ("bytes", "CA
         ...  # connect to device.carrier.target
     assert len(device.stops) >= 3  # and device.state, device.outputs_on, device.seen["START"] as they truly are
 
-By hand: `python -m tests.devices --fault stop-ignored` prints `target: serial:/dev/pts/7`; `--list` shows the faults,
-`--vocabulary own` is a drive of six channels and three parameters of its own names, without encoder, edges, currents.
+"own" in the place of "full" is a drive of six channels and three parameters of its own names, without encoder, edges,
+currents.
 """
 
 from tests.devices.faults import FAULTS, build

@@ -171,7 +171,7 @@ class CanCarrier:
         return message, slot if kind == TO_DEVICE else 0
 
     def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
-        """See `device.Carrier`."""
+        """See `ByteCarrier`."""
         kind = message.type
         number = (
             identifier(TO_HOST, message.node, host)
@@ -186,7 +186,7 @@ class CanCarrier:
     # -- streams ------------------------------------------------------------------------------------------------
 
     def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
-        """See `device.Carrier`."""
+        """See `ByteCarrier`."""
         if boot_id != self._boot_id:
             self._boot_id = boot_id
             self._next_slot = {True: boot_id % EDGE_SLOTS, False: boot_id % SAMPLE_SLOTS}
@@ -231,7 +231,7 @@ class CanCarrier:
         return rate * bits / self.bitrate
 
     def emit(self, stream: Stream, records: list[Record], node: int) -> int:
-        """See `device.Carrier`."""
+        """See `ByteCarrier`."""
         index, _, first = records[0]
         if stream.edges:
             data = first[:5] + bytes([index & 0xFF]) + first[6:]

@@ -114,7 +114,10 @@ class ByteCarrier:
         return found
 
     def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
-        """Replies always have room; a heartbeat that waits is replaced; LOG and EVENT are dropped where all is full."""
+        """Send; returns its transfer id, for sending it again on CAN.
+
+        Replies always have room; a heartbeat that waits is replaced; LOG and EVENT are dropped where all is full.
+        """
         frame = encode(message)
         if message.type == Type.HEARTBEAT:
             self._heartbeat = frame
@@ -124,14 +127,14 @@ class ByteCarrier:
         return 0
 
     def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
-        """See `device.Carrier`; what a byte link carries this device does not know: any load."""
+        """Fill in block, load and slot. Raises Refusal(DOES_NOT_FIT). A byte link carries any load."""
         room = stream.tx_max - HEADER.size
         if stream.sample_bytes > room:
             raise Refusal(Code.DOES_NOT_FIT, room)
         stream.block = stream.most_in(room, pwm_hz)
 
     def emit(self, stream: Stream, records: list[Record], node: int) -> int:
-        """See `device.Carrier`."""
+        """Send up to a block of records; returns how many frames found no room."""
         kind, payload = stream.frame(records)
         if len(self._waiting) >= MOST_WAITING:
             return 1
@@ -161,8 +164,7 @@ class Pty(ByteCarrier):
         self._master, self._slave = os.openpty()  # held open, so that a host that leaves is no error
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
-        self.target = f"serial:{self.path}"
+        self.target = f"serial:{os.ttyname(self._slave)}"
 
     def _descriptor(self) -> int:
         return self._master

@@ -13,11 +13,13 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite, nan
-from typing import Any, Protocol
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
+from tests.devices.can_carriers import CanCarrier
+from tests.devices.carriers import ByteCarrier
 from tests.devices.motor import U_DC, Motor, Samples, edges_between, hall_code
 from tests.devices.spec import (
     ERROR,
@@ -37,7 +39,7 @@ from tests.devices.spec import (
     Type,
 )
 from tests.devices.streams import Stream
-from tests.devices.vocabulary import Vocabulary, text16, text24
+from tests.devices.vocabulary import Vocabulary, encoded
 
 TICK_HZ = 1_000_000
 HEARTBEAT_TICKS = TICK_HZ // 10
@@ -51,7 +53,6 @@ MOST_LATE = 5.0  # s of samples that are caught up
 HELLO = struct.Struct("<IIBBHHxxIIIIBBBB16s16s24s24s")
 HEARTBEAT = struct.Struct("<QIIIIIHHHHBBxxI")
 SET = struct.Struct("<BBHHH")
-INFO = struct.Struct("<BBBBHHHHHxxQH")
 LENGTHS = {
     Type.TIME_SYNC: 0, Type.ALIVE: 4, Type.BLOB_READ: 8, Type.PARAM_GET: 4, Type.PARAM_SET: 8, Type.PARAM_COMMIT: 0,
     Type.STATE_CMD: 8, Type.SETPOINT: 12, Type.STREAM_START: 4, Type.STREAM_STOP: 4, Type.STREAM_GET: 4,
@@ -69,33 +70,6 @@ class Peer:
         self.rx_max = 128
         self.kept: deque[tuple[Message, Message, int]] = deque(maxlen=4)
         """Request, its reply, and the transfer id with which that went (on CAN)."""
-
-
-class Carrier(Protocol):
-    """What carries messages: a pty or TCP (`carriers`), or a CAN bus (`can_carriers`)."""
-
-    target: str
-    """What `bench` connects to."""
-    bad: int
-    """Damaged frames."""
-
-    def wait(self, seconds: float) -> None:
-        """Until there is something to read, or so long."""
-
-    def receive(self) -> list[tuple[Message, int]]:
-        """The messages that have come, with the number of the host."""
-
-    def close(self) -> None:
-        """Done."""
-
-    def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
-        """Send; returns its transfer id, for sending it again."""
-
-    def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
-        """Fill in block, load and slot. Raises Refusal(DOES_NOT_FIT)."""
-
-    def emit(self, stream: Stream, records: list[tuple[int, int, bytes]], node: int) -> int:
-        """Send up to a block of records; returns how many frames found no room."""
 
 
 class Device:
@@ -118,15 +92,14 @@ class Device:
         watchdog: float = WATCHDOG,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.vocabulary = vocabulary
+        self.vocabulary = self.words(vocabulary)
         self.after = after
         self.pwm_hz = pwm_hz
         self.watchdog = watchdog
-        self.carrier: Carrier
+        self.carrier: ByteCarrier | CanCarrier
         self.link: Any = None  # in virtual time
         self.seen: Counter[str] = Counter()
         self.stops: list[float] = []
-        self.rx_bad = 0
         self._clock = clock
         self._peers: dict[int, Peer] = {}
         self._answers: dict[int, Callable[[Message, Peer], bytes]] = {
@@ -182,6 +155,10 @@ class Device:
         """A parameter by name."""
         return next((self.values[row.id] for row in self.vocabulary.parameters if row.name == name), otherwise)
 
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
+        """What it says instead of `vocabulary`, for faults."""
+        return vocabulary
+
     def descriptor(self) -> bytes:
         return self.vocabulary.descriptor()
 
@@ -198,7 +175,6 @@ class Device:
             keeps = _kept(message)
             for request, reply, transfer in peer.kept if keeps else ():
                 if request == message:
-                    self.seen["repeated"] += 1
                     self.carrier.send(reply, host, transfer)
                     return
             payload = self.execute(message, peer)
@@ -264,9 +240,9 @@ class Device:
             "boot_id": self.boot_id, "major": MAJOR, "minor": 0, "rx_max": MAX_PAYLOAD,
             "tx_max": min(rx_max, MAX_PAYLOAD), "features": int(self.vocabulary.features),
             "schema_crc": crc32(self.descriptor()), "tick_hz": TICK_HZ, "pwm_hz": self.pwm_hz, "state": self.state,
-            "node": self.node, "role": int(Role.DRIVE), "nodes": 1, "name": text16(self.vocabulary.name),
-            "firmware": text16(self.vocabulary.firmware), "serial": text24(self.vocabulary.serial),
-            "build": text24(self.vocabulary.build),
+            "node": self.node, "role": int(Role.DRIVE), "nodes": 1, "name": encoded(self.vocabulary.name),
+            "firmware": encoded(self.vocabulary.firmware), "serial": encoded(self.vocabulary.serial),
+            "build": encoded(self.vocabulary.build),
         }  # fmt: skip
 
     def time_sync(self, message: Message, peer: Peer) -> bytes:
@@ -474,20 +450,9 @@ class Device:
         if number not in self.streams:
             raise Refusal(Code.UNKNOWN_ID, number)
         s = self.streams[number]
+        told = (number, s.running, s.event, s.slot, s.decimation, s.latency_ms, s.cfg_id, s.sample_bytes, s.block, 0)
         ids = [channel.id for channel in s.channels]
-        return INFO.pack(
-            number,
-            s.running,
-            s.event,
-            s.slot,
-            s.decimation,
-            s.latency_ms,
-            s.cfg_id,
-            s.sample_bytes,
-            s.block,
-            0,
-            len(ids),
-        ) + struct.pack(f"<{len(ids)}H", *ids)
+        return struct.pack(f"<BBBBHHHHHxxQH{len(ids)}H", *told, len(ids), *ids)
 
     def flush(self, stream: Stream, everything: bool = False) -> None:
         """Send what is full or late; edges at once, so that they are ahead of the samples after them."""
@@ -539,7 +504,7 @@ class Device:
         """At the tick of the last sample, because `edges` are those up to it."""
         return {
             "tick": self.sampled, "boot_id": self.boot_id, "faults": int(self.faults),
-            "first_fault": int(self.first_fault), "tx_dropped": self.tx_dropped, "rx_bad": self.rx_bad,
+            "first_fault": int(self.first_fault), "tx_dropped": self.tx_dropped, "rx_bad": self.carrier.bad,
             "setpoint_counter": self.setpoint_counter, "setpoints_rejected": self.rejected & 0xFFFF,
             "last_tid": self.last_tid, "watchdog_ms": self.watchdog_left(), "state": int(self.state),
             "outputs_on": int(self.outputs_on), "edges": self.edges,

@@ -17,7 +17,7 @@ import numpy as np
 from tests.devices.device import UNFED, Device, Peer
 from tests.devices.motor import Samples
 from tests.devices.spec import PWM, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, State, Type, Unit
-from tests.devices.vocabulary import FULL, Channel, Vocabulary, text16
+from tests.devices.vocabulary import FULL, Channel, Vocabulary, encoded
 
 FAULTS: dict[str, type[Device]] = {}
 
@@ -80,11 +80,8 @@ class StopRefused(Device):
 
 
 @fault("stop-unanswered")
-class StopUnanswered(Device):
+class StopUnanswered(StopSaysRunning):
     """STOP is neither obeyed nor answered."""
-
-    def stop(self) -> State:
-        return self.state
 
     def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
         if request.type != Type.STATE_CMD or request.payload[0] != Command.STOP:
@@ -184,22 +181,20 @@ class HeartbeatsStop(Device):
             super().heartbeat()
 
 
-@fault("tid-zero")
-class TidZero(Device):
-    """Replies have the tid 0."""
+def _answers_with(tid: Callable[[int], int]) -> type[Device]:
+    """Replies, but those to HELLO, have another tid than their request."""
 
-    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
-        tid = answer.tid if request.type == Type.HELLO else 0
-        super().answer(request, answer._replace(tid=tid), peer, keeps)
+    class OtherTid(Device):
+        def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
+            if request.type != Type.HELLO:
+                answer = answer._replace(tid=tid(answer.tid))
+            super().answer(request, answer, peer, keeps)
+
+    return OtherTid
 
 
-@fault("tid-other")
-class TidOther(Device):
-    """Replies have another tid than their request."""
-
-    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
-        tid = answer.tid if request.type == Type.HELLO else answer.tid % 0xFFFF + 1
-        super().answer(request, answer._replace(tid=tid), peer, keeps)
+fault("tid-zero")(_answers_with(lambda tid: 0))
+fault("tid-other")(_answers_with(lambda tid: tid % 0xFFFF + 1))
 
 
 # -- a motor that cannot be right ---------------------------------------------------------------------------------
@@ -212,17 +207,6 @@ class DoesNotTurn(Device):
     def moment(self) -> None:
         super().moment()
         self.motor.jammed = True
-
-
-@fault("wrong-pole-pairs")
-class WrongPolePairs(Device):
-    """The parameter n_p is twice that of the motor, and the angle by the encoder is made with it."""
-
-    def boot(self) -> None:
-        super().boot()
-        for row in self.vocabulary.parameters:
-            if row.name == "n_p":
-                self.values[row.id] = 2.0 * self.vocabulary.pole_pairs
 
 
 @fault("estimate-off")
@@ -257,11 +241,12 @@ class Backwards(Device):
 
 
 def _rejects(code: Code) -> type[Device]:
+    """Every setpoint is rejected with this code."""
+
     class Rejects(Device):
         def set_point(self, mode: int, value: float, value2: float) -> None:
             raise Refusal(code, 10)
 
-    Rejects.__doc__ = f"Every setpoint is rejected with {code.name}."
     return Rejects
 
 
@@ -273,6 +258,8 @@ for _code in (Code.OUT_OF_RANGE, Code.WRONG_STATE, Code.BAD_VALUE):
 
 
 def _faulty_event(argument: float) -> type[Device]:
+    """EVENT FAULT with this argument, idle and running, and no fault in the heartbeat."""
+
     class FaultyEvent(Device):
         beats = 0
 
@@ -282,9 +269,6 @@ def _faulty_event(argument: float) -> type[Device]:
             if self.beats % 3 == 0:
                 self.event(Event.FAULT, argument)
 
-    FaultyEvent.__doc__ = (
-        f"EVENT FAULT with the argument {argument:g}, idle and running, and no fault in the heartbeat."
-    )
     return FaultyEvent
 
 
@@ -293,13 +277,14 @@ for _name, _argument in (("inf", inf), ("nan", nan), ("1e20", 1e20), ("negative"
 
 
 def _fits(detail: float) -> type[Device]:
+    """STREAM_SET of samples is refused with DOES_NOT_FIT and this detail."""
+
     class DoesNotFit(Device):
         def stream_set(self, message: Message, peer: Peer) -> bytes:
             if message.payload[1] == PWM:
                 raise Refusal(Code.DOES_NOT_FIT, detail)
             return super().stream_set(message, peer)
 
-    DoesNotFit.__doc__ = f"STREAM_SET of samples is refused with DOES_NOT_FIT, detail {detail:g}."
     return DoesNotFit
 
 
@@ -308,6 +293,8 @@ for _name, _argument in (("nan", nan), ("inf", inf), ("negative", -3.5)):
 
 
 def _value_of(name: str, value: float) -> type[Device]:
+    """A parameter that has this value."""
+
     class ValueOf(Device):
         def boot(self) -> None:
             super().boot()
@@ -315,22 +302,23 @@ def _value_of(name: str, value: float) -> type[Device]:
                 if row.name == name:
                     self.values[row.id] = value
 
-    ValueOf.__doc__ = f"The parameter {name} is {value:g}."
     return ValueOf
 
 
 for _name, _argument in (("zero", 0.0), ("nan", nan), ("inf", inf), ("negative", -4.0)):
     fault(f"n-p-{_name}")(_value_of("n_p", _argument))
+fault("wrong-pole-pairs")(_value_of("n_p", 2.0 * FULL.pole_pairs))  # by which the angle of the encoder is made
 fault("i-max-nan")(_value_of("i_max", nan))
 fault("watchdog-nan")(_value_of("watchdog", nan))
 
 
 def _hello(**fields: Any) -> type[Device]:
+    """HELLO says something else."""
+
     class OddHello(Device):
         def hello_fields(self, rx_max: int) -> dict[str, Any]:
             return super().hello_fields(rx_max) | fields
 
-    OddHello.__doc__ = f"HELLO says {', '.join(f'{name} {value}' for name, value in fields.items())}."
     return OddHello
 
 
@@ -339,6 +327,7 @@ fault("tick-hz-zero")(_hello(tick_hz=0))
 fault("tick-hz-odd")(_hello(tick_hz=1_000_001))
 fault("role-7")(_hello(role=7))
 fault("nodes-zero")(_hello(nodes=0))
+fault("nodes-absent")(_hello(nodes=255))  # only one is there
 fault("tx-max-zero")(_hello(tx_max=0))
 
 
@@ -347,12 +336,13 @@ class State9(Device):
     """The state in HELLO and heartbeats is 9 while it is IDLE."""
 
     def hello_fields(self, rx_max: int) -> dict[str, Any]:
-        fields = super().hello_fields(rx_max)
-        return fields | {"state": 9 if self.state == State.IDLE else self.state}
+        return self._odd(super().hello_fields(rx_max))
 
     def heartbeat_fields(self) -> dict[str, Any]:
-        fields = super().heartbeat_fields()
-        return fields | {"state": 9 if self.state == State.IDLE else self.state}
+        return self._odd(super().heartbeat_fields())
+
+    def _odd(self, fields: dict[str, Any]) -> dict[str, Any]:
+        return fields | {"state": 9} if self.state == State.IDLE else fields
 
 
 @fault("nodes-255")
@@ -377,14 +367,6 @@ class Nodes255(Device):
         self.node = 1
 
 
-@fault("nodes-absent")
-class NodesAbsent(Device):
-    """HELLO says 255 nodes, and only one is there."""
-
-    def hello_fields(self, rx_max: int) -> dict[str, Any]:
-        return super().hello_fields(rx_max) | {"nodes": 255}
-
-
 # -- the descriptor ---------------------------------------------------------------------------------------------------
 
 
@@ -392,20 +374,20 @@ class NodesAbsent(Device):
 class NoChannels(Device):
     """The descriptor has parameters only."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
-        super().__init__(replace(vocabulary, channels=()), **options)
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
+        return replace(vocabulary, channels=())
 
 
 @fault("channels-600")
 class Channels600(Device):
     """600 channels of a byte."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         rows = (
             Channel(number, f"c{number}", Raw.U8, Unit.NONE, Flag.NONE, 1.0, lambda s: s.index % 256)
             for number in range(1, 601)
         )
-        super().__init__(replace(vocabulary, channels=tuple(rows)), **options)
+        return replace(vocabulary, channels=tuple(rows))
 
 
 @fault("descriptor-endless")
@@ -438,16 +420,15 @@ class ControlCharacters(Device):
 
     beats = 0
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         names = (TITLE, CLEAR, OVERRIDE, "two\nlines", "a\x9b31mred", "b\rc")
         kept, last = vocabulary.channels[: -len(names)], vocabulary.channels[-len(names) :]
         channels = (*kept, *(replace(row, name=name) for row, name in zip(last, names, strict=False)))
         parameters = (*vocabulary.parameters, replace(vocabulary.parameters[0], id=900, name=CLEAR))
-        own = replace(
+        return replace(
             vocabulary, name=TITLE + "!", firmware=CLEAR + "1.0", serial=OVERRIDE, build="2\n" + TITLE,
             channels=channels, parameters=parameters,
         )  # fmt: skip
-        super().__init__(own, **options)
 
     def heartbeat(self) -> None:
         super().heartbeat()
@@ -460,11 +441,11 @@ class ControlCharacters(Device):
 class BadUtf8(Device):
     """Names that are no UTF-8."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         first, *rest = vocabulary.channels
-        channels = (replace(first, name=b"\xff\xfe" + text16(first.name)[:6]), *rest)
+        channels = (replace(first, name=b"\xff\xfe" + encoded(first.name)[:6]), *rest)
         own = replace(vocabulary, name=b"dr\xc3ive \xff", firmware=b"\x80", serial=b"\xff" * 24, build=b"\xe2\x82")
-        super().__init__(replace(own, channels=channels), **options)
+        return replace(own, channels=channels)
 
     def heartbeat(self) -> None:
         super().heartbeat()
@@ -490,9 +471,9 @@ class LogFlood(Device):
 class NanSamples(Device):
     """Every f32 channel is NaN."""
 
-    def __init__(self, vocabulary: Vocabulary, **options: Any) -> None:
+    def words(self, vocabulary: Vocabulary) -> Vocabulary:
         channels = (
             replace(row, values=lambda s: np.full(len(s.index), nan)) if row.raw == Raw.F32 else row
             for row in vocabulary.channels
         )
-        super().__init__(replace(vocabulary, channels=tuple(channels)), **options)
+        return replace(vocabulary, channels=tuple(channels))

@@ -65,7 +65,6 @@ class Code(IntEnum):
     READ_ONLY = 8
     DOES_NOT_FIT = 9
     FAULTS_CHANGED = 10
-    FAULT_PERSISTS = 11
     BUSY = 12
     BAD_VERSION = 13
     UNKNOWN_NODE = 14
@@ -81,8 +80,6 @@ class Event(IntEnum):
 
 class Fault(IntFlag):
     WATCHDOG = 1
-    OVERCURRENT = 2
-    UNDERVOLTAGE = 8
 
 
 class Feature(IntFlag):
@@ -96,15 +93,11 @@ class Role(IntEnum):
 
 class Raw(IntEnum):
     U8 = 1
-    I8 = 2
-    U16 = 3
     I16 = 4
-    U32 = 5
-    I32 = 6
     F32 = 7
 
 
-DTYPE = {Raw.U8: "u1", Raw.I8: "i1", Raw.U16: "<u2", Raw.I16: "<i2", Raw.U32: "<u4", Raw.I32: "<i4", Raw.F32: "<f4"}
+DTYPE = {Raw.U8: "u1", Raw.I16: "<i2", Raw.F32: "<f4"}
 
 
 class Unit(IntEnum):

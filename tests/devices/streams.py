@@ -16,8 +16,6 @@ from tests.devices.vocabulary import Channel, Vocabulary
 HEADER = struct.Struct("<BBHHHII")
 EDGE = struct.Struct("<IBBH")
 OVERRUN, DISCONTINUITY = 1, 2
-ILLEGAL = 64
-RING = (1, 3, 2, 6, 4, 5)
 Record = tuple[int, int, bytes]
 """Index, tick and bytes."""
 
@@ -87,7 +85,7 @@ class Stream:
     def put_edges(self, edges: Iterable[Edge], count: int) -> None:
         """`count`: edges since boot, before these."""
         for index, edge in enumerate(edges, count):
-            codes = edge.before | edge.after << 3 | (0 if _neighbours(edge.before, edge.after) else ILLEGAL)
+            codes = edge.before | edge.after << 3
             self.waiting.append((index, edge.tick, EDGE.pack(edge.tick & 0xFFFFFFFF, codes, 0, edge.encoder)))
 
     def put_samples(self, samples: Samples) -> None:
@@ -118,9 +116,3 @@ class Stream:
         )
         self.seq = (self.seq + 1) & 0xFFFF
         return Type.EDGES if self.edges else Type.DATA, header + b"".join(row for _, _, row in records)
-
-
-def _neighbours(before: int, after: int) -> bool:
-    if before not in RING or after not in RING:
-        return False
-    return (RING.index(before) - RING.index(after)) % 6 in (1, 5)

@@ -31,7 +31,6 @@ def turn(device: Device) -> None:
             device.stop_frame()
         else:
             device.receive(message, host)
-    device.rx_bad = carrier.bad
     device.advance()
 
 

@@ -89,17 +89,11 @@ class Vocabulary:
 
 
 def _record(number: int, raw: int, unit: int, flags: int, scale: float, name: str | bytes) -> bytes:
-    return RECORD.pack(number, raw, unit, flags, 0, scale, 0.0, text16(name))
+    return RECORD.pack(number, raw, unit, flags, 0, scale, 0.0, encoded(name))
 
 
-def text16(text: str | bytes) -> bytes:
-    """`text` as it stands in 16 bytes."""
-    return (text.encode() if isinstance(text, str) else text)[:16].ljust(16, b"\0")
-
-
-def text24(text: str | bytes) -> bytes:
-    """`text` as it stands in 24 bytes."""
-    return (text.encode() if isinstance(text, str) else text)[:24].ljust(24, b"\0")
+def encoded(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text
 
 
 def _full_channels() -> tuple[Channel, ...]:
