@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +36,7 @@ LATEST = 2.0  # s after the first sample
 DURATION = 6.0  # s of a run that goes on: one that was stopped, and has tripped
 WITHIN = 60.0  # s for whatever is awaited
 SHORT = 0.1  # s that a recording may lack
-_OFF = re.compile(r"outputs off(?: (\d+) ms after the last ALIVE)?: (\w+) \(node 1")
+_OFF = r"outputs off(?: (\d+) ms after the last ALIVE)?: (\w+) \(node 1"
 
 
 class Proxy:
@@ -139,7 +139,7 @@ def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Pa
         time.sleep(moment)
         sent = proxy.last_tick
         live.send(number)
-        off = _said_off(sim, said)
+        off = sim.line(_OFF, said)
         if number == signal.SIGSTOP:
             live.send(signal.SIGCONT)
         code = live.end()
@@ -163,11 +163,6 @@ def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Pa
         proxy.leave()
 
 
-def _said_off(sim: Sim, after: int) -> re.Match[str]:
-    sim.line(_OFF.pattern, after)
-    return next(match for line in sim.out[after:] if (match := _OFF.search(line)))
-
-
 def _until(condition: Callable[[], bool], what: str) -> None:
     end = time.monotonic() + WITHIN
     while not condition():
@@ -178,12 +173,8 @@ def _until(condition: Callable[[], bool], what: str) -> None:
 @contextmanager
 def drive() -> Iterator[tuple[Sim, Proxy]]:
     """A simulated drive of its own, and the proxy before it."""
-    with ExitStack() as stack:
-        settings = (f"{node}.watchdog={WATCHDOG}" for node in ("firmware", "load"))
-        sim = Sim("--tcp", "127.0.0.1:0", *(word for setting in settings for word in ("--set", setting)))
-        stack.callback(sim.close)
-        proxy = Proxy(sim.target)
-        stack.callback(proxy.close)
+    settings = (word for node in ("firmware", "load") for word in ("--set", f"{node}.watchdog={WATCHDOG}"))
+    with closing(Sim("--tcp", "127.0.0.1:0", *settings)) as sim, closing(Proxy(sim.target)) as proxy:
         yield sim, proxy
 
 
@@ -194,8 +185,7 @@ def kills(times: int, seed: int = 1) -> Iterator[Kill]:
         for n in range(times):
             file = Path(folder, f"{n}.rrd")
             yield kill(SIGNALS[n % len(SIGNALS)], moments.uniform(0.0, LATEST), sim, proxy, file)
-            with suppress(FileNotFoundError):
-                file.unlink()
+            file.unlink(missing_ok=True)
 
 
 def rows() -> list[Row]:

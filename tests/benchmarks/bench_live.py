@@ -9,29 +9,16 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from tests.bench.processes import Sim
 from tests.benchmarks.table import Row
-
-
-@contextmanager
-def simulated_drive(*arguments: str) -> Iterator[tuple[str, psutil.Process]]:
-    """The simulated drive in a process of its own: target and process."""
-    command = [sys.executable, "-m", "bench", "sim", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
-    try:
-        assert process.stdout is not None
-        target = next(line for line in process.stdout if line.startswith("target: ")).split()[1]
-        yield target, psutil.Process(process.pid)
-    finally:
-        process.terminate()
-        process.wait()
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +31,9 @@ class Run:
 
 def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
     """Record the simulated drive behind `where` for `seconds`."""
-    with tempfile.TemporaryDirectory() as folder, simulated_drive(*where) as (target, drive):
-        command = [sys.executable, "-m", "bench", "live", target, "--yes", "--viewer", "none", *options]
+    with tempfile.TemporaryDirectory() as folder, closing(Sim(*where)) as sim:
+        drive = psutil.Process(sim.process.pid)
+        command = [sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", *options]
         command += ["--duration", f"{seconds:g}", "--save", str(Path(folder, "run.rrd")), "--json", "-"]
         before = drive.cpu_times()
         done = subprocess.run(command, capture_output=True, text=True, check=False)
