@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.observers import sample, vector_tracking_q15
-from sim.observers.catalogue import CATALOGUE
 from tests.benchmarks.replay import Telemetry, telemetry
 from tests.benchmarks.table import Row
 from tests.sim.drive.rig import PWM_HZ
 from tests.sim.observers import q15_harness
+from tests.sim.observers.ideal_motor import error_deg
 from tests.sim.test_accuracy import VECTOR, running, settled
 
 SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
@@ -43,10 +43,6 @@ class Run(NamedTuple):
     fixed: NDArray[np.float64]
 
 
-def _degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (np.degrees(angle) + 180) % 360 - 180
-
-
 @cache
 def _recorded(rpm: int, i_q: float) -> Telemetry:
     bench = running(VECTOR)
@@ -56,19 +52,16 @@ def _recorded(rpm: int, i_q: float) -> Telemetry:
 def run(rpm: int, i_q: float) -> Run:
     """Both observers on one recording."""
     seen = _recorded(rpm, i_q)
-    floating, fixed = (
-        entry.run(seen.params(name), entry.init(), seen.samples, seen.reset)[1]
-        for name, entry in ((name, CATALOGUE[name]) for name in OBSERVERS)
-    )
+    floating, fixed = (seen.estimates(name) for name in OBSERVERS)
     settled = slice(round(SETTLE * PWM_HZ), None)
     assert floating.on[settled].all()
     assert fixed.on[settled].all()
     return Run(
         rpm,
         i_q,
-        _degrees(fixed.theta - floating.theta)[settled],
-        _degrees(seen.theta - floating.theta)[settled],
-        _degrees(seen.theta - fixed.theta)[settled],
+        error_deg(fixed.theta, floating.theta)[settled],
+        error_deg(seen.theta, floating.theta)[settled],
+        error_deg(seen.theta, fixed.theta)[settled],
     )
 
 

@@ -11,7 +11,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,8 @@ from tests.bench.processes import Sim
 from tests.benchmarks.table import Row
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A run of `bench live`: its summary, and the CPU of the simulated drive in % of a core."""
-
-    summary: dict[str, Any]
-    drive_cpu: float
-
-
-def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
-    """Record the simulated drive behind `where` for `seconds`."""
+def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> tuple[dict[str, Any], float]:
+    """Record the simulated drive behind `where` for `seconds`: the summary, and the drive's CPU in % of a core."""
     with tempfile.TemporaryDirectory() as folder, closing(Sim(*where)) as sim:
         drive = psutil.Process(sim.process.pid)
         command = [sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", *options]
@@ -42,7 +33,7 @@ def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
             raise SystemExit(f"bench live failed: {done.stderr.strip()}")
         summary: dict[str, Any] = json.loads(done.stdout)
     cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
-    return Run(summary, cpu)
+    return summary, cpu
 
 
 def account(summary: dict[str, Any]) -> list[Row]:
@@ -60,13 +51,12 @@ def account(summary: dict[str, Any]) -> list[Row]:
 
 def rows(seconds: float) -> list[Row]:
     """Run it for `seconds`."""
-    done = run(seconds, ["--pty"], ["--speed", "1000"])
-    summary = done.summary
+    summary, drive_cpu = run(seconds, ["--pty"], ["--speed", "1000"])
     return [
         Row("samples", summary["samples"], "", round(0.99 * seconds * 16000)),
         *account(summary),
         Row("host with recording", summary["cpu_percent"], "% of a core", 15, at_most=True),
-        Row("simulated drive", done.drive_cpu, "% of a core", 15, at_most=True),
+        Row("simulated drive", drive_cpu, "% of a core", 15, at_most=True),
         Row("sample to sink, median", summary["latency_ms"]["p50"], "ms"),
         Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms", 100, at_most=True),
     ]

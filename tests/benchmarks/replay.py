@@ -28,6 +28,11 @@ class Telemetry(NamedTuple):
         """The observer's, by those of the drive."""
         return CATALOGUE[name].make_params(PWM_HZ, self.drive)
 
+    def estimates(self, name: str):
+        """What the observer makes of it."""
+        entry = CATALOGUE[name]
+        return entry.run(self.params(name), entry.init(), self.samples, self.reset)[1]
+
     def nanoseconds(self, name: str, repeat: int) -> float:
         """A step of the observer, compiled; the best of so many runs."""
         entry, params, best = CATALOGUE[name], self.params(name), Quickest()

@@ -309,22 +309,9 @@ def test_unplug_ends_an_endless_wait(classic: tuple[SlcanPort, SlcanBus]) -> Non
     timer.join()
 
 
-def test_a_cut_line_is_ended_before_the_next_one(
-    classic: tuple[SlcanPort, SlcanBus], monkeypatch: pytest.MonkeyPatch
+def test_a_line_that_was_cut_is_ended_before_the_next_one(
+    raw: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    port, bus = classic
-    with monkeypatch.context() as patch:
-        patch.setattr("protocol.links.base.WRITE_TIMEOUT", 0.02)
-        with pytest.raises(can.CanOperationError, match="took"):
-            bus.send_records(frame(1, bytes(8)) * 20_000)
-    while select.select(port.read_fds(), [], [], 0.05)[0]:
-        assert set(np.frombuffer(port.read(), CAN_RECORD)["id"]) == {1}
-    for number in (2, 3):
-        bus.send_records(frame(number, b"ab"))
-        assert sent_by_host(port, 1) == frame(number, b"ab")
-
-
-def test_an_interrupted_write_is_ended_too(raw: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
     master, path = raw
     with SlcanBus(path) as bus:
         os.read(master, 100)
