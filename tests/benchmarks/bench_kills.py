@@ -46,10 +46,8 @@ class Proxy:
         self._drive_at = split_host_port(target.removeprefix("tcp:"))
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.target = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
-        self.last_tick = -1
-        """Of the last sample that the drive sent, node 1; low 32 bits."""
-        self.heartbeat: Heartbeat | None = None
-        """The drive's last."""
+        self.last_tick = -1  # of the last sample that the drive sent, node 1; low 32 bits
+        self.heartbeat: Heartbeat | None = None  # the drive's last
         self._leave = threading.Event()
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -111,19 +109,13 @@ class Kill:
     """What came of one signal."""
 
     number: signal.Signals
-    moment: float
-    """s after the first sample."""
-    off: str
-    """Why the outputs went off, as the drive says it: STOP, or its watchdog."""
-    unfed: float
-    """s from the last ALIVE until the watchdog switched off; 0 after a STOP."""
-    outputs_on: bool
-    """What the drive's last heartbeat says."""
-    short: float
-    """s of samples that the drive had sent by then and the recording lacks."""
+    moment: float  # s after the first sample
+    off: str  # why the outputs went off, as the drive says it: STOP, or its watchdog
+    unfed: float  # s from the last ALIVE until the watchdog switched off; 0 after a STOP
+    outputs_on: bool  # what the drive's last heartbeat says
+    short: float  # s of samples that the drive had sent by then and the recording lacks
     code: int
-    result: str
-    """That of the summary; empty where there is none."""
+    result: str  # that of the summary; empty where there is none
 
 
 def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Path) -> Kill:

@@ -584,12 +584,8 @@ def test_missing_ports(target: str) -> None:
 
 @pytest.mark.parametrize("interface", ["pcan", "kvaser", "ixxat", "gs_usb", "neovi", "cantact", "systec"])
 def test_missing_drivers(interface: str, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(LinkNotFound) as caught:
+    with pytest.raises(LinkNotFound, match=rf"^can:{interface}/[^\n]*driver installed\?\Z"):
         open_link(f"can:{interface}/0?bitrate=500000" if interface != "pcan" else "can:pcan/PCAN_USBBUS1")
-    text = str(caught.value)
-    assert text.startswith(f"can:{interface}/")
-    assert text.endswith("driver installed?")
-    assert "\n" not in text
     assert capfd.readouterr() == ("", "")  # python-can's own reports
 
 
