@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import can
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +36,21 @@ def parts(data: bytes) -> list[Part]:
     return [(int(row["id"]), bytes(row["data"][: row["length"]]), int(row["flags"])) for row in rows]
 
 
+def untimed(data: bytes) -> bytes:
+    rows = np.frombuffer(data, CAN_RECORD).copy()
+    rows["time"] = 0.0
+    return rows.tobytes()
+
+
+def standard(number: int, data: bytes = b"", **more: Any) -> can.Message:
+    """A message with an identifier of 11 bits."""
+    return can.Message(arbitration_id=number, is_extended_id=False, data=data, **more)
+
+
 CLASSIC_MESSAGES = [
-    *(can.Message(arbitration_id=0x7A5, is_extended_id=False, data=bytes(range(n))) for n in range(9)),
+    *(standard(0x7A5, bytes(range(n))) for n in range(9)),
     can.Message(arbitration_id=0x1ABCDEF5, data=b"\x00\xff\x0d\x07"),
-    can.Message(arbitration_id=0x001, is_extended_id=False, is_remote_frame=True, dlc=8),
+    standard(0x001, is_remote_frame=True, dlc=8),
     can.Message(arbitration_id=0x1FFFFFFF, is_remote_frame=True, dlc=0),
 ]
 FD_MESSAGES = [
@@ -51,3 +64,7 @@ FD_MESSAGES = [
 def record_of(msg: can.Message) -> Records:
     number = msg.arbitration_id | msg.is_extended_id << 31 | msg.is_remote_frame << 30
     return record(number, bytes(msg.data), msg.is_fd * FDF | msg.bitrate_switch * BRS, length=msg.dlc)
+
+
+def records_of(messages: list[can.Message]) -> bytes:
+    return b"".join(record_of(msg).tobytes() for msg in messages)

@@ -10,11 +10,22 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
+import pytest
 from importlinter.cli import lint_imports
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("bench", "sim", "protocol")
 DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
+
+
+Nodes = list[tuple[Path, ast.AST]]
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Nodes:
+    """Everything that is written, and the file in which it stands."""
+    files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))
+    return [(file, node) for file in files for node in ast.walk(ast.parse(file.read_text()))]
 
 
 def test_import_rules_are_kept() -> None:
@@ -45,12 +56,12 @@ def test_bench_has_at_most_four_loose_modules() -> None:
     assert len(list((ROOT / "bench").glob("*.py"))) <= 4
 
 
-def test_only_rerunio_imports_rerun() -> None:
-    assert {room for room, name in imported() if name == "rerun"} == {"bench.rerunio"}
+def test_only_rerunio_imports_rerun(nodes: Nodes) -> None:
+    assert {room for room, name in imported(nodes) if name == "rerun"} == {"bench.rerunio"}
 
 
-def test_the_protocol_outside_its_links_does_no_io_and_reads_no_clock() -> None:
-    assert not {(room, name) for room, name in imported() if name in DRIVERS and room.startswith("protocol")} - {
+def test_the_protocol_outside_its_links_does_no_io_and_reads_no_clock(nodes: Nodes) -> None:
+    assert not {(room, name) for room, name in imported(nodes) if name in DRIVERS and room.startswith("protocol")} - {
         ("protocol.links", name) for name in DRIVERS
     }
 
@@ -59,23 +70,16 @@ MOST_PARAMETERS = 8
 MOST_LINES = 80
 
 
-def test_functions_are_small() -> None:
+def test_functions_are_small(nodes: Nodes) -> None:
     """Compiled kernels excepted: a kernel is one step, and gets each of its figures as an argument."""
     large = [
         f"{file.relative_to(ROOT)}:{function.lineno} {function.name}"
-        for file, function in functions()
-        if not {"kernel", "jit"} & {ast.unparse(decorator) for decorator in function.decorator_list}
+        for file, function in nodes
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
+        and not {"kernel", "jit"} & {ast.unparse(decorator) for decorator in function.decorator_list}
         and (parameters_of(function) > MOST_PARAMETERS or lines_of(function) > MOST_LINES)
     ]
     assert not large
-
-
-def functions() -> Iterator[tuple[Path, ast.FunctionDef | ast.AsyncFunctionDef]]:
-    for package in PACKAGES:
-        for file in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(file.read_text())):
-                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                    yield file, node
 
 
 def parameters_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
@@ -89,13 +93,11 @@ def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (function.end_lineno or 0) - function.lineno + 1
 
 
-def imported() -> Iterator[tuple[str, str]]:
+def imported(nodes: Nodes) -> Iterator[tuple[str, str]]:
     """Folder (or loose module) and the first part of what it imports, wherever in it that stands."""
-    for package in PACKAGES:
-        for file in (ROOT / package).rglob("*.py"):
-            room = ".".join(file.relative_to(ROOT).with_suffix("").parts[:2])
-            for node in ast.walk(ast.parse(file.read_text())):
-                if isinstance(node, ast.Import):
-                    yield from ((room, alias.name.partition(".")[0]) for alias in node.names)
-                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                    yield room, node.module.partition(".")[0]
+    for file, node in nodes:
+        room = ".".join(file.relative_to(ROOT).with_suffix("").parts[:2])
+        if isinstance(node, ast.Import):
+            yield from ((room, alias.name.partition(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield room, node.module.partition(".")[0]

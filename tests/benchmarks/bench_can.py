@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import cantools
 import numpy as np
@@ -20,14 +21,14 @@ from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.descriptor import Descriptor
-from protocol.device.app import DeviceApp, Identity
+from protocol.device.app import Identity
 from protocol.device.tx import TxQueue
 from protocol.messages import Role, StreamEvent, StreamSet
-from protocol.signals import DRIVE_CHANNELS, Signal
+from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import StreamConfig, TickReference
 from protocol.wire import StreamFrames
 from tests.benchmarks.bench_live import account, run
-from tests.benchmarks.table import Row
+from tests.benchmarks.table import Quickest, Row
 
 GOAL = 300e3  # frames/s
 PERIOD = 1250  # ticks
@@ -39,23 +40,10 @@ OF_CANTOOLS = 20_000  # frames: it is slow
 CHANNELS = ("hall", "status", "theta_enc", "i_a", "i_b", "i_c", "theta_vt", "omega_vt")
 
 
-class _Streams:
-    """What a `DeviceApp` must be to be streamed."""
-
-    parameters = ()
-    outputs_on = False
-
-    def __init__(self, channels: Sequence[Signal]) -> None:
-        self.channels = channels
-
-    def enter_state(self, state: object) -> None:
-        """Nothing to do."""
-
-
 def recorded(rates: BusRates, names: Sequence[str], decimation: int, frames: int) -> tuple[bytes, StreamConfig]:
     """Return CAN_RECORDs of the drive's channels with random values, and their stream."""
     channels = [channel for channel in DRIVE_CHANNELS if channel.name in names]
-    app: DeviceApp = _Streams(channels)  # type: ignore[assignment]
+    app = SimpleNamespace(channels=channels, parameters=(), outputs_on=False, enter_state=lambda state: None)
     device = CanDevice(app, Identity(1, Role.DRIVE, "bench", "0", 1), rates, tx=TxQueue(1 << 30))
     descriptor = Descriptor.of(channels, ())
     request = StreamSet(0, StreamEvent.PWM, decimation, 20, tuple(channel.id for channel in channels))
@@ -75,19 +63,18 @@ def recorded(rates: BusRates, names: Sequence[str], decimation: int, frames: int
 def ours(rates: BusRates, config: StreamConfig, data: bytes, batch: int, repeat: int = 3) -> float:
     """Return the frames/s at which `data` become columns, `batch` frames at a time; the best of `repeat` runs."""
     parts = [data[k : k + batch * RECORD_BYTES] for k in range(0, len(data), batch * RECORD_BYTES)]
-    best = float("inf")
+    best = Quickest()
     for _ in range(repeat):
         wire = CanWire(rates)
         decoder = wire.decoder(config, TickReference())
-        start = time.perf_counter()
-        for part in parts:
-            for item in wire.feed(part, 0.0):
-                if isinstance(item, StreamFrames):
-                    decoder.decode(item.frames)
-        best = min(best, time.perf_counter() - start)
+        with best.timed():
+            for part in parts:
+                for item in wire.feed(part, 0.0):
+                    if isinstance(item, StreamFrames):
+                        decoder.decode(item.frames)
         assert decoder.counters.lost_by_index == decoder.counters.out_of_order == 0
         assert decoder.counters.frames == int(np.isin(np.frombuffer(data, CAN_RECORD)["id"], decoder.ids).sum())
-    return len(data) / RECORD_BYTES / best
+    return len(data) / RECORD_BYTES / best[""]
 
 
 def theirs(rates: BusRates, config: StreamConfig, data: bytes) -> float:
@@ -119,8 +106,7 @@ def rows(seconds: float) -> list[Row]:
         out.append(Row(f"{name}: ours is", fast / slow, "x quicker"))
     # 4000 frames of samples and, at 3000 r/min, some 1200 of edges a second
     where, options = ["--slcan", "--fd"], ["--speed", "3000", "--channels", ",".join(CHANNELS)]
-    done = run(seconds, where, options)
-    summary = done.summary
+    summary, drive_cpu = run(seconds, where, options)
     frames = summary["bus"]["frames"] / summary["duration_s"]
     return [
         *out,
@@ -129,6 +115,6 @@ def rows(seconds: float) -> list[Row]:
         *account(summary),
         Row("load of the bus, measured", 100 * summary["bus"]["load"], "%"),
         Row("host with recording", summary["cpu_percent"], "% of a core", 40, at_most=True),
-        Row("simulated drive and bus", done.drive_cpu, "% of a core"),
+        Row("simulated drive and bus", drive_cpu, "% of a core"),
         Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms"),
     ]

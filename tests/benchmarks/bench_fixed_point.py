@@ -9,7 +9,6 @@ noise of its default configuration; both observers then see the same telemetry.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -18,16 +17,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.observers import sample, vector_tracking, vector_tracking_q15
-from sim.observers.catalogue import CATALOGUE, chosen
+from sim.observers import sample, vector_tracking_q15
+from tests.benchmarks.replay import Telemetry, telemetry
 from tests.benchmarks.table import Row
-from tests.sim.drive.rig import PWM_HZ, SCALE, column
+from tests.sim.drive.rig import PWM_HZ
 from tests.sim.observers import q15_harness
+from tests.sim.observers.ideal_motor import error_deg
 from tests.sim.test_accuracy import VECTOR, running, settled
 
 SPEEDS = (50, 100, 200, 500, 1000, 2000, 3000)  # r/min
 LOADS = (1.0, 4.0, 8.0)  # A
-TICK_HZ = 20_000_000
+OBSERVERS = ("vector_tracking", "vector_tracking_q15")
 GOAL = 125.0  # ns a step
 SETTLE = 1.0  # s of a recording until both observers are settled
 MEASURED = 2.0
@@ -43,78 +43,40 @@ class Run(NamedTuple):
     fixed: NDArray[np.float64]
 
 
-def _degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (np.degrees(angle) + 180) % 360 - 180
-
-
 @cache
-def _recorded(rpm: int, i_q: float) -> tuple[dict[str, float], sample.Samples, NDArray[np.float64]]:
-    """The drive's parameters, what its observers saw, and the plant's angle."""
+def _recorded(rpm: int, i_q: float) -> Telemetry:
     bench = running(VECTOR)
-    got = settled(bench, rpm, i_q, 1.0, SETTLE + MEASURED)
-    names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
-    n = len(got.samples)
-    front = sample.make_params(TICK_HZ, chosen(sample.Settings, bench.parameters))
-    tick = got.tick + np.arange(n, dtype=np.int64) * (TICK_HZ // PWM_HZ)
-    _, seen = sample.run(
-        front,
-        sample.init(),
-        tick,
-        np.ascontiguousarray(got.samples["hall"]),
-        *(got.samples[name] * SCALE[name] for name in names),
-        np.zeros(n),
-        got.edge_tick,
-        got.edges["codes"] >> 3 & 7,
-        np.zeros(n, np.bool_),
-    )
-    return bench.parameters, seen, column(got, "theta_e")
-
-
-def _params(drive: dict[str, float]) -> tuple[vector_tracking.Params, vector_tracking_q15.Params]:
-    floating, fixed = (
-        CATALOGUE[name].make_params(PWM_HZ, drive) for name in ("vector_tracking", "vector_tracking_q15")
-    )
-    return floating, fixed
+    return telemetry(bench, [settled(bench, rpm, i_q, 1.0, SETTLE + MEASURED)])
 
 
 def run(rpm: int, i_q: float) -> Run:
     """Both observers on one recording."""
-    drive, seen, theta = _recorded(rpm, i_q)
-    floats, integers = _params(drive)
-    none = np.zeros(theta.size, np.bool_)
-    _, floating = vector_tracking.run(floats, vector_tracking.init(), seen, none)
-    _, fixed = vector_tracking_q15.run(integers, vector_tracking_q15.init(), seen, none)
+    seen = _recorded(rpm, i_q)
+    floating, fixed = (seen.estimates(name) for name in OBSERVERS)
     settled = slice(round(SETTLE * PWM_HZ), None)
     assert floating.on[settled].all()
     assert fixed.on[settled].all()
     return Run(
         rpm,
         i_q,
-        _degrees(fixed.theta - floating.theta)[settled],
-        _degrees(theta - floating.theta)[settled],
-        _degrees(theta - fixed.theta)[settled],
+        error_deg(fixed.theta, floating.theta)[settled],
+        error_deg(seen.theta, floating.theta)[settled],
+        error_deg(seen.theta, fixed.theta)[settled],
     )
 
 
 def nanoseconds() -> tuple[float, float, float]:
     """A step of the floating-point kernel, of the fixed-point one, and of the C file by gcc -O2; the best of many."""
-    drive, seen, theta = _recorded(1000, 4.0)
-    none = np.zeros(theta.size, np.bool_)
-    took = []
-    for module, params in zip((vector_tracking, vector_tracking_q15), _params(drive), strict=True):
-        best = float("inf")
-        for _ in range(30):
-            start = time.perf_counter()
-            module.run(params, module.init(), seen, none)
-            best = min(best, time.perf_counter() - start)
-        took.append(1e9 * best / theta.size)
-    params = _params(drive)[1]
-    rows = np.array([[0, *vector_tracking_q15.counts(params, sample.at(seen, k))] for k in range(theta.size)])
+    seen = _recorded(1000, 4.0)
+    params = seen.params("vector_tracking_q15")
+    n = seen.reset.size
+    rows = np.array([[0, *vector_tracking_q15.counts(params, sample.at(seen.samples, k))] for k in range(n)])
     with tempfile.TemporaryDirectory() as folder:
         program = q15_harness.build(Path(folder, "harness"), "-O2")
         state = vector_tracking_q15.init()
         c = min(q15_harness.nanoseconds(program, params.q, state, rows, 10) for _ in range(5))
-    return took[0], took[1], c
+    floating, fixed = (seen.nanoseconds(name, 30) for name in OBSERVERS)
+    return floating, fixed, c
 
 
 def rows() -> Iterator[Row]:

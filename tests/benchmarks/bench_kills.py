@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +36,7 @@ LATEST = 2.0  # s after the first sample
 DURATION = 6.0  # s of a run that goes on: one that was stopped, and has tripped
 WITHIN = 60.0  # s for whatever is awaited
 SHORT = 0.1  # s that a recording may lack
-_OFF = re.compile(r"outputs off(?: (\d+) ms after the last ALIVE)?: (\w+) \(node 1")
+_OFF = r"outputs off(?: (\d+) ms after the last ALIVE)?: (\w+) \(node 1"
 
 
 class Proxy:
@@ -46,10 +46,8 @@ class Proxy:
         self._drive_at = split_host_port(target.removeprefix("tcp:"))
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.target = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
-        self.last_tick = -1
-        """Of the last sample that the drive sent, node 1; low 32 bits."""
-        self.heartbeat: Heartbeat | None = None
-        """The drive's last."""
+        self.last_tick = -1  # of the last sample that the drive sent, node 1; low 32 bits
+        self.heartbeat: Heartbeat | None = None  # the drive's last
         self._leave = threading.Event()
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -111,19 +109,13 @@ class Kill:
     """What came of one signal."""
 
     number: signal.Signals
-    moment: float
-    """s after the first sample."""
-    off: str
-    """Why the outputs went off, as the drive says it: STOP, or its watchdog."""
-    unfed: float
-    """s from the last ALIVE until the watchdog switched off; 0 after a STOP."""
-    outputs_on: bool
-    """What the drive's last heartbeat says."""
-    short: float
-    """s of samples that the drive had sent by then and the recording lacks."""
+    moment: float  # s after the first sample
+    off: str  # why the outputs went off, as the drive says it: STOP, or its watchdog
+    unfed: float  # s from the last ALIVE until the watchdog switched off; 0 after a STOP
+    outputs_on: bool  # what the drive's last heartbeat says
+    short: float  # s of samples that the drive had sent by then and the recording lacks
     code: int
-    result: str
-    """That of the summary; empty where there is none."""
+    result: str  # that of the summary; empty where there is none
 
 
 def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Path) -> Kill:
@@ -139,7 +131,7 @@ def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Pa
         time.sleep(moment)
         sent = proxy.last_tick
         live.send(number)
-        off = _said_off(sim, said)
+        off = sim.line(_OFF, said)
         if number == signal.SIGSTOP:
             live.send(signal.SIGCONT)
         code = live.end()
@@ -163,11 +155,6 @@ def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Pa
         proxy.leave()
 
 
-def _said_off(sim: Sim, after: int) -> re.Match[str]:
-    sim.line(_OFF.pattern, after)
-    return next(match for line in sim.out[after:] if (match := _OFF.search(line)))
-
-
 def _until(condition: Callable[[], bool], what: str) -> None:
     end = time.monotonic() + WITHIN
     while not condition():
@@ -178,12 +165,8 @@ def _until(condition: Callable[[], bool], what: str) -> None:
 @contextmanager
 def drive() -> Iterator[tuple[Sim, Proxy]]:
     """A simulated drive of its own, and the proxy before it."""
-    with ExitStack() as stack:
-        settings = (f"{node}.watchdog={WATCHDOG}" for node in ("firmware", "load"))
-        sim = Sim("--tcp", "127.0.0.1:0", *(word for setting in settings for word in ("--set", setting)))
-        stack.callback(sim.close)
-        proxy = Proxy(sim.target)
-        stack.callback(proxy.close)
+    settings = (word for node in ("firmware", "load") for word in ("--set", f"{node}.watchdog={WATCHDOG}"))
+    with closing(Sim("--tcp", "127.0.0.1:0", *settings)) as sim, closing(Proxy(sim.target)) as proxy:
         yield sim, proxy
 
 
@@ -194,8 +177,7 @@ def kills(times: int, seed: int = 1) -> Iterator[Kill]:
         for n in range(times):
             file = Path(folder, f"{n}.rrd")
             yield kill(SIGNALS[n % len(SIGNALS)], moments.uniform(0.0, LATEST), sim, proxy, file)
-            with suppress(FileNotFoundError):
-                file.unlink()
+            file.unlink(missing_ok=True)
 
 
 def rows() -> list[Row]:

@@ -9,43 +9,22 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from tests.bench.processes import Sim
 from tests.benchmarks.table import Row
 
 
-@contextmanager
-def simulated_drive(*arguments: str) -> Iterator[tuple[str, psutil.Process]]:
-    """The simulated drive in a process of its own: target and process."""
-    command = [sys.executable, "-m", "bench", "sim", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
-    try:
-        assert process.stdout is not None
-        target = next(line for line in process.stdout if line.startswith("target: ")).split()[1]
-        yield target, psutil.Process(process.pid)
-    finally:
-        process.terminate()
-        process.wait()
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A run of `bench live`: its summary, and the CPU of the simulated drive in % of a core."""
-
-    summary: dict[str, Any]
-    drive_cpu: float
-
-
-def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
-    """Record the simulated drive behind `where` for `seconds`."""
-    with tempfile.TemporaryDirectory() as folder, simulated_drive(*where) as (target, drive):
-        command = [sys.executable, "-m", "bench", "live", target, "--yes", "--viewer", "none", *options]
+def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> tuple[dict[str, Any], float]:
+    """Record the simulated drive behind `where` for `seconds`: the summary, and the drive's CPU in % of a core."""
+    with tempfile.TemporaryDirectory() as folder, closing(Sim(*where)) as sim:
+        drive = psutil.Process(sim.process.pid)
+        command = [sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", *options]
         command += ["--duration", f"{seconds:g}", "--save", str(Path(folder, "run.rrd")), "--json", "-"]
         before = drive.cpu_times()
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -54,7 +33,7 @@ def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Run:
             raise SystemExit(f"bench live failed: {done.stderr.strip()}")
         summary: dict[str, Any] = json.loads(done.stdout)
     cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
-    return Run(summary, cpu)
+    return summary, cpu
 
 
 def account(summary: dict[str, Any]) -> list[Row]:
@@ -72,13 +51,12 @@ def account(summary: dict[str, Any]) -> list[Row]:
 
 def rows(seconds: float) -> list[Row]:
     """Run it for `seconds`."""
-    done = run(seconds, ["--pty"], ["--speed", "1000"])
-    summary = done.summary
+    summary, drive_cpu = run(seconds, ["--pty"], ["--speed", "1000"])
     return [
         Row("samples", summary["samples"], "", round(0.99 * seconds * 16000)),
         *account(summary),
         Row("host with recording", summary["cpu_percent"], "% of a core", 15, at_most=True),
-        Row("simulated drive", done.drive_cpu, "% of a core", 15, at_most=True),
+        Row("simulated drive", drive_cpu, "% of a core", 15, at_most=True),
         Row("sample to sink, median", summary["latency_ms"]["p50"], "ms"),
         Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms", 100, at_most=True),
     ]

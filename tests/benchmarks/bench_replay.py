@@ -7,12 +7,9 @@ timed. Kernels are compiled and modules imported before the clock starts.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.device.client import Client
-from bench.device.node import DRIVE, LOAD, Node
 from bench.observers.estimators import Estimators
 from bench.observers.replay import WINDOW, part, replay
 from bench.rerunio.recording import Run, read_run
@@ -22,7 +19,9 @@ from bench.scoring.board import score
 from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
 from sim.ports.virtual import VirtualLink
-from tests.benchmarks.table import Row
+from tests.bench.collect import Bench
+from tests.benchmarks.bench_sim import run_against
+from tests.benchmarks.table import Quickest, Row
 
 SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, ten seconds each
 GOAL_ALONE = 500.0  # x real time, each observer on one core
@@ -34,25 +33,16 @@ PIECE = 1 << 17  # samples at a time
 
 def record(path: Path) -> None:
     """A minute of the simulated drive, at several speeds, by its vector-tracking observer."""
-    client = Client(VirtualLink.of(load_params()))
-    hello = client.connect()
-    drive, load = Node(client, DRIVE), Node(client, LOAD)
+    rig = Bench(VirtualLink.of(load_params()))
+    hello, drive = rig.hello, rig.drive
     info = RunInfo(hello.tick_hz, hello.pwm_hz, drive.descriptor.channels, drive.parameters(), node=hello.node)
     sink = FileSink(path, info, wait=True)
-    client.sinks.append(sink)
-    drive.set_samples(drive.descriptor.channels, 1)
-    drive.set_edges()
-    drive.start_streams()
-    for node in (load, drive):
-        node.arm()
-        node.start()
-    load.torque(0.1)
+    rig.client.sinks = [sink]
+    run_against(rig, 0.1)
     for omega_m in SPEEDS:
         drive.speed(omega_m)
-        client.run_for(60.0 / len(SPEEDS))
-    drive.stop()
-    load.stop()
-    drive.stop_streams()
+        rig.client.run_for(60.0 / len(SPEEDS))
+    rig.rest()
     sink.close()
 
 
@@ -73,12 +63,11 @@ def alone(run: Run) -> dict[str, float]:
 
 def best_of(action: Callable[[], object]) -> float:
     """Seconds of the quickest of `REPEAT` runs."""
-    took = []
+    best = Quickest()
     for _ in range(REPEAT):
-        begun = time.perf_counter()
-        action()
-        took.append(time.perf_counter() - begun)
-    return min(took)
+        with best.timed():
+            action()
+    return best[""]
 
 
 def write(run: Run, path: Path) -> None:

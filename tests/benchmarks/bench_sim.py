@@ -16,17 +16,16 @@ import sys
 import time
 from pathlib import Path
 
-from bench.device.client import Client
-from bench.device.node import DRIVE, LOAD, Node
-from protocol.messages import DriveState, SetpointMode
+from bench.device.node import DRIVE
 from protocol.signals import DRIVE_CHANNELS
-from protocol.streams import EdgeChunk, SampleChunk
 from sim.config.params import load_params
-from sim.drive.machine import SimulatedBench
 from sim.ports.virtual import VirtualLink
+from tests.bench.collect import Bench
 from tests.benchmarks.table import Row
+from tests.sim.drive.rig import Rig
 
-OMEGA_M = 500 * math.tau / 60  # rad/s
+RPM = 500.0
+OMEGA_M = RPM * math.tau / 60  # rad/s
 TORQUE = 0.236  # N·m: 4 A
 SECONDS = 4.0  # virtual, for each run
 REPEAT = 8  # runs, of which the best counts: other load on the machine only slows them
@@ -35,38 +34,11 @@ GOAL_ALONE = 150.0  # x real time
 GOAL_PROTOCOL = 60.0
 
 
-class _Count:
-    """A sink that only counts."""
-
-    def __init__(self) -> None:
-        self.n = 0
-        self.n_edges = 0
-
-    def samples(self, chunk: SampleChunk) -> None:
-        self.n += len(chunk)
-
-    def edges(self, chunk: EdgeChunk) -> None:
-        self.n_edges += len(chunk)
-
-    def heartbeat(self, node: int, heartbeat: object) -> None:
-        pass
-
-    def event(self, node: int, event: object) -> None:
-        pass
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        pass
-
-
 def alone(portion: int) -> float:
     """Times real time of `SimulatedBench.advance` in calls of `portion` periods."""
-    bench = SimulatedBench(load_params())
-    bench.enter_state(DriveState.ARMED)
-    bench.enter_state(DriveState.RUNNING)
-    bench.setpoint(SetpointMode.SPEED, OMEGA_M)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.TORQUE, TORQUE)
-    bench.advance(16000)
+    bench = Rig()
+    bench.start()
+    bench.spin(RPM, 1.0, TORQUE)
     calls = round(SECONDS * 16000 / portion)
     start = time.perf_counter()
     for _ in range(calls):
@@ -76,24 +48,24 @@ def alone(portion: int) -> float:
     return calls * portion / 16000 / took
 
 
-def through_protocol() -> float:
-    """Times real time with all channels and edges, from the plant to the host's numpy columns."""
-    link = VirtualLink.of(load_params())
-    client = Client(link)
-    sink = _Count()
-    client.sinks.append(sink)
-    client.connect()
-    drive, load = Node(client, DRIVE), Node(client, LOAD)
-    drive.set_samples(drive.descriptor.channels, 1)
-    drive.set_edges()
-    drive.start_streams()
-    for node in (load, drive):
+def run_against(rig: Bench, torque: float) -> None:
+    """Stream all channels and edges, and run both machines: the load at a torque in N·m."""
+    rig.stream(tuple(channel.name for channel in rig.drive.descriptor.channels))
+    for node in (rig.load, rig.drive):
         node.arm()
         node.start()
-    load.torque(TORQUE)
-    drive.speed(OMEGA_M)
+    rig.load.torque(torque)
+
+
+def through_protocol() -> float:
+    """Times real time with all channels and edges, from the plant to the host's numpy columns."""
+    rig = Bench(VirtualLink.of(load_params()))
+    client = rig.client
+    client.sinks = []
+    run_against(rig, TORQUE)
+    rig.drive.speed(OMEGA_M)
     client.run_for(1.0)
-    before = sink.n
+    before = client.losses(DRIVE).samples.samples
     start = time.perf_counter()
     end = client.now() + SECONDS
     while client.now() < end:
@@ -101,8 +73,8 @@ def through_protocol() -> float:
     took = time.perf_counter() - start
     losses = client.losses(DRIVE)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
-    assert sink.n_edges > SECONDS * 250
-    return (sink.n - before) / 16000 / took
+    assert losses.edges.samples > SECONDS * 250
+    return (losses.samples.samples - before) / 16000 / took
 
 
 def peers() -> list[Row]:

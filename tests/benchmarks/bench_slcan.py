@@ -24,7 +24,7 @@ from protocol.canmap.frame import BRS, CAN_RECORD, FDF, RECORD_BYTES, BusRates
 from protocol.canmap.slcan import SlcanParser, encode
 from protocol.links.slcan_bus import SlcanBus
 from sim.ports.slcan_port import SlcanPort
-from tests.benchmarks.table import Row
+from tests.benchmarks.table import Quickest, Row
 
 FEED = 8192  # bytes
 FRAMES = 50_000
@@ -56,18 +56,16 @@ def text_speed(records: NDArray[np.void], repeat: int = 5) -> tuple[float, float
     per_feed = len(records) * FEED // len(text)
     pieces = [text[k : k + FEED] for k in range(0, len(text), FEED)]
     groups = [records[k : k + per_feed] for k in range(0, len(records), per_feed)]
-    parse = write = float("inf")
+    best = Quickest()
     for _ in range(repeat):
         parser = SlcanParser()
-        start = time.perf_counter()
-        parsed = [parser.feed(piece, 0.0) for piece in pieces]
-        parse = min(parse, time.perf_counter() - start)
+        with best.timed("parse"):
+            parsed = [parser.feed(piece, 0.0) for piece in pieces]
         assert (np.concatenate(parsed) == records).all()
-        start = time.perf_counter()
-        lines = [encode(group) for group in groups]
-        write = min(write, time.perf_counter() - start)
+        with best.timed("write"):
+            lines = [encode(group) for group in groups]
         assert b"".join(lines) == text
-    return len(records) / parse, len(records) / write
+    return len(records) / best["parse"], len(records) / best["write"]
 
 
 def be_adapter(results: Connection, seconds: float) -> None:

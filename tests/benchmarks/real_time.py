@@ -12,6 +12,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from contextlib import closing
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -47,12 +48,12 @@ def apart(a: dict[str, Any], b: dict[str, Any]) -> float:
     return abs(float(a["value"]) - float(b["value"])) / room if room else float(a["value"] != b["value"])
 
 
-def accept(target: str, keyword: str | None, folder: Path) -> tuple[int, dict[str, Any]]:
-    """Run `bench accept` as a process; exit code and JSON."""
+def accept(target: str, keyword: str | None, folder: Path) -> dict[str, Any]:
+    """Run `bench accept` as a process; its JSON."""
     out = folder / f"{target.partition(':')[0]}.json"
     command = [sys.executable, "-m", "bench", "accept", target, "--json", str(out)]
-    run = subprocess.run(command + (["-k", keyword] if keyword else []), stdin=subprocess.DEVNULL, check=False)
-    return run.returncode, json.loads(out.read_text())
+    subprocess.run(command + (["-k", keyword] if keyword else []), stdin=subprocess.DEVNULL, check=False)
+    return json.loads(out.read_text())
 
 
 def differences(virtual: dict[str, Any], real: dict[str, Any]) -> list[str]:
@@ -76,12 +77,9 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _, virtual = accept("sim", given.keyword, folder)
-        sim = Sim("--pty", "--seed", "7")
-        try:
-            _, real = accept(sim.target, given.keyword, folder)
-        finally:
-            sim.close()
+        virtual = accept("sim", given.keyword, folder)
+        with closing(Sim("--pty", "--seed", "7")) as sim:
+            real = accept(sim.target, given.keyword, folder)
     lines = differences(virtual, real)
     n = len(measured(virtual))
     worst = max((apart(a, measured(real)[name]) for name, a in measured(virtual).items()), default=0.0)

@@ -1,4 +1,4 @@
-"""Runs of the simulated bench, marked in stretches, and what an observer makes of their telemetry afterwards."""
+"""Runs of the simulated bench, what observers would have seen of them, and how long they take over that."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 
 from protocol.signals import AngleSource, Status
 from sim.observers import sample
-from sim.observers.catalogue import chosen
-from tests.sim.drive.rig import SCALE, Recorded, Rig, column
+from sim.observers.catalogue import CATALOGUE, chosen
+from tests.benchmarks.table import Quickest
+from tests.sim.drive.rig import PWM_HZ, SCALE, Recorded, Rig, column
 
 INPUTS = ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
 
@@ -21,61 +22,77 @@ class Telemetry(NamedTuple):
     reset: np.ndarray
     theta: np.ndarray  # rad, unwrapped
     theta_vt: np.ndarray  # rad, of the drive's own vector tracking
-    i_a: np.ndarray  # A
+    drive: dict[str, float]  # parameters
+
+    def params(self, name: str):
+        """The observer's, by those of the drive."""
+        return CATALOGUE[name].make_params(PWM_HZ, self.drive)
+
+    def estimates(self, name: str):
+        """What the observer makes of it."""
+        entry = CATALOGUE[name]
+        return entry.run(self.params(name), entry.init(), self.samples, self.reset)[1]
+
+    def nanoseconds(self, name: str, repeat: int) -> float:
+        """A step of the observer, compiled; the best of so many runs."""
+        entry, params, best = CATALOGUE[name], self.params(name), Quickest()
+        for _ in range(repeat):
+            with best.timed():
+                entry.run(params, entry.init(), self.samples, self.reset)
+        return 1e9 * best[""] / self.reset.size
+
+
+def telemetry(bench: Rig, parts: list[Recorded]) -> Telemetry:
+    """Everything recorded, as a host would have it."""
+    raw = np.concatenate([part.samples for part in parts])
+    edges = np.concatenate([part.edges for part in parts])
+    clock = bench.params.clock
+    u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (raw[name] * SCALE[name] for name in INPUTS)
+    reset = (raw["status"] & Status.OBSERVERS_RESET) != 0
+    _, samples = sample.run(
+        sample.make_params(clock.tick_hz, chosen(sample.Settings, bench.parameters)),
+        sample.init(),
+        parts[0].tick + np.arange(raw.size, dtype=np.int64) * clock.period_ticks,
+        raw["hall"].copy(),
+        u_alpha,
+        u_beta,
+        i_a,
+        i_b,
+        i_c,
+        i_q_ref - np.r_[0.0, i_q[:-1]],
+        np.concatenate([part.edge_tick for part in parts]),
+        (edges["codes"] >> 3) & 7,
+        reset,
+    )
+    theta, theta_vt = (np.concatenate([column(part, name) for part in parts]) for name in ("theta_e", "theta_vt"))
+    return Telemetry(samples, reset, theta, theta_vt, bench.parameters)
 
 
 class Run:
-    """A bench with drive and load machine running, its control on the encoder unless `observer` says otherwise."""
+    """A bench with drive and load machine running on an angle, recorded in stretches."""
 
-    def __init__(self, overrides=None, seed=1, observer=AngleSource.ENCODER, **parameters):
-        self.bench = Rig(seed, **overrides or {})
+    def __init__(self, observer: AngleSource, **parameters: float) -> None:
+        self.bench = Rig(1)
         for name, value in {"observer": observer, **parameters}.items():
             self.bench.set_param(name, value)
-        self.parts, self.marks, self.n = [], {}, 0
-        self._keep(self.bench.run(3e-4))
-        for part in self.bench.start():
-            self._keep(part)
+        self.parts = [self.bench.run(3e-4), *self.bench.start()]
+        self.marks: dict[str, slice] = {}
 
-    def _keep(self, part: Recorded, mark=None):
-        """`mark` names the stretch."""
-        n = len(part.samples)
+    def _keep(self, part: Recorded, mark: str) -> None:
+        if mark:
+            n = sum(len(each.samples) for each in self.parts)
+            self.marks[mark] = slice(n, n + len(part.samples))
         self.parts.append(part)
-        if mark is not None:
-            self.marks[mark] = slice(self.n, self.n + n)
-        self.n += n
         assert not self.bench.faults
 
-    def forced(self, rpm, i_q, seconds, mark=None):
-        """Speed forced by the load machine, current by the drive."""
+    def forced(self, rpm: float, i_q: float, seconds: float, mark: str = "") -> None:
+        """Speed forced by the load machine, current by the drive; `mark` names the stretch."""
         self._keep(self.bench.forced(rpm, i_q, seconds), mark)
 
-    def spin(self, rpm, seconds, mark=None, load=0.0):
+    def spin(self, rpm: float, seconds: float, mark: str = "", load: float = 0.0) -> None:
         """Speed by the drive's own loop, against a load in N·m."""
         self._keep(self.bench.spin(rpm, seconds, load), mark)
 
-    def telemetry(self):
-        """Everything recorded so far, as a host would have it."""
-        raw = np.concatenate([part.samples for part in self.parts])
-        edges = np.concatenate([part.edges for part in self.parts])
-        clock, drive = self.bench.params.clock, self.bench.parameters
-        u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (raw[name] * SCALE[name] for name in INPUTS)
-        reset = (raw["status"] & Status.OBSERVERS_RESET) != 0
-        _, samples = sample.run(
-            sample.make_params(clock.tick_hz, chosen(sample.Settings, drive)),
-            sample.init(),
-            self.parts[0].tick + np.arange(raw.size, dtype=np.int64) * clock.period_ticks,
-            raw["hall"].copy(),
-            u_alpha,
-            u_beta,
-            i_a,
-            i_b,
-            i_c,
-            i_q_ref - np.r_[0.0, i_q[:-1]],
-            np.concatenate([part.edge_tick for part in self.parts]),
-            (edges["codes"] >> 3) & 7,
-            reset,
-        )
-        theta, theta_vt = (
-            np.concatenate([column(part, name) for part in self.parts]) for name in ("theta_e", "theta_vt")
-        )
-        return Telemetry(samples, reset, theta, theta_vt, i_a)
+    def telemetry(self) -> Telemetry:
+        """Everything recorded so far."""
+        return telemetry(self.bench, self.parts)

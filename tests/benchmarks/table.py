@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 
@@ -24,6 +26,17 @@ class Row:
             return math.nan
         better, worse = (self.goal, self.measured) if self.at_most else (self.measured, self.goal)
         return better / worse if worse else (1.0 if better == 0 else math.inf)
+
+
+class Quickest(dict[str, float]):
+    """Seconds of the quickest of several runs, by what was timed: other load on the machine only slows them."""
+
+    @contextmanager
+    def timed(self, what: str = "") -> Iterator[None]:
+        """Time what is done in the block."""
+        started = time.perf_counter()
+        yield
+        self[what] = min(self.get(what, math.inf), time.perf_counter() - started)
 
 
 def show(title: str, rows: Iterable[Row]) -> bool:

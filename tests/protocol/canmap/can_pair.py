@@ -14,7 +14,7 @@ from protocol.descriptor import Descriptor
 from protocol.device.tx import TxQueue
 from protocol.host import Event, HostSession, ReplyReceived, RequestRefused, StreamFrames
 from protocol.messages import BlobRead, Payload, Request, StreamEvent, StreamReply, StreamSet, StreamStart
-from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.streams import EdgeChunk, LossCounters, SampleChunk, StreamConfig
 
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
@@ -153,6 +153,12 @@ class CanPair:
             expected = np.concatenate([samples(i, 1)[name] for i in index.tolist()])
             assert (raw[name] == expected).all(), name
         return SampleChunk(chunks[0].config, index, tick, raw, ())
+
+    def account(self, decimation: int = 1) -> tuple[SampleChunk, LossCounters]:
+        """All samples and what was counted of them: since the first, each one has come or is lost."""
+        got, counters = self.samples(), self.decoders[0].counters
+        assert counters.samples + counters.lost_by_index == len(range(0, got.index[-1] + 1, decimation))
+        return got, counters
 
     def edges(self) -> EdgeChunk:
         return self.chunks[1]

@@ -12,7 +12,6 @@ import os
 import pty
 import select
 import socket
-import sys
 import threading
 import time
 import tty
@@ -25,16 +24,15 @@ import can.interfaces
 import numpy as np
 import pytest
 from can_ends import opened, read
-from can_rows import records
+from can_rows import CLASSIC_MESSAGES, FD_MESSAGES, records, records_of, standard, untimed
 
-from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, REMOTE, BusRates
+from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, EXTENDED, FDF, BusRates
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.framing import Frame
 from protocol.links import CanTarget, open_link, parse_target
 from protocol.links import can as can_link
 from protocol.links.can import CanLink
-from protocol.links.can_message import error_kind
 from protocol.links.can_open import bus_arguments
 from protocol.links.slcan_bus import SlcanBus
 from protocol.messages import Hello
@@ -64,53 +62,33 @@ def ends() -> Iterator[Ends]:
         yield made
 
 
-FRAMES = [
-    (can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1\2\3"), (0x123, b"\1\2\3", 0)),
-    (can.Message(arbitration_id=0, is_extended_id=False, data=b""), (0, b"", 0)),
-    (can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)), (0x7FF, bytes(8), 0)),
-    (can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"x"), (0x1ABCDEF0 | EXTENDED, b"x", 0)),
-    (can.Message(arbitration_id=0x7, is_extended_id=True, data=b""), (0x7 | EXTENDED, b"", 0)),
-    (
-        can.Message(arbitration_id=0x50, is_extended_id=False, data=bytes(range(64)), is_fd=True, bitrate_switch=True),
-        (0x50, bytes(range(64)), FDF | BRS),
-    ),
-    (can.Message(arbitration_id=0x51, is_extended_id=False, data=bytes(12), is_fd=True), (0x51, bytes(12), FDF)),
-]
-
-
-@pytest.mark.parametrize(("message", "frame"), FRAMES)
-def test_frames_pass_both_ways(ends: Ends, message: can.Message, frame: tuple[int, bytes, int]) -> None:
-    ends.link.write(records(frame))
-    got = ends.bus.recv(5.0)
-    assert got.equals(message, timestamp_delta=None, check_channel=False)
+def test_messages_pass_both_ways_in_order(ends: Ends) -> None:
+    messages = CLASSIC_MESSAGES + FD_MESSAGES
+    ends.link.write(records_of(messages))
+    for msg in messages:
+        assert ends.bus.recv(5.0).equals(msg, timestamp_delta=None, check_channel=False)
     before = time.monotonic()
-    ends.bus.send(message)
-    (row,) = read(ends.link, 1)
-    assert before <= row["time"] <= time.monotonic()
-    number, data, flags = frame
-    assert (row["id"], row["length"], row["flags"], row["reserved"]) == (number, len(data), flags, 0)
-    assert bytes(row["data"]) == data.ljust(64, b"\0")
-    assert (ends.link.health.sent, ends.link.health.received) == (1, 1)
+    for msg in messages:
+        ends.bus.send(msg)
+    rows = read(ends.link, len(messages))
+    assert before <= rows["time"].min() <= rows["time"].max() <= time.monotonic()
+    assert untimed(rows.tobytes()) == records_of(messages)
+    assert (ends.link.health.sent, ends.link.health.received) == (len(messages), len(messages))
 
 
-def test_remote_frames_have_no_data(ends: Ends) -> None:
-    ends.bus.send(can.Message(arbitration_id=0x77, is_extended_id=False, is_remote_frame=True, dlc=4))
-    (row,) = read(ends.link, 1)
-    assert (row["id"], row["length"]) == (0x77 | REMOTE, 4)
-
-
-def test_order_and_names(ends: Ends) -> None:
-    ends.link.write(records(*((n, bytes([n]), 0) for n in range(200))))
-    assert [ends.bus.recv(1.0).arbitration_id for _ in range(200)] == list(range(200))  # type: ignore[union-attr]
-    assert ends.link.name.startswith("can:virtual/test-")
-    assert (ends.link.node, ends.link.extended, ends.link.rates) == (1, False, BusRates())
-    assert isinstance(ends.link.wire(), CanWire)
-    assert abs(ends.link.clock() - time.monotonic()) < 1.0
-
-
-def test_rates_node_and_form_are_the_target_s() -> None:
-    with connected("?fd=1&bitrate=500000&data_bitrate=2000000&node=7&ext=1") as ends:
-        assert (ends.link.rates, ends.link.node, ends.link.extended) == (BusRates(500_000, 2_000_000), 7, True)
+@pytest.mark.parametrize(
+    ("query", "rates", "node", "extended"),
+    [
+        ("", BusRates(), 1, False),
+        ("?fd=1&bitrate=500000&data_bitrate=2000000&node=7&ext=1", BusRates(500_000, 2_000_000), 7, True),
+    ],
+)
+def test_rates_node_and_form_are_the_target_s(query: str, rates: BusRates, node: int, extended: bool) -> None:
+    with connected(query) as (link, _):
+        assert (link.rates, link.node, link.extended) == (rates, node, extended)
+        assert link.name.startswith("can:virtual/test-")
+        assert isinstance(link.wire(), CanWire)
+        assert abs(link.clock() - time.monotonic()) < 1.0
 
 
 # class 2 (to a device), node, number of the host; behind "HB" where identifiers are long
@@ -156,22 +134,13 @@ def test_a_hello_goes_out_with_the_numbers_of_node_and_host(query: str, number: 
 )
 def test_error_frames_are_records_counted_by_kind(ends: Ends, number: int, detail: int, kind: str) -> None:
     data = bytes([0, detail, 0, 0, 0, 0, 0, 0])
-    ends.bus.send(can.Message(arbitration_id=number, is_extended_id=False, is_error_frame=True, data=data))
+    ends.bus.send(standard(number, data, is_error_frame=True))
     (row,) = read(ends.link, 1)
     assert (row["id"], row["length"], bytes(row["data"][:8])) == (ERROR | number, 8, data)
     health = ends.link.health
     assert {name: count for name, count in health.error_frames.items() if count} == {kind: 1}
     assert health.received == 0
     assert health.bus_off == (kind == "bus-off")
-    assert error_kind(ERROR | number, detail) == kind
-
-
-def test_a_restart_ends_bus_off(ends: Ends) -> None:
-    for number in (0x40, 0x100):
-        ends.bus.send(can.Message(arbitration_id=number, is_extended_id=False, is_error_frame=True, data=bytes(8)))
-    read(ends.link, 2)
-    assert not ends.link.health.bus_off
-    assert ends.link.health.error_frames["bus-off"] == 1
 
 
 @pytest.mark.parametrize("settle", [0.0, 0.001])
@@ -180,7 +149,7 @@ def test_a_burst_is_read_whole_and_in_order(ends: Ends, settle: float) -> None:
 
     def send() -> None:
         for k in range(n):
-            ends.bus.send(can.Message(arbitration_id=k % 0x700, is_extended_id=False, data=k.to_bytes(4, "little")))
+            ends.bus.send(standard(k % 0x700, k.to_bytes(4, "little")))
 
     sender = threading.Thread(target=send)
     sender.start()
@@ -203,18 +172,14 @@ def test_read_waits_no_longer_than_told(ends: Ends) -> None:
 
 
 def test_a_settled_read_collects(ends: Ends) -> None:
-    timers = [
-        threading.Timer(0.02 * k, ends.bus.send, [can.Message(arbitration_id=k, is_extended_id=False)])
-        for k in range(3)
-    ]
-    for timer in timers:
-        timer.start()
+    for k in range(3):
+        threading.Timer(0.02 * k, ends.bus.send, [standard(k)]).start()
     assert len(ends.link.read(5.0, settle=0.5)) == 3 * CAN_RECORD.itemsize
 
 
 def test_one_read_gives_whole_records_up_to_its_limit(ends: Ends) -> None:
     for k in range(1000):
-        ends.bus.send(can.Message(arbitration_id=k, is_extended_id=False))
+        ends.bus.send(standard(k))
     while ends.link.health.received < 1000:
         time.sleep(0.001)
     sizes = [len(ends.link.read(0.0)) // CAN_RECORD.itemsize for _ in range(3)]
@@ -224,14 +189,14 @@ def test_one_read_gives_whole_records_up_to_its_limit(ends: Ends) -> None:
 def test_what_the_buffer_cannot_hold_is_counted(monkeypatch: pytest.MonkeyPatch, ends: Ends) -> None:
     monkeypatch.setattr(can_link, "MAX_BUFFER", 100 * CAN_RECORD.itemsize)
     for k in range(250):
-        ends.bus.send(can.Message(arbitration_id=k, is_extended_id=False))
+        ends.bus.send(standard(k))
     health = ends.link.health
     deadline = time.monotonic() + 5.0
     while health.dropped < 150 and time.monotonic() < deadline:
         time.sleep(0.001)
     assert (health.received, health.dropped) == (250, 150)
     assert read(ends.link, 100)["id"].tolist() == list(range(100))
-    ends.bus.send(can.Message(arbitration_id=0x555, is_extended_id=False))
+    ends.bus.send(standard(0x555))
     assert read(ends.link, 1)["id"].tolist() == [0x555]
 
 
@@ -260,26 +225,17 @@ def test_close_ends_a_read_and_the_thread(ends: Ends) -> None:
             use()
 
 
-def test_reopen_opens_the_same_bus_and_keeps_the_counts(ends: Ends) -> None:
-    ends.bus.send(can.Message(arbitration_id=1, is_extended_id=False))
-    read(ends.link, 1)
-    ends.link.reopen()
-    ends.bus.send(can.Message(arbitration_id=2, is_extended_id=False))
-    assert read(ends.link, 1)["id"].tolist() == [2]
-    assert ends.link.health.received == 2
-
-
 # A driver of our own, by python-can's plug-in mechanism: it does what no bus on this machine can be made to do
 
 
 class Wayward(can.BusABC):
     """A bus with a keyword of its own, that gives, raises or swallows what the test ordered."""
 
-    plan: ClassVar[list[Any]] = []
-    shut: ClassVar[list[Wayward]] = []
-    on_open: Exception | None = None
-    on_send: Callable[[], None] = staticmethod(lambda: None)
-    state_now = can.BusState.ACTIVE
+    plan: ClassVar[list[Any]]
+    shut: ClassVar[list[Wayward]]
+    on_open: ClassVar[Exception | None]
+    sends: ClassVar[Iterator[Exception | None]]  # what becomes of each send
+    state_now: ClassVar[can.BusState]
 
     def __init__(self, channel: str, bitrate: int, keyword: int = 0) -> None:
         super().__init__(channel)
@@ -300,7 +256,8 @@ class Wayward(can.BusABC):
         return None, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self.on_send()
+        if error := next(self.sends):
+            raise error
 
     def shutdown(self) -> None:
         super().shutdown()
@@ -309,20 +266,16 @@ class Wayward(can.BusABC):
 
 @pytest.fixture
 def wayward(monkeypatch: pytest.MonkeyPatch) -> type[Wayward]:
-    class Bus(Wayward):
-        plan: ClassVar[list[Any]] = []
-        shut: ClassVar[list[Wayward]] = []
-
-    module = sys.modules[__name__]
-    monkeypatch.setattr(module, "WaywardBus", Bus, raising=False)
-    monkeypatch.setitem(can.interfaces.BACKENDS, "wayward", (__name__, "WaywardBus"))
+    Wayward.plan, Wayward.shut, Wayward.on_open = [], [], None
+    Wayward.sends, Wayward.state_now = itertools.repeat(None), can.BusState.ACTIVE
+    monkeypatch.setitem(can.interfaces.BACKENDS, "wayward", (__name__, "Wayward"))
     monkeypatch.setattr("can.util.VALID_INTERFACES", can.interfaces.VALID_INTERFACES | {"wayward"})
-    return Bus
+    return Wayward
 
 
 @pytest.fixture
 def link(wayward: type[Wayward]) -> Iterator[CanLink]:
-    with opened("can:wayward/7") as made:
+    with opened("can:wayward/7?keyword=1") as made:
         yield made
 
 
@@ -333,13 +286,9 @@ def os_failure(number: int) -> can.CanOperationError:
     return error
 
 
-def message(number: int) -> can.Message:
-    return can.Message(arbitration_id=number, is_extended_id=False)
-
-
 def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward], link: CanLink) -> None:
     # python-can's socketcand puts a whole traceback into its error
-    wayward.plan += [message(1), message(2), can.CanOperationError("pulled out\nTraceback: File …")]
+    wayward.plan += [standard(1), standard(2), can.CanOperationError("pulled out\nTraceback: File …")]
     assert read(link, 2)["id"].tolist() == [1, 2]
     for _ in range(2):
         with pytest.raises(LinkClosed, match=r"^can:wayward/7 was lost: pulled out$"):
@@ -347,16 +296,17 @@ def test_frames_before_a_loss_are_delivered_first(wayward: type[Wayward], link: 
     with pytest.raises(LinkClosed, match="pulled out"):
         link.write(records((1, b"", 0)))
     link.reopen()
-    wayward.plan.append(message(3))
+    wayward.plan.append(standard(3))
     assert read(link, 1)["id"].tolist() == [3]
+    assert link.health.received == 3
 
 
 def test_frames_that_can_cannot_have_are_counted(wayward: type[Wayward], link: CanLink) -> None:
     wayward.plan += [
-        message(0x800),
+        standard(0x800),
         can.Message(arbitration_id=1, data=bytes(9)),
         can.Message(arbitration_id=1, data=bytes(65), is_fd=True),
-        message(5),
+        standard(5),
     ]
     assert read(link, 1)["id"].tolist() == [5]
     assert (link.health.malformed, link.health.received) == (3, 1)
@@ -391,10 +341,6 @@ def test_what_ends_an_opening_leaves_no_bus_open(wayward: type[Wayward], stop: B
 STALL = 0.3  # s, more than an idle bus is ever left alone
 
 
-def error_message() -> can.Message:
-    return can.Message(arbitration_id=0x20, is_error_frame=True, data=bytes(8))
-
-
 def fresh_again(link: CanLink, send: Callable[[], None]) -> bool:
     """Whether a frame soon has the time at which it was read; a machine that is busy may stall the link again."""
     deadline = time.monotonic() + 10.0
@@ -415,16 +361,16 @@ def test_after_a_stall_records_are_no_younger_than_the_last_look(
     def stall() -> can.Message:
         began.append(time.monotonic())
         time.sleep(STALL)
-        return message(1)
+        return standard(1)
 
     before = time.monotonic()
     with opened("can:wayward/7") as link:
-        wayward.plan += [stall, message(2), error_message()]
+        wayward.plan += [stall, standard(2), standard(0x20, bytes(8), is_error_frame=True)]
         rows = read(link, 3)
         assert before <= rows["time"].max() <= began[0]
-        wayward.plan.append(message(4))
+        wayward.plan.append(standard(4))
         assert read(link, 1)["time"][0] <= began[0]
-        assert fresh_again(link, lambda: wayward.plan.append(message(5)))
+        assert fresh_again(link, lambda: wayward.plan.append(standard(5)))
         assert time.monotonic() >= began[0] + STALL + 1.0
 
 
@@ -435,7 +381,7 @@ def test_a_short_pause_is_no_stall(wayward: type[Wayward], monkeypatch: pytest.M
     def pause() -> can.Message:
         time.sleep(0.05)
         paused.append(time.monotonic())
-        return message(1)
+        return standard(1)
 
     with opened("can:wayward/7") as link:
         wayward.plan.append(pause)
@@ -443,13 +389,7 @@ def test_a_short_pause_is_no_stall(wayward: type[Wayward], monkeypatch: pytest.M
 
 
 def test_a_full_transmit_buffer_is_tried_again(wayward: type[Wayward], link: CanLink) -> None:
-    refusals = iter([os_failure(errno.ENOBUFS)] * 5)
-
-    def send() -> None:
-        for refusal in refusals:
-            raise refusal
-
-    wayward.on_send = staticmethod(send)
+    wayward.sends = itertools.chain([os_failure(errno.ENOBUFS)] * 5, itertools.repeat(None))
     link.write(records((1, b"", 0), (2, b"", 0)))
     assert link.health.sent == 2
 
@@ -458,13 +398,7 @@ def test_a_transmit_buffer_that_stays_full_fails_the_write(
     wayward: type[Wayward], link: CanLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(can_link, "WRITE_TIMEOUT", 0.03)
-    sends = itertools.count()
-
-    def send() -> None:
-        if next(sends):
-            raise can.CanOperationError("Transmit buffer full")
-
-    wayward.on_send = staticmethod(send)
+    wayward.sends = itertools.chain([None], itertools.repeat(can.CanOperationError("Transmit buffer full")))
     with pytest.raises(LinkError, match=r"can:wayward/7 took 1 of 3 frames: .* for 0.03 s: is another node") as caught:
         link.write(records((1, b"", 0), (2, b"", 0), (3, b"", 0)))
     assert not isinstance(caught.value, LinkClosed)
@@ -472,19 +406,13 @@ def test_a_transmit_buffer_that_stays_full_fails_the_write(
 
 
 def test_a_refused_frame_is_an_error_and_a_dead_socket_a_loss(wayward: type[Wayward], link: CanLink) -> None:
-
-    def fail(error: Exception) -> None:
-        raise error
-
-    wayward.on_send = staticmethod(lambda: fail(can.CanOperationError("no FD here")))
+    wayward.sends = iter([can.CanOperationError("no FD here"), BrokenPipeError(errno.EPIPE, "Broken pipe")])
     with pytest.raises(LinkError, match="took 0 of 1 frames: no FD here"):
         link.write(records((1, b"", 0)))
     assert link.read(0.0) == b""
-    wayward.on_send = staticmethod(lambda: fail(BrokenPipeError(errno.EPIPE, "Broken pipe")))
-    with pytest.raises(LinkClosed, match="Broken pipe"):
-        link.write(records((1, b"", 0)))
-    with pytest.raises(LinkClosed, match="Broken pipe"):
-        link.read(0.0)
+    for use in (lambda: link.write(records((1, b"", 0))), lambda: link.read(0.0)):
+        with pytest.raises(LinkClosed, match="Broken pipe"):
+            use()
 
 
 @pytest.mark.parametrize(
@@ -513,9 +441,7 @@ def test_what_a_driver_raises_is_one_line(
     assert type(caught.value) is kind
     text = str(caught.value)
     assert "\n" not in text
-    assert "can:wayward/7" in text
-    for part in parts:
-        assert part in text
+    assert [part for part in ("can:wayward/7", *parts) if part not in text] == []
 
 
 def test_an_interface_that_is_down_is_not_found(wayward: type[Wayward]) -> None:
@@ -569,28 +495,6 @@ def test_slcan_is_opened_with_our_own_bus(adapter: tuple[int, str]) -> None:
         link.reopen()
 
 
-def test_after_a_stall_frames_of_slcan_are_no_younger_either(
-    adapter: tuple[int, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    master, name = adapter
-    receive = SlcanBus.recv_records
-    ordered: list[bytes] = []
-    began: list[float] = []
-
-    def stalled(self: SlcanBus, timeout: float, settle: float = 0.0) -> bytes:
-        if ordered:
-            began.append(time.monotonic())
-            time.sleep(STALL)
-            os.write(master, ordered.pop())
-        return receive(self, timeout, settle)
-
-    monkeypatch.setattr(SlcanBus, "recv_records", stalled)
-    with opened(f"can:slcan/{name}") as link:
-        ordered.append(b"t0010\rt0020\r")
-        assert read(link, 2)["time"].max() <= began[0]
-        assert fresh_again(link, lambda: os.write(master, b"t0030\r") and None)
-
-
 def test_text_that_is_no_slcan_is_no_loss(adapter: tuple[int, str]) -> None:
     master, name = adapter
     with opened(f"can:slcan/{name}") as link:
@@ -640,6 +544,8 @@ def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
 
 # What is not here, and python-can's configuration
 
+SOCKETCAND = "can:socketcand/can0?host=127.0.0.1"
+
 
 @pytest.mark.parametrize(
     ("target", "match"),
@@ -649,12 +555,19 @@ def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
         ("can:zzz/can0", r"it knows .*pcan, .*virtual"),
         ("can:virtual/x?port=first", "does not accept this configuration: Port config must be a number"),
         ("can:", "no CAN interface is named.*set CAN_INTERFACE"),
+        ("can:slcan//dev/ttyNONE?bitrat=500000", r"interface slcan has no key 'bitrat': did you mean bitrate\?"),
+        ("can:slcan//dev/ttyNONE?rtsct=1", r"interface slcan has no key 'rtsct': did you mean rtscts\?"),
+        ("can:slcan//dev/ttyNONE?brp=1", "interface slcan has no key 'brp': it knows .*bitrate"),
+        (f"{SOCKETCAND}&port=9&bitrat=500000", r"interface socketcand has no key 'bitrat': did you mean bitrate\?"),
+        (f"{SOCKETCAND}&prot=9", r"interface socketcand has no key 'prot': did you mean port\?"),
+        ("can:virtual/x?hostnumber=3", r"interface virtual has no key 'hostnumber': did you mean host_number\?"),
+        ("can:virtual/x?nod=3", r"interface virtual has no key 'nod': did you mean node\?"),
+        ("can:virtual/x?zzz=3", "interface virtual has no key 'zzz': it knows bitrate, .*rx_queue_size"),
     ],
 )
 def test_targets_that_mean_nothing_here(wayward: type[Wayward], bare: Path, target: str, match: str) -> None:
     with pytest.raises(TargetError, match=match):
         open_link(target)
-    open_link("can:wayward/7?keyword=1").close()
 
 
 @pytest.mark.parametrize(
@@ -671,12 +584,8 @@ def test_missing_ports(target: str) -> None:
 
 @pytest.mark.parametrize("interface", ["pcan", "kvaser", "ixxat", "gs_usb", "neovi", "cantact", "systec"])
 def test_missing_drivers(interface: str, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(LinkNotFound) as caught:
+    with pytest.raises(LinkNotFound, match=rf"^can:{interface}/[^\n]*driver installed\?\Z"):
         open_link(f"can:{interface}/0?bitrate=500000" if interface != "pcan" else "can:pcan/PCAN_USBBUS1")
-    text = str(caught.value)
-    assert text.startswith(f"can:{interface}/")
-    assert text.endswith("driver installed?")
-    assert "\n" not in text
     assert capfd.readouterr() == ("", "")  # python-can's own reports
 
 
@@ -685,7 +594,7 @@ def test_configuration_by_environment(bare: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("CAN_CHANNEL", "by-environment")
     monkeypatch.setenv("CAN_BITRATE", "250000")
     with can.Bus(interface="virtual", channel="by-environment") as bus, opened("can:") as link:
-        bus.send(message(9))
+        bus.send(standard(9))
         assert read(link, 1)["id"].tolist() == [9]
         assert (link.name, link.rates) == ("can:virtual/by-environment", BusRates(250_000))
 
@@ -705,41 +614,18 @@ def test_configuration_by_file_and_context(bare: Path) -> None:
 
 
 def test_a_configuration_that_cannot_be_read(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = "does not accept this configuration: "
     (bare / "can.conf").write_text("no section\n")
-    with pytest.raises(TargetError, match="does not accept this configuration: File contains no section headers"):
+    with pytest.raises(TargetError, match=f"{refused}File contains no section headers"):
         open_link("can:")
     (bare / "can.conf").unlink()
-    monkeypatch.setenv("CAN_CONFIG", "{")
-    with pytest.raises(TargetError, match="does not accept this configuration"):
-        open_link("can:")
-    monkeypatch.delenv("CAN_CONFIG")
     monkeypatch.setenv("CAN_BITRATE", "fast")
     for target in ("can:virtual/x", "can:slcan//dev/ttyNONE", "can:pcan/PCAN_USBBUS1?fd=1"):
-        with pytest.raises(TargetError, match=r"does not accept this configuration: .*'fast'"):
+        with pytest.raises(TargetError, match=f"{refused}.*'fast'"):
             open_link(target)
-    monkeypatch.delenv("CAN_BITRATE")
-    monkeypatch.setenv("CAN_INTERFACE", "virtul")
-    with pytest.raises(TargetError, match=r"did you mean virtual\?"):
+    monkeypatch.setenv("CAN_CONFIG", "{")
+    with pytest.raises(TargetError, match=refused):
         open_link("can:")
-
-
-@pytest.mark.parametrize(
-    ("target", "hint"),
-    [
-        ("can:slcan//dev/ttyNONE?bitrat=500000", r"'bitrat': did you mean bitrate\?"),
-        ("can:slcan//dev/ttyNONE?rtsct=1", r"'rtsct': did you mean rtscts\?"),
-        ("can:slcan//dev/ttyNONE?brp=1", r"'brp': it knows .*bitrate"),
-        ("can:socketcand/can0?host=127.0.0.1&port=9&bitrat=500000", r"'bitrat': did you mean bitrate\?"),
-        ("can:socketcand/can0?host=127.0.0.1&prot=9", r"'prot': did you mean port\?"),
-        ("can:virtual/x?hostnumber=3", r"'hostnumber': did you mean host_number\?"),
-        ("can:virtual/x?nod=3", r"'nod': did you mean node\?"),
-        ("can:virtual/x?zzz=3", r"'zzz': it knows bitrate, .*rx_queue_size"),
-    ],
-)
-def test_keys_that_an_interface_does_not_know(bare: Path, target: str, hint: str) -> None:
-    interface = target.partition(":")[2].partition("/")[0]
-    with pytest.raises(TargetError, match=f"the interface {interface} has no key {hint}"):
-        open_link(target)
 
 
 def test_keys_of_a_configuration_count_where_it_names_the_interface(bare: Path) -> None:
@@ -818,11 +704,9 @@ CLASSIC_TIMING = "f_clock=8000000&brp=1&tseg1=5&tseg2=2&sjw=1&nof_samples=1"
     ],
 )
 def test_python_can_is_told_the_rates_that_are_its_to_set(bare: Path, target: str, told: dict[str, object]) -> None:
-    named = parse_target(target)
-    arguments = bus_arguments(named)
-    timing = arguments.pop("timing", None)
-    if isinstance(timing, can.BitTimingFd):
-        arguments["timing"] = (timing.nom_bitrate, timing.data_bitrate)
-    elif timing is not None:
-        arguments["timing"] = (timing.bitrate,)
+    arguments = bus_arguments(parse_target(target))
+    if timing := arguments.get("timing"):
+        arguments["timing"] = tuple(
+            getattr(timing, rate) for rate in ("bitrate", "nom_bitrate", "data_bitrate") if hasattr(timing, rate)
+        )
     assert {key: arguments[key] for key in ("bitrate", "data_bitrate", "timing") if key in arguments} == told

@@ -6,69 +6,50 @@ import os
 import subprocess
 import sys
 import time
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
-from protocol.links import SerialTarget, open_link
+from protocol.links import open_link
 from protocol.links.base import MAX_READ
 from protocol.links.serial import SerialLink, line_rate
-
-
-class Port:
-    """A pty that can be pulled out and put back under the same name."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.plug()
-
-    def plug(self) -> None:
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        os.set_blocking(self.master, False)
-        self.path.unlink(missing_ok=True)
-        self.path.symlink_to(os.ttyname(self.slave))
-
-    def unplug(self) -> None:
-        os.close(self.slave)
-        os.close(self.master)
-        self.path.unlink()
+from sim.ports.byte_ports import PtyPort
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[Port]:
-    port = Port(tmp_path / "ttyBENCH")
+def port(tmp_path: Path) -> Iterator[PtyPort]:
+    """A port that can be pulled out."""
+    port = PtyPort(tmp_path / "ttyBENCH")
     yield port
-    if port.path.is_symlink():
-        port.unplug()
+    port.close()
 
 
 @pytest.fixture
-def link(port: Port) -> Iterator[SerialLink]:
-    link = SerialLink(SerialTarget(str(port.path)))
+def link(port: PtyPort) -> Iterator[SerialLink]:
+    link = open_link(port.target)
+    assert isinstance(link, SerialLink)
     yield link
     link.close()
 
 
-def test_read_takes_all_that_has_come(port: Port, link: SerialLink) -> None:
+def test_read_takes_all_that_has_come(port: PtyPort, link: SerialLink) -> None:
     sent = os.urandom(9000)  # more than one read of the line discipline
-    written = os.write(port.master, sent)
+    written = port.write(sent)
     assert link.read(2.0, settle=0.001)[:4000] == sent[:4000]
     assert written <= MAX_READ
 
 
-def test_bytes_stolen_by_another_reader_are_no_unplug(port: Port, link: SerialLink) -> None:
-    os.write(port.master, b"abc")
-    os.set_blocking(port.slave, False)
-    assert os.read(port.slave, 10) == b"abc"
+def test_bytes_stolen_by_another_reader_are_no_unplug(port: PtyPort, link: SerialLink) -> None:
+    port.write(b"abc")
+    os.set_blocking(port._slave, False)
+    assert os.read(port._slave, 10) == b"abc"
     assert link.read(0.0) == b""
 
 
-def test_unplug_delivers_the_tail_then_names_the_port(port: Port, link: SerialLink) -> None:
-    os.write(port.master, b"last words")
+def test_unplug_delivers_the_tail_then_names_the_port(port: PtyPort, link: SerialLink) -> None:
+    port.write(b"last words")
     assert link.read(2.0) == b"last words"
     port.unplug()
     with pytest.raises(LinkClosed, match="ttyBENCH is gone"):
@@ -79,32 +60,32 @@ def test_unplug_delivers_the_tail_then_names_the_port(port: Port, link: SerialLi
         link.write(b"x")
 
 
-def test_write_to_an_unplugged_port(port: Port, link: SerialLink) -> None:
+def test_write_to_an_unplugged_port(port: PtyPort, link: SerialLink) -> None:
     port.unplug()
     with pytest.raises(LinkClosed, match="ttyBENCH is gone"):
         link.write(b"x")
 
 
-def test_old_bytes_are_not_delivered_after_reopen(port: Port, link: SerialLink) -> None:
+def test_old_bytes_are_not_delivered_after_reopen(port: PtyPort, link: SerialLink) -> None:
     link.close()
-    os.write(port.master, b"nobody was there")
+    port.write(b"nobody was there")
     link.reopen()
     assert link.read(0.0) == b""
 
 
-def test_port_held_by_another_process(port: Port) -> None:
+def test_port_held_by_another_process(port: PtyPort) -> None:
     code = (
         "import sys; from protocol.links import open_link; link = open_link(sys.argv[1]);"
         "print('open', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
-        [sys.executable, "-c", code, f"serial:{port.path}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", code, port.target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
         assert holder.stdout.readline() == b"open\n"
         with pytest.raises(LinkBusy, match=r"ttyBENCH is held by another program"):
-            open_link(f"serial:{port.path}")
+            open_link(port.target)
         holder.communicate(timeout=10)
-    open_link(f"serial:{port.path}").close()
+    open_link(port.target).close()
 
 
 def test_a_line_that_takes_nothing_fails_within_the_limit(link: SerialLink, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,15 +120,15 @@ def test_a_file_is_not_a_port(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells the rate of a port")
 @pytest.mark.parametrize("baud", [300, 115200, 3_000_000, 1_234_567])
-def test_rate_reaches_the_port(port: Port, baud: int) -> None:
-    link = open_link(f"serial:{port.path}?baud={baud}")
-    assert line_rate(port.master) == baud
+def test_rate_reaches_the_port(port: PtyPort, baud: int) -> None:
+    link = open_link(f"{port.target}?baud={baud}")
+    assert line_rate(port._master) == baud
     link.close()
 
 
-def test_a_rate_that_the_driver_changes_is_refused(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rate_that_the_driver_changes_is_refused(port: PtyPort, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("protocol.links.serial.line_rate", lambda fd: 9600)
     with pytest.raises(TargetError, match=r"cannot run at 3000000 baud \(its driver would run at 9600\)"):
-        open_link(f"serial:{port.path}?baud=3000000")
+        open_link(f"{port.target}?baud=3000000")
     monkeypatch.undo()
-    open_link(f"serial:{port.path}").close()  # and the port was let go
+    open_link(port.target).close()  # and the port was let go
