@@ -1,15 +1,6 @@
 import numpy as np
 import pytest
-from ideal_motor import (
-    CODES,
-    IDEAL_EDGES,
-    PAPER_EDGES,
-    TICK_HZ,
-    TICKS,
-    constant,
-    rpm,
-    signals,
-)
+from ideal_motor import CODES, PAPER_EDGES, TICK_HZ, TICKS, constant, rpm, signals
 
 from sim.observers import average_speed, hall_speed, sample
 
@@ -231,14 +222,6 @@ def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
     hall = np.array([7, 0, CODES[4]], np.uint8)
     _, out = front(tick, hall, none, none.astype(np.uint8))
     assert list(out.sector) == [-1, -1, 4]
-
-
-def test_codes_of_the_sectors():
-    # bit 0 = sensor a is high over sectors 0, 1, 5; b over 1, 2, 3; c over 3, 4, 5 (Hall bit order)
-    assert [hall_speed.SECTOR_OF_CODE[c] for c in CODES] == [0, 1, 2, 3, 4, 5]
-    assert hall_speed.SECTOR_OF_CODE[0] == hall_speed.SECTOR_OF_CODE[7] == -1
-    assert all(bin(CODES[s] ^ CODES[s - 1]).count("1") == 1 for s in range(6))
-    assert IDEAL_EDGES[1] == 60.0
 
 
 @pytest.mark.parametrize("way", [1, -1])
