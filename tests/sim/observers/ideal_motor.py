@@ -177,7 +177,7 @@ def samples(s: Signals, reset=None) -> sample.Samples:
 def part(seen: sample.Samples, begin: int, end: int | None = None) -> sample.Samples:
     """Samples [begin, end) of a run."""
     hall, *others = seen
-    return sample.Samples(type(hall)(*(c[begin:end] for c in hall)), *(c[begin:end] for c in others))
+    return sample.Samples(type(hall)(*(c[begin:end].copy() for c in hall)), *(c[begin:end].copy() for c in others))
 
 
 def track(observer, params, s: Signals, reset=None):

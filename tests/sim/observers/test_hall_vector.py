@@ -26,17 +26,16 @@ J = 2e-4
 BW = 10.0
 W = 2 * math.pi * BW
 PER_AMPERE = 1.5 * N_P**2 * PSI_F / J  # rad/s2 of electrical acceleration
-SPEEDS = [500.0, 1000.0, 3000.0, -500.0, -3000.0]
 
 
 def estimate(s, reset=None, observer=hall_vector, **model):
     return track(observer, observer.make_params(PWM_HZ, own(observer, **model)), s, reset)
 
 
-def loop(omega):
-    """Angle of the estimate by angle of the Hall vector at the frequency `omega`: three poles at W."""
+def loop(omega, w=W):
+    """Angle of the estimate by angle of the Hall vector at the frequency `omega`: three poles at `w`."""
     s = 1j * np.asarray(omega)
-    return (3 * W * s**2 + 3 * W**2 * s + W**3) / (s + W) ** 3
+    return (3 * w * s**2 + 3 * w**2 * s + w**3) / (s + w) ** 3
 
 
 def disturbance(edges_deg, harmonics):
@@ -60,21 +59,18 @@ def component(s, out, harmonic, seconds):
     return 2 * np.mean(error_deg(out.theta, s.theta)[-n:] * np.exp(-1j * harmonic * s.theta[-n:]))
 
 
-def beyond(away):
-    """Samples whose estimate lies more than 30 deg outside the sector, from its distance to the centre in deg."""
-    return away > 60 + 1e-9
-
-
-@pytest.mark.parametrize("speed", SPEEDS)
-def test_ripple_at_constant_speed(speed):
+@pytest.mark.parametrize(
+    ("speed", "bw"), [(500.0, BW), (1000.0, BW), (3000.0, BW), (-500.0, BW), (-3000.0, BW), (500.0, 5.0)]
+)
+def test_ripple_at_constant_speed(speed, bw):
     """With ideal sensors: no mean, and the sixth harmonic of the Hall vector through the loop."""
     omega = rpm(speed)
     s = signals(constant(omega), 1.0)
-    out = estimate(s)
+    out = estimate(s, bw_hall_vector=bw)
     error = error_deg(s.theta, out.theta)[PWM_HZ // 2 :]
     a_period = np.degrees(abs(omega)) * T_S
     assert abs(error.mean()) < 0.02 + 0.2 * a_period  # codes are sampled: the sectors' edges are that coarse
-    expected = np.degrees(12 / 35 * abs(loop(6 * omega)))
+    expected = np.degrees(12 / 35 * abs(loop(6 * omega, 2 * math.pi * bw)))
     assert abs(component(s, out, 6, 0.5)) == pytest.approx(expected, rel=0.04)
     assert out.omega[-PWM_HZ // 2 :].mean() == pytest.approx(omega, rel=1e-3)
 
@@ -131,14 +127,6 @@ def test_a_step_of_the_load_is_found(sign):
     assert out.tau_load[-PWM_HZ // 50 :].mean() == pytest.approx(-sign * 0.15, rel=0.05)
 
 
-def test_a_wider_loop_follows_sooner_and_ripples_more():
-    omega = rpm(500)
-    s = signals(constant(omega), 1.0)
-    ripple = [abs(component(s, estimate(s, bw_hall_vector=bw), 6, 0.5)) for bw in (5.0, 10.0, 20.0)]
-    assert ripple[1] / ripple[0] == pytest.approx(2.0, rel=0.05)
-    assert ripple[2] / ripple[1] == pytest.approx(2.0, rel=0.05)
-
-
 def test_a_load_too_big_for_the_loop_is_caught_up_with():
     """0.8 N m at once throw the estimate to the clamp; it comes back by itself."""
     a = 0.8 * N_P / J
@@ -152,8 +140,9 @@ def test_a_load_too_big_for_the_loop_is_caught_up_with():
     out = estimate(s)
     centre = np.radians(60 * sectors(s.theta) + 30)
     away = np.abs(error_deg(centre, out.theta))
-    assert away.max() > 60
-    assert not (beyond(away)[1:] & beyond(away)[:-1]).any()
+    beyond = away > 60 + 1e-9  # more than 30 deg outside the sector
+    assert beyond.any()
+    assert not (beyond[1:] & beyond[:-1]).any()
     assert np.abs(error_deg(s.theta, out.theta))[-1600:].max() < 4.0
 
 

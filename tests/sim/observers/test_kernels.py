@@ -90,10 +90,10 @@ def numbers(value):
 
 @cache
 def heard(make):
-    """Samples and resets."""
+    """Samples and resets, one of them of the observer alone."""
     s = make()
     reset = resets(s.tick.size)
-    return samples(s, reset), reset
+    return samples(s, reset), reset | (np.arange(reset.size) == 3000)
 
 
 def run_whole(observer, make):

@@ -16,13 +16,14 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
+    part,
     rpm,
     samples,
     signals,
+    table,
 )
 
 from sim.observers import edge_learning, learned_edges
-from sim.observers.sample import Samples
 
 RANDOM = np.arange(6) * 60.0 - np.random.default_rng(5).uniform(-15, 15, 6)
 
@@ -97,9 +98,8 @@ def test_learned_with_noise_at_speed_and_used_at_low_speed(edges_deg):
 
 def test_given_edges_are_used_at_once_and_held():
     s = signals(constant(rpm(40)), 2.0, edges_deg=PAPER_EDGES)
-    given = {f"edge_{way}_{k + 1}": math.radians(TABLE_I[k]) for way in ("up", "down") for k in range(6)}
     _, unknown = estimate(s)
-    state, known = estimate(s, learn_edges=0.0, **given)
+    state, known = estimate(s, learn_edges=0.0, **table())
     assert np.abs(errors(s, unknown)).max() > 3.0
     assert np.abs(errors(s, known)).max() < 0.1
     assert known.learned[-1] == 12
@@ -156,9 +156,8 @@ def dead_time(s, v, i_fade=0.3):
 @pytest.mark.parametrize("v", [0.04, 0.15, -0.04])
 def test_what_the_dead_time_leaves_is_learned(v):
     s = dead_time(signals(constant(rpm(120)), 4.0, edges_deg=PAPER_EDGES), v)
-    given = {f"edge_{way}_{k + 1}": math.radians(TABLE_I[k]) for way in ("up", "down") for k in range(6)}
-    state, out = estimate(s, **given)
-    _, held = estimate(s, learn_edges=0.0, **given)
+    state, out = estimate(s, **table())
+    _, held = estimate(s, learn_edges=0.0, **table())
     assert state.voltage.v == pytest.approx(v, rel=0.03)
     assert errors(s, out, 0.75).std() < 0.15
     assert errors(s, held, 0.75).std() > 5 * errors(s, out, 0.75).std()
@@ -245,9 +244,9 @@ def test_an_observer_that_is_half_a_turn_off_finds_back():
     s = signals(constant(rpm(800)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
     seen, n = samples(s), s.tick.size
     cut = PWM_HZ // 2
-    state, _ = learned_edges.run(make(), learned_edges.init(), _part(seen, 0, cut), np.zeros(cut, np.bool_))
+    state, _ = learned_edges.run(make(), learned_edges.init(), part(seen, 0, cut), np.zeros(cut, np.bool_))
     turned = state._replace(theta=float((state.theta + 2 * np.pi) % (2 * np.pi) - np.pi))
-    _, out = learned_edges.run(make(), turned, _part(seen, cut, n), np.zeros(n - cut, np.bool_))
+    _, out = learned_edges.run(make(), turned, part(seen, cut), np.zeros(n - cut, np.bool_))
     error = error_deg(s.theta[cut:], out.theta)
     assert np.abs(error[0]) > 170
     assert np.abs(error[-1600:]).max() < 1.0
@@ -270,8 +269,3 @@ def test_the_loop_is_stable_at_every_speed(psi_error, width):
         share = (1.0 - weight) ** 2
         edge = np.array([[1.0 - share, 0.0], [-share / dt, 1.0]])
         assert np.abs(np.linalg.eigvals(edge @ between)).max() < 0.97
-
-
-def _part(samples, begin, end):
-    """Samples [begin, end) of a run."""
-    return Samples(*(type(c)(*(x[begin:end] for x in c)) if isinstance(c, tuple) else c[begin:end] for c in samples))

@@ -14,10 +14,12 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
+    part,
     rpm,
     samples,
     signals,
     track,
+    turning_back,
 )
 
 from sim.observers import hall_speed, vector_tracking
@@ -61,8 +63,7 @@ def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q
     i_q_err = np.broadcast_to(np.asarray(i_q_ref, float) - i_q, n)
     none = np.zeros(n, np.int64)
     seen = Samples(front, theta, none, none, none, none, 0.0 * theta, u.real, u.imag, i.real, i.imag, i_q_err)
-    seen = Samples(*(type(a)(*(c[1:] for c in a)) if isinstance(a, tuple) else a[1:].copy() for a in seen))
-    return vector_tracking.run(params, first, seen, np.zeros(n - 1, np.bool_))[1]
+    return vector_tracking.run(params, first, part(seen, 1), np.zeros(n - 1, np.bool_))[1]
 
 
 @pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
@@ -222,13 +223,7 @@ def test_correction_starts_and_stops_with_hysteresis_at_edges():
 @pytest.mark.parametrize("theta_0", np.radians([0, 13, 31, 47, 59]))
 def test_a_rotor_that_turns_back_is_followed_through_zero(deceleration, theta_0):
     omega = rpm(500)
-
-    def angle(t):
-        run = np.maximum(t - 0.1, 0)
-        back = np.minimum(run, 2 * omega / deceleration)
-        past = run - back
-        return theta_0 + omega * np.minimum(t, 0.1) + omega * back - deceleration * back**2 / 2 - omega * past
-
+    angle = turning_back(omega, 0.1, deceleration, theta_0)
     s = signals(angle, 0.2 + 2 * omega / deceleration, i_q=-3.0, fine=20, noise=0.02)
     out = estimate(s)
     error = np.abs(error_deg(s.theta, out.theta))
@@ -246,8 +241,7 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     seen, reset, half = samples(s), np.zeros(s.tick.size, bool), 1600
     state, _ = vector_tracking.run(params, vector_tracking.init(), seen, reset[:half])
     lost = state._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
-    rest = Samples(hall_speed.Estimates(*(c[half:] for c in seen.hall)), *(c[half:] for c in seen[1:]))
-    _, out = vector_tracking.run(params, lost, rest, reset[half:])
+    _, out = vector_tracking.run(params, lost, part(seen, half), reset[half:])
     error = np.abs(error_deg(s.theta[half:], out.theta))
     assert out.on[0] == 0
     assert error[0] < 0.1

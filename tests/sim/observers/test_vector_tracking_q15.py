@@ -8,22 +8,27 @@ import pytest
 import q15_harness
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, TICK_HZ, constant, error_deg, own, rpm, samples, signals
+from ideal_motor import (
+    DRIVE,
+    PAPER_EDGES,
+    PWM_HZ,
+    TICK_HZ,
+    constant,
+    error_deg,
+    own,
+    quantised,
+    rpm,
+    samples,
+    signals,
+    turning_back,
+)
 from test_kernels import busy, resets
 
-from sim.numba_cache import jit
 from sim.observers import sample, vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 
-MILLI = 1 / 1024
 PARAMS = q15.make_params(PWM_HZ, own(q15))
 TURN = 1 << 32
-
-
-def quantised(s):
-    """As telemetry carries them: 1/1024 V and A a count."""
-    names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
-    return s._replace(**{name: np.round(getattr(s, name) / MILLI) * MILLI for name in names})
 
 
 def both(s, hall_factor=1.0, **drive):
@@ -38,40 +43,13 @@ def both(s, hall_factor=1.0, **drive):
     )
 
 
-@jit
-def trace(constants, state, rows, out):
-    """The kernel's states after each row of integers: reset, and the fields of Counts."""
-    for k in range(rows.shape[0]):
-        if rows[k, 0] != 0:
-            state = q15.init()
-        x = q15.Counts(
-            rows[k, 1],
-            rows[k, 2],
-            rows[k, 3],
-            rows[k, 4],
-            rows[k, 5],
-            rows[k, 6],
-            rows[k, 7],
-            rows[k, 8],
-            rows[k, 9],
-        )
-        state = q15.advance(constants, state, x)
-        out[k, 0] = state.primed
-        out[k, 1] = state.on
-        out[k, 2] = state.direction
-        out[k, 3] = state.i_alpha
-        out[k, 4] = state.i_beta
-        out[k, 5] = state.e_alpha
-        out[k, 6] = state.e_beta
-        out[k, 7] = state.theta
-        out[k, 8] = state.corr_i
-        out[k, 9] = state.omega
-
-
 def traced(constants, state, rows):
-    out = np.empty((len(rows), len(q15.State._fields)), np.int64)
-    trace(constants, state, rows, out)
-    return out
+    """The kernel's states after each row of integers: reset, and the fields of Counts."""
+    states = []
+    for reset, *counts in rows.tolist():
+        state = q15.advance(constants, q15.init() if reset else state, q15.Counts(*counts))
+        states.append(state)
+    return np.array(states, np.int64)
 
 
 def outputs_off(seconds, i_q):
@@ -83,17 +61,13 @@ def outputs_off(seconds, i_q):
 
 def rows_of(seen, reset, params=PARAMS):
     """Rows of integers of a run, by the observer's own boundary."""
-    n = reset.size
-    every = [[int(reset[k]), *q15.counts(params, sample.at(seen, k))] for k in range(n)]
-    return np.array(every, np.int64)
+    return np.array([[again, *q15.counts(params, sample.at(seen, k))] for k, again in enumerate(reset)], np.int64)
 
 
 def recording(name):
     """Rows of integers of a drive's typical hours."""
-    reset = None
     if name == "busy":  # standstill, start, reversal, stop, glitches, lost edges, gaps
         s = busy()
-        reset = resets(s.tick.size)
     elif name == "start":
         s = signals(lambda t: 0.2 + 3500 * np.maximum(t - 0.01, 0) ** 2, 0.1, i_q=6.0, fine=10, noise=0.02)
     elif name == "outputs off":
@@ -101,7 +75,8 @@ def recording(name):
     else:
         s = signals(constant(rpm(float(name))), 0.2, edges_deg=PAPER_EDGES, noise=0.02)
     s = quantised(s)
-    return rows_of(samples(s, reset), np.zeros(s.tick.size, np.bool_) if reset is None else reset)
+    reset = resets(s.tick.size) & (name == "busy")
+    return rows_of(samples(s, reset), reset)
 
 
 RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
@@ -317,7 +292,7 @@ def test_a_wrong_hall_speed_is_made_good_by_the_integral():
     assert fixed.omega[-1] == pytest.approx(rpm(3000), rel=1e-3)
 
 
-HALF, BACK = 1.5, 2 * rpm(200) / 20_000.0
+HALF = 1.5
 HARD = {  # signals, and how far the two may be apart, deg
     "starts, a reversal, lost edges": (busy, 0.5),
     "outputs off": (lambda: outputs_off(0.4, 4.0), 0.1),
@@ -326,16 +301,10 @@ HARD = {  # signals, and how far the two may be apart, deg
         0.2,
     ),
     "back between two edges": (
-        lambda: signals(lambda t: 0.6 + rpm(200) * (t - turned_back(t)), 0.5, i_q=-3.0, fine=20, noise=0.02),
+        lambda: signals(turning_back(rpm(200), 0.2, 20_000.0, 0.6), 0.5, i_q=-3.0, fine=20, noise=0.02),
         1.0,
     ),
 }
-
-
-def turned_back(t):
-    """Time by which a rotor lags that brakes from 0.2 s on at a constant rate until it runs backwards as fast."""
-    braking = np.clip(t - 0.2, 0, BACK)
-    return braking**2 / BACK + 2 * np.maximum(t - 0.2 - BACK, 0)
 
 
 @pytest.mark.parametrize("name", HARD)
