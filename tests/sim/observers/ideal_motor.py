@@ -146,6 +146,14 @@ def constant(omega: float, theta_0: float = 0.3):
     return lambda t: theta_0 + omega * t
 
 
+def ramp(*points):
+    """Angle of a rotor whose electrical speed goes straight between (s, rad/s)."""
+    t, omega = (np.array(c, float) for c in zip(*points, strict=True))
+    grid = np.arange(0.0, t[-1] + 1e-3, T_S / 4)
+    angle = 0.3 + np.r_[0, np.cumsum(np.interp(grid[:-1] + T_S / 8, t, omega))] * (T_S / 4)
+    return lambda at: np.interp(at, grid, angle)
+
+
 def turning_back(omega: float, at: float, deceleration: float, theta_0: float = 0.0):
     """Angle of a rotor that brakes from `at` s on at a constant rate until it runs backwards as fast."""
     turned = 2 * omega / deceleration

@@ -13,6 +13,7 @@ from ideal_motor import (
     error_deg,
     glitch,
     own,
+    ramp,
     rpm,
     samples,
     sectors,
@@ -95,19 +96,16 @@ def test_no_lag_while_the_current_accelerates_the_rotor(sign):
     a = sign * 4 * PER_AMPERE
     omega = sign * rpm(500)
     start = 0.5
-
-    def angle(t):
-        return 0.3 + omega * t + a / 2 * np.maximum(t - start, 0) ** 2
-
+    angle = ramp((0, omega), (start, omega), (0.6, omega + 0.1 * a))
     t = np.arange(round(0.6 * PWM_HZ)) * T_S
     s = signals(angle, 0.6, i_q=np.where(t >= start, sign * 4.0, 0.0))
-    ramp = slice(round(start * PWM_HZ), None)
+    later = slice(round(start * PWM_HZ), None)
     ripple = np.degrees(12 / 35 * abs(loop(6 * omega)))
     out = estimate(s)
-    assert np.abs(error_deg(s.theta, out.theta))[ramp].max() < 1.7 * ripple
+    assert np.abs(error_deg(s.theta, out.theta))[later].max() < 1.7 * ripple
     assert abs(out.tau_load[-1]) < 0.03
     for wrong, share in ((2.0, 0.5), (0.8, -0.25)):
-        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[ramp]
+        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[later]
         peak = np.degrees(share * abs(a) * 2 * math.exp(-2) / W**2)
         assert error[np.argmax(np.abs(error))] == pytest.approx(peak, abs=2.0 + 0.1 * abs(peak))
 

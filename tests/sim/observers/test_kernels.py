@@ -23,7 +23,7 @@ OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges"}
 TOLD = {"k_ic": 11.0, **table()}
 
 
-def busy(seconds=0.6):
+def busy():
     """Standstill, start, 400 r/min, back through zero, a stop; misplaced sensors, noise, glitches, lost edges."""
     a, omega = 5000.0, rpm(400)
     up = omega / a
@@ -36,7 +36,7 @@ def busy(seconds=0.6):
         way = a * speed_up**2 / 2 + omega * steady + omega * turning - a * turning**2 / 2 - omega * back
         return 0.4 + way
 
-    s = signals(angle, seconds, i_q=5.0, edges_deg=PAPER_EDGES, fine=10, noise=0.02, seed=7)
+    s = signals(angle, 0.6, i_q=5.0, edges_deg=PAPER_EDGES, fine=10, noise=0.02, seed=7)
     rng = np.random.default_rng(3)
     keep = np.ones(s.edge_tick.size, bool)
     keep[20] = False
@@ -52,14 +52,11 @@ def busy(seconds=0.6):
 def learning():
     """1500 r/min, 200, then 1500 with a wire broken, too short for a reset: places, R_s and doubts are learned."""
     fast, slow = rpm(1500), rpm(200)
-    s = signals(
-        lambda t: 0.3 + fast * t - (fast - slow) * np.clip(t - 0.08, 0, 0.04),
-        0.156,
-        i_q=5.0,
-        edges_deg=PAPER_EDGES,
-        noise=0.02,
-        seed=7,
-    )
+
+    def angle(t):
+        return 0.3 + fast * t - (fast - slow) * np.clip(t - 0.08, 0, 0.04)
+
+    s = signals(angle, 0.156, i_q=5.0, edges_deg=PAPER_EDGES, noise=0.02, seed=7)
     broken = 0.125 * TICK_HZ
     return s._replace(hall=s.hall | (s.tick > broken), edge_hall=s.edge_hall | (s.edge_tick > broken))
 

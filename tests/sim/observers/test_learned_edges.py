@@ -17,6 +17,7 @@ from ideal_motor import (
     error_deg,
     own,
     part,
+    ramp,
     rpm,
     samples,
     signals,
@@ -54,14 +55,6 @@ def with_codes(s, change, after=0.0):
     edge_hall = np.where(s.edge_tick >= begin, change(s.edge_hall), s.edge_hall).astype(np.uint8)
     real = np.r_[True, edge_hall[1:] != edge_hall[:-1]]
     return s._replace(hall=hall, edge_tick=s.edge_tick[real], edge_hall=edge_hall[real])
-
-
-def ramp(*points):
-    """Angle of a rotor whose electrical speed goes straight between (s, rad/s)."""
-    t, omega = (np.array(c, float) for c in zip(*points, strict=True))
-    grid = np.arange(0.0, t[-1] + 1e-3, T_S / 4)
-    angle = 0.3 + np.r_[0, np.cumsum(np.interp(grid[:-1] + T_S / 8, t, omega))] * (T_S / 4)
-    return lambda at: np.interp(at, grid, angle)
 
 
 @pytest.mark.parametrize("speed", [30.0, 100.0, 500.0, 1000.0, 3000.0, -30.0, -500.0, -3000.0])

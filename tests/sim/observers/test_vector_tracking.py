@@ -15,6 +15,7 @@ from ideal_motor import (
     error_deg,
     own,
     part,
+    ramp,
     rpm,
     samples,
     signals,
@@ -31,7 +32,7 @@ def estimate(s, exact_inverse=True, **drive):
     return track(vector_tracking, params._replace(exact_inverse=int(exact_inverse)), s)
 
 
-def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_ref=0.0, **drive):
+def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **drive):
     """The observer alone, the correction on from the start, fed with any Hall speed and the back-EMF of `theta`.
 
     `start`: initial estimate (default: the true angle). Returns the estimates at samples 1, 2, ...
@@ -43,8 +44,7 @@ def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q
     before = np.r_[0, np.arange(n - 1)]
     u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
     omega_h = np.broadcast_to(np.asarray(omega_h, float), n).copy()
-    if sector is None:
-        sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
+    sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
     ones = np.ones(n, np.int64)
     front = hall_speed.Estimates(sector, direction * ones, ones, omega_h, np.zeros(n), 0 * ones)
     first = vector_tracking.init()._replace(
@@ -196,14 +196,8 @@ def test_speed_is_filtered_at_its_cut_off():
 
 def test_correction_starts_and_stops_with_hysteresis_at_edges():
     """Slowly up through omega_on and down through omega_off; in between it holds."""
-    on, off, ramp = 20.0, 12.0, 10.0  # rad/s, rad/s²
-
-    def speed(t):
-        return np.where(t < 3, ramp * t, np.maximum(30 - ramp * (t - 3), 0))
-
-    fine = np.arange(6 * PWM_HZ) / PWM_HZ
-    table = np.r_[0, np.cumsum(speed(fine)) / PWM_HZ]
-    s = signals(lambda t: np.interp(t, np.r_[fine, 6.0], table), 5.9, i_q=1.0)
+    on, off = 20.0, 12.0  # rad/s
+    s = signals(ramp((0, 0), (3, 30), (6, 0)), 5.9, i_q=1.0)
     out = estimate(s)
     changes = np.flatnonzero(np.diff(out.on))
     assert changes.size == 2
