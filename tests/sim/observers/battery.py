@@ -82,7 +82,6 @@ class Tape:
         self._reset = True
 
     def forced(self, rpm: float, i_q: float, seconds: float, scored: bool = False) -> None:
-        """Speed forced by the load machine, current by the drive."""
         self._keep(self.bench.forced(rpm, i_q, seconds), scored)
 
     def spin(self, rpm: float, seconds: float, scored: bool = False, load: float = 0.0) -> None:

@@ -83,15 +83,6 @@ def test_an_overdue_edge_bounds_the_speed_and_a_timeout_ends_it():
     assert set(out.anchored[age > 0.2]) == {0}
 
 
-def test_after_a_timeout_two_edges_make_a_speed_again():
-    late = TICK_HZ  # 1 s
-    step = 50 * TICKS
-    events = [(step, CODES[1]), (2 * step, CODES[2]), (late, CODES[3]), (late + step, CODES[4])]
-    tick, (_, out) = feed(events)
-    assert set(out.omega[(tick >= late) & (tick < late + step)]) == {0.0}
-    assert out.omega[-1] == pytest.approx(WIDTH * TICK_HZ / step)
-
-
 def test_reversal_turns_direction_and_speed_at_the_same_boundary():
     back_at = 3 * STEP + STEP // 2  # in sector 3
     tick, (_, out) = feed([*forwards(3), (back_at, CODES[2]), (back_at + 2 * STEP, CODES[1])])

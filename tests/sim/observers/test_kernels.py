@@ -62,9 +62,7 @@ def learning():
 
 
 def resets(n):
-    mask = np.zeros(n, bool)
-    mask[[k for k in (0, 2500, 2501, 5200) if k < n]] = True
-    return mask
+    return np.isin(np.arange(n), (0, 2500, 2501, 5200))
 
 
 def bits(estimates, state):

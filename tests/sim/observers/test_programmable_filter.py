@@ -179,10 +179,8 @@ def test_reversal():
     omega, turn_at = rpm(100), 0.3003
     s = signals(lambda t: 0.3 + omega * np.where(t < turn_at, t, 2 * turn_at - t), 0.6, fine=10)
     out = estimate(s)
-    back, again = (
-        int(np.searchsorted(s.tick, s.edge_tick[int(np.searchsorted(s.edge_tick, turn_at * TICK_HZ)) + k]))
-        for k in (0, 1)
-    )
+    first = np.searchsorted(s.edge_tick, turn_at * TICK_HZ)
+    back, again = np.searchsorted(s.tick, s.edge_tick[first : first + 2])
     assert list(out.on[[back, back + 1, again, again + 1]]) == [1, 0, 0, 1]
     assert not out.on[back + 1 : again].any()
     assert out.omega[-1] == pytest.approx(-omega, rel=1e-3)

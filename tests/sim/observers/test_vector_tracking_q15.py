@@ -185,8 +185,7 @@ def test_c_and_kernel_agree_on_noise_with_the_correction_held_on(program, scale)
 @needs_compiler
 def test_the_printed_constants_are_c(tmp_path):
     """Compiled and printed again, they are the same numbers."""
-    names = q15.Constants._fields
-    prints = "".join(f'    printf("%ld\\n", (long)drive.{name});\n' for name in names)
+    prints = "".join(f'    printf("%ld\\n", (long)drive.{name});\n' for name in q15.Constants._fields)
     source = tmp_path / "constants.c"
     source.write_text(
         '#include <stdio.h>\n#include "vector_tracking_q15.h"\n'
