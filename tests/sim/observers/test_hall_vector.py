@@ -117,8 +117,8 @@ def test_a_step_of_the_load_is_found(sign):
     start = 0.5
     s = signals(lambda t: 0.3 + rpm(2000) * t + a / 2 * np.maximum(t - start, 0) ** 2, 0.65, i_q=0.0)
     out = estimate(s)
-    ramp = slice(round(start * PWM_HZ), None)
-    error = sign * error_deg(s.theta, out.theta)[ramp]
+    later = slice(round(start * PWM_HZ), None)
+    error = sign * error_deg(s.theta, out.theta)[later]
     assert error.max() == pytest.approx(np.degrees(abs(a) * 2 * math.exp(-2) / W**2), rel=0.15)
     assert np.argmax(error) == pytest.approx(2 / W * PWM_HZ, rel=0.3)
     assert np.abs(error[-PWM_HZ // 50 :]).max() < 2.0

@@ -154,8 +154,8 @@ def test_load_angle_is_the_pi_of_the_current_error_and_shifts_the_estimate(k_ic,
     assert out.delta_hat[-1] == pytest.approx(k_ic * charge, rel=0.02)
     assert error[-100:].mean() == pytest.approx(-np.degrees(k_ic * charge), rel=0.03)
     during = (t[1:] > 0.051) & (t[1:] < 0.0695)
-    ramp = k_pc * charge / pulse + k_ic * (t[1:][during] - 0.05) * charge / pulse
-    np.testing.assert_allclose(out.delta_hat[during], ramp, atol=0.03 * abs(k_ic) * charge)
+    rising = k_pc * charge / pulse + k_ic * (t[1:][during] - 0.05) * charge / pulse
+    np.testing.assert_allclose(out.delta_hat[during], rising, atol=0.03 * abs(k_ic) * charge)
 
 
 @pytest.mark.parametrize("speed", [500.0, 3000.0, -3000.0])
