@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from ideal_motor import PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
+from ideal_motor import N_P, PSI_F, PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
 
 from protocol.signals import AngleSource
 from sim.drive.machine import Recorded
@@ -23,8 +23,7 @@ from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE, chosen
 from tests.sim.drive.rig import Rig, column, physical
 
-N_P = 6
-TORQUE = 1.5 * N_P * 6.55e-3  # N m/A
+TORQUE = 1.5 * N_P * PSI_F  # N m/A
 HALF_HYSTERESIS = 0.25  # deg
 INSIDE = 5.0  # deg from the end of the sector where a start-up begins
 MISPLACED = np.abs(TABLE_I).max() + HALF_HYSTERESIS + 4 * 0.05  # deg, four sigma of jitter
@@ -52,7 +51,6 @@ class Recording(NamedTuple):
         return entry.run(entry.make_params(PWM_HZ, drive), entry.init(), self.samples, self.reset)
 
     def estimates(self, name: str, believed: Mapping[str, float] | None = None):
-        """What the observer makes of it."""
         return self.run(name, believed)[1]
 
     def error(self, out) -> np.ndarray:
@@ -84,20 +82,13 @@ class Tape:
         self._reset = True
 
     def forced(self, rpm: float, i_q: float, seconds: float, scored: bool = False) -> None:
-        """Speed forced by the load machine, current by the drive."""
         self._keep(self.bench.forced(rpm, i_q, seconds), scored)
 
     def spin(self, rpm: float, seconds: float, scored: bool = False, load: float = 0.0) -> None:
         """Speed by the drive; `load`: torque worth so many A."""
         self._keep(self.bench.spin(rpm, seconds, load * TORQUE), scored)
 
-    def lap(self) -> None:
-        """For those who learn."""
-        self.forced(1000, 1.0, 1.2)
-        self.forced(-1000, 1.0, 1.2)
-
     def recording(self) -> Recording:
-        """All of it."""
         assert not self.bench.faults
         samples, edges, log = (
             np.concatenate([getattr(part, name) for part in self._parts]) for name in ("samples", "edges", "log")
@@ -149,7 +140,8 @@ class Scenario:
     def record(self, seed: int = 1) -> list[Recording]:
         """The lap and the rest."""
         tape = Tape(seed, **self.settings)
-        tape.lap()
+        tape.forced(1000, 1.0, 1.2)
+        tape.forced(-1000, 1.0, 1.2)
         self.play(tape)
         return [tape.recording()]
 
@@ -191,15 +183,6 @@ def steady(rpm: float, seconds: float = 0.6) -> Callable[[Tape], None]:
     def play(tape: Tape) -> None:
         tape.forced(rpm, 4.0, 0.6)
         tape.forced(rpm, 4.0, seconds, scored=True)
-
-    return play
-
-
-def start(rpm: float) -> Callable[[Tape], None]:
-    """By the drive's speed loop."""
-
-    def play(tape: Tape) -> None:
-        tape.spin(rpm, 0.4)
 
     return play
 
@@ -260,8 +243,8 @@ SCENARIOS = {
     "steady 1000": Scenario(steady(1000)),
     "steady 3000": Scenario(steady(3000)),
     "steady -500": Scenario(steady(-500)),
-    "start 400": StartUp(start(400)),
-    "start -400": StartUp(start(-400)),
+    "start 400": StartUp(lambda tape: tape.spin(400, 0.4)),
+    "start -400": StartUp(lambda tape: tape.spin(-400, 0.4)),
     "reversal": Scenario(change(500, -500), tolerance=0.35),
     "speed step": Scenario(change(500, 1000)),
     "load step": Scenario(change(500, 500, load=4.0)),

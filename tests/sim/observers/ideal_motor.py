@@ -22,6 +22,7 @@ R_S, L_S, PSI_F, N_P = 0.158, 0.176e-3, 6.55e-3, 6  # Table II
 TABLE_I = np.array([-1.2, -3.0, 7.2, -3.3, 0.6, 5.6])  # deg
 PAPER_EDGES = np.arange(6) * 60.0 - TABLE_I  # deg, where sector s opens
 IDEAL_EDGES = np.arange(6) * 60.0
+MILLI = 1 / 1024  # V and A, a count
 CODES = np.array([0b001, 0b011, 0b010, 0b110, 0b100, 0b101], np.uint8)  # by sector
 
 DRIVE = {
@@ -145,6 +146,31 @@ def constant(omega: float, theta_0: float = 0.3):
     return lambda t: theta_0 + omega * t
 
 
+def ramp(*points):
+    """Angle of a rotor whose electrical speed goes straight between (s, rad/s)."""
+    t, omega = (np.array(c, float) for c in zip(*points, strict=True))
+    grid = np.arange(0.0, t[-1] + 1e-3, T_S / 4)
+    angle = 0.3 + np.r_[0, np.cumsum(np.interp(grid[:-1] + T_S / 8, t, omega))] * (T_S / 4)
+    return lambda at: np.interp(at, grid, angle)
+
+
+def turning_back(omega: float, at: float, deceleration: float, theta_0: float = 0.0):
+    """Angle of a rotor that brakes from `at` s on at a constant rate until it runs backwards as fast."""
+    turned = 2 * omega / deceleration
+
+    def angle(t):
+        past = np.maximum(t - at - turned, 0)
+        return theta_0 + omega * (t - 2 * past) - deceleration / 2 * np.clip(t - at, 0, turned) ** 2
+
+    return angle
+
+
+def quantised(s: Signals) -> Signals:
+    """As telemetry carries them."""
+    names = ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_err")
+    return s._replace(**{name: np.round(getattr(s, name) / MILLI) * MILLI for name in names})
+
+
 def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """Actual less estimated angle (rad) in degrees within [-180, 180)."""
     return (np.degrees(actual - estimated) + 180) % 360 - 180
@@ -154,6 +180,12 @@ def samples(s: Signals, reset=None) -> sample.Samples:
     """What the front end makes of the signals for the observers."""
     params = sample.make_params(TICK_HZ, own(sample))
     return sample.run(params, sample.init(), *s.arguments(reset))[1]
+
+
+def part(seen: sample.Samples, begin: int, end: int | None = None) -> sample.Samples:
+    """Samples [begin, end) of a run."""
+    hall, *others = seen
+    return sample.Samples(type(hall)(*(c[begin:end].copy() for c in hall)), *(c[begin:end].copy() for c in others))
 
 
 def track(observer, params, s: Signals, reset=None):

@@ -1,5 +1,6 @@
 """All observers fed from one stream: step, run and run in chunks agree bit for bit, with each observer alone too."""
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -10,58 +11,60 @@ from test_kernels import bits, busy, resets
 from sim.observers import bank, sample
 from sim.observers.catalogue import CATALOGUE
 
-MILLI = 1 / 1024
 LOAD_ANGLE = {**DRIVE, "load_angle_comp": 1.0, "k_ic": 11.0}
 BACK_EMF = {**DRIVE, "inject": 1.0, "inject_amplitude": 0.1, "inject_hz": 123.4}
 HALL = {**BACK_EMF, "inject": 2.0}
 TOLD = {**DRIVE, **table()}  # where the edges lie
 
 
-def run_whole(drive=DRIVE):
+@cache
+def stream():
+    """Signals, and where all is forgotten."""
     s = busy()
-    params = bank.make_params(TICK_HZ, PWM_HZ, **drive)
-    state, out = bank.run(params, bank.init(), *s.arguments(resets(s.tick.size)))
-    return bits(out, state)
+    return s, resets(s.tick.size)
 
 
-def run_steps(drive=DRIVE):
-    s = busy()
-    params = bank.make_params(TICK_HZ, PWM_HZ, **drive)
-    mask = resets(s.tick.size)
-    columns = [
-        np.empty((bank.COUNT, s.tick.size) if j < 2 else s.tick.size) for j in range(len(bank.BankEstimate._fields))
-    ]
-    state = bank.init()
+def make(drive):
+    return bank.make_params(TICK_HZ, PWM_HZ, **drive)
+
+
+def run_whole(drive):
+    """State and estimates."""
+    s, mask = stream()
+    return bank.run(make(drive), bank.init(), *s.arguments(mask))
+
+
+def run_steps(drive):
+    s, mask = stream()
+    params, state = make(drive), bank.init()
     bounds = np.searchsorted(s.edge_tick, s.tick, side="right")
+    estimates = []
     first = 0
-    for k in range(s.tick.size):
+    for k, last in enumerate(bounds.tolist()):
         if mask[k]:
             state = bank.init()
-        last = int(bounds[k])
         seen = [int(s.tick[k]), int(s.hall[k]), *(float(c[k]) for c in s[2:8])]
         state, estimate = bank.step(params, state, *seen, s.edge_tick, s.edge_hall, first, last)
         first = last
-        for column, value in zip(columns, estimate, strict=True):
-            column[..., k] = value
-    return bits(columns, state)
+        estimates.append(estimate)
+    return state, [np.array(column).T for column in zip(*estimates, strict=True)]
 
 
-def run_chunks(seed, drive=DRIVE):
-    s = busy()
-    params = bank.make_params(TICK_HZ, PWM_HZ, **drive)
-    n = s.tick.size
+def run_chunks(drive, seed):
+    s, mask = stream()
+    params, state = make(drive), bank.init()
+    n = mask.size
     rng = np.random.default_rng(seed)
     cuts = np.unique(np.r_[0, rng.integers(0, n, rng.integers(1, 400)), n])
-    state, parts, used = bank.init(), [], 0
-    samples = s.arguments(resets(n))
+    parts, used = [], 0
     for begin, end in pairwise(cuts):
-        here = [c[begin:end] for c in (*samples[:8], samples[10])]
+        here = [c[begin:end] for c in s[:8]]
         # more edges than the chunk can use, as a live stream has them: the rest is given again
         edge_tick, edge_hall = s.edge_tick[used : used + 50], s.edge_hall[used : used + 50]
-        state, out = bank.run(params, state, *here[:8], edge_tick, edge_hall, here[8])
+        state, out = bank.run(params, state, *here, edge_tick, edge_hall, mask[begin:end])
         used += int(np.searchsorted(edge_tick, here[0][-1], side="right"))
         parts.append(out)
-    return bits([np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)], state)
+    return state, [np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]
 
 
 @pytest.mark.parametrize(
@@ -70,51 +73,36 @@ def run_chunks(seed, drive=DRIVE):
     ids=["plain", "load angle", "sine on theta*", "sine on theta_h", "edges told"],
 )
 def test_step_run_and_chunks_agree_bit_for_bit(drive):
-    whole = run_whole(drive)
-    assert run_steps(drive) == whole
-    for seed in range(5):
-        assert run_chunks(seed, drive) == whole
+    state, out = run_whole(drive)
+    whole = bits(out, state)
+    for last, estimates in (run_steps(drive), *(run_chunks(drive, seed) for seed in range(5))):
+        assert bits(estimates, last) == whole
+    assert len(getattr(bank.run, "signatures", [None])) == 1  # a state that is fed back compiles no second version
 
 
 def test_the_bank_is_its_observers_put_together():
     """Each observer's own run gives the bank's columns."""
-    s = busy()
-    mask = resets(s.tick.size)
-    params = bank.make_params(TICK_HZ, PWM_HZ, **DRIVE)
-    _, out = bank.run(params, bank.init(), *s.arguments(mask))
-    _, seen = sample.run(params.front, sample.init(), *s.arguments(mask))
+    s, mask = stream()
+    _, out = run_whole(DRIVE)
+    _, seen = sample.run(make(DRIVE).front, sample.init(), *s.arguments(mask))
     assert np.array_equal(out.sector, seen.hall.sector)
     for j, (name, entry) in enumerate(CATALOGUE.items()):
         _, alone = entry.run(entry.make_params(PWM_HZ, DRIVE), entry.init(), seen, mask)
         assert np.array_equal(out.theta[j], alone.theta), name
         assert np.array_equal(out.omega[j], alone.omega), name
         if name == "vector_tracking":
-            for mine, its in (("correction_on", "on"), ("injection_sync", "sync")):
-                assert np.array_equal(getattr(out, mine), getattr(alone, its)), mine
-            for its in ("delta_hat", "e_alpha", "e_beta"):
-                assert np.array_equal(getattr(out, its), getattr(alone, its)), its
+            renamed = {"correction_on": "on", "injection_sync": "sync"}
+            for mine in ("delta_hat", "e_alpha", "e_beta", *renamed):
+                assert np.array_equal(getattr(out, mine), getattr(alone, renamed.get(mine, mine))), mine
 
 
-def test_one_compiled_version_serves_state_and_parameters_of_all_kinds():
-    """Whole numbers from a host, states fed back, numpy scalars: no second compilation."""
-    if not hasattr(bank.run, "signatures"):
-        pytest.skip("not compiled")
-    run_whole()
-    whole_numbers = {name: int(value) if float(value).is_integer() else value for name, value in DRIVE.items()}
-    run_whole(whole_numbers)
-    run_chunks(0, {name: np.float32(value) for name, value in DRIVE.items()})
-    assert len(bank.run.signatures) == 1
+def test_parameters_are_rounded_to_what_a_drive_stores_and_others_are_ignored():
+    """Of whatever kind they are: no second compilation."""
+    params = make(DRIVE)
+    stored = make({name: np.float32(value) for name, value in DRIVE.items()} | {"watchdog": 0.2, "i_max": 8})
+    assert repr(stored) == repr(params)
 
 
-def test_parameters_are_rounded_to_what_a_drive_stores():
-    exact = bank.make_params(TICK_HZ, PWM_HZ, **DRIVE)
-    stored = bank.make_params(TICK_HZ, PWM_HZ, **{k: float(np.float32(v)) for k, v in DRIVE.items()})
-    assert exact == stored
-
-
-def test_a_missing_parameter_is_named_and_others_are_ignored():
+def test_a_missing_parameter_is_named():
     with pytest.raises(KeyError, match="tau_max"):
-        bank.make_params(TICK_HZ, PWM_HZ, **{k: v for k, v in DRIVE.items() if k != "tau_max"})
-    assert bank.make_params(TICK_HZ, PWM_HZ, **DRIVE, watchdog=0.2, i_max=8.0) == bank.make_params(
-        TICK_HZ, PWM_HZ, **DRIVE
-    )
+        make({name: value for name, value in DRIVE.items() if name != "tau_max"})

@@ -1,20 +1,23 @@
 import numpy as np
 import pytest
-from ideal_motor import (
-    CODES,
-    IDEAL_EDGES,
-    PAPER_EDGES,
-    TICK_HZ,
-    TICKS,
-    constant,
-    rpm,
-    signals,
-)
+from ideal_motor import CODES, PAPER_EDGES, TICK_HZ, TICKS, constant, rpm, signals
 
 from sim.observers import average_speed, hall_speed, sample
 
 PARAMS = hall_speed.make_params(TICK_HZ, 0.2)
 WIDTH = np.pi / 3
+STEP = 30 * TICKS  # from edge to edge
+FULL = WIDTH * TICK_HZ / STEP
+
+
+def forwards(edges, step=STEP):
+    """Into sector 1, 2, 3, …"""
+    return [(step * (k + 1), CODES[(k + 1) % 6]) for k in range(edges)]
+
+
+def agree(out, expected):
+    for name in out._fields:
+        assert np.array_equal(getattr(out, name), getattr(expected, name)), name
 
 
 def front(tick, hall, edge_tick, edge_hall, params=PARAMS):
@@ -80,38 +83,21 @@ def test_an_overdue_edge_bounds_the_speed_and_a_timeout_ends_it():
     assert set(out.anchored[age > 0.2]) == {0}
 
 
-def test_after_a_timeout_two_edges_make_a_speed_again():
-    late = TICK_HZ  # 1 s
-    step = 50 * TICKS
-    events = [(step, CODES[1]), (2 * step, CODES[2]), (late, CODES[3]), (late + step, CODES[4])]
-    tick, (_, out) = feed(events)
-    assert set(out.omega[(tick >= late) & (tick < late + step)]) == {0.0}
-    assert out.omega[-1] == pytest.approx(WIDTH * TICK_HZ / step)
-
-
 def test_reversal_turns_direction_and_speed_at_the_same_boundary():
-    step = 30 * TICKS
-    forward = [(step * (k + 1), CODES[k + 1]) for k in range(3)]  # in sector 3
-    back_at = 3 * step + step // 2
-    back = [(back_at, CODES[2]), (back_at + 2 * step, CODES[1])]
-    tick, (_, out) = feed(forward + back)
-    full = WIDTH * TICK_HZ / step
-    turned = (tick >= back_at) & (tick < back_at + step)
+    back_at = 3 * STEP + STEP // 2  # in sector 3
+    tick, (_, out) = feed([*forwards(3), (back_at, CODES[2]), (back_at + 2 * STEP, CODES[1])])
+    turned = (tick >= back_at) & (tick < back_at + STEP)
     assert set(out.direction[turned]) == {-1}
     assert set(out.anchored[turned]) == {1}
-    np.testing.assert_allclose(out.omega[turned], -full)
-    assert out.omega[-1] == pytest.approx(-full / 2)  # a whole sector backwards, in twice the time
+    np.testing.assert_allclose(out.omega[turned], -FULL)
+    assert out.omega[-1] == pytest.approx(-FULL / 2)  # a whole sector backwards, in twice the time
 
 
 def test_a_sensor_chattering_on_an_edge_ends_with_the_speed_it_began_with():
-    step = 30 * TICKS
-    events = [(step * (k + 1), CODES[k + 1]) for k in range(3)]
-    at = 3 * step
-    events += [(at + 40, CODES[2]), (at + 90, CODES[3])]  # all within one period
-    tick, (state, out) = feed([*events, (4 * step, CODES[4])])
-    full = WIDTH * TICK_HZ / step
+    at = 3 * STEP
+    tick, (state, out) = feed([*forwards(4), (at + 40, CODES[2]), (at + 90, CODES[3])])  # all within one period
     after = tick >= at + TICKS
-    np.testing.assert_allclose(out.omega[after], full, rtol=100 / step)
+    np.testing.assert_allclose(out.omega[after], FULL, rtol=100 / STEP)
     assert set(out.direction[after]) == {1}
     assert (state.skipped, state.undone) == (0, 1)
 
@@ -119,11 +105,9 @@ def test_a_sensor_chattering_on_an_edge_ends_with_the_speed_it_began_with():
 @pytest.mark.parametrize("shown", [2, 4])  # the code of either neighbour
 @pytest.mark.parametrize("across", [False, True])  # a sample falls into the glitch
 def test_a_glitch_inside_a_sector_leaves_nothing_behind(shown, across):
-    step = 30 * TICKS
-    events = [(step * (k + 1), CODES[(k + 1) % 6]) for k in range(6)]
-    tick, (_, clean) = feed(events)
-    middle = 3 * step + 10 * TICKS - (200 if across else -200)
-    _, (state, out) = feed([*events, (middle, CODES[shown]), (middle + 400, CODES[3])], until=tick[-1])
+    tick, (_, clean) = feed(forwards(6))
+    middle = 3 * STEP + 10 * TICKS - (200 if across else -200)
+    _, (state, out) = feed([*forwards(6), (middle, CODES[shown]), (middle + 400, CODES[3])], until=tick[-1])
     same = np.ones(tick.size, bool)
     if across:
         same[np.searchsorted(tick, middle)] = False
@@ -133,22 +117,18 @@ def test_a_glitch_inside_a_sector_leaves_nothing_behind(shown, across):
 
 
 def test_an_edge_taken_back_later_is_a_reversal():
-    step = 30 * TICKS
-    events = [(step * (k + 1), CODES[k + 1]) for k in range(3)]
-    _, (state, out) = feed([*events, (3 * step + TICKS, CODES[2])])
+    _, (state, out) = feed([*forwards(3), (3 * STEP + TICKS, CODES[2])])
     assert (out.direction[-1], state.undone) == (-1, 0)
 
 
 def test_illegal_codes_are_counted_and_change_nothing():
-    step = 30 * TICKS
-    events = [(step * (k + 1), CODES[(k + 1) % 6]) for k in range(8)]
+    events = forwards(8)
     tick, (clean_state, clean) = feed(events)
     glitches = []
     for k, (at, code) in enumerate(events):
         glitches += [(at + 200, 0 if k % 2 else 7), (at + 260, code)]  # out of the code and back
     _, (state, out) = feed(events + glitches, until=tick[-1])
-    for name in out._fields:
-        assert np.array_equal(getattr(out, name), getattr(clean, name)), name
+    agree(out, clean)
     assert (clean_state.illegal, state.illegal) == (0, 8)
 
 
@@ -165,29 +145,26 @@ def test_illegal_samples_are_counted_and_change_nothing():
 
 
 def test_a_skipped_sector_holds_the_speed_and_makes_none():
-    step = 30 * TICKS
     times = {1: 1, 2: 2, 3: 3, 5: 5, 6: 6, 7: 8}  # edge to sector 4 is lost; the last sector takes twice the time
-    tick, (state, out) = feed([(step * t, CODES[k % 6]) for k, t in times.items()])
-    full = WIDTH * TICK_HZ / step
+    tick, (state, out) = feed([(STEP * t, CODES[k % 6]) for k, t in times.items()])
     assert state.skipped == 1
-    lost = (tick >= 5 * step) & (tick < 6 * step)
+    lost = (tick >= 5 * STEP) & (tick < 6 * STEP)
     assert set(out.sector[lost]) == {5}
     assert set(out.anchored[lost]) == {0}
-    at = {t: np.searchsorted(tick, t * step) for t in (5, 6, 8)}
-    assert out.omega[at[5]] == pytest.approx(full / 2)  # overdue by then, held
-    assert out.omega[at[6]] == pytest.approx(full / 2)  # the edge gives an angle, no speed
+    at = {t: np.searchsorted(tick, t * STEP) for t in (5, 6, 8)}
+    assert out.omega[at[5]] == pytest.approx(FULL / 2)  # overdue by then, held
+    assert out.omega[at[6]] == pytest.approx(FULL / 2)  # the edge gives an angle, no speed
     assert out.anchored[at[6]] == 1
-    assert out.omega[at[8]] == pytest.approx(full / 2)  # by the interval of two steps
+    assert out.omega[at[8]] == pytest.approx(FULL / 2)  # by the interval of two steps
 
 
 def test_lost_edges_are_noticed_by_the_sampled_code_within_two_samples():
-    step = 30 * TICKS
-    tick = np.arange(0, 6 * step, TICKS, dtype=np.int64)
-    at = np.array([step, 2 * step], np.int64)
+    tick = np.arange(0, 6 * STEP, TICKS, dtype=np.int64)
+    at = np.array([STEP, 2 * STEP], np.int64)
     codes = CODES[[1, 2]]
-    hall = CODES[np.minimum(tick // step, 4)]  # edges to sectors 3 and 4 never arrive
+    hall = CODES[np.minimum(tick // STEP, 4)]  # edges to sectors 3 and 4 never arrive
     state, out = front(tick, hall, at, codes)
-    first_wrong = 3 * step // TICKS
+    first_wrong = 3 * STEP // TICKS
     assert out.sector[first_wrong] == 2
     assert out.sector[first_wrong + 1] == 3
     assert state.skipped == 2
@@ -199,8 +176,7 @@ def test_lost_edges_are_noticed_by_the_sampled_code_within_two_samples():
 
 def test_several_edges_in_one_period():
     gap = TICKS // 5  # five edges a period
-    events = [(gap * (k + 1), CODES[(k + 1) % 6]) for k in range(200)]
-    _, (state, out) = feed(events)
+    _, (state, out) = feed(forwards(200, gap))
     np.testing.assert_allclose(out.omega[2:-1], WIDTH * TICK_HZ / gap)
     assert state.skipped == 0
     assert set(out.edge[1:-1]) == {1}
@@ -211,8 +187,7 @@ def test_only_differences_of_ticks_count():
     _, near = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
     far = 1 << 60
     _, out = front(s.tick + far, s.hall, s.edge_tick + far, s.edge_hall)
-    for name in out._fields:
-        assert np.array_equal(getattr(out, name), getattr(near, name)), name
+    agree(out, near)
 
 
 def test_an_edge_between_samples_is_taken_with_the_next_sample_and_later_ones_are_left():
@@ -231,14 +206,6 @@ def test_the_first_sample_gives_the_sector_unless_its_code_is_illegal():
     hall = np.array([7, 0, CODES[4]], np.uint8)
     _, out = front(tick, hall, none, none.astype(np.uint8))
     assert list(out.sector) == [-1, -1, 4]
-
-
-def test_codes_of_the_sectors():
-    # bit 0 = sensor a is high over sectors 0, 1, 5; b over 1, 2, 3; c over 3, 4, 5 (Hall bit order)
-    assert [hall_speed.SECTOR_OF_CODE[c] for c in CODES] == [0, 1, 2, 3, 4, 5]
-    assert hall_speed.SECTOR_OF_CODE[0] == hall_speed.SECTOR_OF_CODE[7] == -1
-    assert all(bin(CODES[s] ^ CODES[s - 1]).count("1") == 1 for s in range(6))
-    assert IDEAL_EDGES[1] == 60.0
 
 
 @pytest.mark.parametrize("way", [1, -1])

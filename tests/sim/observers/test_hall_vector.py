@@ -13,6 +13,7 @@ from ideal_motor import (
     error_deg,
     glitch,
     own,
+    ramp,
     rpm,
     samples,
     sectors,
@@ -26,17 +27,16 @@ J = 2e-4
 BW = 10.0
 W = 2 * math.pi * BW
 PER_AMPERE = 1.5 * N_P**2 * PSI_F / J  # rad/s2 of electrical acceleration
-SPEEDS = [500.0, 1000.0, 3000.0, -500.0, -3000.0]
 
 
 def estimate(s, reset=None, observer=hall_vector, **model):
     return track(observer, observer.make_params(PWM_HZ, own(observer, **model)), s, reset)
 
 
-def loop(omega):
-    """Angle of the estimate by angle of the Hall vector at the frequency `omega`: three poles at W."""
+def loop(omega, w=W):
+    """Angle of the estimate by angle of the Hall vector at the frequency `omega`: three poles at `w`."""
     s = 1j * np.asarray(omega)
-    return (3 * W * s**2 + 3 * W**2 * s + W**3) / (s + W) ** 3
+    return (3 * w * s**2 + 3 * w**2 * s + w**3) / (s + w) ** 3
 
 
 def disturbance(edges_deg, harmonics):
@@ -60,21 +60,18 @@ def component(s, out, harmonic, seconds):
     return 2 * np.mean(error_deg(out.theta, s.theta)[-n:] * np.exp(-1j * harmonic * s.theta[-n:]))
 
 
-def beyond(away):
-    """Samples whose estimate lies more than 30 deg outside the sector, from its distance to the centre in deg."""
-    return away > 60 + 1e-9
-
-
-@pytest.mark.parametrize("speed", SPEEDS)
-def test_ripple_at_constant_speed(speed):
+@pytest.mark.parametrize(
+    ("speed", "bw"), [(500.0, BW), (1000.0, BW), (3000.0, BW), (-500.0, BW), (-3000.0, BW), (500.0, 5.0)]
+)
+def test_ripple_at_constant_speed(speed, bw):
     """With ideal sensors: no mean, and the sixth harmonic of the Hall vector through the loop."""
     omega = rpm(speed)
     s = signals(constant(omega), 1.0)
-    out = estimate(s)
+    out = estimate(s, bw_hall_vector=bw)
     error = error_deg(s.theta, out.theta)[PWM_HZ // 2 :]
     a_period = np.degrees(abs(omega)) * T_S
     assert abs(error.mean()) < 0.02 + 0.2 * a_period  # codes are sampled: the sectors' edges are that coarse
-    expected = np.degrees(12 / 35 * abs(loop(6 * omega)))
+    expected = np.degrees(12 / 35 * abs(loop(6 * omega, 2 * math.pi * bw)))
     assert abs(component(s, out, 6, 0.5)) == pytest.approx(expected, rel=0.04)
     assert out.omega[-PWM_HZ // 2 :].mean() == pytest.approx(omega, rel=1e-3)
 
@@ -99,19 +96,16 @@ def test_no_lag_while_the_current_accelerates_the_rotor(sign):
     a = sign * 4 * PER_AMPERE
     omega = sign * rpm(500)
     start = 0.5
-
-    def angle(t):
-        return 0.3 + omega * t + a / 2 * np.maximum(t - start, 0) ** 2
-
+    angle = ramp((0, omega), (start, omega), (0.6, omega + 0.1 * a))
     t = np.arange(round(0.6 * PWM_HZ)) * T_S
     s = signals(angle, 0.6, i_q=np.where(t >= start, sign * 4.0, 0.0))
-    ramp = slice(round(start * PWM_HZ), None)
+    later = slice(round(start * PWM_HZ), None)
     ripple = np.degrees(12 / 35 * abs(loop(6 * omega)))
     out = estimate(s)
-    assert np.abs(error_deg(s.theta, out.theta))[ramp].max() < 1.7 * ripple
+    assert np.abs(error_deg(s.theta, out.theta))[later].max() < 1.7 * ripple
     assert abs(out.tau_load[-1]) < 0.03
     for wrong, share in ((2.0, 0.5), (0.8, -0.25)):
-        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[ramp]
+        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[later]
         peak = np.degrees(share * abs(a) * 2 * math.exp(-2) / W**2)
         assert error[np.argmax(np.abs(error))] == pytest.approx(peak, abs=2.0 + 0.1 * abs(peak))
 
@@ -123,20 +117,12 @@ def test_a_step_of_the_load_is_found(sign):
     start = 0.5
     s = signals(lambda t: 0.3 + rpm(2000) * t + a / 2 * np.maximum(t - start, 0) ** 2, 0.65, i_q=0.0)
     out = estimate(s)
-    ramp = slice(round(start * PWM_HZ), None)
-    error = sign * error_deg(s.theta, out.theta)[ramp]
+    later = slice(round(start * PWM_HZ), None)
+    error = sign * error_deg(s.theta, out.theta)[later]
     assert error.max() == pytest.approx(np.degrees(abs(a) * 2 * math.exp(-2) / W**2), rel=0.15)
     assert np.argmax(error) == pytest.approx(2 / W * PWM_HZ, rel=0.3)
     assert np.abs(error[-PWM_HZ // 50 :]).max() < 2.0
     assert out.tau_load[-PWM_HZ // 50 :].mean() == pytest.approx(-sign * 0.15, rel=0.05)
-
-
-def test_a_wider_loop_follows_sooner_and_ripples_more():
-    omega = rpm(500)
-    s = signals(constant(omega), 1.0)
-    ripple = [abs(component(s, estimate(s, bw_hall_vector=bw), 6, 0.5)) for bw in (5.0, 10.0, 20.0)]
-    assert ripple[1] / ripple[0] == pytest.approx(2.0, rel=0.05)
-    assert ripple[2] / ripple[1] == pytest.approx(2.0, rel=0.05)
 
 
 def test_a_load_too_big_for_the_loop_is_caught_up_with():
@@ -152,8 +138,9 @@ def test_a_load_too_big_for_the_loop_is_caught_up_with():
     out = estimate(s)
     centre = np.radians(60 * sectors(s.theta) + 30)
     away = np.abs(error_deg(centre, out.theta))
-    assert away.max() > 60
-    assert not (beyond(away)[1:] & beyond(away)[:-1]).any()
+    beyond = away > 60 + 1e-9  # more than 30 deg outside the sector
+    assert beyond.any()
+    assert not (beyond[1:] & beyond[:-1]).any()
     assert np.abs(error_deg(s.theta, out.theta))[-1600:].max() < 4.0
 
 

@@ -1,4 +1,4 @@
-"""The observer on signals straight from the motor's equations, and on those of the simulated bench."""
+"""The observer on signals straight from the motor's equations."""
 
 import math
 
@@ -16,13 +16,15 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
+    part,
+    ramp,
     rpm,
     samples,
     signals,
+    table,
 )
 
 from sim.observers import edge_learning, learned_edges
-from sim.observers.sample import Samples
 
 RANDOM = np.arange(6) * 60.0 - np.random.default_rng(5).uniform(-15, 15, 6)
 
@@ -44,23 +46,6 @@ def errors(s, out, settled=0.5):
 
 def deltas(state, way=1):
     return np.degrees([edge_learning.delta(state.edges, b, way) for b in range(6)])
-
-
-def with_codes(s, change, after=0.0):
-    """Signals whose levels are `change(code)` from `after` seconds on."""
-    begin = int(after / T_S) * TICKS
-    hall = np.where(s.tick >= begin, change(s.hall), s.hall).astype(np.uint8)
-    edge_hall = np.where(s.edge_tick >= begin, change(s.edge_hall), s.edge_hall).astype(np.uint8)
-    real = np.r_[True, edge_hall[1:] != edge_hall[:-1]]
-    return s._replace(hall=hall, edge_tick=s.edge_tick[real], edge_hall=edge_hall[real])
-
-
-def ramp(*points):
-    """Angle of a rotor whose electrical speed goes straight between (s, rad/s)."""
-    t, omega = (np.array(c, float) for c in zip(*points, strict=True))
-    grid = np.arange(0.0, t[-1] + 1e-3, T_S / 4)
-    angle = 0.3 + np.r_[0, np.cumsum(np.interp(grid[:-1] + T_S / 8, t, omega))] * (T_S / 4)
-    return lambda at: np.interp(at, grid, angle)
 
 
 @pytest.mark.parametrize("speed", [30.0, 100.0, 500.0, 1000.0, 3000.0, -30.0, -500.0, -3000.0])
@@ -97,9 +82,8 @@ def test_learned_with_noise_at_speed_and_used_at_low_speed(edges_deg):
 
 def test_given_edges_are_used_at_once_and_held():
     s = signals(constant(rpm(40)), 2.0, edges_deg=PAPER_EDGES)
-    given = {f"edge_{way}_{k + 1}": math.radians(TABLE_I[k]) for way in ("up", "down") for k in range(6)}
     _, unknown = estimate(s)
-    state, known = estimate(s, learn_edges=0.0, **given)
+    state, known = estimate(s, learn_edges=0.0, **table())
     assert np.abs(errors(s, unknown)).max() > 3.0
     assert np.abs(errors(s, known)).max() < 0.1
     assert known.learned[-1] == 12
@@ -156,9 +140,8 @@ def dead_time(s, v, i_fade=0.3):
 @pytest.mark.parametrize("v", [0.04, 0.15, -0.04])
 def test_what_the_dead_time_leaves_is_learned(v):
     s = dead_time(signals(constant(rpm(120)), 4.0, edges_deg=PAPER_EDGES), v)
-    given = {f"edge_{way}_{k + 1}": math.radians(TABLE_I[k]) for way in ("up", "down") for k in range(6)}
-    state, out = estimate(s, **given)
-    _, held = estimate(s, learn_edges=0.0, **given)
+    state, out = estimate(s, **table())
+    _, held = estimate(s, learn_edges=0.0, **table())
     assert state.voltage.v == pytest.approx(v, rel=0.03)
     assert errors(s, out, 0.75).std() < 0.15
     assert errors(s, held, 0.75).std() > 5 * errors(s, out, 0.75).std()
@@ -169,11 +152,14 @@ def test_what_the_dead_time_leaves_is_learned(v):
 def test_runs_on_with_two_sensors_and_with_one(broken, speed):
     """Wires open from 1.5 s on: the inputs read 1."""
     s = signals(constant(rpm(speed)), 3.0, edges_deg=PAPER_EDGES, noise=0.02)
-    s = with_codes(s, lambda code: code | broken, after=1.5)
+    k = int(1.5 / T_S)
+    hall = s.hall | np.uint8(broken) * (s.tick >= s.tick[k])
+    edge_hall = s.edge_hall | np.uint8(broken) * (s.edge_tick >= s.tick[k])
+    real = np.r_[True, edge_hall[1:] != edge_hall[:-1]]
+    s = s._replace(hall=hall, edge_tick=s.edge_tick[real], edge_hall=edge_hall[real])
     _, out = estimate(s)
-    assert out.sensors[int(1.5 / T_S)] == 0
-    assert out.sensors[-1] == broken
-    assert out.sensors[int(1.5 / T_S) + round(4 * 2 * np.pi / abs(rpm(speed)) / T_S)] == broken  # after 4 turns
+    four_turns = round(4 * 2 * np.pi / abs(rpm(speed)) / T_S)
+    assert out.sensors[[k, k + four_turns, -1]].tolist() == [0, broken, broken]
     assert np.abs(error_deg(s.theta, out.theta)[int(1.0 / T_S) :]).max() < (1.2 if speed > 500 else 2.0)
 
 
@@ -245,9 +231,9 @@ def test_an_observer_that_is_half_a_turn_off_finds_back():
     s = signals(constant(rpm(800)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
     seen, n = samples(s), s.tick.size
     cut = PWM_HZ // 2
-    state, _ = learned_edges.run(make(), learned_edges.init(), _part(seen, 0, cut), np.zeros(cut, np.bool_))
+    state, _ = learned_edges.run(make(), learned_edges.init(), part(seen, 0, cut), np.zeros(cut, np.bool_))
     turned = state._replace(theta=float((state.theta + 2 * np.pi) % (2 * np.pi) - np.pi))
-    _, out = learned_edges.run(make(), turned, _part(seen, cut, n), np.zeros(n - cut, np.bool_))
+    _, out = learned_edges.run(make(), turned, part(seen, cut), np.zeros(n - cut, np.bool_))
     error = error_deg(s.theta[cut:], out.theta)
     assert np.abs(error[0]) > 170
     assert np.abs(error[-1600:]).max() < 1.0
@@ -270,8 +256,3 @@ def test_the_loop_is_stable_at_every_speed(psi_error, width):
         share = (1.0 - weight) ** 2
         edge = np.array([[1.0 - share, 0.0], [-share / dt, 1.0]])
         assert np.abs(np.linalg.eigvals(edge @ between)).max() < 0.97
-
-
-def _part(samples, begin, end):
-    """Samples [begin, end) of a run."""
-    return Samples(*(type(c)(*(x[begin:end] for x in c)) if isinstance(c, tuple) else c[begin:end] for c in samples))

@@ -6,7 +6,7 @@ estimate can then stand still against the rotor where the two cancel, |sin(error
 
 import numpy as np
 import pytest
-from ideal_motor import DRIVE, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals
+from ideal_motor import DRIVE, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals, turning_back
 from test_vector_tracking import estimate, locked
 
 
@@ -45,15 +45,7 @@ def test_the_noise_of_the_currents_throws_the_printed_form_off_at_50_rpm(seed):
 
 
 def test_a_reversal_throws_the_printed_form_off():
-    omega, slope = rpm(500), 3000.0
-    back = 2 * omega / slope
-
-    def angle(t):
-        turning = np.clip(t - 0.1, 0, back)
-        after = np.maximum(t - 0.1 - back, 0)
-        return omega * np.minimum(t, 0.1) + omega * turning - slope * turning**2 / 2 - omega * after
-
-    s = signals(angle, 1.0, i_q=-3.0, fine=20, noise=0.02)
+    s = signals(turning_back(rpm(500), 0.1, 3000.0), 1.0, i_q=-3.0, fine=20, noise=0.02)
     literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta))
     ours = np.abs(error_deg(s.theta, estimate(s).theta))
     assert literal[-PWM_HZ // 2 :].mean() > 45

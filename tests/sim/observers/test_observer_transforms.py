@@ -6,20 +6,12 @@ import pytest
 from sim.observers.transforms import clarke, wrap
 
 
-@pytest.mark.parametrize("turns", [-1000, -3, -1, 0, 1, 2, 1000])
+@pytest.mark.parametrize("turns", [-1000, -20, -3, -1, 0, 1, 2, 19, 1000])
 def test_wrap_keeps_the_direction_and_the_range(turns):
-    for angle in np.linspace(-np.pi, np.pi, 50, endpoint=False):
-        wrapped = wrap(angle + 2 * np.pi * turns)
+    for angle in (*np.linspace(-np.pi, np.pi, 51), -math.pi - 1e-15, math.pi + 1e-15):
+        wrapped = wrap(angle + 2 * math.pi * turns)
         assert -math.pi <= wrapped < math.pi
         assert abs(np.exp(1j * wrapped) - np.exp(1j * angle)) < 1e-11
-
-
-def test_wrap_at_the_seam():
-    assert wrap(math.pi) == -math.pi
-    assert wrap(-math.pi) == -math.pi
-    for k in range(-20, 20):
-        for nudge in (-1e-15, 0.0, 1e-15):
-            assert -math.pi <= wrap((2 * k + 1) * math.pi + nudge) < math.pi
 
 
 def test_clarke_is_as_long_as_the_phase_peaks_and_drops_a_common_part():

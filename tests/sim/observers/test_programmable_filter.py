@@ -12,7 +12,6 @@ from ideal_motor import (
     T_S,
     TICK_HZ,
     constant,
-    edges,
     error_deg,
     glitch,
     own,
@@ -25,12 +24,10 @@ from ideal_motor import (
 
 from sim.observers import programmable_filter
 
-SPEEDS = [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0]
 
-
-def estimate(s, reset=None, **drive):
+def estimate(s, **drive):
     params = programmable_filter.make_params(PWM_HZ, own(programmable_filter, **drive))
-    return track(programmable_filter, params, s, reset)
+    return track(programmable_filter, params, s)
 
 
 def last(s, out, turns=3.0):
@@ -45,7 +42,7 @@ def steady(speed, turns=8.0, **kwargs):
     return signals(constant(rpm(speed)), 0.15 + turns * 2 * math.pi / abs(rpm(speed)), **kwargs)
 
 
-@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
 @pytest.mark.parametrize("i_q", [0.0, 8.0])
 def test_exact_at_constant_speed_with_ideal_sensors(speed, i_q):
     """Angle and length of the flux, without a bias that grows with the speed; omega_h is exact to a tick."""
@@ -169,10 +166,8 @@ def test_on_and_off_have_hysteresis():
 def test_outputs_off_leave_it_to_the_edges():
     s = steady(500.0, 40.0)
     off = slice(3000, 4000)
-    u_alpha, u_beta = s.u_alpha.copy(), s.u_beta.copy()
-    u_alpha[off] = 0.0
-    u_beta[off] = 0.0
-    out = estimate(s._replace(u_alpha=u_alpha, u_beta=u_beta))
+    s.u_alpha[off] = s.u_beta[off] = 0.0
+    out = estimate(s)
     assert not out.on[off].any()
     assert np.abs(error_deg(s.theta, out.theta))[off].max() < 0.1
     assert out.on[4000:].mean() > 0.9
@@ -184,10 +179,8 @@ def test_reversal():
     omega, turn_at = rpm(100), 0.3003
     s = signals(lambda t: 0.3 + omega * np.where(t < turn_at, t, 2 * turn_at - t), 0.6, fine=10)
     out = estimate(s)
-    back, again = (
-        int(np.searchsorted(s.tick, s.edge_tick[int(np.searchsorted(s.edge_tick, turn_at * TICK_HZ)) + k]))
-        for k in (0, 1)
-    )
+    first = np.searchsorted(s.edge_tick, turn_at * TICK_HZ)
+    back, again = np.searchsorted(s.tick, s.edge_tick[first : first + 2])
     assert list(out.on[[back, back + 1, again, again + 1]]) == [1, 0, 0, 1]
     assert not out.on[back + 1 : again].any()
     assert out.omega[-1] == pytest.approx(-omega, rel=1e-3)
@@ -196,12 +189,9 @@ def test_reversal():
 
 def test_an_estimate_far_outside_the_sector_is_not_believed():
     """Sensors that contradict the back-EMF by half a turn: it starts at each edge, and is thrown out in time."""
-    s = steady(300.0)
-    turned = (s.theta + np.pi)[:]
-    tick, code = edges(turned, IDEAL_EDGES)
-    hall = np.array([1, 3, 2, 6, 4, 5], np.uint8)[sectors(turned) % 6]
-    out = estimate(s._replace(hall=hall, edge_tick=tick, edge_hall=code))
-    away = np.abs(error_deg(np.radians(60 * sectors(turned) + 30), out.theta)) > 60 + 1e-9
+    s = steady(300.0, edges_deg=IDEAL_EDGES - 180)
+    out = estimate(s)
+    away = np.abs(error_deg(np.radians(60 * sectors(s.theta + np.pi) + 30), out.theta)) > 60 + 1e-9
     assert away.any()
     assert not (away[1:] & away[:-1]).any()
     assert np.array_equal(out.on[1:][away[:-1]], np.zeros(away[:-1].sum()))

@@ -14,10 +14,13 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
+    part,
+    ramp,
     rpm,
     samples,
     signals,
     track,
+    turning_back,
 )
 
 from sim.observers import hall_speed, vector_tracking
@@ -29,7 +32,7 @@ def estimate(s, exact_inverse=True, **drive):
     return track(vector_tracking, params._replace(exact_inverse=int(exact_inverse)), s)
 
 
-def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q_ref=0.0, **drive):
+def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **drive):
     """The observer alone, the correction on from the start, fed with any Hall speed and the back-EMF of `theta`.
 
     `start`: initial estimate (default: the true angle). Returns the estimates at samples 1, 2, ...
@@ -41,8 +44,7 @@ def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q
     before = np.r_[0, np.arange(n - 1)]
     u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
     omega_h = np.broadcast_to(np.asarray(omega_h, float), n).copy()
-    if sector is None:
-        sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
+    sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
     ones = np.ones(n, np.int64)
     front = hall_speed.Estimates(sector, direction * ones, ones, omega_h, np.zeros(n), 0 * ones)
     first = vector_tracking.init()._replace(
@@ -61,8 +63,7 @@ def locked(omega_h, theta, *, start=None, direction=1, sector=None, i_q=0.0, i_q
     i_q_err = np.broadcast_to(np.asarray(i_q_ref, float) - i_q, n)
     none = np.zeros(n, np.int64)
     seen = Samples(front, theta, none, none, none, none, 0.0 * theta, u.real, u.imag, i.real, i.imag, i_q_err)
-    seen = Samples(*(type(a)(*(c[1:] for c in a)) if isinstance(a, tuple) else a[1:].copy() for a in seen))
-    return vector_tracking.run(params, first, seen, np.zeros(n - 1, np.bool_))[1]
+    return vector_tracking.run(params, first, part(seen, 1), np.zeros(n - 1, np.bool_))[1]
 
 
 @pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
@@ -107,8 +108,7 @@ def test_hall_ripple_passes_as_the_high_pass_of_11(hertz, omega):
     z = np.exp(1j * nu * T_S)
     integral = T_S * z / (z - 1)
     k_p, k_i = DRIVE["k_p_vt"], DRIVE["k_i_vt"]
-    sampled = A * nu * integral / (1j) * 1j  # theta_h of the sampled omega_h
-    expected = sampled / (1 + integral * (k_p + k_i * integral) / z)
+    expected = A * nu * integral / (1 + integral * (k_p + k_i * integral) / z)
     assert abs(amplitude) == pytest.approx(abs(expected), rel=0.05)
     s = 1j * nu
     paper = A * abs(s**2 / (s**2 + k_p * s + k_i))
@@ -154,15 +154,8 @@ def test_load_angle_is_the_pi_of_the_current_error_and_shifts_the_estimate(k_ic,
     assert out.delta_hat[-1] == pytest.approx(k_ic * charge, rel=0.02)
     assert error[-100:].mean() == pytest.approx(-np.degrees(k_ic * charge), rel=0.03)
     during = (t[1:] > 0.051) & (t[1:] < 0.0695)
-    ramp = k_pc * charge / pulse + k_ic * (t[1:][during] - 0.05) * charge / pulse
-    np.testing.assert_allclose(out.delta_hat[during], ramp, atol=0.03 * abs(k_ic) * charge)
-
-
-def test_load_angle_is_zero_and_holds_nothing_while_it_is_off():
-    omega = rpm(500)
-    t = np.arange(1600) * T_S
-    out = locked(omega, omega * t, i_q=4.0, i_q_ref=5.0, k_ic=8.0)
-    assert set(out.delta_hat) == {0.0}
+    rising = k_pc * charge / pulse + k_ic * (t[1:][during] - 0.05) * charge / pulse
+    np.testing.assert_allclose(out.delta_hat[during], rising, atol=0.03 * abs(k_ic) * charge)
 
 
 @pytest.mark.parametrize("speed", [500.0, 3000.0, -3000.0])
@@ -175,11 +168,12 @@ def test_load_angle_does_not_drift_while_the_current_follows_its_reference(speed
     assert np.abs(out.delta_hat).max() < 2e-3
 
 
-def test_load_angle_stays_within_30_degrees():
+@pytest.mark.parametrize(("on", "largest"), [(0.0, 0.0), (1.0, np.pi / 6)])
+def test_load_angle_is_zero_while_it_is_off_and_stays_within_30_degrees(on, largest):
     omega = rpm(500)
     t = np.arange(1600) * T_S
-    out = locked(omega, omega * t, i_q=4.0, i_q_ref=5.0, k_ic=500.0, load_angle_comp=1.0)
-    assert out.delta_hat.max() == pytest.approx(np.pi / 6)
+    out = locked(omega, omega * t, i_q=4.0, i_q_ref=5.0, k_ic=500.0, load_angle_comp=on)
+    assert np.abs(out.delta_hat).max() == pytest.approx(largest)
 
 
 def test_speed_is_filtered_at_its_cut_off():
@@ -195,14 +189,8 @@ def test_speed_is_filtered_at_its_cut_off():
 
 def test_correction_starts_and_stops_with_hysteresis_at_edges():
     """Slowly up through omega_on and down through omega_off; in between it holds."""
-    on, off, ramp = 20.0, 12.0, 10.0  # rad/s, rad/s²
-
-    def speed(t):
-        return np.where(t < 3, ramp * t, np.maximum(30 - ramp * (t - 3), 0))
-
-    fine = np.arange(6 * PWM_HZ) / PWM_HZ
-    table = np.r_[0, np.cumsum(speed(fine)) / PWM_HZ]
-    s = signals(lambda t: np.interp(t, np.r_[fine, 6.0], table), 5.9, i_q=1.0)
+    on, off = 20.0, 12.0  # rad/s
+    s = signals(ramp((0, 0), (3, 30), (6, 0)), 5.9, i_q=1.0)
     out = estimate(s)
     changes = np.flatnonzero(np.diff(out.on))
     assert changes.size == 2
@@ -222,13 +210,7 @@ def test_correction_starts_and_stops_with_hysteresis_at_edges():
 @pytest.mark.parametrize("theta_0", np.radians([0, 13, 31, 47, 59]))
 def test_a_rotor_that_turns_back_is_followed_through_zero(deceleration, theta_0):
     omega = rpm(500)
-
-    def angle(t):
-        run = np.maximum(t - 0.1, 0)
-        back = np.minimum(run, 2 * omega / deceleration)
-        past = run - back
-        return theta_0 + omega * np.minimum(t, 0.1) + omega * back - deceleration * back**2 / 2 - omega * past
-
+    angle = turning_back(omega, 0.1, deceleration, theta_0)
     s = signals(angle, 0.2 + 2 * omega / deceleration, i_q=-3.0, fine=20, noise=0.02)
     out = estimate(s)
     error = np.abs(error_deg(s.theta, out.theta))
@@ -246,8 +228,7 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     seen, reset, half = samples(s), np.zeros(s.tick.size, bool), 1600
     state, _ = vector_tracking.run(params, vector_tracking.init(), seen, reset[:half])
     lost = state._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
-    rest = Samples(hall_speed.Estimates(*(c[half:] for c in seen.hall)), *(c[half:] for c in seen[1:]))
-    _, out = vector_tracking.run(params, lost, rest, reset[half:])
+    _, out = vector_tracking.run(params, lost, part(seen, half), reset[half:])
     error = np.abs(error_deg(s.theta[half:], out.theta))
     assert out.on[0] == 0
     assert error[0] < 0.1
