@@ -131,15 +131,6 @@ def test_no_pulse_begins_once_they_are_off():
         assert len(bench.advance(16_000).edges) == 0
 
 
-def test_whether_there_were_pulses_does_not_depend_on_the_portions():
-    def record(portions):
-        bench = turning(100.0, 3, **{"wiring.hall_glitch": 5000.0})
-        runs = [bench.advance(n) for n in portions]
-        return [np.concatenate([getattr(run, name) for run in runs]).tobytes() for name in ("samples", "edges")]
-
-    assert record([1000]) == record([1, 333, 0, 600, 66])
-
-
 def test_a_bench_without_pulses_draws_no_random_number_for_them():
     plain, other = turning(50.0, 5), turning(50.0, 5, **{"wiring.hall_open": 1, "wiring.hall_swap": 2})
     noise = [b.advance(2000).samples["i_a"].tobytes() for b in (plain, other)]

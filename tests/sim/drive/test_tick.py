@@ -11,8 +11,8 @@ import pytest
 from rig import Rig, physical
 
 from protocol.messages import DriveState, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Status
-from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE, angle, clipped, edge_codes, quantised
+from protocol.signals import Status
+from sim.drive.tick_record import angle, clipped, edge_codes, quantised
 
 IDEAL = {
     "hall.hysteresis_deg": 0.0,
@@ -36,12 +36,6 @@ def forced(bench, omega_m, i_q=None):
         bench.enable()
         bench.setpoint(SetpointMode.CURRENT, i_q)
     return bench
-
-
-def test_records_are_the_protocols_channels_packed():
-    assert list(SAMPLE_DTYPE.names) == [channel.name for channel in DRIVE_CHANNELS]
-    assert SAMPLE_DTYPE.itemsize == sum(np.dtype(channel.raw.dtype).itemsize for channel in DRIVE_CHANNELS)
-    assert list(LOAD_DTYPE.names) == [channel.name for channel in LOAD_CHANNELS]
 
 
 def test_raw_values_round_half_to_even_wrap_and_saturate():
