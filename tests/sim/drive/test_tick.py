@@ -142,20 +142,6 @@ def test_references_are_those_that_the_recorded_voltage_answers():
     assert i[1] < 0.05
 
 
-def test_current_step_answers_like_a_first_order_low_pass():
-    bench = forced(Rig(**IDEAL), 100.0, 0.0)
-    bench.set_param("observer", 0)
-    bench.advance(400)
-    bench.setpoint(SetpointMode.CURRENT, 4.0)
-    recorded = bench.advance(160)
-    i_q, i_d = physical(recorded, "i_q"), physical(recorded, "i_d")
-    rise = np.flatnonzero(i_q > 4.0 * (1 - math.exp(-1)))[0]
-    assert 3 <= rise <= 7  # 1 / (2 pi 800 Hz) is 3.2 periods, and the delay 1.5
-    assert i_q.max() < 4.0 * 1.25
-    assert np.abs(i_d).max() < 0.5
-    assert i_q[80:].mean() == pytest.approx(4.0, abs=0.01)
-
-
 def test_encoder_channels_follow_the_truth():
     recorded = forced(Rig(**IDEAL, **{"encoder.offset_deg": 10.0}), 52.36).advance(8000)
     error = (physical(recorded, "theta_enc") - physical(recorded, "theta_true") + np.pi) % (2 * np.pi) - np.pi
