@@ -318,13 +318,20 @@ def test_a_receiver_warns_turns_passive_and_comes_back() -> None:
     assert receiver.errors[-2:] == [(ERROR_CONTROLLER, 0x04), (ERROR_CONTROLLER, 0x40)]
 
 
-def test_thirty_two_errors_are_bus_off_and_the_frame_is_given_up() -> None:
-    bus, first, second = pair()
+def go_off(auto_restart: float | None) -> tuple[SimulatedBus, Node, Node, float]:
+    bus = SimulatedBus(CLASSIC)
+    node, other = Node(bus, "node", auto_restart), Node(bus, "other")
     bus.corrupt = lambda row, _: row == PLAIN
-    first.queue.extend([PLAIN, frame(0x22)])
-    bus.advance(32 * 131 * BIT + 1e-9)
-    assert (first.controller.state, first.controller.tec) == (State.BUS_OFF, 256)
-    assert second.controller.rec == 32
+    node.queue.extend([PLAIN, frame(0x22)])
+    bus.advance(0.01)
+    assert node.controller.state is State.BUS_OFF
+    assert node.error_times[-1] == pytest.approx(((31 * 131) + 111) * BIT)  # at the end of the last frame
+    return bus, node, other, node.error_times[-1]
+
+
+def test_thirty_two_errors_are_bus_off_and_the_frame_is_given_up() -> None:
+    bus, first, second, _ = go_off(0.1)
+    assert (first.controller.tec, second.controller.rec) == (256, 32)
     protocol = (ERROR_PROTOCOL, 0)
     assert first.errors == [
         *[protocol] * 12,
@@ -342,17 +349,6 @@ def test_thirty_two_errors_are_bus_off_and_the_frame_is_given_up() -> None:
     listener = Node(bus, "listener")
     bus.advance(0.06)
     assert (first.got, listener.ids) == ([], [0x33])
-
-
-def go_off(auto_restart: float | None) -> tuple[SimulatedBus, Node, Node, float]:
-    bus = SimulatedBus(CLASSIC)
-    node, other = Node(bus, "node", auto_restart), Node(bus, "other")
-    bus.corrupt = lambda row, _: row == PLAIN
-    node.queue.extend([PLAIN, frame(0x22)])
-    bus.advance(0.01)
-    assert node.controller.state is State.BUS_OFF
-    assert node.error_times[-1] == pytest.approx(((31 * 131) + 111) * BIT)  # at the end of the last frame
-    return bus, node, other, node.error_times[-1]
 
 
 def test_a_controller_restarts_by_itself() -> None:
