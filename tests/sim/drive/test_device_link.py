@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
-from bench.analysis.chunks import join
 from protocol.errors import Refused
 from protocol.messages import (
     Alive,
@@ -59,7 +58,7 @@ def refused(code: ErrorCode, detail: float | None = None) -> Iterator[None]:
 
 def test_both_nodes_say_who_they_are_and_what_they_have() -> None:
     host, _ = make()
-    drive, load = host.connect(), host.connect(node=2)
+    drive, load = host.identity(1), host.identity(2)
     assert (drive.node, drive.role, drive.name, drive.serial) == (1, Role.DRIVE, "simulated drive", "SIM-0001")
     assert (load.node, load.role, load.name, load.serial) == (2, Role.LOAD, "load machine", "SIM-0002")
     assert drive.firmware == load.firmware == "hallbench-sim"
@@ -75,7 +74,7 @@ def test_both_nodes_say_who_they_are_and_what_they_have() -> None:
         (drive, DRIVE_CHANNELS, DRIVE_PARAMETERS),
         (load, LOAD_CHANNELS, LOAD_PARAMETERS),
     ):
-        descriptor = host.descriptor(hello.node)
+        descriptor = host.nodes[hello.node].descriptor
         assert [c.name for c in descriptor.channels] == [c.name for c in channels]
         assert [p.name for p in descriptor.parameters] == [p.name for p in parameters]
         assert hello.schema_crc == descriptor.crc
@@ -111,7 +110,7 @@ def test_the_range_of_the_current_sensors_is_told_and_not_set(tmp_path: Path) ->
 def test_a_drive_without_an_encoder_has_no_channels_nor_control_by_it(tmp_path: Path) -> None:
     store = tmp_path / "drive.json"
     host, _ = make(load_params(None, {"encoder.present": 0}), store=store)
-    names = [channel.name for channel in host.descriptor(1).channels]
+    names = [channel.name for channel in host.nodes[1].descriptor.channels]
     assert names == [c.name for c in DRIVE_CHANNELS if c.name not in ("theta_enc", "omega_enc")]
     assert "theta_true" in names
     assert host.get("observer").lo == AngleSource.AVERAGE_SPEED
@@ -131,8 +130,8 @@ def test_samples_without_an_encoder_are_those_with_one_but_for_its_columns() -> 
         host.start()
         host.setpoint(SetpointMode.SPEED, 50.0)
         host.run(0.2)
-        chunks.append(join(host.samples[1, 0]).raw)
-        edges.append(join(host.edges).encoder)
+        chunks.append(host.samples().raw)
+        edges.append(host.edges().encoder)
     n = min(map(len, chunks))
     assert n > 1000
     assert np.array_equal(chunks[0][:n], chunks[1][:n])
@@ -185,7 +184,7 @@ def test_watchdog_switches_off_to_the_millisecond(node: int) -> None:
     assert session.machine.faults is Fault.WATCHDOG
     assert not session.app.outputs_on
     host.poll()
-    status = join(host.samples[node, 0])
+    status = host.samples(node)
     off = status.tick[np.argmax(status.raw["status"] & STATUS_STATE_MASK == DriveState.FAULT)] - fed
     assert 0.200 * 20e6 <= off <= 0.202 * 20e6
     assert re.fullmatch(r"outputs off 20[0-2] ms after the last ALIVE: watchdog \(node ., .*\)", lines[-1])

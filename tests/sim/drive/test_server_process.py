@@ -40,8 +40,8 @@ def test_tcp_first_line_is_the_target_and_sigterm_ends_it_cleanly(start: Callabl
     host = SmallHost(open_link(sim.target))
     host.stream()
     host.run(0.3)
-    assert host.decoders[1, 0].counters.samples > 1000
-    assert host.decoders[1, 0].counters.lost_by_index == 0
+    assert host.losses(1).samples.samples > 1000
+    assert host.losses(1).samples.lost_by_index == 0
     sim.send(signal.SIGTERM)
     assert sim.end() == 0
     assert re.fullmatch(r"stopped after \d+ periods: \d+ frames sent, 0 dropped, .*late.*", sim.out[-1])
@@ -56,7 +56,7 @@ def test_a_busy_host_does_not_upset_the_pace(start: Callable[..., Sim]) -> None:
         host.request(TimeSync())
     host.stream(["status"], edges=False)
     host.run(0.4, alive=False)
-    assert host.decoders[1, 0].counters.samples > 0.2 * 16000
+    assert host.losses(1).samples.samples > 0.2 * 16000
     host.link.close()
 
 
