@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rig import Rig, column
 
-from protocol.messages import DriveState, SetpointMode
+from protocol.messages import SetpointMode
 from protocol.signals import HallSwap
 from protocol.streams import EDGE_ILLEGAL
 from sim.config.params import ConfigError
@@ -20,8 +20,7 @@ PLAIN = {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_d
 
 def turning(omega_m, seed=0, **overrides):
     bench = Rig(seed, **PLAIN | overrides)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, omega_m)
+    bench.load(SetpointMode.SPEED, omega_m)
     return bench
 
 

@@ -140,8 +140,7 @@ def test_overcurrent_opens_the_outputs_in_the_same_period():
 
 def test_overspeed_trips_by_the_encoder():
     bench = Rig(**{"firmware.protection.omega_m_trip": 100.0})
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, -150.0)
+    bench.load(SetpointMode.SPEED, -150.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.enable()
@@ -151,12 +150,11 @@ def test_overspeed_trips_by_the_encoder():
 
 def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
     bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.protection.omega_m_trip": 200.0})
-    bench.load_enter_state(DriveState.RUNNING)
     bench.set_load_param("hall_glitch", 150.0)  # one false edge makes any speed
     assert np.abs(bench.advance(48000).samples["omega_avg"] * 0.125).max() > 200.0 * 6
     assert bench.faults == 0
     bench.set_load_param("hall_glitch", 0.0)
-    bench.load_setpoint(SetpointMode.SPEED, 180.0)
+    bench.load(SetpointMode.SPEED, 180.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.load_setpoint(SetpointMode.SPEED, 240.0)
@@ -166,8 +164,7 @@ def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
 
 def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
     bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.omega_m_max": 150.0})
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 200.0)
+    bench.load(SetpointMode.SPEED, 200.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.load_setpoint(SetpointMode.SPEED, 340.0)  # below omega_m_trip, but the Hall sensors show 225 rad/s at most
@@ -180,8 +177,7 @@ def test_every_edge_of_the_fastest_shaft_finds_room():
         **{"motor.n_p": 64, "load.omega_m_max": 600.0, "load.alpha_m_max": 0.0, "clock.pwm_hz": 1000,
            "clock.substeps": 20}
     )  # fmt: skip
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 600.0)
+    bench.load(SetpointMode.SPEED, 600.0)
     recorded = bench.advance(100)
     assert len(recorded.edges) == pytest.approx(600.0 * 64 * 0.099 / (np.pi / 3), abs=3)
 
@@ -213,8 +209,7 @@ def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(sourc
     """To it and back, nothing of it streamed. Two of them have no better speed than the Hall speed, 20 % off here."""
     room = 0.25 if source in (AngleSource.ZEROTH_ORDER, AngleSource.LOOKUP_TABLE) else 0.12
     bench = spinning(rpm * np.pi / 30, 1.0)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.TORQUE, 0.1)
+    bench.load(SetpointMode.TORQUE, 0.1)
     bench.advance(16000)
     speed = bench.truth.omega_m
     bench.set_param("observer", source)
@@ -239,8 +234,7 @@ def test_the_largest_resistance_leaves_the_plant_sound():
 
 def test_load_torque_step_is_held_by_the_speed_loop():
     bench = spinning(52.36, 1.0)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.TORQUE, 0.236)
+    bench.load(SetpointMode.TORQUE, 0.236)
     recorded = bench.advance(16000)
     assert bench.truth.omega_m == pytest.approx(52.36, abs=1.0)
     assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.236 + 0.01, abs=2e-3)

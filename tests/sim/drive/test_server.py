@@ -187,7 +187,7 @@ def test_nobody_reads_a_pty_costs_counted_frames_only(make: Callable[..., Bench]
     assert host.session.counters.framing.bad == 0
 
 
-def test_uart_rate_is_paced_and_the_wrong_one_gets_nothing_through(make: Callable[..., Bench]) -> None:
+def test_a_uart_is_paced(make: Callable[..., Bench]) -> None:
     bench = make("pty", baud=115200, network=ByteNetwork(TxQueue(capacity=11520.0)))
     host = bench.host()
     host.connect()
@@ -198,13 +198,6 @@ def test_uart_rate_is_paced_and_the_wrong_one_gets_nothing_through(make: Callabl
     assert host.losses(1).samples.lost_by_index == 0
     assert bench.device.network.frames_sent > frames
     assert bench.now - start < 1.1
-    host.link.close()
-
-    wrong = bench.host(bench.port.target.replace("115200", "9600") + "?baud=9600")
-    wrong.session.connect(1, wrong.link.clock())
-    for _ in range(100):
-        wrong.poll()
-    assert wrong.session.hellos == {}
 
 
 @pytest.mark.parametrize(

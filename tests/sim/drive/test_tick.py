@@ -30,8 +30,7 @@ CODES = [0b001, 0b011, 0b010, 0b110, 0b100, 0b101]
 
 def forced(bench, omega_m, i_q=None):
     """Load machine at `omega_m`; the drive at `i_q`, or off."""
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, omega_m)
+    bench.load(SetpointMode.SPEED, omega_m)
     if i_q is not None:
         bench.enable()
         bench.setpoint(SetpointMode.CURRENT, i_q)
@@ -113,7 +112,6 @@ def test_a_voltage_pairs_with_the_currents_of_the_period_that_ends_at_its_sample
     bench.advance(100)
     bench.setpoint(SetpointMode.CURRENT, 6.0)
     recorded = bench.advance(40)
-    i = physical(recorded, "i_q") + 1j * 0
     axes = np.exp(2j * np.pi / 3 * np.arange(3))
     i = 2 / 3 * (axes @ [physical(recorded, f"i_{phase}") for phase in "abc"])
     u = physical(recorded, "u_alpha") + 1j * physical(recorded, "u_beta")
@@ -183,14 +181,13 @@ def test_first_sample_is_the_boot():
 
 PLAIN = """
 import json, sys
-from protocol.messages import SetpointMode, DriveState
+from protocol.messages import SetpointMode
 from rig import Rig
 bench = Rig(5, **{
     "motor.L_q": 2e-4, "wiring.hall_glitch": 2000, "wiring.hall_swap": 3,
     "firmware.injection.inject": 2, "firmware.injection.inject_hz": 500,
 })
-bench.load_enter_state(DriveState.RUNNING)
-bench.load_setpoint(SetpointMode.SPEED, 300.0)
+bench.load(SetpointMode.SPEED, 300.0)
 bench.enable()
 bench.setpoint(SetpointMode.CURRENT, 4.0)
 one = bench.advance(250, log=True)
