@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource
-from sim.config.params import BenchParams, ConfigError, load_params
+from sim.config.params import ConfigError, load_params
 
 
 def test_defaults_are_the_papers_motor() -> None:
@@ -163,4 +163,3 @@ def test_replace_is_checked_too() -> None:
     params = load_params()
     with pytest.raises(ConfigError, match=r"^J must be > 0 kg m2, got 0$"):
         params.mechanics.replace(J=0.0)
-    assert isinstance(params, BenchParams)

@@ -13,7 +13,6 @@ from protocol.messages import (
     Command,
     DriveState,
     EventCode,
-    HelloReply,
     ParamReply,
     ParamSet,
     Payload,
@@ -57,10 +56,6 @@ class SmallHost(Client):
                 next_alive = self.now() + 0.05
                 self.alive()
             self.poll()
-
-    def identity(self, node: int) -> HelloReply:
-        self.connect()
-        return self.nodes[node].identity
 
     def request(self, message: Request, node: int = DRIVE, reply: type[Payload] = Payload) -> Payload:
         return super().request(message, node, reply)

@@ -58,7 +58,7 @@ def refused(code: ErrorCode, detail: float | None = None) -> Iterator[None]:
 
 def test_both_nodes_say_who_they_are_and_what_they_have() -> None:
     host, _ = make()
-    drive, load = host.identity(1), host.identity(2)
+    drive, load = host.connect(), host.nodes[2].identity
     assert (drive.node, drive.role, drive.name, drive.serial) == (1, Role.DRIVE, "simulated drive", "SIM-0001")
     assert (load.node, load.role, load.name, load.serial) == (2, Role.LOAD, "load machine", "SIM-0002")
     assert drive.firmware == load.firmware == "hallbench-sim"
