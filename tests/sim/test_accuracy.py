@@ -77,14 +77,10 @@ def test_start_up_from_30_degrees_of_error(source, rpm):
         assert np.abs(vector[started:]).max() < 10  # right from the second edge on
 
 
-def rotor_at(degrees):
-    return {"mechanics.theta_0_deg": float(degrees)}
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("sector", range(6))
 def test_start_up_in_each_sector_both_ways(sector, sign):
-    bench = running(VECTOR, rotor_at(60 * sector + 30 - 20 * sign))
+    bench = running(VECTOR, {"mechanics.theta_0_deg": 60.0 * sector + 30.0 - 20.0 * sign})
     recorded = bench.spin(400 * sign, 0.6)
     assert not bench.faults
     assert error_deg(recorded, "theta_vt")[-3200:].std() < 3.3

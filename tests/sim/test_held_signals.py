@@ -25,47 +25,25 @@ def raising() -> Iterator[None]:
     signal.signal(signal.SIGALRM, before)
 
 
-def test_a_handler_runs_on_leaving() -> None:
-    done = []
+@pytest.mark.parametrize("deliver", [False, True], ids=["on leaving", "where it is asked for"])
+def test_a_handler_runs(deliver: bool) -> None:
+    seen = []
 
     def work() -> None:
         with Held() as held:
             signal.raise_signal(signal.SIGALRM)
-            done.append(list(held.came))
-        done.append("never")
+            seen.extend(held.came)
+            if deliver:
+                held.deliver()
+            seen.append("left")
+        seen.append("never")
 
     with pytest.raises(Stop):
         work()
-    assert done == [[signal.SIGALRM]]
+    assert seen == [signal.SIGALRM, *(() if deliver else ("left",))]
     assert Held.active is None
     with pytest.raises(Stop):
         signal.raise_signal(signal.SIGALRM)
-
-
-def test_or_where_it_is_asked_for() -> None:
-    def work() -> None:
-        with Held() as held:
-            signal.raise_signal(signal.SIGALRM)
-            held.deliver()
-
-    with pytest.raises(Stop):
-        work()
-    assert Held.active is None
-
-
-def test_inside_another_one_it_does_nothing() -> None:
-    came = []
-
-    def work() -> None:
-        with Held() as outer:
-            with Held(undisturbed=True) as inner:
-                assert inner is outer
-                signal.raise_signal(signal.SIGALRM)
-            came.extend(outer.came)
-
-    with pytest.raises(Stop):
-        work()
-    assert came == [signal.SIGALRM]
 
 
 def test_signals_without_a_handler_keep_their_default_unless_nothing_may_disturb() -> None:
@@ -76,17 +54,6 @@ def test_signals_without_a_handler_keep_their_default_unless_nothing_may_disturb
     with Held(undisturbed=True):
         assert all(callable(signal.getsignal(number)) for number in ENDING)
     assert {number: signal.getsignal(number) for number in ENDING} == before
-
-
-def test_an_exception_of_the_inside_goes_on() -> None:
-    def work() -> None:
-        with Held():
-            signal.raise_signal(signal.SIGALRM)
-            raise KeyError
-
-    with pytest.raises(KeyError):
-        work()
-    assert Held.active is None
 
 
 def test_a_thread_has_nothing_to_hold() -> None:

@@ -20,39 +20,32 @@ def test_module_imports_without_numba() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_hash_changes_with_a_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "sim"
-    package.mkdir()
-    source = package / "kernel.py"
-    source.write_text("x = 1\n")
-    monkeypatch.setattr(numba_cache, "_HERE", package)
-    first = numba_cache.source_hash.__wrapped__()
-    assert numba_cache.source_hash.__wrapped__() == first
-    source.write_text("x = 2\n")
-    assert numba_cache.source_hash.__wrapped__() != first
-
-
-@pytest.mark.parametrize("name", ["messages.py", "signals.py", "streams.py"])
-def test_hash_changes_with_the_constants_that_kernels_take_from_the_protocol(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        ("sim/kernel.py", True),
+        ("sim/plant/pmsm.py", True),
+        ("sim/drive/tick.py", True),
+        ("sim/drive/server.py", False),
+        ("protocol/codes.py", True),
+        ("protocol/messages.py", True),
+        ("protocol/signals.py", True),
+        ("protocol/streams.py", True),
+        ("protocol/host.py", False),
+    ],
+)
+def test_hash_is_that_of_the_kernels_and_of_the_constants_that_they_take(
+    name: str, counts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for package in ("sim", "protocol"):
-        (tmp_path / package).mkdir()
     monkeypatch.setattr(numba_cache, "_HERE", tmp_path / "sim")
-    first = numba_cache.source_hash.__wrapped__()
-    (tmp_path / "protocol" / name).write_text("x = 1\n")
-    assert numba_cache.source_hash.__wrapped__() != first
-
-
-def test_edit_outside_kernels_keeps_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "sim"
-    (package / "drive").mkdir(parents=True)
-    monkeypatch.setattr(numba_cache, "_HERE", package)
-    first = numba_cache.source_hash.__wrapped__()
-    (package / "drive" / "server.py").write_text("x = 1\n")
-    assert numba_cache.source_hash.__wrapped__() == first
-    (package / "drive" / "tick.py").write_text("x = 1\n")
-    assert numba_cache.source_hash.__wrapped__() != first
+    hashes = []
+    for text in (None, "x = 1\n", "x = 1\n", "x = 2\n"):
+        if text:
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).write_text(text)
+        hashes.append(numba_cache.source_hash.__wrapped__())
+    assert hashes[1] == hashes[2]
+    assert len(set(hashes)) == (3 if counts else 1)
 
 
 def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

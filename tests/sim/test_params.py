@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource
-from sim.config.params import BenchParams, ConfigError, load_params
+from sim.config.params import ConfigError, load_params
 
 
 def test_defaults_are_the_papers_motor() -> None:
@@ -63,63 +63,51 @@ def refusal(key: str, value: object) -> str:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("motor.R_s", -1, "R_s must be > 0 ohm, got -1 (motor.R_s in overrides)"),
-        ("motor.L_d", float("nan"), "L_d must be > 0 H, got nan (motor.L_d in overrides)"),
-        ("motor.n_p", 6.5, "n_p must be a whole number between 1 and 64, got 6.5 (motor.n_p in overrides)"),
-        ("motor.R_s", True, "R_s must be > 0 ohm, got True (motor.R_s in overrides)"),
-        ("motor.R_s", "1", "R_s must be > 0 ohm, got '1' (motor.R_s in overrides)"),
-        (
-            "firmware.observer",
-            99,
-            f"observer must be a whole number between 0 and {max(AngleSource):d}, "
-            "got 99 (firmware.observer in overrides)",
-        ),
-        (
-            "firmware.vector_tracking.tau_max",
-            1.0,
-            "tau_max must be between 0 and 0.1 s, got 1 (firmware.vector_tracking.tau_max in overrides)",
-        ),
-        (
-            "hall.delta_deg",
-            [1, 2],
-            "delta_deg must be a list of 6 numbers, got [1, 2] (hall.delta_deg in overrides)",
-        ),
-        (
-            "hall.delta_deg",
-            [0, 0, 0, 99, 0, 0],
-            "delta_deg[3] must be between -29 and 29 deg, got 99 (hall.delta_deg in overrides)",
-        ),
+        ("motor.R_s", -1, "R_s must be > 0 ohm, got -1"),
+        ("motor.L_d", float("nan"), "L_d must be > 0 H, got nan"),
+        ("motor.n_p", 6.5, "n_p must be a whole number between 1 and 64, got 6.5"),
+        ("motor.R_s", True, "R_s must be > 0 ohm, got True"),
+        ("motor.R_s", "1", "R_s must be > 0 ohm, got '1'"),
+        pytest.param("motor.R_s", 10**400, f"R_s must be > 0 ohm, got {10**400}", id="too long for a float"),
+        ("firmware.observer", 99, f"observer must be a whole number between 0 and {max(AngleSource):d}, got 99"),
+        ("firmware.vector_tracking.tau_max", 1.0, "tau_max must be between 0 and 0.1 s, got 1"),
+        ("hall.delta_deg", [1, 2], "delta_deg must be a list of 6 numbers, got [1, 2]"),
+        ("hall.delta_deg", [0, 0, 0, 99, 0, 0], "delta_deg[3] must be between -29 and 29 deg, got 99"),
+    ],
+)
+def test_refusals_of_a_value_name_it_its_range_and_its_key(key: str, value: object, message: str) -> None:
+    assert refusal(key, value) == f"{message} ({key} in overrides)"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
         ("motor.r_s", 1, "unknown key motor.r_s in overrides; did you mean motor.R_s?"),
         ("motr.R_s", 1, "unknown key motr in overrides; did you mean motor?"),
         (
-            "firmware.vector_tracking.kp_vt",
-            1,
+            "firmware.vector_tracking.kp_vt", 1,
             "unknown key firmware.vector_tracking.kp_vt in overrides; did you mean firmware.vector_tracking.k_p_vt?",
         ),
         (
-            "mechanics.colour",
-            1,
+            "mechanics.colour", 1,
             "unknown key mechanics.colour in overrides; allowed here: J, b, tau_coulomb, theta_0_deg",
         ),
         ("motor", 3, "motor is a section, got 3 (in overrides)"),
         (
-            "clock.pwm_hz",
-            16001,
+            "clock.pwm_hz", 16001,
             "tick_hz must be a whole multiple of pwm_hz = 16001 Hz, got 20000000 (clock in overrides)",
         ),
         (
-            "firmware.protection.u_dc_min",
-            40.0,
+            "firmware.protection.u_dc_min", 40.0,
             "u_dc_min must be < u_dc_max = 32 V, got 40 (firmware.protection in overrides)",
         ),
         (
-            "firmware.vector_tracking.omega_off",
-            40.0,
+            "firmware.vector_tracking.omega_off", 40.0,
             "omega_off must be <= omega_on = 20 rad/s, got 40 (firmware.vector_tracking in overrides)",
         ),
     ],
-)
-def test_refusals_name_value_range_and_key(key: str, value: object, message: str) -> None:
+)  # fmt: skip
+def test_refusals_name_the_section(key: str, value: object, message: str) -> None:
     assert refusal(key, value) == message
 
 
@@ -131,11 +119,6 @@ def test_too_fast_for_the_integration_step(key: str) -> None:
     ) as refused:
         load_params(None, overrides)
     assert "default.toml" not in str(refused.value)  # the override is to blame
-
-
-def test_a_number_too_long_for_a_float_is_refused() -> None:
-    with pytest.raises(ConfigError, match="R_s must be > 0 ohm, got 1000"):
-        load_params(None, {"motor.R_s": 10**400})
 
 
 def test_a_key_that_is_not_known_comes_before_what_follows_from_it(tmp_path: Path) -> None:
@@ -161,13 +144,6 @@ def test_sectors_may_not_vanish() -> None:
     assert "sector 2 only 3 deg wide" in refusal("hall", {"delta_deg": [0, -28, 29, 0, 0, 0], "hysteresis_deg": 5})
 
 
-def test_refusal_names_the_file(tmp_path: Path) -> None:
-    file = tmp_path / "bad.toml"
-    file.write_text("[motor]\nR_s = -1\n")
-    with pytest.raises(ConfigError, match=r"^R_s must be > 0 ohm, got -1 \(motor.R_s in bad.toml\)$"):
-        load_params(file)
-
-
 @pytest.mark.parametrize("content", [b"[motor\n", b"\xff\xfe", b"x = " + b"1" * 5000])
 def test_broken_toml(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "bad.toml"
@@ -187,4 +163,3 @@ def test_replace_is_checked_too() -> None:
     params = load_params()
     with pytest.raises(ConfigError, match=r"^J must be > 0 kg m2, got 0$"):
         params.mechanics.replace(J=0.0)
-    assert isinstance(params, BenchParams)

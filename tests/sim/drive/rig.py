@@ -26,6 +26,11 @@ class Rig(SimulatedBench):
         for state in (DriveState.ARMED, DriveState.RUNNING) if on else (DriveState.IDLE,):
             self.enter_state(state)
 
+    def load(self, mode: SetpointMode, value: float) -> None:
+        """The load machine RUNNING: a torque, or a speed that it forces."""
+        self.load_enter_state(DriveState.RUNNING)
+        self.load_setpoint(mode, value)
+
     def start(self) -> list[Recorded]:
         """Drive and load machine: a period ARMED, and one RUNNING, at no current and torque."""
         records = []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rig import Rig, column
 
-from protocol.messages import DriveState, SetpointMode
+from protocol.messages import SetpointMode
 from protocol.signals import HallSwap
 from protocol.streams import EDGE_ILLEGAL
 from sim.config.params import ConfigError
@@ -20,8 +20,7 @@ PLAIN = {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_d
 
 def turning(omega_m, seed=0, **overrides):
     bench = Rig(seed, **PLAIN | overrides)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, omega_m)
+    bench.load(SetpointMode.SPEED, omega_m)
     return bench
 
 
@@ -129,15 +128,6 @@ def test_no_pulse_begins_once_they_are_off():
         bench.set_load_param("hall_glitch", 0.0)
         bench.advance(1)
         assert len(bench.advance(16_000).edges) == 0
-
-
-def test_whether_there_were_pulses_does_not_depend_on_the_portions():
-    def record(portions):
-        bench = turning(100.0, 3, **{"wiring.hall_glitch": 5000.0})
-        runs = [bench.advance(n) for n in portions]
-        return [np.concatenate([getattr(run, name) for run in runs]).tobytes() for name in ("samples", "edges")]
-
-    assert record([1000]) == record([1, 333, 0, 600, 66])
 
 
 def test_a_bench_without_pulses_draws_no_random_number_for_them():

@@ -24,10 +24,12 @@ def current(recorded):
     return np.abs(np.array([recorded.samples[f"i_{x}"] for x in "abc"]).astype(float)).max(axis=0) / 1024
 
 
-def test_same_seed_same_bits_whatever_the_portions():
+@pytest.mark.parametrize("glitches", [0.0, 5000.0])
+def test_same_seed_same_bits_whatever_the_portions(glitches):
     def record(portions, seed):
-        bench = Rig(seed)
+        bench = Rig(seed, **{"wiring.hall_glitch": glitches})
         bench.enable()
+        bench.set_param("observer", AngleSource.LEARNED_EDGES)  # takes over with sample 1600
         bench.setpoint(SetpointMode.SPEED, 100.0)
         runs = [bench.advance(n, log=True) for n in portions]
         assert bench.n == sum(portions)
@@ -36,24 +38,10 @@ def test_same_seed_same_bits_whatever_the_portions():
             for name in ("samples", "load_samples", "edges", "edge_tick", "log")
         ]
 
-    portions = [1, 0, 7, 256, 1000, 255, 2, 479]
-    whole = record([2000], 3)
-    assert record(portions, 3) == whole
-    assert record([2000], 4)[0] != whole[0]
-    assert record([2000], -1)[0] != whole[0]
-
-
-def test_ticks_go_on_past_32_bits():
-    start = 2**32 - 5000
-    bench = Rig(**{"clock.start_tick": start})
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 300.0)
-    recorded = bench.advance(4000)
-    assert recorded.tick == start
-    assert bench.tick == start + 4000 * 1250
-    assert recorded.edge_tick[-1] > 2**32
-    assert recorded.edges["tick"][-1] == recorded.edge_tick[-1] - 2**32
-    assert abs(recorded.samples["omega_avg"][-1] * 0.125 - 1800.0) < 300.0
+    whole = record([3000], 3)
+    assert record([1, 0, 7, 256, 1000, 255, 80, 1, 2, 398, 1000], 3) == whole
+    assert record([3000], 4)[0] != whole[0]
+    assert record([3000], -1)[0] != whole[0]
 
 
 def test_states_show_in_the_status_and_arming_initialises_the_observers():
@@ -86,9 +74,6 @@ def test_speed_control_reaches_its_reference_on_its_ramp():
     recorded = bench.advance(8000)
     assert bench.truth.omega_m == pytest.approx(100.0, abs=2.0)
     assert recorded.samples["omega_ref"][-1] * 0.125 == pytest.approx(600.0)
-    bench.setpoint(SetpointMode.SPEED, -100.0)
-    bench.advance(12000)
-    assert bench.truth.omega_m == pytest.approx(-100.0, abs=2.0)
 
 
 def test_outputs_off_ends_the_current_and_the_torque_and_lets_the_shaft_coast():
@@ -117,15 +102,9 @@ def test_restart_on_a_turning_shaft_draws_no_surge():
     assert current(recorded).max() < 10.0
 
 
-@pytest.mark.parametrize(
-    ("overrides", "fault"),
-    [
-        ({"inverter.u_dc": 11.0}, Fault.UNDERVOLTAGE),
-        ({"inverter.u_dc": 33.0}, Fault.OVERVOLTAGE),
-    ],
-)
-def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(overrides, fault):
-    bench = Rig(**overrides)
+@pytest.mark.parametrize(("u_dc", "fault"), [(11.0, Fault.UNDERVOLTAGE), (33.0, Fault.OVERVOLTAGE)])
+def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(u_dc, fault):
+    bench = Rig(**{"inverter.u_dc": u_dc})
     bench.advance(10)
     assert bench.faults == 0  # no fault while idle, but its cause shows
     assert bench.fault_causes == fault
@@ -161,8 +140,7 @@ def test_overcurrent_opens_the_outputs_in_the_same_period():
 
 def test_overspeed_trips_by_the_encoder():
     bench = Rig(**{"firmware.protection.omega_m_trip": 100.0})
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, -150.0)
+    bench.load(SetpointMode.SPEED, -150.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.enable()
@@ -172,12 +150,11 @@ def test_overspeed_trips_by_the_encoder():
 
 def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
     bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.protection.omega_m_trip": 200.0})
-    bench.load_enter_state(DriveState.RUNNING)
     bench.set_load_param("hall_glitch", 150.0)  # one false edge makes any speed
     assert np.abs(bench.advance(48000).samples["omega_avg"] * 0.125).max() > 200.0 * 6
     assert bench.faults == 0
     bench.set_load_param("hall_glitch", 0.0)
-    bench.load_setpoint(SetpointMode.SPEED, 180.0)
+    bench.load(SetpointMode.SPEED, 180.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.load_setpoint(SetpointMode.SPEED, 240.0)
@@ -187,8 +164,7 @@ def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
 
 def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
     bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.omega_m_max": 150.0})
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 200.0)
+    bench.load(SetpointMode.SPEED, 200.0)
     bench.advance(4000)
     assert bench.faults == 0
     bench.load_setpoint(SetpointMode.SPEED, 340.0)  # below omega_m_trip, but the Hall sensors show 225 rad/s at most
@@ -201,18 +177,14 @@ def test_every_edge_of_the_fastest_shaft_finds_room():
         **{"motor.n_p": 64, "load.omega_m_max": 600.0, "load.alpha_m_max": 0.0, "clock.pwm_hz": 1000,
            "clock.substeps": 20}
     )  # fmt: skip
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.SPEED, 600.0)
+    bench.load(SetpointMode.SPEED, 600.0)
     recorded = bench.advance(100)
     assert len(recorded.edges) == pytest.approx(600.0 * 64 * 0.099 / (np.pi / 3), abs=3)
 
 
-def test_parameters_are_float32_and_known_by_name():
-    bench = Rig()
-    bench.set_param("R_s_hat", 0.1234567890123)
-    assert bench.get_param("R_s_hat") == float(np.float32(0.1234567890123))
+def test_parameters_are_known_by_name():
     with pytest.raises(KeyError, match="no parameter 'R_s'; there are: n_p"):
-        bench.set_param("R_s", 1.0)
+        Rig().set_param("R_s", 1.0)
 
 
 def test_a_change_of_the_angle_source_is_bumpless():
@@ -237,8 +209,7 @@ def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(sourc
     """To it and back, nothing of it streamed. Two of them have no better speed than the Hall speed, 20 % off here."""
     room = 0.25 if source in (AngleSource.ZEROTH_ORDER, AngleSource.LOOKUP_TABLE) else 0.12
     bench = spinning(rpm * np.pi / 30, 1.0)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.TORQUE, 0.1)
+    bench.load(SetpointMode.TORQUE, 0.1)
     bench.advance(16000)
     speed = bench.truth.omega_m
     bench.set_param("observer", source)
@@ -253,15 +224,6 @@ def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(sourc
     assert np.abs(back.samples["omega_true"] / 8 / 6 - speed).max() < room * speed
 
 
-def test_the_warm_up_does_not_depend_on_portions():
-    def run(portions):
-        bench = spinning(100.0, 1.0)
-        bench.set_param("observer", AngleSource.LEARNED_EDGES)
-        return np.concatenate([bench.advance(n).samples for n in portions])
-
-    assert np.array_equal(run([4000]), run([1599, 1, 2, 398, 2000]))
-
-
 def test_the_largest_resistance_leaves_the_plant_sound():
     bench = spinning(80.0, 0.5)
     bench.set_param("R_s_hat", 100.0)
@@ -272,8 +234,7 @@ def test_the_largest_resistance_leaves_the_plant_sound():
 
 def test_load_torque_step_is_held_by_the_speed_loop():
     bench = spinning(52.36, 1.0)
-    bench.load_enter_state(DriveState.RUNNING)
-    bench.load_setpoint(SetpointMode.TORQUE, 0.236)
+    bench.load(SetpointMode.TORQUE, 0.236)
     recorded = bench.advance(16000)
     assert bench.truth.omega_m == pytest.approx(52.36, abs=1.0)
     assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.236 + 0.01, abs=2e-3)

@@ -12,7 +12,6 @@ TABLES = {  # the inputs c b a for the sensors' codes c b a = 000 .. 111, writte
     ("hall_swap", HallSwap.A_ON_C): ["000", "100", "001", "101", "010", "110", "011", "111"],
     ("hall_invert", 1): ["001", "000", "011", "010", "101", "100", "111", "110"],
     ("hall_invert", 6): ["110", "111", "100", "101", "010", "011", "000", "001"],
-    ("hall_open", 2): ["010", "011", "010", "011", "110", "111", "110", "111"],
     ("hall_short", 2): ["000", "001", "000", "001", "100", "101", "100", "101"],
 }
 
@@ -25,15 +24,6 @@ def inputs(**wrong):
 @pytest.mark.parametrize(("name", "value"), list(TABLES))
 def test_one_thing_wrong(name, value):
     assert inputs(**{name: float(value)}) == [int(bits, 2) for bits in TABLES[name, value]]
-
-
-def test_nothing_wrong_changes_no_code():
-    assert inputs() == list(range(8))
-
-
-def test_the_rotations_undo_each_other():
-    there, back = (inputs(hall_swap=float(way)) for way in (HallSwap.A_ON_B, HallSwap.A_ON_C))
-    assert [back[code] for code in there] == list(range(8))
 
 
 def test_a_dead_wire_reads_the_same_whatever_is_on_it():
