@@ -131,14 +131,7 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
 
 
 def test_positions_are_compared_with_the_reference_and_wrapped(recording: Path, made: synthetic.SyntheticRun) -> None:
-    chunks = RrdReader(recording).stream().filter(content="/fast").to_chunks()
-    shown = np.concatenate(
-        [
-            chunk.to_record_batch().column(schema.error_component("theta_vt")).flatten().to_numpy()
-            for chunk in chunks
-            if not chunk.is_static
-        ]
-    )
+    shown = [row[0] for _, row in synthetic.column(recording, schema.FAST, schema.error_component("theta_vt"))]
     scale = made.config.channel("theta_enc").scale
     error = (made.raw["theta_enc"].astype(float) - made.raw["theta_vt"]) * scale
     error -= 2 * np.pi * np.round(error / (2 * np.pi))

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,7 +163,7 @@ def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
     assert "Run in progress" in run.summary
 
 
-def test_an_existing_file_is_refused_and_left_alone(tmp_path: Path) -> None:
+def test_a_file_that_exists_or_cannot_be_made_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "a.rrd"
     path.write_bytes(b"precious")
     with pytest.raises(RecordingError, match=r"a\.rrd exists: .*--overwrite"):
@@ -174,9 +171,6 @@ def test_an_existing_file_is_refused_and_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == b"precious"
     FileSink(path, synthetic.run_info(), overwrite=True).close()
     assert read_run(path).info.n_p == 6
-
-
-def test_a_file_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be created: No such file or directory"):
         FileSink(tmp_path / "missing" / "a.rrd", synthetic.run_info())
 
@@ -212,31 +206,3 @@ def test_a_file_cut_short_reads_up_to_the_cut(
     assert 0.2 * share * len(made.index) < n < len(made.index)
     assert run.samples.raw.tobytes() == made.raw[:n].tobytes()
     assert (run.edges.tick == made.edge_tick[: len(run.edges)]).all()
-
-
-CHILD = """
-import sys
-sys.path.insert(0, {tests!r})
-import synthetic
-from bench.rerunio.sinks import FileSink
-sink = FileSink({path!r}, synthetic.run_info(), wait=True)
-run = synthetic.SyntheticRun(2.0)
-run.feed(sink)
-while sink.logged_samples < 30000: pass
-sink._stream.flush(timeout_sec=10)
-print("written", flush=True)
-input()
-"""
-
-
-def test_kill_9_leaves_a_readable_file(tmp_path: Path) -> None:
-    path = tmp_path / "killed.rrd"
-    code = CHILD.format(tests=str(Path(__file__).parent), path=str(path))
-    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == b"written\n"
-        child.send_signal(signal.SIGKILL)
-    run = read_run(path)
-    made = synthetic.SyntheticRun(2.0)
-    assert len(run.samples) >= 30000
-    assert run.samples.raw.tobytes() == made.raw[: len(run.samples)].tobytes()

@@ -82,21 +82,6 @@ def test_the_range_of_the_currents_is_known_or_it_is_not(i_max: float | None) ->
     assert synthetic.run_info(parameters={} if i_max is None else {"i_max": i_max}).i_max is None
 
 
-def test_one_colour_a_quantity() -> None:
-    colours = synthetic.run_info().colours
-    for angle, speed in (("theta_avg", "omega_avg"), ("theta_vt", "omega_vt"), ("theta_enc", "omega_enc")):
-        assert colours[angle] == colours[speed]
-
-
-def test_channels_that_nobody_knows_differ_in_colour_within_a_unit() -> None:
-    channels = [
-        Channel(k, f"mine_{k}", unit, RawType.I16, 1.0, Flag.CHANNEL) for k, unit in enumerate([Unit.V, Unit.A] * 7)
-    ]
-    colours = synthetic.run_info(channels=tuple(channels)).colours
-    for unit in (Unit.V, Unit.A):
-        assert len({colours[channel.name] for channel in channels if channel.unit is unit}) == 7
-
-
 def test_hall_lanes_follow_the_bit_order() -> None:
     assert SECTOR_OF_CODE == hall_speed.SECTOR_OF_CODE
     assert states.HALL_LANES[0b011].as_py() == ["a=1", "b=1", "c=0", "II"]
