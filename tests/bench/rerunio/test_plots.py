@@ -91,10 +91,12 @@ def test_a_drive_of_a_vocabulary_of_its_own() -> None:
     assert Plane(run).contents == ""
 
 
-def test_hundreds_of_channels_are_spread_over_plots() -> None:
-    channels = tuple(Channel(k, f"x{k}", Unit.V, RawType.U8, 1.0, Flag.CHANNEL) for k in range(600))
+def test_hundreds_of_channels_are_spread_over_plots_of_lines_that_differ_in_colour() -> None:
+    units = [Unit.V, *[Unit.A] * 6] * 100
+    channels = tuple(Channel(k, f"x{k}", unit, RawType.U8, 1.0, Flag.CHANNEL) for k, unit in enumerate(units))
     shown = list(plots(synthetic.run_info(channels=channels)).values())
     assert max(len(plot.lines) for plot in shown) <= 10
+    assert [plot.name for plot in shown if len({line.colour for line in plot.lines}) < len(plot.lines)] == []
     assert shown[2].name.startswith("Voltages 2 of ")
 
 
