@@ -16,7 +16,8 @@ from rerun.chunk import RrdReader
 
 from bench.rerunio import schema
 from bench.rerunio.schema import RunInfo
-from protocol.descriptor import Descriptor
+from bench.rerunio.sinks import FileSink
+from protocol.descriptor import Channel, Descriptor
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, AngleSource, RawType
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -38,6 +39,10 @@ def config(channels=CHANNELS, cfg_id: int = 7) -> StreamConfig:
 
 
 EDGE_CONFIG = StreamConfig(1, 1, 8, StreamEvent.EDGES, 1, (), 100, tick_hz=20_000_000, pwm_hz=16_000)
+
+
+def named(*names: str) -> tuple[Channel, ...]:
+    return tuple(channel for channel in CHANNELS if channel.name in names)
 
 
 def run_info(**changes) -> RunInfo:
@@ -169,6 +174,15 @@ class SyntheticRun:
                 next_beat += TICK_HZ // 10
         for sink in sinks:
             sink.note("all of it", "INFO")
+
+
+def recorded(path: Path, *chunks: SampleChunk | EdgeChunk, **changes) -> Path:
+    """A recording of these chunks, in a run with these changes."""
+    sink = FileSink(path, run_info(**changes), wait=True)
+    for chunk in chunks:
+        (sink.samples if isinstance(chunk, SampleChunk) else sink.edges)(chunk)
+    sink.close()
+    return path
 
 
 def heartbeat(tick: int, **changes) -> Heartbeat:

@@ -65,11 +65,7 @@ def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: 
     again = synthetic.config(cfg_id=9)  # as after a reconnect: same stream, another number
     chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
     sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
-    for chunk in sent:
-        sink.samples(chunk)
-    sink.close()
-    run = read_run(tmp_path / "a.rrd")
+    run = read_run(synthetic.recorded(tmp_path / "a.rrd", *sent))
     assert list(run.streams) == ["fast"]
     assert (run.samples.index == np.concatenate([chunk.index for chunk in sent])).all()
     assert (run.samples.raw == np.concatenate([chunk.raw for chunk in sent])).all()
@@ -100,23 +96,21 @@ def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) ->
     index = np.arange(16_000, dtype=np.int64)
     raw = np.zeros(len(index), config.dtype)
     raw["i_a"][8000:] = np.inf
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=channels), wait=True)
-    for part in np.array_split(index, 100):
-        sink.samples(SampleChunk(config, part, part * synthetic.TICKS, raw[part], ()))
-    sink.close()
-    assert read_run(tmp_path / "a.rrd").samples.raw.tobytes() == raw.tobytes()
+    parts = [SampleChunk(config, k, k * synthetic.TICKS, raw[k], ()) for k in np.array_split(index, 100)]
+    path = synthetic.recorded(tmp_path / "a.rrd", *parts, channels=channels)
+    assert read_run(path).samples.raw.tobytes() == raw.tobytes()
 
 
 def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> None:
     """Samples every 50 ms, one a chunk; four are lost before the last."""
     config = replace(synthetic.config(), decimation=800)
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    chunks = []
     for number in (0, 1, 2, 3, 8):
         index = np.array([number * 800], np.int64)
         gaps = (Gap(0, 4, 1, False),) if number == 8 else ()
-        sink.samples(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
-    sink.close()
-    states = synthetic.column(tmp_path / "a.rrd", schema.DRIVE, "StateChange:state")
+        chunks.append(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
+    path = synthetic.recorded(tmp_path / "a.rrd", *chunks)
+    states = synthetic.column(path, schema.DRIVE, "StateChange:state")
     lanes = {at: row[4] for at, row in states}
     assert lanes[200_000_000] == "TELEMETRY GAP"
     assert lanes[400_000_000] == "telemetry complete"
@@ -141,12 +135,8 @@ def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Pat
     raw = np.zeros(50, load.dtype)
     raw["omega_m"] = np.random.default_rng(0).normal(size=50)
     index = np.arange(50, dtype=np.int64) * 16
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(channels=few.config.channels), wait=True)
-    few.feed(sink)
-    more.feed(sink)
-    sink.samples(SampleChunk(load, index, index * 1250, raw, ()))
-    sink.close()
-    run = read_run(tmp_path / "a.rrd")
+    chunks = (*few.chunks(), *more.chunks(), SampleChunk(load, index, index * 1250, raw, ()))
+    run = read_run(synthetic.recorded(tmp_path / "a.rrd", *chunks, channels=few.config.channels))
     assert set(run.streams) == {"fast", "fast_", "node2/stream0"}
     assert run.samples.raw.tobytes() == few.raw.tobytes()
     assert run.streams["fast_"].raw.tobytes() == more.raw.tobytes()
