@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from accepting import HEAD, Accepting, SpoiltLink, never_armed
 from processes import Program, Sim
-from virtual_run import at_rest, physical, simulated
+from virtual_run import physical, raising, simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
@@ -106,7 +106,7 @@ def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_is_seen_to_do_it(
     link = SpoiltLink(simulated())
     before = link.left()
     run = accepting(ENDINGS, link, keyword=which)
-    (test,) = run.result.tests if run.result else ()
+    (test,) = run.result.tests
     assert (test.verdict, test.why) == (verdict, why)
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
@@ -129,7 +129,6 @@ def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting) -> 
         "was not seen to be off; not put back: i_max (was 8)"
     )
     assert run.code == 5
-    assert run.result is not None
     assert closing_lines(run.result)[0] == run["deaf"].why
 
 
@@ -144,12 +143,7 @@ def test_a_signal_at_any_point_ends_with_everything_at_rest(accepting: Accepting
     assert len(points) >= 10
     kinds = itertools.cycle((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     for point, kind in zip(points, kinds, strict=False):
-
-        def at_point(call: int, point: int = point, kind: signal.Signals = kind) -> None:
-            if call == point:
-                signal.raise_signal(kind)
-
-        link = SpoiltLink(simulated(), at_point)
+        link = SpoiltLink(simulated(), raising(kind, point))
         before = link.left()
         run = accepting(file, link, keyword="test_returns")
         assert (run.tests, run.code) == ({"returns": "ABORTED"}, 130), point
@@ -185,7 +179,6 @@ def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(acc
     link = SpoiltLink(simulated(), while_deaf)
     run = accepting(file, link, keyword="test_deaf")
     assert (run.tests, run.code) == ({"deaf": "ABORTED"}, 130)
-    assert run.result is not None
     assert run.result.error == UNSTOPPED
     assert closing_lines(run.result)[-1] == f"error: {UNSTOPPED}"
 
@@ -299,14 +292,6 @@ def test_a_signal_while_the_limit_is_lowered_leaves_it_as_it_was(accepting: Acce
     assert link.left() == before
 
 
-def test_with_yes_it_turns(accepting: Accepting) -> None:
-    link = SpoiltLink(physical())
-    run = accepting(ANNOUNCED, link, keyword="test_slow", yes=True)
-    assert run.tests == {"slow": "PASS"}
-    assert DriveState.RUNNING in link.states
-    assert at_rest(link.device)
-
-
 # -- processes --------------------------------------------------------------------------------------------------
 
 ENDLESS = """
@@ -360,23 +345,6 @@ def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees
     run.end()
     with alone_on(sim.target):
         pass
-
-
-STARVES = """
-def test_starves(drive, record):
-    turn(drive, record)
-    record.rig.client.link.device.advance(8000)  # half a second goes by while the test does something else
-    record.wait(0.1)
-"""
-
-
-def test_a_test_that_starves_the_watchdog_is_told_so(accepting: Accepting) -> None:
-    run = accepting(STARVES, SpoiltLink(simulated()))
-    assert run.tests == {"starves": "FAIL"}
-    assert re.fullmatch(
-        r"the drive tripped: WATCHDOG: this host sent no ALIVE for 0\.5\d s .*; compute after drive\.stop.*",
-        run["starves"].why,
-    )
 
 
 DRAWS = """
