@@ -7,7 +7,8 @@ import os
 import re
 import signal
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -109,18 +110,16 @@ def test_the_closing_line_counts(accepting: Accepting) -> None:
      ("json", "nowhere/a.json", "results nowhere/a.json cannot be written: there is no directory {}/nowhere")],
 )  # fmt: skip
 def test_a_place_that_cannot_be_written_is_told_before_anything_moves(
-    accepting: Accepting, option: str, place: str, why: str
+    accepting: Accepting, option: str, place: str, why: str, link: SpoiltLink
 ) -> None:
     Path("a_file").touch()
-    link = SpoiltLink(simulated())
     assert refusal(lambda: accepting(TESTS, link, **{option: Path(place)})) == why.format(Path.cwd())
     assert link.opened == []
 
 
-def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Accepting) -> None:
+def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Accepting, link: SpoiltLink) -> None:
     machine = f"serial:{accepting.directory}/brake"
     Path("bench.toml").write_text(f"[rig]\nload = '{machine}'\n")
-    link = SpoiltLink(simulated())
     with alone_on(machine):
         assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another run")
     assert link.opened == []
@@ -349,8 +348,7 @@ def test_two_processes_measure_the_same_in_the_same_order(accepting: Accepting) 
     assert two.result.wall_seconds > max(test.wall_seconds for test in two.result.tests)
 
 
-def test_a_drive_is_not_shared_by_several_processes(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_is_not_shared_by_several_processes(accepting: Accepting, link: SpoiltLink) -> None:
     why = refusal(lambda: accepting(TESTS, link, jobs=2))
     assert re.fullmatch(r"serial:\S+ cannot be tested by 2 processes at once: leave out --jobs", why)
     assert link.opened == []
@@ -418,13 +416,6 @@ def test_goes_on(measure): measure("x", 0)
 # -- the command ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def drive() -> Iterator[PhysicalDrive]:
-    drive = PhysicalDrive()
-    yield drive
-    drive.close()
-
-
 TWO = """
 @energises(speed_rpm=300, current=2)
 def test_one(drive, record): turn(drive, record)
@@ -435,13 +426,12 @@ def test_two(drive, record): turn(drive, record, 150)
 
 
 @pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\x03", 130), (b"y\n", 0)], ids=("no", "Ctrl-C", "yes"))
-def test_the_question_is_asked_once_for_all_tests(
-    drive: PhysicalDrive, tmp_path: Path, reply: bytes, code: int
-) -> None:
+def test_the_question_is_asked_once_for_all_tests(tmp_path: Path, reply: bytes, code: int) -> None:
     file = tmp_path / "own_two.py"
     file.write_text(HEAD + TWO)
     # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
-    ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
+    with closing(PhysicalDrive()) as drive:
+        ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
     assert ended == code, text
     question = (
         r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, phase current up to 4 A\. "
@@ -503,8 +493,7 @@ BENCH = 'def test_of_the_bench(drive, bench_target): assert bench_target == "sim
 
 @pytest.mark.parametrize(
     ("conftest", "test", "arguments"),
-    [(CONFTEST, OURS.format("staging"), ["--target", "staging"]),
-     (CONFTEST, OURS.format(None), []),
+    [(CONFTEST, OURS.format(None), []),
      (CONFTEST, OURS.format("staging") + BENCH, ["--target", "staging", "--bench-target", "sim"]),
      ("", BENCH, ["--target=sim"]),
      ("", BENCH, ["--target", "sim", "-n", "1"])],

@@ -157,10 +157,9 @@ def with_load(kind: str) -> None:
     ids=("on the drive's link", "on a link of its own"),
 )
 def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a_speed(
-    connected: Callable[[SpoiltLink], AbstractContextManager[Rig]],
+    connected: Callable[[SpoiltLink], AbstractContextManager[Rig]], link: SpoiltLink
 ) -> None:
     """In the plant: friction and load are what the current's torque holds against."""
-    link = SpoiltLink(simulated())
     _, before = link.left()
     with connected(link) as rig:
         assert isinstance(rig.load, NodeLoad)
@@ -190,8 +189,7 @@ def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a
 TRIPPED = r"^the load machine, node 2 on \S+, tripped: OVERCURRENT$"
 
 
-def test_a_node_that_trips_ends_the_test_and_the_next_can_use_it() -> None:
-    link = SpoiltLink(simulated())
+def test_a_node_that_trips_ends_the_test_and_the_next_can_use_it(link: SpoiltLink) -> None:
     with rig_with("node", link) as rig:
         assert isinstance(rig.load, NodeLoad)
         rig.load.torque(0.05)
@@ -207,8 +205,7 @@ def test_a_node_that_trips_ends_the_test_and_the_next_can_use_it() -> None:
         assert link.device.load.state == DriveState.RUNNING
 
 
-def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop() -> None:
-    link = SpoiltLink(simulated())
+def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop(link: SpoiltLink) -> None:
 
     def trip_last() -> None:
         with rig_with("node", link) as rig:
@@ -220,8 +217,7 @@ def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop() -> No
     assert link.device.load.state == DriveState.IDLE
 
 
-def test_a_fault_that_a_node_had_before_is_named_and_stays() -> None:
-    link = SpoiltLink(simulated())
+def test_a_fault_that_a_node_had_before_is_named_and_stays(link: SpoiltLink) -> None:
     link.device.load.fault(Fault.OVERCURRENT)
     fault = r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"
     with rig_with("node", link) as rig, pytest.raises(BenchError, match=fault):
@@ -230,9 +226,8 @@ def test_a_fault_that_a_node_had_before_is_named_and_stays() -> None:
 
 
 @pytest.mark.parametrize("kind", ["node", "brake.py:Both"])
-def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: str) -> None:
+def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: str, link: SpoiltLink) -> None:
     with_load(kind)
-    link = SpoiltLink(simulated())
     run = brake(FASTER, link)
     assert run.tests == {"faster": "ERROR", "as_fast": "PASS"}
     assert run["faster"].why == (
@@ -253,9 +248,8 @@ def test_as_fast(load):
 """
 
 
-def test_a_parameter_that_is_refused_keeps_no_other_from_being_put_back() -> None:
+def test_a_parameter_that_is_refused_keeps_no_other_from_being_put_back(link: SpoiltLink) -> None:
     """Three of each machine, of which the second is refused at the end: they are set in the order of the test."""
-    link = SpoiltLink(simulated())
     _, before = link.left()
     names = {1: ("k_p_vt", "i_max", "k_ic"), 2: ("tau_max", "hall_glitch", "hall_open")}
     values = {"k_p_vt": 123.0, "i_max": 5.0, "k_ic": 0.5, "tau_max": 0.5, "hall_glitch": 10.0, "hall_open": 1.0}
@@ -339,9 +333,8 @@ def test_a_person_is_asked_for_each_new_torque_and_to_let_go() -> None:
     assert asked == [f"Set the brake to {tau} N·m" for tau in ("0.200", "0.100", "0.000")]
 
 
-def test_the_bench_goes_on_while_a_person_is_asked() -> None:
+def test_the_bench_goes_on_while_a_person_is_asked(link: SpoiltLink) -> None:
     """For 1 s, five times as long as the drive's watchdog lets it turn unfed."""
-    link = SpoiltLink(simulated())
     begun: list[float] = []
 
     def answered(words: str) -> bool:
@@ -361,8 +354,7 @@ def test_the_bench_goes_on_while_a_person_is_asked() -> None:
         assert len(stretch.capture) == pytest.approx(16000, rel=0.1)
 
 
-def test_a_trip_ends_the_question() -> None:
-    link = SpoiltLink(simulated())
+def test_a_trip_ends_the_question(link: SpoiltLink) -> None:
 
     def answered(words: str) -> bool:
         link.device.drive.fault(Fault.OVERCURRENT)
@@ -375,8 +367,7 @@ def test_a_trip_ends_the_question() -> None:
 
 
 @pytest.mark.parametrize("which", ["Set the brake to 0.200 N·m", RELEASE], ids=("while it turns", "at the end"))
-def test_a_signal_ends_the_question(which: str) -> None:
-    link = SpoiltLink(simulated())
+def test_a_signal_ends_the_question(which: str, link: SpoiltLink) -> None:
     _, before = link.left()
     asked: list[str] = []
 
@@ -397,8 +388,7 @@ def test_a_signal_ends_the_question(which: str) -> None:
     assert link.device.drive.machine.faults == Fault(0)
 
 
-def test_a_person_who_has_gone_keeps_nothing_on() -> None:
-    link = SpoiltLink(simulated())
+def test_a_person_who_has_gone_keeps_nothing_on(link: SpoiltLink) -> None:
     asked: list[str] = []
 
     def answered(words: str) -> bool:
@@ -413,8 +403,7 @@ def test_a_person_who_has_gone_keeps_nothing_on() -> None:
     assert at_rest(link.device)
 
 
-def test_virtual_time_stands_still_while_a_person_is_asked() -> None:
-    link = SpoiltLink(simulated())
+def test_virtual_time_stands_still_while_a_person_is_asked(link: SpoiltLink) -> None:
     answers = iter([False, False, True])
     with rig_with("none", link, ask=somebody([], lambda words: next(answers)), virtual=True) as rig:
         before = link.clock()
@@ -423,8 +412,7 @@ def test_virtual_time_stands_still_while_a_person_is_asked() -> None:
     assert list(answers) == []
 
 
-def test_somebody_breaks_a_hall_wire_while_the_motor_turns_and_puts_it_back_at_the_end() -> None:
-    link = SpoiltLink(simulated())
+def test_somebody_breaks_a_hall_wire_while_the_motor_turns_and_puts_it_back_at_the_end(link: SpoiltLink) -> None:
     asked: list[str] = []
     _, before = link.left()
 
@@ -469,9 +457,7 @@ def test_braked(drive, load, record):
 def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(
     accepting: Accepting, start_sim: Callable[..., Sim]
 ) -> None:
-    with_load("person")
-    with Path("bench.toml").open("a") as file:
-        file.write("person = true\n")
+    Path("bench.toml").write_text('[rig]\nload = "person"\nperson = true\n')
     sim = start_sim("--pty", "--set", "firmware.watchdog=0.8")  # other programs may want the machine
     tests = accepting.write(BRAKED)
     code, text = on_terminal(
@@ -503,9 +489,8 @@ def test_a_class_of_ones_own_is_told_what_the_test_wants_and_forces_a_speed_if_i
     assert run.result.rig["load"] == f"OwnLoad: {can}"
 
 
-def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting) -> None:
+def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting, link: SpoiltLink) -> None:
     with_load("brake.py:Burnt")
-    link = SpoiltLink(simulated())
     run = brake(BRAKES, link)
     assert run["brakes"].why == "load brake.py:Burnt: torque() raised OSError: VI_ERROR_TMO"
     assert (run["brakes"].verdict, run.code) == ("ERROR", 2)
@@ -542,9 +527,8 @@ def test_one_that_does_not_close_is_the_runs_error(brake: Accepting) -> None:
      ("bad.py:Brake", r"load 'bad.py:Brake': SyntaxError: [^\n]*"),
      ("nowhere.py:Brake", "load 'nowhere.py:Brake': no Python file .*nowhere.py; it must look like my_brake.py:Brake")],
 )  # fmt: skip
-def test_what_is_no_load_is_said_and_nothing_turns(brake: Accepting, kind: str, why: str) -> None:
+def test_what_is_no_load_is_said_and_nothing_turns(brake: Accepting, kind: str, why: str, link: SpoiltLink) -> None:
     Path("bad.py").write_text("def (:\n")
-    link = SpoiltLink(simulated())
     with pytest.raises(BenchError, match=f"^{why}$"), rig_with(kind, link):
         pass
     assert link.device.drive.state == DriveState.IDLE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from typing import Any
@@ -86,20 +85,11 @@ runs = st.builds(
 )
 
 
-def comparable(value: Any) -> Any:
-    """The same with a NaN that equals itself."""
-    if dataclasses.is_dataclass(value):
-        return [comparable(getattr(value, field.name)) for field in dataclasses.fields(value)]
-    if isinstance(value, tuple):
-        return tuple(map(comparable, value))
-    return "not a number" if isinstance(value, float) and math.isnan(value) else value
-
-
 @settings(deadline=None)  # pydantic builds its schema at the first call
 @given(runs)
 def test_a_run_survives_json(run: RunResult) -> None:
     written = json.dumps(to_json(run), allow_nan=False)
-    assert comparable(run_from_json(json.loads(written))) == comparable(run)
+    assert repr(run_from_json(json.loads(written))) == repr(run)  # NaN is not itself
 
 
 def test_json_spells_out_margins_and_what_is_no_number() -> None:

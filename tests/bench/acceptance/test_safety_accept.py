@@ -76,8 +76,7 @@ UNSTOPPED = (
 )
 
 
-def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Accepting, link: SpoiltLink) -> None:
     run = accepting(ENDINGS, link, keyword="not deaf")
     assert run.tests == {
         "returns": "PASS", "assertion": "FAIL", "exception": "ERROR", "skips": "SKIPPED", "stopped_already": "PASS",
@@ -101,9 +100,8 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
     ids=("else well", "failing"),
 )  # fmt: skip
 def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_is_seen_to_do_it(
-    accepting: Accepting, which: str, verdict: str, why: str
+    accepting: Accepting, which: str, verdict: str, why: str, link: SpoiltLink
 ) -> None:
-    link = SpoiltLink(simulated())
     before = link.left()
     run = accepting(ENDINGS, link, keyword=which)
     (test,) = run.result.tests
@@ -120,8 +118,7 @@ def test_after_a_stop_that_was_not_answered_no_test_starts_before_somebody_has_l
     assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
 
 
-def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting, link: SpoiltLink) -> None:
     link.device.drive.app.set_param("watchdog", 10.0)  # far longer than the bench waits
     run = accepting(ENDINGS, link, keyword="test_deaf")
     assert run["deaf"].why == (
@@ -183,8 +180,7 @@ def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(acc
     assert closing_lines(run.result)[-1] == f"error: {UNSTOPPED}"
 
 
-def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link: SpoiltLink) -> None:
     link.device.drive.fault(Fault.OVERCURRENT)
     run = accepting("def test_turns(drive, record): turn(drive, record)", link)
     assert run["turns"].verdict == "ERROR"

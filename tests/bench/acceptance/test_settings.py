@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from accepting import Accepting, SpoiltLink
-from virtual_run import simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
@@ -157,8 +156,7 @@ def test_config_is_relative_to_the_file(accepting: Accepting) -> None:
     assert run.measured["tells.i_max"].value == pytest.approx(2.5)
 
 
-def test_figures_of_the_simulated_drive_are_not_for_another(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_figures_of_the_simulated_drive_are_not_for_another(accepting: Accepting, link: SpoiltLink) -> None:
     Path("motor.toml").write_text("[firmware]\ni_max = 3.5\n")
     with pytest.raises(BenchError, match=r"--config is for the simulated drive, not for serial:"):
         accepting(TESTS, link, config=Path("motor.toml"))

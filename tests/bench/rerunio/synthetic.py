@@ -97,7 +97,6 @@ class SyntheticRun:
             "u_dc": np.full(n, 24.0) + 0.02 * rng.normal(size=n),
             "i_d": -i_q * np.sin(error) + 0.05 * rng.normal(size=n),
             "i_q": i_q * np.cos(error) + 0.05 * rng.normal(size=n),
-            "i_d_ref": np.zeros(n),
             "i_q_ref": i_q,
             "omega_ref": omega,
             "theta_avg": wrap(theta_avg),
@@ -106,9 +105,6 @@ class SyntheticRun:
             "omega_vt": omega * (1 + 0.1 * hall_wave),
             "e_alpha": -u * np.sin(theta),
             "e_beta": u * np.cos(theta),
-            "theta_true": wrap(theta),
-            "omega_true": omega,
-            "tau_e_true": 0.059 * i_q,
         }
         for phase, name in enumerate(("i_a", "i_b", "i_c")):
             angle = theta - error + np.pi / 2 - phase * 2 * np.pi / 3
