@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from accepting import HEAD, Accepting, Run, SpoiltLink, plain_pytest
+from accepting import Accepting, Run, SpoiltLink, plain_pytest
 from processes import ENVIRONMENT, Program
 from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
@@ -426,9 +426,8 @@ def test_two(drive, record): turn(drive, record, 150)
 
 
 @pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\x03", 130), (b"y\n", 0)], ids=("no", "Ctrl-C", "yes"))
-def test_the_question_is_asked_once_for_all_tests(tmp_path: Path, reply: bytes, code: int) -> None:
-    file = tmp_path / "own_two.py"
-    file.write_text(HEAD + TWO)
+def test_the_question_is_asked_once_for_all_tests(accepting: Accepting, reply: bytes, code: int) -> None:
+    file = accepting.write(TWO)
     # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
     with closing(PhysicalDrive()) as drive:
         ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
@@ -469,10 +468,9 @@ def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Pa
 
 
 def test_what_the_environment_asks_of_another_pytest_does_not_matter(
-    start: Callable[..., Program], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    start: Callable[..., Program], accepting: Accepting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "own_quick.py"
-    file.write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
+    file = accepting.write('@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
     monkeypatch.setitem(ENVIRONMENT, "PYTEST_ADDOPTS", "--color=yes -v")
     monkeypatch.setitem(ENVIRONMENT, "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     run = start("accept", "sim", "--tests", str(file))

@@ -242,14 +242,11 @@ def test_figures_are_in_the_file_and_nothing_is_fetched(tmp_path: Path) -> None:
     assert "@import" not in style_sheet
 
 
-def test_a_figure_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_a_figure_or_a_directory_that_is_missing_is_named(tmp_path: Path) -> None:
     run = a_run(a_test("test_a", figures=(Figure("figures/a.png", ""),)))
     with pytest.raises(ReportError, match=r"^figure .*figures/a\.png of test test_a cannot be read: No such file"):
         write_report(run, tmp_path)
     assert not (tmp_path / "report.html").exists()
-
-
-def test_a_directory_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"report .*none/report\.html cannot be written: No such file"):
         write_report(a_run(), tmp_path / "none")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,13 @@ from bench.rig.quality import ParameterValue, Quality
 
 texts = st.text(max_size=20)
 finite = st.floats(allow_nan=False, allow_infinity=False)
-counts = st.integers(0, 2**40)
-verdicts = st.sampled_from(Verdict)
+ANY = {"str": texts, "float": finite, "int": st.integers(0, 2**40), "Verdict": st.sampled_from(Verdict)}
+plain = st.none() | st.booleans() | st.integers() | finite | texts
+
+
+def built(kind: type, **others: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """Of a dataclass: a field of a plain type is any of that type, the others are given."""
+    return st.builds(kind, **{field.name: ANY[field.type] for field in fields(kind) if field.type in ANY}, **others)
 
 
 @st.composite
@@ -37,51 +43,23 @@ def limits(draw: st.DrawFn) -> Limits:
     return Limits(draw(texts), draw(texts), lo, hi, draw(texts), draw(st.booleans()))
 
 
-measurements = st.builds(
-    Measurement,
-    name=texts,
-    limits=limits(),
-    verdict=verdicts,
-    value=st.none() | st.floats(),
-    why=texts,
-    span=st.none() | st.tuples(finite, finite),
+measurements = built(
+    Measurement, limits=limits(), value=st.none() | st.floats(), span=st.none() | st.tuples(finite, finite)
 )
-qualities = st.builds(
-    Quality,
-    *[counts] * 7,
-    rate=finite,
-    seconds=finite,
-    remarks=st.lists(texts, max_size=3).map(tuple),
-)
-tests = st.builds(
+tests = built(
     TestResult,
-    name=texts,
-    title=texts,
-    about=texts,
-    node_id=texts,
-    verdict=verdicts,
-    why=texts,
     measurements=st.lists(measurements, max_size=4).map(tuple),
-    figures=st.lists(st.builds(Figure, texts, texts), max_size=2).map(tuple),
-    recording=texts,
-    quality=qualities,
+    figures=st.lists(built(Figure), max_size=2).map(tuple),
+    quality=built(Quality, remarks=st.lists(texts, max_size=3).map(tuple)),
     parameters=st.dictionaries(texts, finite, max_size=3),
-    wall_seconds=finite,
-    log=texts,
 )
-plain = st.none() | st.booleans() | st.integers() | finite | texts
-runs = st.builds(
+runs = built(
     RunResult,
-    started=texts,
-    target=texts,
-    verdict=verdicts,
     tests=st.lists(tests, max_size=3).map(tuple),
     identity=st.dictionaries(texts, plain | st.lists(plain, max_size=3), max_size=3),
-    parameters=st.lists(st.builds(ParameterValue, texts, finite, finite, texts, texts), max_size=2).map(tuple),
+    parameters=st.lists(built(ParameterValue), max_size=2).map(tuple),
     rig=st.dictionaries(texts, texts, max_size=2),
     versions=st.dictionaries(texts, texts, max_size=2),
-    wall_seconds=finite,
-    error=texts,
 )
 
 

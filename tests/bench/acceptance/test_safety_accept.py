@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from accepting import HEAD, Accepting, SpoiltLink, never_armed
+from accepting import Accepting, SpoiltLink, never_armed
 from processes import Program, Sim
 from virtual_run import physical, raising, simulated
 
@@ -69,6 +69,7 @@ def test_deaf(turning): turning.rig.client.link.deaf = True
 def test_fails_and_deaf(turning):
     turning.rig.client.link.deaf = True
     assert False, "this first"
+def test_after_deaf(turning): pass
 """
 UNSTOPPED = (
     "the bench could not be left as it was: node 1 on virtual: did not answer STOP (3 tries); now its heartbeat says "
@@ -95,27 +96,21 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
 
 
 @pytest.mark.parametrize(
-    ("which", "verdict", "why"),
-    [("test_deaf", "ERROR", UNSTOPPED), ("test_fails_and_deaf", "FAIL", f"this first; then {UNSTOPPED}")],
+    ("name", "verdict", "why"),
+    [("deaf", "ERROR", UNSTOPPED), ("fails_and_deaf", "FAIL", f"this first; then {UNSTOPPED}")],
     ids=("else well", "failing"),
 )  # fmt: skip
-def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_is_seen_to_do_it(
-    accepting: Accepting, which: str, verdict: str, why: str, link: SpoiltLink
+def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it_and_no_test_starts_before_somebody_has_looked(
+    accepting: Accepting, link: SpoiltLink, name: str, verdict: str, why: str
 ) -> None:
     before = link.left()
-    run = accepting(ENDINGS, link, keyword=which)
-    (test,) = run.result.tests
-    assert (test.verdict, test.why) == (verdict, why)
+    run = accepting(ENDINGS, link, keyword=f"test_{name} or test_after_deaf")
+    assert (run[name].verdict, run[name].why) == (verdict, why)
+    assert run["after_deaf"].verdict == "ERROR"
+    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
     assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
-
-
-def test_after_a_stop_that_was_not_answered_no_test_starts_before_somebody_has_looked(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
-    run = accepting(ENDINGS + "def test_after_deaf(turning): pass\n", link, keyword="deaf and not fails")
-    assert run.tests == {"deaf": "ERROR", "after_deaf": "ERROR"}
-    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
 
 
 def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting, link: SpoiltLink) -> None:
@@ -300,37 +295,30 @@ def test_next(drive): pass
 """
 
 
-@pytest.fixture
-def endless(tmp_path: Path) -> Path:
-    file = tmp_path / "own_endless.py"
-    file.write_text(HEAD + ENDLESS)
-    return file
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_in_stop_and_a_written_result(
-    start: Callable[..., Program], start_sim: Callable[..., Sim], endless: Path, number: signal.Signals
+    start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting, number: signal.Signals
 ) -> None:
     sim = start_sim("--pty", *PATIENT)
-    file = endless.with_suffix(".json")
-    run = start("accept", sim.target, "--tests", str(endless), "--json", str(file))
+    run = start("accept", sim.target, "--tests", str(accepting.write(ENDLESS)), "--json", "a.json")
     run.line("turning")
     run.send(number)
     sim.line(r"outputs off: STOP \(node 1")
     assert run.end() == 130
-    written = json.loads(file.read_text())
+    written = json.loads(Path("a.json").read_text())
     assert written["verdict"] == "ABORTED"
     assert [test["verdict"] for test in written["tests"]] == ["ABORTED", "ABORTED"]
     assert not any("Traceback" in line for line in run.err)
 
 
 def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees_the_target(
-    start: Callable[..., Program], start_sim: Callable[..., Sim], endless: Path
+    start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting
 ) -> None:
     sim = start_sim("--pty", *PATIENT)
-    run = start("accept", sim.target, "--tests", str(endless))
+    command = ("accept", sim.target, "--tests", str(accepting.write(ENDLESS)))
+    run = start(*command)
     run.line("turning")
-    second = start("accept", sim.target, "--tests", str(endless))
+    second = start(*command)
     assert second.end() == 2
     assert second.err == [f"error: {sim.target} is in use by another run: wait for its end, or close its rig"]
     with pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):

@@ -215,8 +215,7 @@ def test_the_verdict_on_a_test_and_its_reason(table: Run, name: str) -> None:
 
 def test_every_test_has_its_verdict_in_the_order_of_the_file_and_the_worst_is_that_of_the_run(table: Run) -> None:
     assert list(table.tests) == list(EXPECTED)
-    assert table.result.verdict is Verdict.FAIL
-    assert table.code == 1
+    assert (table.result.verdict, table.code) == (Verdict.FAIL, 1)
 
 
 def test_the_verdict_on_each_measurement(table: Run) -> None:

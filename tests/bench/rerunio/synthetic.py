@@ -208,3 +208,14 @@ def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
             times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
             found += zip(times, batch.column(component).to_pylist(), strict=True)
     return sorted(found, key=lambda row: row[0])
+
+
+def components(path: Path) -> dict[str, dict[str, int]]:
+    """Entities of a recording, their components, and how many values each of them has."""
+    found: dict[str, dict[str, int]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        entity = found.setdefault(chunk.entity_path, {})
+        for name in batch.schema.names:
+            entity[name] = entity.get(name, 0) + len(batch) - batch.column(name).null_count
+    return found

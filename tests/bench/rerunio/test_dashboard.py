@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from rerun.chunk import RrdReader
+from synthetic import components
 from viewers import headless, needs_graphics
 
 from bench.rerunio import schema
@@ -28,17 +28,6 @@ VIEWS = {
 HOSTILE = ("a/b c|:#", "`*x*` [y](z)", "\x1b[2J\u202e\n")
 
 
-def components(path: Path) -> dict[str, dict[str, int]]:
-    """Entities of a recording, their components, and how many values each of them has."""
-    found: dict[str, dict[str, int]] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        entity = found.setdefault(chunk.entity_path, {})
-        for name in batch.schema.names:
-            entity[name] = entity.get(name, 0) + len(batch) - batch.column(name).null_count
-    return found
-
-
 def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.SyntheticRun) -> None:
     shown = plots(synthetic.run_info())
     known = {key for key, plot in shown.items() if not plot.by_unit}
@@ -54,12 +43,6 @@ def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.Synt
     assert found["/log/drive"]["TextLog:text"] == found["/log/host"]["TextLog:text"] == 1
     assert found["/stator/plane/lines"]
     assert found["/summary"]
-
-
-def test_names_carry_units() -> None:
-    for plot in plots(synthetic.run_info()).values():
-        assert "[" in plot.name
-        assert all(line.name.endswith("]") for line in plot.lines)
 
 
 def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:

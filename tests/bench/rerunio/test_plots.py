@@ -34,7 +34,9 @@ CHANNELS = st.lists(
 
 @settings(deadline=None)
 @given(CHANNELS)
-def test_every_channel_is_in_a_plot_of_each_column_or_is_a_word_of_states(channels: list[Channel]) -> None:
+def test_every_channel_is_in_a_plot_with_its_unit_and_told_apart_or_is_a_word_of_states(
+    channels: list[Channel],
+) -> None:
     run = synthetic.run_info(channels=tuple(channels))
     shown = plots(run)
     anywhere = {line.channel for plot in shown.values() for line in plot.lines}
@@ -43,20 +45,15 @@ def test_every_channel_is_in_a_plot_of_each_column_or_is_a_word_of_states(channe
     for plot in shown.values():
         assert plot.lines
         assert len({line.component for line in plot.lines}) == len(plot.lines)
+        assert "[" in plot.name
+        assert all(line.name.endswith("]") for line in plot.lines)
+        if plot.by_unit:
+            unknown = [line.colour for line in plot.lines if line.channel not in schema.COLOURS]
+            assert len(set(unknown)) == len(unknown)
+            assert len({next(c.unit for c in channels if c.name == line.channel) for line in plot.lines}) == 1
     bands, means = trend_lines(run)
     components = [line.component for line in (*bands, *means)]
     assert len(set(components)) == len(components)
-
-
-@settings(deadline=None)
-@given(CHANNELS)
-def test_lines_of_channels_that_nobody_knows_can_be_told_apart(channels: list[Channel]) -> None:
-    run = synthetic.run_info(channels=tuple(channels))
-    for plot in plots(run).values():
-        unknown = [line.colour for line in plot.lines if line.channel not in schema.COLOURS]
-        if plot.by_unit:
-            assert len(set(unknown)) == len(unknown)
-            assert len({next(c.unit for c in channels if c.name == line.channel) for line in plot.lines}) == 1
 
 
 def test_a_drive_of_a_vocabulary_of_its_own() -> None:
