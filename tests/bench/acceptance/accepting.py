@@ -45,16 +45,14 @@ def trip(record):
 
 
 class Screen(RecordingScreen):
-    """Also what a person would have been left alone for."""
+    """Also what would have been listed; it is never in a person's way."""
 
     def listed(self, name: str, limits: Limits) -> None:
         self.notes.append(f"{name}: {limits}")
 
-    def pause(self) -> None:
-        self.notes.append("(pause)")
+    def pause(self) -> None: ...
 
-    def resume(self) -> None:
-        self.notes.append("(resume)")
+    def resume(self) -> None: ...
 
 
 class SpoiltLink(WatchedLink):
@@ -117,25 +115,27 @@ def never_armed(link: WatchedLink) -> bool:
 
 @dataclass(frozen=True)
 class Run:
-    """What came of it."""
+    """What came of it; no result where tests were only listed."""
 
-    result: RunResult | None
+    found: RunResult | None
     code: int
     screen: Screen
 
+    @property
+    def result(self) -> RunResult:
+        assert self.found is not None
+        return self.found
+
     def __getitem__(self, name: str) -> TestResult:
-        assert self.result is not None
         (found,) = (test for test in self.result.tests if test.name == name)
         return found
 
     @property
     def tests(self) -> dict[str, str]:
-        assert self.result is not None
         return {test.name: str(test.verdict) for test in self.result.tests}
 
     @property
     def measured(self) -> dict[str, Measurement]:
-        assert self.result is not None
         return {measurement.name: measurement for measurement in self.result.measurements}
 
 
@@ -153,13 +153,13 @@ class Accepting:
         file.write_text(HEAD + text)
         return file
 
-    def __call__(self, text: str | Path, link: SpoiltLink | None = None, **options: object) -> Run:
-        """Run tests; with `link` on a target that it stands for, else on `sim`."""
-        file = text if isinstance(text, Path) else self.write(text)
+    def __call__(self, text: str | Path | None = None, link: SpoiltLink | None = None, **options: object) -> Run:
+        """Run tests, without any the shipped suite; with `link` on a target that it stands for, else on `sim`."""
+        if text is not None:
+            options = {"tests": (text if isinstance(text, Path) else self.write(text),)} | options
         with ExitStack() as stack:
             if link is not None:
                 options = {"target": f"serial:{self.directory}/tty"} | options
                 stack.enter_context(patch("bench.rig.connection.open_link", link.open))
-            given = AcceptOptions(**({"tests": (file,)} | options))  # type: ignore[arg-type]
-            run, code = accept(given, self.screen)
+            run, code = accept(AcceptOptions(**options), self.screen)  # type: ignore[arg-type]
         return Run(run, code, self.screen)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from accepting import Accepting
+from accepting import Accepting, SpoiltLink
+from virtual_run import simulated
 
 
 @pytest.fixture
@@ -14,3 +15,9 @@ def accepting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Accepting:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("BENCH_TARGET", raising=False)
     return Accepting(tmp_path)
+
+
+@pytest.fixture
+def link() -> SpoiltLink:
+    """One of a simulated drive."""
+    return SpoiltLink(simulated())

@@ -7,11 +7,12 @@ import os
 import re
 import signal
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from accepting import HEAD, Accepting, Run, SpoiltLink, plain_pytest
+from accepting import Accepting, Run, SpoiltLink, plain_pytest
 from processes import ENVIRONMENT, Program
 from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
@@ -24,7 +25,7 @@ from protocol.messages import DriveState
 
 TESTS = '''
 @limit("n_p", "", lo=6, hi=6, about="pole pairs")
-@limit("spread", "deg", hi=np.float64(5))
+@limit("spread", "deg", hi=np.float32(5))
 def test_good(drive, record, measure):
     """It turns.
 
@@ -33,7 +34,7 @@ def test_good(drive, record, measure):
     turn(drive, record)
     some = record(0.1)
     measure("n_p", drive.n_p)
-    measure("spread", np.degrees(some.position_error("theta_vt").std()), some)
+    measure("spread", np.float32(np.degrees(some.position_error("theta_vt").std())), some)
 
 @limit("spread", "deg", hi=0.001)
 @limit("nan", "deg", hi=1)
@@ -68,7 +69,6 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     assert sorted(path.name for path in Path("out/report/recordings").iterdir()) == ["bad.rrd", "good.rrd"]
     assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.rrd", "")
     assert (run["good"].title, run["good"].about) == ("It turns.", "And more.")
-    assert run.result is not None
     assert run.result.identity["name"] == "simulated drive"
     assert {p.name: p.value for p in run.result.parameters}["n_p"] == 6
 
@@ -91,7 +91,6 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
 
 def test_the_closing_line_counts(accepting: Accepting) -> None:
     run = accepting(TESTS)
-    assert run.result is not None
     untested, line = closing_lines(run.result)
     assert untested == "not tested: 1 measurement: needs the parameter no_such (cannot)"
     assert re.fullmatch(
@@ -100,29 +99,8 @@ def test_the_closing_line_counts(accepting: Accepting) -> None:
         line,
     )
     good = accepting(TESTS, keyword="test_good")
-    assert good.result is not None
     (line,) = closing_lines(good.result)
     assert re.fullmatch(r"PASS: 1 test passed, 2 measurements, \d+ s on sim", line)
-
-
-def test_the_tightest_is_one_that_has_room(accepting: Accepting) -> None:
-    text = """
-@limit("yes", lo=1, hi=1)
-@limit("none_lost", hi=0)
-@limit("counted", "edges", lo=6)
-@limit("wide", "A", lo=0, hi=10)
-@limit("narrow", "A", lo=0, hi=10)
-def test_many(measure):
-    for name, value in {"yes": 1, "none_lost": 0, "counted": 6, "wide": 5, "narrow": 9}.items():
-        measure(name, value)
-
-@limit("yes", lo=1)
-def test_one(measure):
-    measure("yes", 1)
-"""
-    notes = accepting(text).screen.notes
-    assert "PASS    many  5 measurements, tightest narrow = 9 [0 … 10 A]" in notes
-    assert "PASS    one  1 measurement" in notes
 
 
 @pytest.mark.parametrize(
@@ -132,18 +110,16 @@ def test_one(measure):
      ("json", "nowhere/a.json", "results nowhere/a.json cannot be written: there is no directory {}/nowhere")],
 )  # fmt: skip
 def test_a_place_that_cannot_be_written_is_told_before_anything_moves(
-    accepting: Accepting, option: str, place: str, why: str
+    accepting: Accepting, option: str, place: str, why: str, link: SpoiltLink
 ) -> None:
     Path("a_file").touch()
-    link = SpoiltLink(simulated())
     assert refusal(lambda: accepting(TESTS, link, **{option: Path(place)})) == why.format(Path.cwd())
     assert link.opened == []
 
 
-def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Accepting) -> None:
+def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Accepting, link: SpoiltLink) -> None:
     machine = f"serial:{accepting.directory}/brake"
     Path("bench.toml").write_text(f"[rig]\nload = '{machine}'\n")
-    link = SpoiltLink(simulated())
     with alone_on(machine):
         assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another run")
     assert link.opened == []
@@ -199,21 +175,16 @@ def test_a_second_report_leaves_nothing_of_the_first_and_all_else(accepting: Acc
 # -- what is selected and listed --------------------------------------------------------------------------------
 
 
-def test_the_list_shows_names_and_limits_and_writes_and_opens_nothing(accepting: Accepting) -> None:
+def test_the_list_shows_names_and_limits_of_what_is_selected_and_writes_and_opens_nothing(accepting: Accepting) -> None:
     link = SpoiltLink(simulated())
-    run = accepting(TESTS, link, list_only=True, json=Path("a.json"), report=Path("report"))
-    assert (run.result, run.code) == (None, 0)
-    listed = ["good.spread: ≤ 5 deg", "good.n_p: = 6", "bad.nan: ≤ 1 deg", "bad.spread: ≤ 0.001 deg", "cannot.x: ≤ 1"]
-    assert sorted(run.screen.notes) == sorted(listed)
+    selected = "test_good or test_cannot"
+    run = accepting(TESTS, link, keyword=selected, list_only=True, json=Path("a.json"), report=Path("report"))
+    assert (run.found, run.code) == (None, 0)
+    assert sorted(run.screen.notes) == ["cannot.x: ≤ 1", "good.n_p: = 6", "good.spread: ≤ 5 deg"]
     assert link.opened == []
     assert not Path("a.json").exists()
     assert not Path("report").exists()
-
-
-def test_a_keyword_selects(accepting: Accepting) -> None:
-    assert list(accepting(TESTS, keyword="test_good or test_cannot").tests) == ["good", "cannot"]
-    listed = accepting(TESTS, keyword="test_cannot", list_only=True)
-    assert listed.screen.notes[-1] == "cannot.x: ≤ 1"
+    assert list(accepting(TESTS, keyword=selected).tests) == ["good", "cannot"]
 
 
 @pytest.mark.parametrize("listing", [False, True])
@@ -230,28 +201,23 @@ def test_nothing_to_run_is_said(accepting: Accepting, listing: bool) -> None:
 
 @pytest.mark.parametrize(
     ("text", "why"),
-    [("def (:\n", "SyntaxError: invalid syntax"),
-     ("import no_such_module\n", "ModuleNotFoundError: No module named 'no_such_module'"),
+    [("def (:\n", "{}.py: SyntaxError: invalid syntax"),
+     ("import no_such_module\n", "{}.py: ModuleNotFoundError: No module named 'no_such_module'"),
      ('@limit("x", lo=2, hi=1)\ndef test_a(measure): pass\n',
-      "ValueError: x: the lower limit 2 is above the upper one, 1")],
-    ids=("syntax", "import", "limits"),
+      "{}.py: ValueError: x: the lower limit 2 is above the upper one, 1"),
+     ('@limit("x", hi=1)\n@limit("x", hi=2)\ndef test_a(measure): pass\n', "{}.py::test_a declares 'x' twice"),
+     ("class TestA:\n    def test_same(self, drive): pass\nclass TestB(TestA): pass\n",
+      "2 tests are called '{}.same', and limits go by name: rename all but one"),
+     ('@pytest.mark.parametrize("x", ["a b", "a/b"])\ndef test_p(measure, x): pass\n',
+      "'p[a b]' and 'p[a/b]' would write to the same files: rename one of them")],
+    ids=("syntax", "import", "limits", "two limits of one name", "two tests of one name", "two files of one name"),
 )  # fmt: skip
-def test_a_broken_file_is_one_line(accepting: Accepting, text: str, why: str) -> None:
+def test_a_file_that_cannot_be_run_is_one_line(
+    accepting: Accepting, capfd: pytest.CaptureFixture[str], text: str, why: str
+) -> None:
     file = accepting.write(text)
-    assert refusal(lambda: accepting(file)) == f"{file.name}: {why}"
-
-
-def test_a_name_that_is_declared_twice_is_refused(accepting: Accepting) -> None:
-    text = '@limit("x", hi=1)\n@limit("x", hi=2)\ndef test_a(measure): pass\n'
-    assert re.fullmatch(r"own_\w+\.py::test_a declares 'x' twice", refusal(lambda: accepting(text)))
-
-
-def test_two_tests_of_one_name_are_refused(accepting: Accepting) -> None:
-    text = "class TestA:\n    def test_same(self, drive): pass\nclass TestB(TestA): pass\n"
-    name = f"own_0_{accepting.directory.name}.same"
-    assert refusal(lambda: accepting(text)) == (
-        f"2 tests are called '{name}', and limits go by name: rename all but one"
-    )
+    assert refusal(lambda: accepting(file)) == why.format(file.stem)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_another_test_that_fails_beside_them_is_no_success(accepting: Accepting) -> None:
@@ -259,19 +225,6 @@ def test_another_test_that_fails_beside_them_is_no_success(accepting: Accepting)
     assert run.tests == {"good": "PASS"}
     assert run.code == 2
     assert any("test_plain: not an acceptance test, but it failed" in note for note in run.screen.notes)
-
-
-def test_files_elsewhere_with_the_same_tests_are_told_apart(
-    accepting: Accepting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = '@limit("x", hi={})\ndef test_same(measure): measure("x", 1)\n'
-    files = tuple(accepting.write(text.format(most), name) for most, name in ((1, "one"), (0, "other")))
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    run = accepting(text, tests=files)
-    assert run.tests == {f"{file.stem}.same": verdict for file, verdict in zip(files, ("PASS", "FAIL"), strict=True)}
-    assert run.result is not None
-    assert [test.node_id for test in run.result.tests] == [f"{file.name}::test_same" for file in files]
 
 
 def test_a_failure_of_an_acceptance_test_is_told_once_and_as_one(accepting: Accepting) -> None:
@@ -335,59 +288,20 @@ def test_passes(measure): measure("x", 0)
     assert run.code == 1
 
 
-def test_a_limit_that_numpy_computed_in_single_precision_is_written(accepting: Accepting) -> None:
-    text = '@limit("x", hi=np.float32(0.5))\ndef test_a(measure): measure("x", np.float32(0.25))\n'
-    run = accepting(text, json=Path("a.json"))
-    assert run.tests == {"a": "PASS"}
-    assert json.loads(Path("a.json").read_text())["tests"][0]["measurements"][0]["limits"]["hi"] == 0.5
-
-
 # -- figures and recordings -------------------------------------------------------------------------------------
-
-DRAWS = """
-def picture(title):
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(1, 1))
-    drawn.text(0, 0, title)
-    return drawn
-"""
-
-
-def test_figures_of_one_name_in_two_tests_are_two(accepting: Accepting) -> None:
-    text = (
-        DRAWS
-        + """
-@pytest.mark.parametrize("number", [1, 2])
-def test_fig(figure, number): figure("pic", f"number {number}", lambda: picture(str(number)))
-"""
-    )
-    run = accepting(text, report=Path("report"))
-    files = [Path("report") / figure.path for test in run.result.tests for figure in test.figures]  # type: ignore[union-attr]
-    assert len(files) == 2
-    one, two = (file.read_bytes() for file in files)
-    assert one != two
 
 
 @pytest.mark.parametrize("report", [None, Path("report")])
 def test_two_figures_of_one_name_in_a_test_are_refused(accepting: Accepting, report: Path | None) -> None:
-    text = (
-        DRAWS
-        + """
+    text = """
+from matplotlib.figure import Figure
+
 def test_fig(figure):
-    figure("pic", "one", lambda: picture("1"))
-    figure("pic", "two", lambda: picture("2"))
+    figure("pic", "one", Figure)
+    figure("pic", "two", Figure)
 """
-    )
     run = accepting(text, report=report)
     assert (run["fig"].verdict, run["fig"].why) == ("ERROR", "fig draws 'pic' twice: rename one of them")
-
-
-def test_names_that_make_one_file_name_are_refused(accepting: Accepting) -> None:
-    text = '@pytest.mark.parametrize("x", ["a b", "a/b"])\ndef test_p(measure, x): pass\n'
-    assert refusal(lambda: accepting(text)) == (
-        "'p[a b]' and 'p[a/b]' would write to the same files: rename one of them"
-    )
 
 
 def test_a_recording_of_an_earlier_run_is_not_taken_for_one_of_this(accepting: Accepting) -> None:
@@ -420,7 +334,6 @@ def test_third(drive): pass
 
 def without_times(run: Run) -> str:
     """Every value to its last bit."""
-    assert run.result is not None
     return repr([(test.name, test.verdict, test.why, test.measurements, test.quality) for test in run.result.tests])
 
 
@@ -429,16 +342,13 @@ def test_two_processes_measure_the_same_in_the_same_order(accepting: Accepting) 
     one, two = accepting(file), accepting(file, jobs=2, json=Path("a.json"))
     assert without_times(two) == without_times(one)
     assert two.code == one.code == 1
-    assert two.result is not None
-    assert one.result is not None
     assert two.result.identity.keys() == one.result.identity.keys()
     assert two.result.parameters == one.result.parameters
     assert repr(run_from_json(json.loads(Path("a.json").read_text()))) == repr(two.result)
     assert two.result.wall_seconds > max(test.wall_seconds for test in two.result.tests)
 
 
-def test_a_drive_is_not_shared_by_several_processes(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_is_not_shared_by_several_processes(accepting: Accepting, link: SpoiltLink) -> None:
     why = refusal(lambda: accepting(TESTS, link, jobs=2))
     assert re.fullmatch(r"serial:\S+ cannot be tested by 2 processes at once: leave out --jobs", why)
     assert link.opened == []
@@ -450,7 +360,6 @@ def test_what_several_processes_need_is_said(accepting: Accepting, monkeypatch: 
 
 
 SLOW = """
-import os
 import sys
 import time
 
@@ -507,25 +416,6 @@ def test_goes_on(measure): measure("x", 0)
 # -- the command ------------------------------------------------------------------------------------------------
 
 
-def test_errors_of_the_command_are_one_line(start: Callable[..., Program], tmp_path: Path) -> None:
-    file = tmp_path / "own_bad.py"
-    file.write_text("def (:\n")
-    run = start("accept", "--tests", str(file))
-    assert run.end() == 2
-    assert len(run.err) == 1
-    assert re.fullmatch(r"error: own_bad.py: SyntaxError: invalid syntax", run.err[0])
-    missing = start("accept", "--tests", str(file), "--json", "/nowhere/a.json")
-    assert missing.end() == 2
-    assert missing.err[-1].startswith("error: --json /nowhere/a.json cannot be written: there is no directory /nowhere")
-
-
-@pytest.fixture
-def drive() -> Iterator[PhysicalDrive]:
-    drive = PhysicalDrive()
-    yield drive
-    drive.close()
-
-
 TWO = """
 @energises(speed_rpm=300, current=2)
 def test_one(drive, record): turn(drive, record)
@@ -536,13 +426,11 @@ def test_two(drive, record): turn(drive, record, 150)
 
 
 @pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\x03", 130), (b"y\n", 0)], ids=("no", "Ctrl-C", "yes"))
-def test_the_question_is_asked_once_for_all_tests(
-    drive: PhysicalDrive, tmp_path: Path, reply: bytes, code: int
-) -> None:
-    file = tmp_path / "own_two.py"
-    file.write_text(HEAD + TWO)
+def test_the_question_is_asked_once_for_all_tests(accepting: Accepting, reply: bytes, code: int) -> None:
+    file = accepting.write(TWO)
     # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
-    ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
+    with closing(PhysicalDrive()) as drive:
+        ended, text = on_terminal(["accept", drive.port.target, "--tests", str(file)], b"[y/N]", reply, again=10.0)
     assert ended == code, text
     question = (
         r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, phase current up to 4 A\. "
@@ -579,16 +467,12 @@ def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Pa
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"bench.toml", "test_plain.py"}
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("PYTEST_ADDOPTS", "--color=yes"), ("PYTEST_ADDOPTS", "-v"), ("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")],
-)
 def test_what_the_environment_asks_of_another_pytest_does_not_matter(
-    start: Callable[..., Program], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str
+    start: Callable[..., Program], accepting: Accepting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "own_quick.py"
-    file.write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
-    monkeypatch.setitem(ENVIRONMENT, name, value)
+    file = accepting.write('@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
+    monkeypatch.setitem(ENVIRONMENT, "PYTEST_ADDOPTS", "--color=yes -v")
+    monkeypatch.setitem(ENVIRONMENT, "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     run = start("accept", "sim", "--tests", str(file))
     assert run.end() == 0, run.err
 
@@ -607,8 +491,7 @@ BENCH = 'def test_of_the_bench(drive, bench_target): assert bench_target == "sim
 
 @pytest.mark.parametrize(
     ("conftest", "test", "arguments"),
-    [(CONFTEST, OURS.format("staging"), ["--target", "staging"]),
-     (CONFTEST, OURS.format(None), []),
+    [(CONFTEST, OURS.format(None), []),
      (CONFTEST, OURS.format("staging") + BENCH, ["--target", "staging", "--bench-target", "sim"]),
      ("", BENCH, ["--target=sim"]),
      ("", BENCH, ["--target", "sim", "-n", "1"])],
@@ -638,4 +521,4 @@ def test_acceptance_tests_run_in_a_plain_pytest_too(accepting: Accepting) -> Non
     assert "bad.nan = nan deg [≤ 1 deg] FAIL" in ended.stdout
     run = run_from_json(json.loads(Path("a.json").read_text()))
     assert [str(test.verdict) for test in run.tests] == ["PASS", "FAIL", "SKIPPED"]
-    assert repr(run.measurements) == repr(accepting(file).result.measurements)  # type: ignore[union-attr]
+    assert repr(run.measurements) == repr(accepting(file).result.measurements)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from accepting import Accepting, plain_pytest
+from accepting import Accepting
 
 PAGE = Path(__file__).parents[3] / "docs" / "acceptance.md"
 
@@ -15,24 +15,15 @@ def printed() -> str:
     return block
 
 
-def test_it_passes_with_bench_accept(tmp_path: Path) -> None:
-    file = tmp_path / "own_as_printed.py"
+def test_it_passes_with_bench_accept(accepting: Accepting) -> None:
+    file = accepting.directory / "own_as_printed.py"
     file.write_text(printed())
-    run = Accepting(tmp_path)(file)
+    run = accepting(file)
     assert run.code == 0
     (measurement,) = run.measured.values()
     assert measurement.name == "load_step_at_800_rpm.speed_dip"
     assert 20 < measurement.value < 120
 
 
-def test_it_fails_where_the_load_is_too_much(tmp_path: Path) -> None:
-    file = tmp_path / "own_overloaded.py"
-    file.write_text(printed().replace("load.torque(3.0 *", "load.torque(5.0 *"))
-    assert Accepting(tmp_path)(file).code == 1
-
-
-def test_it_passes_with_plain_pytest(tmp_path: Path) -> None:
-    (tmp_path / "test_mine.py").write_text(printed())
-    ran = plain_pytest(tmp_path, "-q", "test_mine.py", "--target", "sim")
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "1 passed" in ran.stdout
+def test_it_fails_where_the_load_is_too_much(accepting: Accepting) -> None:
+    assert accepting(printed().replace("load.torque(3.0 *", "load.torque(5.0 *")).code == 1

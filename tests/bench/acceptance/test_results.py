@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.acceptance.results import (
-    Carried,
     Figure,
     Measurement,
     RunResult,
-    Setup,
     TestResult,
     Verdict,
     run_from_json,
@@ -29,8 +27,13 @@ from bench.rig.quality import ParameterValue, Quality
 
 texts = st.text(max_size=20)
 finite = st.floats(allow_nan=False, allow_infinity=False)
-counts = st.integers(0, 2**40)
-verdicts = st.sampled_from(Verdict)
+ANY = {"str": texts, "float": finite, "int": st.integers(0, 2**40), "Verdict": st.sampled_from(Verdict)}
+plain = st.none() | st.booleans() | st.integers() | finite | texts
+
+
+def built(kind: type, **others: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """Of a dataclass: a field of a plain type is any of that type, the others are given."""
+    return st.builds(kind, **{field.name: ANY[field.type] for field in fields(kind) if field.type in ANY}, **others)
 
 
 @st.composite
@@ -40,74 +43,31 @@ def limits(draw: st.DrawFn) -> Limits:
     return Limits(draw(texts), draw(texts), lo, hi, draw(texts), draw(st.booleans()))
 
 
-measurements = st.builds(
-    Measurement,
-    name=texts,
-    limits=limits(),
-    verdict=verdicts,
-    value=st.none() | st.floats(),
-    why=texts,
-    span=st.none() | st.tuples(finite, finite),
+measurements = built(
+    Measurement, limits=limits(), value=st.none() | st.floats(), span=st.none() | st.tuples(finite, finite)
 )
-qualities = st.builds(
-    Quality,
-    *[counts] * 7,
-    rate=finite,
-    seconds=finite,
-    remarks=st.lists(texts, max_size=3).map(tuple),
-)
-tests = st.builds(
+tests = built(
     TestResult,
-    name=texts,
-    title=texts,
-    about=texts,
-    node_id=texts,
-    verdict=verdicts,
-    why=texts,
     measurements=st.lists(measurements, max_size=4).map(tuple),
-    figures=st.lists(st.builds(Figure, texts, texts), max_size=2).map(tuple),
-    recording=texts,
-    quality=qualities,
+    figures=st.lists(built(Figure), max_size=2).map(tuple),
+    quality=built(Quality, remarks=st.lists(texts, max_size=3).map(tuple)),
     parameters=st.dictionaries(texts, finite, max_size=3),
-    wall_seconds=finite,
-    log=texts,
 )
-plain = st.none() | st.booleans() | st.integers() | finite | texts
-runs = st.builds(
+runs = built(
     RunResult,
-    started=texts,
-    target=texts,
-    verdict=verdicts,
     tests=st.lists(tests, max_size=3).map(tuple),
     identity=st.dictionaries(texts, plain | st.lists(plain, max_size=3), max_size=3),
-    parameters=st.lists(st.builds(ParameterValue, texts, finite, finite, texts, texts), max_size=2).map(tuple),
+    parameters=st.lists(built(ParameterValue), max_size=2).map(tuple),
     rig=st.dictionaries(texts, texts, max_size=2),
     versions=st.dictionaries(texts, texts, max_size=2),
-    wall_seconds=finite,
-    error=texts,
 )
-
-
-def comparable(value: Any) -> Any:
-    """The same with a NaN that equals itself."""
-    if dataclasses.is_dataclass(value):
-        return [comparable(getattr(value, field.name)) for field in dataclasses.fields(value)]
-    if isinstance(value, tuple):
-        return tuple(map(comparable, value))
-    return "not a number" if isinstance(value, float) and math.isnan(value) else value
 
 
 @settings(deadline=None)  # pydantic builds its schema at the first call
 @given(runs)
 def test_a_run_survives_json(run: RunResult) -> None:
     written = json.dumps(to_json(run), allow_nan=False)
-    assert comparable(run_from_json(json.loads(written))) == comparable(run)
-
-
-@given(tests)
-def test_a_result_survives_the_way_from_another_process(test: TestResult) -> None:
-    carried = Carried(test, Setup({"name": "x"}, (ParameterValue("p", 1.0, 2.0, "A"),), {"load": "none"}))
-    assert comparable(Carried.from_text(carried.to_text())) == comparable(carried)
+    assert repr(run_from_json(json.loads(written))) == repr(run)  # NaN is not itself
 
 
 def test_json_spells_out_margins_and_what_is_no_number() -> None:
@@ -120,13 +80,8 @@ def test_json_spells_out_margins_and_what_is_no_number() -> None:
     ]
     test = TestResult("t", "", "", "", Verdict.FAIL, measurements=tuple(found))
     written = to_json(RunResult("", "sim", Verdict.FAIL, (test,)))["tests"][0]["measurements"]
-    assert [(m["value"], m["margin"]) for m in written] == [
-        (1.5, 0.5),
-        ("NaN", "NaN"),
-        ("inf", "-inf"),
-        (3.0, None),
-        (None, None),
-    ]
+    shown = [(1.5, 0.5), ("NaN", "NaN"), ("inf", "-inf"), (3.0, None), (None, None)]
+    assert [(m["value"], m["margin"]) for m in written] == shown
 
 
 @pytest.mark.parametrize(
@@ -144,14 +99,6 @@ def test_json_spells_out_margins_and_what_is_no_number() -> None:
 def test_the_worst_verdict_counts(verdicts: list[str], expected: str) -> None:
     assert worst(map(Verdict, verdicts)) == expected
     assert worst(map(Verdict, reversed(verdicts))) == expected
-
-
-@pytest.mark.parametrize(
-    ("verdict", "code"),
-    [("PASS", 0), ("FAIL", 1), ("INVALID", 2), ("ERROR", 2), ("SKIPPED", 2), ("ABORTED", 130)],
-)
-def test_exit_codes(verdict: str, code: int) -> None:
-    assert RunResult("", "", Verdict(verdict), ()).exit_code == code
 
 
 @pytest.mark.parametrize(

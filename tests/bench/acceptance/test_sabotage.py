@@ -18,10 +18,9 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from accepting import Run, Screen, SpoiltLink
+from accepting import Accepting, Run, SpoiltLink
 from virtual_run import at_rest
 
-from bench.acceptance.accept import AcceptOptions, accept
 from bench.acceptance.results import Verdict
 from protocol.device.state import StateMachine
 from protocol.signals import MILLI
@@ -33,10 +32,6 @@ SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
 BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
 OF_THE_WHOLE_SUITE = "observer_disabled"  # a third of the tests must not notice it, and most others in part only
 QUIET = ("current_offsets", "hall_wire_broken", "hall_wires_exchanged", "stall_and_restart", "stop_500_rpm")
-NO_ENCODER = """
-[encoder]
-present = 0
-"""
 
 
 class WatchedBench(SpoiltLink):
@@ -61,13 +56,13 @@ class WatchedBench(SpoiltLink):
 class Workshop:
     """Runs the suite on a drive that is broken by `config`, or that loses a frame at a time, by test."""
 
-    directory: Path
+    accepting: Accepting
     opened: list[WatchedBench] = field(default_factory=list)
     largest: float = 0.0
     """Phase current in A, of all tests and control periods."""
 
     def run(self, config: str = "", lose_at: Mapping[str, float] | None = None, keyword: str | None = None) -> Run:
-        file = self.directory / "sabotage.toml"
+        file = self.accepting.directory / "sabotage.toml"
         file.write_text(config)
         by_seed = {crc32(test.encode()): at for test, at in (lose_at or {}).items()}
 
@@ -84,13 +79,11 @@ class Workshop:
             self.largest = max(self.largest, MILLI * float(max(currents)))
             return recorded
 
-        screen = Screen()
         with (
             patch("sim.ports.virtual.open_virtual", open_virtual),
             patch.object(SimulatedBench, "advance", watched),
         ):
-            result, code = accept(AcceptOptions(config=file, keyword=keyword), screen)
-        return Run(result, code, screen)
+            return self.accepting(config=file, keyword=keyword)
 
     def require_safe(self) -> None:
         """Outputs were off at each test's end, and no current came to the one at which the drive trips."""
@@ -99,10 +92,8 @@ class Workshop:
 
 
 @pytest.fixture
-def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_TARGET", raising=False)
-    return Workshop(tmp_path)
+def workshop(accepting: Accepting) -> Workshop:
+    return Workshop(accepting)
 
 
 def named(patterns_by_test: Mapping[str, list[str]], run: Run) -> set[str]:
@@ -169,8 +160,7 @@ def test_samples_that_are_lost_make_invalid_what_was_made_from_them(workshop: Wo
 
 
 def test_without_an_encoder_every_test_passes_or_says_that_it_needs_one(workshop: Workshop) -> None:
-    run = workshop.run(NO_ENCODER)
-    assert run.result is not None
+    run = workshop.run("[encoder]\npresent = 0\n")
     skipped = {test.name for test in run.result.tests if test.verdict is Verdict.SKIPPED}
     assert run.result.verdict is Verdict.INCOMPLETE
     assert run.code == 6

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from accepting import HEAD, Accepting, SpoiltLink, never_armed
+from accepting import Accepting, SpoiltLink, never_armed
 from processes import Program, Sim
-from virtual_run import at_rest, physical, simulated
+from virtual_run import physical, raising, simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
@@ -69,6 +69,7 @@ def test_deaf(turning): turning.rig.client.link.deaf = True
 def test_fails_and_deaf(turning):
     turning.rig.client.link.deaf = True
     assert False, "this first"
+def test_after_deaf(turning): pass
 """
 UNSTOPPED = (
     "the bench could not be left as it was: node 1 on virtual: did not answer STOP (3 tries); now its heartbeat says "
@@ -76,8 +77,7 @@ UNSTOPPED = (
 )
 
 
-def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Accepting, link: SpoiltLink) -> None:
     run = accepting(ENDINGS, link, keyword="not deaf")
     assert run.tests == {
         "returns": "PASS", "assertion": "FAIL", "exception": "ERROR", "skips": "SKIPPED", "stopped_already": "PASS",
@@ -96,32 +96,24 @@ def test_the_next_test_finds_the_bench_at_rest_and_as_it_was(accepting: Acceptin
 
 
 @pytest.mark.parametrize(
-    ("which", "verdict", "why"),
-    [("test_deaf", "ERROR", UNSTOPPED), ("test_fails_and_deaf", "FAIL", f"this first; then {UNSTOPPED}")],
+    ("name", "verdict", "why"),
+    [("deaf", "ERROR", UNSTOPPED), ("fails_and_deaf", "FAIL", f"this first; then {UNSTOPPED}")],
     ids=("else well", "failing"),
 )  # fmt: skip
-def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_is_seen_to_do_it(
-    accepting: Accepting, which: str, verdict: str, why: str
+def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it_and_no_test_starts_before_somebody_has_looked(
+    accepting: Accepting, link: SpoiltLink, name: str, verdict: str, why: str
 ) -> None:
-    link = SpoiltLink(simulated())
     before = link.left()
-    run = accepting(ENDINGS, link, keyword=which)
-    (test,) = run.result.tests if run.result else ()
-    assert (test.verdict, test.why) == (verdict, why)
+    run = accepting(ENDINGS, link, keyword=f"test_{name} or test_after_deaf")
+    assert (run[name].verdict, run[name].why) == (verdict, why)
+    assert run["after_deaf"].verdict == "ERROR"
+    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
     assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
 
 
-def test_after_a_stop_that_was_not_answered_no_test_starts_before_somebody_has_looked(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
-    run = accepting(ENDINGS + "def test_after_deaf(turning): pass\n", link, keyword="deaf and not fails")
-    assert run.tests == {"deaf": "ERROR", "after_deaf": "ERROR"}
-    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
-
-
-def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting, link: SpoiltLink) -> None:
     link.device.drive.app.set_param("watchdog", 10.0)  # far longer than the bench waits
     run = accepting(ENDINGS, link, keyword="test_deaf")
     assert run["deaf"].why == (
@@ -129,7 +121,6 @@ def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting) -> 
         "was not seen to be off; not put back: i_max (was 8)"
     )
     assert run.code == 5
-    assert run.result is not None
     assert closing_lines(run.result)[0] == run["deaf"].why
 
 
@@ -144,12 +135,7 @@ def test_a_signal_at_any_point_ends_with_everything_at_rest(accepting: Accepting
     assert len(points) >= 10
     kinds = itertools.cycle((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     for point, kind in zip(points, kinds, strict=False):
-
-        def at_point(call: int, point: int = point, kind: signal.Signals = kind) -> None:
-            if call == point:
-                signal.raise_signal(kind)
-
-        link = SpoiltLink(simulated(), at_point)
+        link = SpoiltLink(simulated(), raising(kind, point))
         before = link.left()
         run = accepting(file, link, keyword="test_returns")
         assert (run.tests, run.code) == ({"returns": "ABORTED"}, 130), point
@@ -185,13 +171,11 @@ def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(acc
     link = SpoiltLink(simulated(), while_deaf)
     run = accepting(file, link, keyword="test_deaf")
     assert (run.tests, run.code) == ({"deaf": "ABORTED"}, 130)
-    assert run.result is not None
     assert run.result.error == UNSTOPPED
     assert closing_lines(run.result)[-1] == f"error: {UNSTOPPED}"
 
 
-def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting) -> None:
-    link = SpoiltLink(simulated())
+def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link: SpoiltLink) -> None:
     link.device.drive.fault(Fault.OVERCURRENT)
     run = accepting("def test_turns(drive, record): turn(drive, record)", link)
     assert run["turns"].verdict == "ERROR"
@@ -299,14 +283,6 @@ def test_a_signal_while_the_limit_is_lowered_leaves_it_as_it_was(accepting: Acce
     assert link.left() == before
 
 
-def test_with_yes_it_turns(accepting: Accepting) -> None:
-    link = SpoiltLink(physical())
-    run = accepting(ANNOUNCED, link, keyword="test_slow", yes=True)
-    assert run.tests == {"slow": "PASS"}
-    assert DriveState.RUNNING in link.states
-    assert at_rest(link.device)
-
-
 # -- processes --------------------------------------------------------------------------------------------------
 
 ENDLESS = """
@@ -319,37 +295,30 @@ def test_next(drive): pass
 """
 
 
-@pytest.fixture
-def endless(tmp_path: Path) -> Path:
-    file = tmp_path / "own_endless.py"
-    file.write_text(HEAD + ENDLESS)
-    return file
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_in_stop_and_a_written_result(
-    start: Callable[..., Program], start_sim: Callable[..., Sim], endless: Path, number: signal.Signals
+    start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting, number: signal.Signals
 ) -> None:
     sim = start_sim("--pty", *PATIENT)
-    file = endless.with_suffix(".json")
-    run = start("accept", sim.target, "--tests", str(endless), "--json", str(file))
+    run = start("accept", sim.target, "--tests", str(accepting.write(ENDLESS)), "--json", "a.json")
     run.line("turning")
     run.send(number)
     sim.line(r"outputs off: STOP \(node 1")
     assert run.end() == 130
-    written = json.loads(file.read_text())
+    written = json.loads(Path("a.json").read_text())
     assert written["verdict"] == "ABORTED"
     assert [test["verdict"] for test in written["tests"]] == ["ABORTED", "ABORTED"]
     assert not any("Traceback" in line for line in run.err)
 
 
 def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees_the_target(
-    start: Callable[..., Program], start_sim: Callable[..., Sim], endless: Path
+    start: Callable[..., Program], start_sim: Callable[..., Sim], accepting: Accepting
 ) -> None:
     sim = start_sim("--pty", *PATIENT)
-    run = start("accept", sim.target, "--tests", str(endless))
+    command = ("accept", sim.target, "--tests", str(accepting.write(ENDLESS)))
+    run = start(*command)
     run.line("turning")
-    second = start("accept", sim.target, "--tests", str(endless))
+    second = start(*command)
     assert second.end() == 2
     assert second.err == [f"error: {sim.target} is in use by another run: wait for its end, or close its rig"]
     with pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):
@@ -360,23 +329,6 @@ def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees
     run.end()
     with alone_on(sim.target):
         pass
-
-
-STARVES = """
-def test_starves(drive, record):
-    turn(drive, record)
-    record.rig.client.link.device.advance(8000)  # half a second goes by while the test does something else
-    record.wait(0.1)
-"""
-
-
-def test_a_test_that_starves_the_watchdog_is_told_so(accepting: Accepting) -> None:
-    run = accepting(STARVES, SpoiltLink(simulated()))
-    assert run.tests == {"starves": "FAIL"}
-    assert re.fullmatch(
-        r"the drive tripped: WATCHDOG: this host sent no ALIVE for 0\.5\d s .*; compute after drive\.stop.*",
-        run["starves"].why,
-    )
 
 
 DRAWS = """

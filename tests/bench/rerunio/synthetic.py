@@ -16,7 +16,8 @@ from rerun.chunk import RrdReader
 
 from bench.rerunio import schema
 from bench.rerunio.schema import RunInfo
-from protocol.descriptor import Descriptor
+from bench.rerunio.sinks import FileSink
+from protocol.descriptor import Channel, Descriptor
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, AngleSource, RawType
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -38,6 +39,10 @@ def config(channels=CHANNELS, cfg_id: int = 7) -> StreamConfig:
 
 
 EDGE_CONFIG = StreamConfig(1, 1, 8, StreamEvent.EDGES, 1, (), 100, tick_hz=20_000_000, pwm_hz=16_000)
+
+
+def named(*names: str) -> tuple[Channel, ...]:
+    return tuple(channel for channel in CHANNELS if channel.name in names)
 
 
 def run_info(**changes) -> RunInfo:
@@ -92,7 +97,6 @@ class SyntheticRun:
             "u_dc": np.full(n, 24.0) + 0.02 * rng.normal(size=n),
             "i_d": -i_q * np.sin(error) + 0.05 * rng.normal(size=n),
             "i_q": i_q * np.cos(error) + 0.05 * rng.normal(size=n),
-            "i_d_ref": np.zeros(n),
             "i_q_ref": i_q,
             "omega_ref": omega,
             "theta_avg": wrap(theta_avg),
@@ -101,9 +105,6 @@ class SyntheticRun:
             "omega_vt": omega * (1 + 0.1 * hall_wave),
             "e_alpha": -u * np.sin(theta),
             "e_beta": u * np.cos(theta),
-            "theta_true": wrap(theta),
-            "omega_true": omega,
-            "tau_e_true": 0.059 * i_q,
         }
         for phase, name in enumerate(("i_a", "i_b", "i_c")):
             angle = theta - error + np.pi / 2 - phase * 2 * np.pi / 3
@@ -171,6 +172,15 @@ class SyntheticRun:
             sink.note("all of it", "INFO")
 
 
+def recorded(path: Path, *chunks: SampleChunk | EdgeChunk, **changes) -> Path:
+    """A recording of these chunks, in a run with these changes."""
+    sink = FileSink(path, run_info(**changes), wait=True)
+    for chunk in chunks:
+        (sink.samples if isinstance(chunk, SampleChunk) else sink.edges)(chunk)
+    sink.close()
+    return path
+
+
 def heartbeat(tick: int, **changes) -> Heartbeat:
     values = {
         "tick": tick,
@@ -198,3 +208,14 @@ def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
             times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
             found += zip(times, batch.column(component).to_pylist(), strict=True)
     return sorted(found, key=lambda row: row[0])
+
+
+def components(path: Path) -> dict[str, dict[str, int]]:
+    """Entities of a recording, their components, and how many values each of them has."""
+    found: dict[str, dict[str, int]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        entity = found.setdefault(chunk.entity_path, {})
+        for name in batch.schema.names:
+            entity[name] = entity.get(name, 0) + len(batch) - batch.column(name).null_count
+    return found

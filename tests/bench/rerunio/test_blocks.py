@@ -2,12 +2,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import synthetic
 
-from bench.analysis.chunks import join
-from bench.rerunio.blocks import BlockBuilder
-from protocol.streams import EdgeChunk, Gap
+from bench.rerunio.blocks import Block, BlockBuilder
+from protocol.streams import Gap
+
+
+def taken(builder: BlockBuilder, now: float = 0.0, everything: bool = True) -> Block:
+    block = builder.take(now, everything)
+    assert block is not None
+    return block
 
 
 def test_a_block_closes_after_its_period_of_device_time() -> None:
@@ -18,9 +22,7 @@ def test_a_block_closes_after_its_period_of_device_time() -> None:
         if block := builder.take(0.0):
             sizes.append(block.n_samples)
     assert sizes == [960] * 8
-    rest = builder.take(0.0, everything=True)
-    assert rest is not None
-    assert rest.n_samples == 320
+    assert taken(builder).n_samples == 320
     assert builder.take(0.0, everything=True) is None
 
 
@@ -29,23 +31,9 @@ def test_without_samples_a_block_closes_by_the_hosts_clock() -> None:
     builder.heartbeat(1, synthetic.heartbeat(5), now=10.0)
     builder.note("something", "INFO", now=10.01)
     assert builder.take(10.04) is None
-    block = builder.take(10.05)
-    assert block is not None
+    block = taken(builder, 10.05, everything=False)
     assert len(block.heartbeats) == 1
     assert block.notes == [(5, "something", "INFO")]  # at the device's time when it was said
-
-
-def test_joined_chunks_are_the_whole_with_gaps_in_place(made: synthetic.SyntheticRun) -> None:
-    chunks = [replace(c, gaps=(Gap(3, 5, 1, True),)) if k == 2 else c for k, c in enumerate(made.sample_chunks(100))]
-    whole = join(chunks)
-    assert whole.raw.dtype == made.raw.dtype
-    assert (whole.raw == made.raw).all()
-    assert (whole.tick == made.tick).all()
-    assert (whole.index == made.index).all()
-    assert whole.gaps == (Gap(203, 5, 1, True),)
-    edges = join([chunk for chunk in made.chunks() if isinstance(chunk, EdgeChunk)])
-    assert (edges.tick == made.edge_tick[: len(edges)]).all()
-    assert (np.diff(edges.index) == 1).all()
 
 
 def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthetic.SyntheticRun) -> None:
@@ -59,8 +47,7 @@ def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthet
     builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=3), 0.0)
     builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=4), 0.0)
     builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=8), 0.0)  # 2 and 5 since the run began
-    block = builder.take(0.0, everything=True)
-    assert block is not None
+    block = taken(builder)
     assert block.losses == {
         "lost:samples": 100,
         "lost:sample_frames": 7,
@@ -74,8 +61,7 @@ def test_what_is_lost_at_the_end_of_the_streams_is_counted_without_a_chunk_to_te
     builder = BlockBuilder(0.055, synthetic.TICK_HZ)
     builder.missing(3, 245, 10.0)
     assert builder.take(10.0) is None
-    block = builder.take(11.0)
-    assert block is not None
+    block = taken(builder, 11.0, everything=False)
     assert (block.losses["lost:samples"], block.losses["lost:edges"]) == (3, 245)
 
 
@@ -85,8 +71,7 @@ def test_an_outage_that_no_gap_tells_of_becomes_one(made: synthetic.SyntheticRun
     chunks = made.sample_chunks(100)
     for chunk in (chunks[0], chunks[5], replace(chunks[1])):  # the last one goes back: a reboot is no loss
         builder.samples(chunk, 0.0)
-    block = builder.take(0.0, everything=True)
-    assert block is not None
+    block = taken(builder)
     assert [chunk.gaps for chunk in block.samples] == [(), (Gap(0, 400, 0, False),), ()]
     assert block.losses["lost:samples"] == 400
 
@@ -96,7 +81,6 @@ def test_an_outage_is_counted_whole_when_the_first_frame_after_it_is_lost_too(ma
     chunks = made.sample_chunks(100)
     builder.samples(chunks[0], 0.0)
     builder.samples(replace(chunks[20], gaps=(Gap(0, 15, 1, False), Gap(50, 2, 1, True))), 0.0)
-    block = builder.take(0.0, everything=True)
-    assert block is not None
+    block = taken(builder)
     assert block.samples[1].gaps == (Gap(0, 1900, 1, False), Gap(50, 2, 1, True))
     assert block.losses["lost:samples"] == 1902

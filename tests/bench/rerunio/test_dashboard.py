@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from rerun.chunk import RrdReader
+from synthetic import components
 from viewers import headless, needs_graphics
 
 from bench.rerunio import schema
@@ -28,17 +28,6 @@ VIEWS = {
 HOSTILE = ("a/b c|:#", "`*x*` [y](z)", "\x1b[2J\u202e\n")
 
 
-def components(path: Path) -> dict[str, dict[str, int]]:
-    """Entities of a recording, their components, and how many values each of them has."""
-    found: dict[str, dict[str, int]] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        entity = found.setdefault(chunk.entity_path, {})
-        for name in batch.schema.names:
-            entity[name] = entity.get(name, 0) + len(batch) - batch.column(name).null_count
-    return found
-
-
 def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.SyntheticRun) -> None:
     shown = plots(synthetic.run_info())
     known = {key for key, plot in shown.items() if not plot.by_unit}
@@ -54,12 +43,6 @@ def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.Synt
     assert found["/log/drive"]["TextLog:text"] == found["/log/host"]["TextLog:text"] == 1
     assert found["/stator/plane/lines"]
     assert found["/summary"]
-
-
-def test_names_carry_units() -> None:
-    for plot in plots(synthetic.run_info()).values():
-        assert "[" in plot.name
-        assert all(line.name.endswith("]") for line in plot.lines)
 
 
 def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
@@ -101,7 +84,7 @@ def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Pa
     ],
 )
 def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ...], tmp_path: Path) -> None:
-    channels = tuple(channel for channel in synthetic.CHANNELS if channel.name in names)
+    channels = synthetic.named(*names)
     foreign = "tau_e_true" in names
     if foreign:
         channels = tuple(replace(channel, name=name) for channel, name in zip(channels, HOSTILE, strict=True))
@@ -131,14 +114,7 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
 
 
 def test_positions_are_compared_with_the_reference_and_wrapped(recording: Path, made: synthetic.SyntheticRun) -> None:
-    chunks = RrdReader(recording).stream().filter(content="/fast").to_chunks()
-    shown = np.concatenate(
-        [
-            chunk.to_record_batch().column(schema.error_component("theta_vt")).flatten().to_numpy()
-            for chunk in chunks
-            if not chunk.is_static
-        ]
-    )
+    shown = [row[0] for _, row in synthetic.column(recording, schema.FAST, schema.error_component("theta_vt"))]
     scale = made.config.channel("theta_enc").scale
     error = (made.raw["theta_enc"].astype(float) - made.raw["theta_vt"]) * scale
     error -= 2 * np.pi * np.round(error / (2 * np.pi))

@@ -10,8 +10,6 @@ import synthetic
 
 from bench.rerunio import schema
 from bench.rerunio.recording import read_run
-from bench.rerunio.sinks import FileSink
-from protocol.streams import SampleChunk
 
 SENSORS = {code: [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
@@ -19,14 +17,8 @@ WINDOW = 0.1  # s that the view shows
 
 def record(path: Path, made: synthetic.SyntheticRun, edges: bool = True, **changes: object) -> dict[str, np.ndarray]:
     """What the lanes of a recording of `made` hold: times in s, and the sensors' states."""
-    sink = FileSink(path, synthetic.run_info(channels=made.config.channels, **changes), wait=True)
-    for chunk in made.chunks():
-        if isinstance(chunk, SampleChunk):
-            sink.samples(chunk)
-        elif edges:
-            sink.edges(chunk)
-    sink.close()
-    return lanes(path)
+    chunks = made.chunks() if edges else made.sample_chunks()
+    return lanes(synthetic.recorded(path, *chunks, channels=made.config.channels, **changes))
 
 
 def lanes(path: Path) -> dict[str, np.ndarray]:
@@ -63,9 +55,7 @@ def test_the_present_code_is_shown_from_the_first_sample_on(tmp_path: Path, rpm:
 
 @pytest.mark.parametrize("rpm", [0.0, 8.0, 600.0])
 def test_without_the_channel_the_last_edge_tells_the_code(tmp_path: Path, rpm: float) -> None:
-    made = synthetic.SyntheticRun(
-        2.0, rpm, config=synthetic.config([c for c in synthetic.CHANNELS if c.name in ("i_a", "u_dc")])
-    )
+    made = synthetic.SyntheticRun(2.0, rpm, config=synthetic.config(synthetic.named("i_a", "u_dc")))
     found = record(tmp_path / "a.rrd", made)
     moments = made.tick[::163] / synthetic.TICK_HZ
     turned = moments >= (made.edge_tick[0] / synthetic.TICK_HZ if len(made.edge_tick) else np.inf)
@@ -75,17 +65,13 @@ def test_without_the_channel_the_last_edge_tells_the_code(tmp_path: Path, rpm: f
 
 
 def test_a_drive_without_hall_channel_and_edges_has_no_lanes(tmp_path: Path) -> None:
-    made = synthetic.SyntheticRun(0.5, config=synthetic.config([c for c in synthetic.CHANNELS if c.name == "i_a"]))
+    made = synthetic.SyntheticRun(0.5, config=synthetic.config(synthetic.named("i_a")))
     assert len(record(tmp_path / "a.rrd", made, edges=False, identity={"features": ["commit"]})["t"]) == 0
 
 
 def test_after_a_reboot_the_code_is_shown_at_once(tmp_path: Path) -> None:
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
     first, second = synthetic.SyntheticRun(0.5, 600.0, start=100.0), synthetic.SyntheticRun(0.5, 0.0, start=1.0)
-    first.feed(sink)
-    second.feed(sink)
-    sink.close()
-    found = lanes(tmp_path / "a.rrd")
+    found = lanes(synthetic.recorded(tmp_path / "a.rrd", *first.chunks(), *second.chunks()))
     moments = second.tick[::163] / synthetic.TICK_HZ
     assert shown_at(found, moments) == truth(second, moments)
 

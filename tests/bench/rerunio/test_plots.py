@@ -8,6 +8,7 @@ import pytest
 import synthetic
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthetic import named
 
 from bench.rerunio import schema
 from bench.rerunio.plane import Plane
@@ -31,13 +32,11 @@ CHANNELS = st.lists(
 )
 
 
-def named(*names: str) -> tuple[Channel, ...]:
-    return tuple(channel for channel in synthetic.CHANNELS if channel.name in names)
-
-
 @settings(deadline=None)
 @given(CHANNELS)
-def test_every_channel_is_in_a_plot_of_each_column_or_is_a_word_of_states(channels: list[Channel]) -> None:
+def test_every_channel_is_in_a_plot_with_its_unit_and_told_apart_or_is_a_word_of_states(
+    channels: list[Channel],
+) -> None:
     run = synthetic.run_info(channels=tuple(channels))
     shown = plots(run)
     anywhere = {line.channel for plot in shown.values() for line in plot.lines}
@@ -46,20 +45,15 @@ def test_every_channel_is_in_a_plot_of_each_column_or_is_a_word_of_states(channe
     for plot in shown.values():
         assert plot.lines
         assert len({line.component for line in plot.lines}) == len(plot.lines)
+        assert "[" in plot.name
+        assert all(line.name.endswith("]") for line in plot.lines)
+        if plot.by_unit:
+            unknown = [line.colour for line in plot.lines if line.channel not in schema.COLOURS]
+            assert len(set(unknown)) == len(unknown)
+            assert len({next(c.unit for c in channels if c.name == line.channel) for line in plot.lines}) == 1
     bands, means = trend_lines(run)
     components = [line.component for line in (*bands, *means)]
     assert len(set(components)) == len(components)
-
-
-@settings(deadline=None)
-@given(CHANNELS)
-def test_lines_of_channels_that_nobody_knows_can_be_told_apart(channels: list[Channel]) -> None:
-    run = synthetic.run_info(channels=tuple(channels))
-    for plot in plots(run).values():
-        unknown = [line.colour for line in plot.lines if line.channel not in schema.COLOURS]
-        if plot.by_unit:
-            assert len(set(unknown)) == len(unknown)
-            assert len({next(c.unit for c in channels if c.name == line.channel) for line in plot.lines}) == 1
 
 
 def test_a_drive_of_a_vocabulary_of_its_own() -> None:
@@ -91,10 +85,12 @@ def test_a_drive_of_a_vocabulary_of_its_own() -> None:
     assert Plane(run).contents == ""
 
 
-def test_hundreds_of_channels_are_spread_over_plots() -> None:
-    channels = tuple(Channel(k, f"x{k}", Unit.V, RawType.U8, 1.0, Flag.CHANNEL) for k in range(600))
+def test_hundreds_of_channels_are_spread_over_plots_of_lines_that_differ_in_colour() -> None:
+    units = [Unit.V, *[Unit.A] * 6] * 100
+    channels = tuple(Channel(k, f"x{k}", unit, RawType.U8, 1.0, Flag.CHANNEL) for k, unit in enumerate(units))
     shown = list(plots(synthetic.run_info(channels=channels)).values())
     assert max(len(plot.lines) for plot in shown) <= 10
+    assert [plot.name for plot in shown if len({line.colour for line in plot.lines}) < len(plot.lines)] == []
     assert shown[2].name.startswith("Voltages 2 of ")
 
 
@@ -109,14 +105,9 @@ def test_speeds_are_labelled_what_they_are(n_p: float | None, unit: str, factor:
     speed = plots(run)["speed"]
     kind = "mechanical" if unit == "r/min" else "electrical"
     assert speed.name.startswith(f"Speed, {kind} [{unit}]")
-    assert [line.name for line in speed.lines] == [
-        f"vector tracking [{unit}]",
-        f"encoder [{unit}]",
-        f"reference, mean [{unit}]",
-    ]
-    assert [line.factor for line in speed.lines] == [pytest.approx(factor)] * 3
-    told = any("n_p" in why for why in left_out(run))
-    assert told == (unit == "rad/s")
+    lines = [(f"{name} [{unit}]", pytest.approx(factor)) for name in ("vector tracking", "encoder", "reference, mean")]
+    assert [(line.name, line.factor) for line in speed.lines] == lines
+    assert any("n_p" in why for why in left_out(run)) == (n_p is None)
 
 
 @pytest.mark.parametrize(

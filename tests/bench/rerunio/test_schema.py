@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from bench.rerunio import schema, states
 from bench.rerunio.log import _Column
 from protocol.descriptor import Channel, Descriptor
+from protocol.messages import DeviceEvent, EventCode
 from protocol.signals import LOAD_CHANNELS, SECTOR_OF_CODE, Flag, RawType, Unit
 from sim.observers import hall_speed
 
@@ -82,21 +83,6 @@ def test_the_range_of_the_currents_is_known_or_it_is_not(i_max: float | None) ->
     assert synthetic.run_info(parameters={} if i_max is None else {"i_max": i_max}).i_max is None
 
 
-def test_one_colour_a_quantity() -> None:
-    colours = synthetic.run_info().colours
-    for angle, speed in (("theta_avg", "omega_avg"), ("theta_vt", "omega_vt"), ("theta_enc", "omega_enc")):
-        assert colours[angle] == colours[speed]
-
-
-def test_channels_that_nobody_knows_differ_in_colour_within_a_unit() -> None:
-    channels = [
-        Channel(k, f"mine_{k}", unit, RawType.I16, 1.0, Flag.CHANNEL) for k, unit in enumerate([Unit.V, Unit.A] * 7)
-    ]
-    colours = synthetic.run_info(channels=tuple(channels)).colours
-    for unit in (Unit.V, Unit.A):
-        assert len({colours[channel.name] for channel in channels if channel.unit is unit}) == 7
-
-
 def test_hall_lanes_follow_the_bit_order() -> None:
     assert SECTOR_OF_CODE == hall_speed.SECTOR_OF_CODE
     assert states.HALL_LANES[0b011].as_py() == ["a=1", "b=1", "c=0", "II"]
@@ -107,3 +93,23 @@ def test_faults_of_a_later_version_keep_their_number() -> None:
     assert states.fault_text(0) == "no fault"
     assert states.fault_text(0x80) == "0x80"
     assert states.fault_text(0x81) == "WATCHDOG 0x80"
+
+
+@pytest.mark.parametrize(
+    ("code", "arg", "detail", "words"),
+    [
+        (EventCode.STATE_CHANGED, 3.0, 0.0, "state RUNNING"),
+        (EventCode.STATE_CHANGED, 9.0, 0.0, "state 9"),
+        (EventCode.STATE_CHANGED, math.nan, 0.0, "state nan"),
+        (EventCode.FAULT, 33.0, 0.0, "FAULT WATCHDOG HALL"),
+        (EventCode.FAULT, 2.0**23, 0.0, "FAULT 0x800000"),
+        (EventCode.FAULT, math.inf, 0.0, "FAULT INTERNAL"),
+        (EventCode.FAULT, -1.0, 0.0, "FAULT INTERNAL"),
+        (EventCode.SETPOINT_REJECTED, 4.0, 300.0, "setpoint rejected: OUT_OF_RANGE (300)"),
+        (EventCode.SETPOINT_REJECTED, 99.0, math.nan, "setpoint rejected: error 99 (nan)"),
+        (EventCode.ARM_LAPSED, 5.0, 0.0, "ARMED lapsed after 5 s without START"),
+        (9, -math.inf, 0.0, "event 9 (-inf)"),
+    ],
+)
+def test_event_text(code: int, arg: float, detail: float, words: str) -> None:
+    assert states.event_text(2, DeviceEvent(1, code, 2, arg, detail)) == f"node 2: {words}"
