@@ -213,3 +213,9 @@ def test_a_configuration_with_a_negative_resistance(fail: Fail, tmp_path: Path, 
 )
 def test_a_simulated_drive_that_cannot_be(fail: Fail, arguments: tuple[str, ...], says: str) -> None:
     assert re.search(says, fail("sim", *arguments))
+
+
+def test_a_taken_tcp_port(fail: Fail) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        assert f"cannot listen on tcp:{address}: Address already in use" in fail("sim", "--tcp", address)

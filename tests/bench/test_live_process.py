@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from processes import Program, Sim
+from rerun.chunk import RrdReader
 
 from bench.rerunio.recording import read_run
 
@@ -97,6 +98,7 @@ def small_place(
     subprocess.run(["umount", str(tmp_path)], check=True)
 
 
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
 def test_a_full_disk_ends_in_stop_and_a_summary(
     start: Start, start_sim: StartSim, small_place: tuple[Path, Callable[[], None] | None, str]
 ) -> None:
@@ -114,6 +116,7 @@ def test_a_full_disk_ends_in_stop_and_a_summary(
     assert sum(says in line for line in live.err) == 1
     assert not any("Traceback" in line or "re_sdk" in line or "\x1b" in line for line in live.err)
     assert len(read_run(recording).samples) > 1000  # what fitted is there
+    assert RrdReader(recording).stream().to_chunks()  # and whole: rerun itself refuses half a message
 
 
 @pytest.mark.parametrize("where", ["--pty", "--slcan"])

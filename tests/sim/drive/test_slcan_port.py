@@ -107,7 +107,7 @@ def fd() -> Iterator[Host]:
         (b"O\rr1234\rR000001234\r", b"\rz\rZ\r"),
         (b"L\rt1230\r", b"\r\a"),
         (b"O\rt12\r", b"\r\a"),
-        (b"O\rb1230\r", b"\r\a"),  # no CAN FD on this bus
+        (b"O\rd1230\rb1230\r", b"\r\a\a"),  # no CAN FD on this bus
         (b"?\r", b"\a"),
         (b"z\r", b"\a"),
     ],
