@@ -91,9 +91,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--real-links", action="store_true", help="the test device over pty, TCP and CAN too")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Hand the tests out one by one: two workers are then at the same place of the order, and end together."""
+    if getattr(config.option, "maxschedchunk", 1) is None:
+        config.option.maxschedchunk = 1
+    config.pluginmanager.register(Order())
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what was not asked for, mark what is slow; tests in real time last."""
+    """Leave out what was not asked for, mark what is slow."""
     for item in items:
         if _where(item).startswith(SLOW):
             item.add_marker("slow")
@@ -101,7 +108,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if any(item.iter_markers("real_links"))]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
-    items.sort(key=lambda item: ("computing", "real-time", "alone").index(_kind(item)))
+
+
+class Order:
+    """Its own plugin, since what pytest itself puts together by fixtures must be done by then."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Long tests first, those in real time last."""
+        long = {item for item in items if any(item.iter_markers("slow"))}
+        items.sort(key=lambda item: (("computing", "real-time", "alone").index(_kind(item)), item not in long))
 
 
 @pytest.hookimpl(wrapper=True)

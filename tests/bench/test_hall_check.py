@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 import re
 import signal
 from collections.abc import Callable, Iterator
@@ -30,7 +31,7 @@ from protocol.messages import DriveState, Fault, SetpointMode
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
-TARGET = "serial:/dev/ttyHALL"
+TARGET = f"serial:/dev/ttyHALL-{os.getpid()}"  # its own: a rig holds its target
 
 
 def moved(sensor_edges: tuple[int, int], by: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from unittest.mock import patch
 
@@ -23,7 +24,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
-TARGET = "serial:/dev/ttyLEARN"
+TARGET = f"serial:/dev/ttyLEARN-{os.getpid()}"  # its own: a rig holds its target
 NAMES = [f"{name}_{s}" for name in ("edge_up", "edge_down") for s in range(1, 7)]
 
 
