@@ -1,57 +1,74 @@
-"""`python -m tests.benchmarks [PART …] [--seconds S]`: every figure beside its goal, as a ratio."""
+"""`python -m tests.benchmarks [PART …]`: every figure beside its goal, and beside the last one.
+
+Exits 1 if a goal is missed or a part is broken; what is slower than the last time is named. Figures are kept in
+last.json, and docs/benchmarks.md gets its tables from there.
+"""
 
 from __future__ import annotations
 
 import argparse
-import os
-import platform
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
 
-from tests.benchmarks import (
-    bench_accept,
-    bench_accuracy,
-    bench_can,
-    bench_decode,
-    bench_fixed_point,
-    bench_kills,
-    bench_learned_edges,
-    bench_live,
-    bench_replay,
-    bench_sim,
-    bench_slcan,
-    bench_start,
-)
-from tests.benchmarks.table import show
+from bench.files import write
+from tests.benchmarks.last import Last, Measured, read, slower, text_of
+from tests.benchmarks.page import with_tables
+from tests.benchmarks.parts import PARTS, measure
+from tests.benchmarks.table import LeftOut
 
-PARTS = {
-    "accuracy": (bench_accuracy, "Accuracy: plant against solve_ivp, position errors against the plant"),
-    "learned": (bench_learned_edges, "Learned edges: position errors against the plant, beside vector tracking"),
-    "decode": (bench_decode, "Decode: bytes to numpy columns, CRC checked"),
-    "fixed_point": (bench_fixed_point, "Fixed point: 16 bits beside floating point, same telemetry"),
-    "sim": (bench_sim, "Simulated drive in virtual time"),
-    "live": (bench_live, "Live: all channels at 16 kHz over a pty, recorded"),
-    "can": (bench_can, "CAN: stream frames to numpy columns, and a run over slcan, recorded"),
-    "slcan": (bench_slcan, "slcan: text, and reading 5000 CAN FD frames of 64 bytes a second"),
-    "replay": (bench_replay, "Replay and score of a recorded minute, all channels at 16 kHz"),
-    "accept": (bench_accept, "Acceptance: the whole suite in virtual time"),
-    "kills": (bench_kills, "Killed, stopped or told to end at a random moment"),
-    "start": (bench_start, "Start-up, caches warm"),
-}
-OF_A_LENGTH = (bench_live, bench_can, bench_slcan)
+LAST = Path(__file__).with_name("last.json")
+PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
 
 
-def main() -> None:
-    """Run the parts that were asked for, all by default."""
+def show(measured: Measured) -> None:
+    """Print a part's figures."""
+    rows = [row.cells() for row in measured.rows]
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    for what, figure, goal, verdict in rows:
+        print(f"  {what:<{widths[0]}}  {figure:>{widths[1]}}  {goal:<{widths[2]}}  {verdict}".rstrip())
+
+
+def keep(last: Last) -> None:
+    """Write last.json and the page's tables, each as a whole."""
+    write(LAST, text_of(last), LAST.name)
+    write(PAGE, with_tables(PAGE.read_text("utf-8"), last), PAGE.name)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the parts that were asked for, all by default; the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the live run and of each slcan reader")
-    given = parser.parse_args()
-    print(f"Python {platform.python_version()}, {os.cpu_count()} cores")
-    reached = True
-    for name in given.parts or PARTS:
-        part, title = PARTS[name]
-        reached &= show(title, part.rows(given.seconds) if part in OF_A_LENGTH else part.rows())
-    print("\nevery goal reached" if reached else "\nsome goals were MISSED")
+    parser.add_argument("--short", action="store_true", help="only whether each part still runs: no goals, not kept")
+    parser.add_argument("--no-keep", action="store_true", help="leave last.json and docs/benchmarks.md as they are")
+    given = parser.parse_args(arguments)
+    last = read(LAST.read_text("utf-8")) if LAST.exists() else {}
+    now: dict[str, Measured] = {}
+    found: list[str] = []  # what keeps the exit code from being 0
+    for part in given.parts or PARTS:
+        print(f"\n{PARTS[part]} ({part})", flush=True)
+        try:
+            now[part] = measure(part, given.short)
+        except LeftOut as why:
+            print(f"  left out: {why}")
+        except Exception:
+            traceback.print_exc()
+            found.append(f"BROKEN: {part}")
+        else:
+            show(now[part])
+            found += [f"MISSED: {part}: {', '.join(row.cells()[:3])}" for row in now[part].rows if row.missed]
+    print()
+    if not given.short:
+        for part in (part for part in now if part in last):
+            for what, times in slower(last[part], now[part]):
+                print(f"slower than last: {part}: {what}: {times:.2f} x")
+        if not given.no_keep:
+            merged = {**last, **now}
+            keep({part: merged[part] for part in PARTS if part in merged})
+    print("\n".join(found) or ("every part runs" if given.short else "every goal reached"))
+    return 1 if found else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,7 +1,7 @@
 """How much faster than real time observers run again on a recording: alone, from file to file, and with all figures.
 
-`python -m tests.benchmarks replay`. The simulated drive records a minute, all channels at 16 kHz; nothing of that is
-timed. Kernels are compiled and modules imported before the clock starts.
+`python -m tests.benchmarks replay`. The simulated drive records a minute of all its channels at 16 kHz; nothing of that
+is timed. Kernels are compiled and modules imported before the clock starts.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
 from sim.ports.virtual import VirtualLink
 from tests.bench.collect import Bench
-from tests.benchmarks.bench_sim import run_against
-from tests.benchmarks.table import Quickest, Row
+from tests.benchmarks.bench_live import streamed_in
+from tests.benchmarks.bench_sim import all_channels, run_against
+from tests.benchmarks.table import Quickest, Row, cost, speed
 
-SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, ten seconds each
-GOAL_ALONE = 500.0  # x real time, each observer on one core
+SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, in turn
+GOAL_ALONE = 1000.0  # x real time, each observer on one core
 GOAL_FILES = 50.0
 GOAL_SCORE = 20.0  # s for a minute
-REPEAT = 3  # runs, of which the best counts
 PIECE = 1 << 17  # samples at a time
 
 
-def record(path: Path) -> None:
-    """A minute of the simulated drive, at several speeds, by its vector-tracking observer."""
+def record(path: Path, seconds: float) -> None:
+    """So much of the simulated drive, at several speeds, by its vector-tracking observer."""
     rig = Bench(VirtualLink.of(load_params()))
     hello, drive = rig.hello, rig.drive
     info = RunInfo(hello.tick_hz, hello.pwm_hz, drive.descriptor.channels, drive.parameters(), node=hello.node)
     sink = FileSink(path, info, wait=True)
     rig.client.sinks = [sink]
-    run_against(rig, 0.1)
+    run_against(rig, 0.1, all_channels(rig))
     for omega_m in SPEEDS:
         drive.speed(omega_m)
-        rig.client.run_for(60.0 / len(SPEEDS))
+        rig.client.run_for(seconds / len(SPEEDS))
     rig.rest()
     sink.close()
 
 
-def alone(run: Run) -> dict[str, float]:
+def alone(run: Run, repeat: int) -> dict[str, float]:
     """Seconds of each observer's kernel for the whole recording, and of the front end."""
     names = list(CATALOGUE)
     best: dict[str, float] = {}
-    for _ in range(REPEAT):
+    for _ in range(repeat):
         estimators = Estimators(names, run.info.parameters, run.samples.config)
         estimators.edges(run.edges)
         n = len(run.samples)
@@ -61,10 +61,10 @@ def alone(run: Run) -> dict[str, float]:
     return {name: seconds for name, seconds in best.items() if name != "average_speed"}  # the front end is all of it
 
 
-def best_of(action: Callable[[], object]) -> float:
-    """Seconds of the quickest of `REPEAT` runs."""
+def best_of(repeat: int, action: Callable[[], object]) -> float:
+    """Seconds of the quickest of so many runs."""
     best = Quickest()
-    for _ in range(REPEAT):
+    for _ in range(repeat):
         with best.timed():
             action()
     return best[""]
@@ -79,19 +79,21 @@ def write(run: Run, path: Path) -> None:
     sink.close()
 
 
-def rows() -> Iterator[Row]:
-    """The figures, as multiples of real time and in seconds for the minute."""
+def rows(short: bool) -> Iterator[Row]:
+    """The figures, as multiples of real time and in seconds for the recording."""
+    seconds, repeat = (1.5, 1) if short else (60.0, 3)
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
         path, out = Path(folder) / "run.rrd", Path(folder) / "out.rrd"
-        record(path)
+        record(path, seconds)
         run = read_run(path)
-        minute = len(run.samples) / run.info.pwm_hz
-        for name, seconds in alone(run).items():
-            yield Row(f"{name}, alone", minute / seconds, "x real time", GOAL_ALONE)
-        seconds = best_of(lambda: replay(path, out=out, overwrite=True))
-        yield Row(f"replay of {len(CATALOGUE)} observers, file to file", minute / seconds, "x real time", GOAL_FILES)
-        yield Row("  of that, reading alone", best_of(lambda: read_run(path)), "s")
-        yield Row("  of that, writing alone", best_of(lambda: write(run, out)), "s")
-        yield Row(
-            f"score of {2 * len(CATALOGUE)} estimates", best_of(lambda: score([path])), "s", GOAL_SCORE, at_most=True
-        )
+        length = len(run.samples) / run.info.pwm_hz
+        what = f"{length:.0f} s of {streamed_in(run)}"
+        for name, took in alone(run, repeat).items():
+            yield speed(f"{name}, over recorded columns", length / took, "x real time", GOAL_ALONE)
+        took = best_of(repeat, lambda: replay(path, out=out, overwrite=True))
+        many = f"replay of {len(CATALOGUE)} observers, {what}"
+        yield speed(f"{many}, file to file", length / took, "x real time", GOAL_FILES)
+        yield cost(f"{many}: reading alone", best_of(repeat, lambda: read_run(path)), "s")
+        yield cost(f"{many}: writing alone", best_of(repeat, lambda: write(run, out)), "s")
+        board = best_of(repeat, lambda: score([path]))
+        yield cost(f"score of {2 * len(CATALOGUE)} estimates, {what}", board, "s", GOAL_SCORE)

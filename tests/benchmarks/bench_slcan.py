@@ -1,6 +1,6 @@
 """slcan: how quick its text is on one core, and what reading a busy CAN FD bus over a pty costs and loses.
 
-python -m tests.benchmarks slcan [--seconds 5]
+python -m tests.benchmarks slcan
 
 The adapter is the emulated one in a process of its own, paced by the clock; what the pty does not take in time is lost,
 as in an adapter whose host does not read. Each reader is a process that only reads: ours as records and as messages,
@@ -12,7 +12,7 @@ from __future__ import annotations
 import multiprocessing
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 
 import can
@@ -24,7 +24,7 @@ from protocol.canmap.frame import BRS, CAN_RECORD, FDF, RECORD_BYTES, BusRates
 from protocol.canmap.slcan import SlcanParser, encode
 from protocol.links.slcan_bus import SlcanBus
 from sim.ports.slcan_port import SlcanPort
-from tests.benchmarks.table import Quickest, Row
+from tests.benchmarks.table import Quickest, Row, cost, speed
 
 FEED = 8192  # bytes
 FRAMES = 50_000
@@ -50,7 +50,7 @@ def frames(n: int, length: int, flags: int) -> NDArray[np.void]:
     return records
 
 
-def text_speed(records: NDArray[np.void], repeat: int = 5) -> tuple[float, float]:
+def text_speed(records: NDArray[np.void], repeat: int) -> tuple[float, float]:
     """Return frames/s of the parser and of the encoder, in pieces of `FEED` bytes; the best of `repeat` runs."""
     text = encode(records)
     per_feed = len(records) * FEED // len(text)
@@ -136,25 +136,20 @@ def read_for(seconds: float, reader: Callable[[str], tuple[can.BusABC, Receive]]
     return total - count, cpu, pause
 
 
-def rows(seconds: float) -> list[Row]:
-    """The figures; each reader runs for `seconds`."""
-    fd_parse, fd_encode = text_speed(frames(FRAMES, 64, FDF | BRS))
-    parse, write = text_speed(frames(FRAMES, 8, 0))
-    result = [
-        Row("parser, CAN FD with 64 B, feeds of 8 KiB", fd_parse / 1e3, "k frames/s", 300),
-        Row("parser, classic with 8 B, feeds of 8 KiB", parse / 1e3, "k frames/s", 500),
-        Row("encoder, CAN FD with 64 B", fd_encode / 1e3, "k frames/s", 300),
-        Row("encoder, classic with 8 B", write / 1e3, "k frames/s", 500),
-    ]
-    for name, reader, ours in (
+def rows(short: bool) -> Iterator[Row]:
+    """The figures; each reader runs for a minute."""
+    seconds, n, repeat = (1.0, 1_000, 1) if short else (60.0, FRAMES, 5)
+    for bus, length, flags, goal in (("CAN FD", 64, FDF | BRS, 300), ("classic", 8, 0, 500)):
+        parse, write = text_speed(frames(n, length, flags), repeat)
+        yield speed(f"parser, {bus} with {length} B, feeds of {FEED // 1024} KiB", parse / 1e3, "k frames/s", goal)
+        yield speed(f"encoder, {bus} with {length} B", write / 1e3, "k frames/s", goal)
+    for name, reader, is_ours in (
         ("records", read_records, True),
         ("messages", read_messages, True),
         ("python-can's slcan", read_python_can, False),
     ):
         lost, cpu, pause = read_for(seconds, reader)
-        result += [
-            Row(f"{name}: lost of {int(RATE * seconds)}", lost, "", 0 if ours else None, at_most=True),
-            Row(f"{name}: reader", cpu, "% of a core", CPU_GOAL if ours else None, at_most=True),
-            Row(f"{name}: longest silence", pause, "ms"),
-        ]
-    return result
+        what = f"{name}, {RATE} FD frames/s of 64 B"
+        yield Row(f"{what}: lost of {int(RATE * seconds)}", lost, "", 0 if is_ours else None, at_most=True)
+        yield cost(f"{what}: reader", cpu, "% of a core", CPU_GOAL if is_ours else None)
+        yield Row(f"{what}: longest silence", pause, "ms", at_most=True)

@@ -1,4 +1,4 @@
-"""Start-up: `bench --help`, and the time from the start of `bench live sim` to its first sample, numba's cache warm.
+"""Start-up: `bench --help`, and the time from the start of `bench live sim` to its first sample.
 
 python -m tests.benchmarks start
 """
@@ -7,42 +7,45 @@ from __future__ import annotations
 
 import json
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
-from tests.benchmarks.table import Row
+from tests.benchmarks.commands import output
+from tests.benchmarks.table import Row, cost
 
 RUNS = 5
 
 
-def _seconds(arguments: list[str]) -> float:
+def _seconds(*arguments: str) -> float:
     started = time.perf_counter()
-    subprocess.run([sys.executable, "-m", *arguments], capture_output=True, check=True)
+    output([sys.executable, "-m", *arguments])
     return time.perf_counter() - started
 
 
-def _first_sample() -> float:
+def _first_sample(bench: Sequence[str]) -> float:
     """Seconds from the start of the process until its first sample, by its own note of the wall clock."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = ["bench", "live", "sim", "--viewer", "none", "--save", str(Path(folder, "x.rrd"))]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = [*bench, "live", "sim", "--viewer", "none", "--save", str(folder / "x.rrd")]
         started = time.time()
-        run = subprocess.run(
-            [sys.executable, "-m", *command, "--duration", "0.5", "--json", "-"], capture_output=True, check=True
-        )
-        return float(json.loads(run.stdout)["first_sample_unix_s"]) - started
+        summary = output([*command, "--duration", "0.5", "--json", "-"], folder)
+        return float(json.loads(summary)["first_sample_unix_s"]) - started
 
 
-def rows() -> list[Row]:
+def rows(short: bool) -> list[Row]:
     """Medians of some runs after a warm-up."""
-    _seconds(["bench", "--help"])
-    _first_sample()
-    python = statistics.median(_seconds(["keyword"]) for _ in range(RUNS))
-    shown = statistics.median(_seconds(["bench", "--help"]) for _ in range(RUNS))
+    runs = 1 if short else RUNS
+    python_m = (sys.executable, "-m", "bench")
+    _seconds("bench", "--help")
+    _first_sample(python_m)
+    python = statistics.median(_seconds("keyword") for _ in range(runs))
+    shown = statistics.median(_seconds("bench", "--help") for _ in range(runs))
+    warm = statistics.median(_first_sample(python_m) for _ in range(runs))
     return [
-        Row("bench --help", shown, "s", 0.3, at_most=True),
-        Row("bench --help, in starts of bare Python", shown / python, "x"),
-        Row("bench live sim: first sample", statistics.median(_first_sample() for _ in range(RUNS)), "s", 3.0, True),
+        cost("bench --help", shown, "s", 0.3),
+        Row("bench --help, in starts of bare Python", shown / python, "x", at_most=True),
+        cost("bench live sim until its first sample, kernels compiled", warm, "s", 1.5),
     ]

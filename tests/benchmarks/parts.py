@@ -1,0 +1,56 @@
+"""The parts of the benchmark, and how one is measured: `rows(short)` of the module `bench_<part>`."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import date
+from importlib import import_module
+
+from tests.benchmarks import reference
+from tests.benchmarks.last import Measured
+from tests.benchmarks.table import Row
+
+PARTS = {
+    "accuracy": "Accuracy: plant against solve_ivp, position errors against the plant",
+    "learned": "Learned edges: position errors against the plant, beside vector tracking",
+    "fixed_point": "Fixed point: 16 bits beside floating point, same telemetry",
+    "decode": "Decode: bytes to numpy columns, CRC checked, one core",
+    "sim": "Simulated drive in virtual time, one core",
+    "peers": "Other simulators: the same motor at 16 kHz",
+    "live": "Live: the simulated drive behind a pty, recorded",
+    "can": "CAN: stream frames to numpy columns, and a run over slcan, recorded",
+    "slcan": "slcan: its text, and reading a full CAN FD bus",
+    "replay": "Replay and score of a recording",
+    "accept": "Acceptance: the whole suite in virtual time, of whole processes",
+    "kills": "Killed, stopped or told to end at a random moment",
+    "start": "Start-up",
+}
+
+
+def measure(part: str, short: bool) -> Measured:
+    """Run a part, between two runs of the reference kernel: a machine's speed drifts. In short form without goals."""
+    module = import_module(f"tests.benchmarks.bench_{part}")
+    before = reference.seconds()
+    rows = _sane(module.rows(short))
+    took = (before + reference.seconds()) / 2
+    machine = f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}"
+    if short:
+        rows = [replace(row, goal=None) for row in rows]
+    return Measured(date.today().isoformat(), machine, took, tuple(row.beside(took) for row in rows))
+
+
+def _sane(rows: Iterable[Row]) -> list[Row]:
+    """The rows. Raises ValueError if there is none, or one of them cannot be."""
+    rows = list(rows)
+    if not rows:
+        raise ValueError("no figures")
+    if twice := {row.what for row in rows if [other.what for other in rows].count(row.what) > 1}:
+        raise ValueError(f"several figures of one name: {', '.join(sorted(twice))}")
+    for row in rows:
+        if not math.isfinite(row.measured) or (row.timed and row.measured <= 0):
+            raise ValueError(f"{row.what}: {row.measured}")
+    return rows
