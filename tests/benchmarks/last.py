@@ -18,7 +18,7 @@ class Measured:
 
     date: str
     machine: str
-    reference: float  # s of the reference kernel, before and after
+    reference: float  # s of the reference kernel
     rows: tuple[Row, ...]
 
 
@@ -38,7 +38,7 @@ def text_of(last: Last) -> str:
     blocks = []
     for part, measured in last.items():
         kept = asdict(measured)
-        rows = ",\n   ".join(json.dumps(row, ensure_ascii=False) for row in kept.pop("rows"))
+        rows = ",\n   ".join(json.dumps(row, ensure_ascii=False, default=float) for row in kept.pop("rows"))
         about = json.dumps(kept, ensure_ascii=False).removesuffix("}")
         blocks.append(f' "{part}": {about},\n  "rows": [\n   {rows}\n  ]}}')
     return "{\n" + ",\n".join(blocks) + "\n}\n"

@@ -16,12 +16,8 @@ def with_tables(page: str, last: Last) -> str:
     _, mark, after = rest.partition(END)
     if not mark:
         raise ValueError(f"no {BEGIN} … {END} in the page")
-    tables = "\n".join(_table(part, measured) for part, measured in last.items())
+    tables = "".join(f"{line}\n" for part, measured in last.items() for line in _lines(part, measured))
     return f"{before}{BEGIN}\n{tables}{END}{after}"
-
-
-def _table(part: str, measured: Measured) -> str:
-    return "".join(f"{line}\n" for line in _lines(part, measured))
 
 
 def _lines(part: str, measured: Measured) -> Iterator[str]:
