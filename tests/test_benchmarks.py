@@ -1,0 +1,228 @@
+"""The machinery of `python -m tests.benchmarks`, on parts that measure nothing; and the tables that are kept."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from tests.benchmarks import __main__ as command
+from tests.benchmarks import page, reference
+from tests.benchmarks.last import Measured, read, slower, text_of
+from tests.benchmarks.parts import PARTS
+from tests.benchmarks.table import LeftOut, Row, cost, speed
+
+ROOT = Path(__file__).parents[1]
+PAGE = "# Page\n\n<!-- benchmarks: begin -->\nold\n<!-- benchmarks: end -->\n\nMore.\n"
+GOOD = speed("reading", 400.0, "frames/s", 300)
+
+
+class Parts:
+    """Two parts, `one` and `two`, in place of the real ones; what they return, and where figures are kept."""
+
+    def __init__(self, folder: Path) -> None:
+        self.rows: dict[str, Callable[[], list[Row]]] = {"one": lambda: [GOOD], "two": lambda: [cost("way", 2.0, "s")]}
+        self.short: list[bool] = []
+        self.last, self.page = folder / "last.json", folder / "page.md"
+        self.page.write_text(PAGE)
+
+    def module(self, part: str) -> SimpleNamespace:
+        def rows(short: bool) -> Iterator[Row]:
+            self.short.append(short)
+            yield from self.rows[part]()
+
+        return SimpleNamespace(rows=rows)
+
+    @property
+    def kept(self) -> dict[str, Measured]:
+        return read(self.last.read_text())
+
+
+@pytest.fixture
+def parts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Parts:
+    made = Parts(tmp_path)
+    for module in (command, page):
+        monkeypatch.setattr(module, "PARTS", {part: f"Part {part}" for part in made.rows})
+    for part in made.rows:
+        monkeypatch.setitem(sys.modules, f"tests.benchmarks.bench_{part}", made.module(part))
+    monkeypatch.setattr(command, "LAST", made.last)
+    monkeypatch.setattr(command, "PAGE", made.page)
+    monkeypatch.setattr(reference, "seconds", lambda repeat: 0.05)
+    return made
+
+
+def broken() -> list[Row]:
+    raise RuntimeError("no drive")
+
+
+def interrupted() -> list[Row]:
+    raise KeyboardInterrupt
+
+
+def not_installed() -> list[Row]:
+    raise LeftOut("no such package")
+
+
+def measured(*rows: Row, kernel: float = 0.05) -> Measured:
+    return Measured("2026-11-23", "Python 3.11.7, 2 cores, x86_64", kernel, tuple(row.beside(kernel) for row in rows))
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "kernel", "times"),
+    [
+        (speed("x", 100, "/s"), speed("x", 80, "/s"), 0.05, 1.25),
+        (speed("x", 100, "/s"), speed("x", 90, "/s"), 0.05, None),
+        (speed("x", 100, "/s"), speed("x", 150, "/s"), 0.05, None),
+        (cost("x", 1.0, "s"), cost("x", 1.2, "s"), 0.05, 1.2),
+        (cost("x", 1.0, "s"), cost("x", 1.1, "s"), 0.05, None),
+        (cost("x", 1.0, "s"), cost("x", 0.5, "s"), 0.05, None),
+        (speed("x", 100, "/s"), speed("x", 50, "/s"), 0.1, None),  # a machine that is half as fast
+        (cost("x", 1.0, "s"), cost("x", 2.0, "s"), 0.1, None),
+        (speed("x", 100, "/s"), speed("x", 100, "/s"), 0.025, 2.0),  # twice as fast, and no quicker
+        (Row("x", 1.0, "deg", at_most=True), Row("x", 2.0, "deg", at_most=True), 0.05, None),  # no speed
+        (speed("x", 100, "/s"), speed("y", 10, "/s"), 0.05, None),  # something else
+    ],
+)
+def test_slower_is_what_takes_more_runs_of_the_reference_kernel(
+    before: Row, now: Row, kernel: float, times: float | None
+) -> None:
+    found = list(slower(measured(before), measured(now, kernel=kernel)))
+    assert found == ([] if times is None else [("x", pytest.approx(times))])
+
+
+def test_a_full_run_keeps_figures_with_their_ratios_and_writes_the_page(
+    parts: Parts, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main([]) == 0
+    assert parts.short == [False, False]
+    assert parts.kept["one"].rows == (Row("reading", 400.0, "frames/s", 300, False, True, 20.0),)
+    assert parts.kept["two"].rows == (Row("way", 2.0, "s", None, True, True, 40.0),)
+    assert parts.page.read_text() == page.with_tables(PAGE, parts.kept)
+    assert "every goal reached" in capsys.readouterr().out
+
+
+def test_what_became_slower_is_named_and_is_no_failure(parts: Parts, capsys: pytest.CaptureFixture[str]) -> None:
+    command.main([])
+    parts.rows["two"] = lambda: [cost("way", 3.0, "s")]
+    assert command.main([]) == 0
+    assert "slower than last: two: way: 1.50 x\n" in capsys.readouterr().out
+    assert parts.kept["two"].rows[0].measured == 3.0
+
+
+@pytest.mark.parametrize("row", [speed("reading", 299.0, "frames/s", 300), Row("lost", 1, "", 0, at_most=True)])
+def test_a_missed_goal_is_named_and_is_a_failure(parts: Parts, row: Row, capsys: pytest.CaptureFixture[str]) -> None:
+    parts.rows["one"] = lambda: [row]
+    assert command.main([]) == 1
+    assert f"MISSED: one: {row.what}, " in capsys.readouterr().out
+    assert "**MISSED**" in parts.page.read_text()
+    assert set(parts.kept) == {"one", "two"}
+
+
+@pytest.mark.parametrize("short", [True, False])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        broken,
+        list,
+        lambda: [GOOD, GOOD],
+        lambda: [Row("error", math.nan)],
+        lambda: [Row("error", math.inf)],
+        lambda: [speed("reading", 0.0, "frames/s")],
+    ],
+    ids=["raises", "no figures", "one name twice", "nan", "inf", "no speed"],
+)
+def test_a_broken_part_is_a_failure_and_the_others_run(
+    parts: Parts, rows: Callable[[], list[Row]], short: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command.main(["one"])
+    before = parts.kept["one"]
+    parts.rows["one"] = rows
+    assert command.main(["--short"] if short else []) == 1
+    captured = capsys.readouterr()
+    assert captured.out.endswith("BROKEN: one\n")
+    assert "Traceback" in captured.err
+    assert ("two" in parts.kept) != short
+    assert parts.kept["one"] == before
+
+
+def test_a_part_that_cannot_be_imported_is_broken(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tests.benchmarks.bench_one", None)
+    assert command.main(["--short"]) == 1
+    assert parts.short == [True]
+
+
+def test_a_part_that_is_not_installed_is_left_out_and_keeps_its_figures(
+    parts: Parts, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command.main([])
+    parts.rows["one"] = not_installed
+    assert command.main([]) == 0
+    assert "left out: no such package" in capsys.readouterr().out
+    assert parts.kept["one"].rows[0].measured == 400.0
+
+
+def test_parts_that_were_not_run_keep_their_figures_in_their_place(parts: Parts) -> None:
+    command.main([])
+    parts.rows["one"] = lambda: [speed("reading", 500.0, "frames/s")]
+    command.main(["one"])
+    assert {part: each.rows[0].measured for part, each in parts.kept.items()} == {"one": 500.0, "two": 2.0}
+    parts.last.unlink()
+    command.main(["two"])
+    command.main(["one"])
+    assert list(parts.kept) == ["one", "two"]
+
+
+@pytest.mark.parametrize("option", ["--short", "--no-keep"])
+def test_neither_the_short_form_nor_a_look_is_kept(parts: Parts, option: str) -> None:
+    command.main([])
+    before = parts.last.read_text(), parts.page.read_text()
+    parts.rows["one"] = lambda: [speed("reading", 1.0, "frames/s", 300)]
+    assert command.main([option]) == (0 if option == "--short" else 1)  # goals are not for the short form
+    assert (parts.last.read_text(), parts.page.read_text()) == before
+
+
+def test_an_interrupted_run_leaves_the_last_figures_alone(parts: Parts) -> None:
+    command.main([])
+    before = parts.last.read_text(), parts.page.read_text()
+    parts.rows |= {"one": lambda: [speed("reading", 1.0, "frames/s", 300)], "two": interrupted}
+    with pytest.raises(KeyboardInterrupt):
+        command.main([])
+    assert (parts.last.read_text(), parts.page.read_text()) == before
+
+
+def test_the_tables_stand_between_their_marks(parts: Parts) -> None:
+    rows = [GOOD, cost("way", 12345.6, "s", 8), Row("error", 0.123456, "deg"), Row("lost", 0, "", 0, at_most=True)]
+    assert page.with_tables(PAGE, {"one": measured(*rows)}) == (
+        "# Page\n\n<!-- benchmarks: begin -->\n"
+        "### Part one\n\n"
+        "`one`, 2026-11-23, Python 3.11.7, 2 cores, x86_64, reference kernel 50.0 ms\n\n"
+        "| | measured | goal | |\n|---|---|---|---|\n"
+        "| reading | 400 frames/s | at least 300 | reached |\n"
+        "| way | 12,346 s | at most 8 | **MISSED** |\n"
+        "| error | 0.1235 deg |  |  |\n"
+        "| lost | 0 | at most 0 | reached |\n\n"
+        "<!-- benchmarks: end -->\n\nMore.\n"
+    )
+    with pytest.raises(ValueError, match="benchmarks: begin"):
+        page.with_tables("# Page\n", {})
+
+
+def test_every_part_has_its_module_its_figures_and_its_table() -> None:
+    text = command.LAST.read_text("utf-8")
+    last = read(text)
+    assert text_of(last) == text
+    assert list(last) == list(PARTS)
+    assert all(each.rows for each in last.values())
+    assert {file.stem for file in command.LAST.parent.glob("bench_*.py")} == {f"bench_{part}" for part in PARTS}
+    text = command.PAGE.read_text("utf-8")
+    assert text == page.with_tables(text, last)  # else: python -m tests.benchmarks
+    for row in (row for each in last.values() for row in each.rows):
+        assert (row.ratio is not None) == row.timed
+
+
+def test_ci_runs_every_part() -> None:
+    assert "\n.venv/bin/python -m tests.benchmarks --short\n" in (ROOT / ".ci" / "run").read_text()
