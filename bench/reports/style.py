@@ -1,4 +1,4 @@
-"""The look of figures, in one place: size, colours by quantity, axes of time and angle, legend, file.
+"""The look of figures, in one place: size, axes of time and angle, legend, file.
 
 Figures are as wide as a page of two columns (7.16 in), so they may be printed as they are. They have no titles but
 those of columns: what they show stands in the caption, and the room above the axes is the legend's. Nothing here
@@ -21,6 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
+from bench.analysis.colours import SPARES, look
 from bench.rerunio.schema import label
 
 WIDTH, ROW_HEIGHT = 7.16, 1.9  # in
@@ -33,45 +34,12 @@ LEGEND_LINE = 20  # pt: height of a legend of one line, with the space above it
 CHUNK = 10_000  # points that Agg draws at a time; a noisy line of more can be too much for it
 
 BLACK, GREY, LIGHT = "#1a1a1a", "#7f7f7f", "#d9d9d9"
-ORANGE, BLUE, GREEN, OLIVE, PURPLE, VERMILION, LILAC, LIME = (
-    "#d98200",
-    "#0072b2",
-    "#00906a",
-    "#857600",
-    "#b3478f",
-    "#c8401a",
-    "#6a5acd",
-    "#5a9a1f",
-)
-# The hues of the recording's dashboard (bench.rerunio.schema), darkened for white paper; after Okabe and Ito.
-COLOURS: dict[str, str] = {
-    "theta_enc": BLACK,
-    "omega_enc": BLACK,
-    "theta_true": GREY,
-    "omega_true": GREY,
-    "theta_avg": ORANGE,
-    "omega_avg": ORANGE,
-    "theta_vt": BLUE,
-    "omega_vt": BLUE,
-    "theta_le": LIME,
-    "omega_le": LIME,
-    "omega_ref": OLIVE,
-    "i_a": VERMILION,
-    "i_b": GREEN,
-    "i_c": LILAC,
-    "i_d": GREEN,
-    "i_q": PURPLE,
-    "i_d_ref": GREY,
-    "i_q_ref": OLIVE,
-    "voltage": OLIVE,
-    "back_emf": GREEN,
-}
-SPARE_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, LILAC)
+SERIES = tuple(look.paper for look in SPARES)  # of lines that are no quantity of the table
 
 
 def colour(name: str) -> str:
     """Colour of a quantity, by its channel's name: fixed for the known ones, steady for one that is not known."""
-    return COLOURS.get(name) or SPARE_COLOURS[sum(name.encode()) % len(SPARE_COLOURS)]
+    return look(name).paper
 
 
 def new_figure(
@@ -89,7 +57,7 @@ def new_figure(
         ax.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
         ax.spines[["top", "right"]].set_visible(False)
         ax.spines[["left", "bottom"]].set_linewidth(0.6)
-        ax.set_prop_cycle(color=SPARE_COLOURS)
+        ax.set_prop_cycle(color=SERIES)
     return figure, axes
 
 

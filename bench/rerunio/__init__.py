@@ -1,6 +1,6 @@
 """Rerun: the live view and the recording of a run. The only package that imports rerun.
 
-    schema      names, units, colours and storage of everything that is logged; imports no rerun
+    schema      names, units and storage of everything that is logged; imports no rerun
     blocks      collects what arrives into blocks of about 50 ms
     log         writes blocks as rerun data
     dashboard   the views (blueprint)

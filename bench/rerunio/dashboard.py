@@ -13,13 +13,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
+from bench.analysis.colours import GROUND
 from bench.rerunio import schema
 from bench.rerunio.plane import X_RANGE, Y_RANGE, Plane
 from bench.rerunio.plots import TREND, Plot, plots
 
 HALL = 0.1  # seconds that the Hall view shows
 HALL_QUERIED = 0.3  # of which it is told, for the code that its first moments begin with
-DARK = (14, 16, 17)  # what the colours are made for, also in a light theme
 LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
 ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
 WIDTH = 1.5  # of a line, in points
@@ -91,7 +91,7 @@ def _texts(stator: str) -> rrb.Container:
         name=f"Stator plane: {stator}",
         origin="/stator",
         contents=["/stator/**"],
-        background=DARK,
+        background=GROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=X_RANGE, y_range=Y_RANGE),
     )
     return rrb.Vertical(plane, losses, rrb.Tabs(log, summary, name="Texts"), row_shares=[5, 2.6, 3.9])
@@ -130,7 +130,7 @@ def _view(plot: Plot) -> rrb.TimeSeriesView:
         contents=[f"/{plot.entity}"],
         overrides={plot.entity: lines},
         axis_y=rrb.ScalarAxis(range=plot.y_range) if plot.y_range else None,
-        background=rrb.archetypes.PlotBackground(color=DARK, show_grid=True),
+        background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
         time_ranges=_queried(plot.seconds),
         axis_x=_shown(plot.seconds),

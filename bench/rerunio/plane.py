@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from bench.analysis.colours import RGB, TABLE
 from bench.rerunio import schema
 from bench.rerunio.states import SECTORS
 
@@ -26,8 +27,7 @@ _HOLD = 0.98  # a picture: how slowly a scale shrinks again
 
 @dataclass(frozen=True, slots=True)
 class _Arrow:
-    name: str
-    colour: tuple[int, int, int]
+    colour: RGB
     x: float
     y: float
     text: str
@@ -76,7 +76,7 @@ class Plane:
             ),
         )
         names = [(_xy(math.radians(60 * k + 30), 0.86), SECTORS[k], _FAINT) for k in range(6)]
-        names += [(_xy(2 * math.pi / 3 * k, 1.13), name, schema.COLOURS[f"i_{name}"]) for k, name in enumerate("abc")]
+        names += [(_xy(2 * math.pi / 3 * k, 1.13), name, TABLE[f"i_{name}"].rgb) for k, name in enumerate("abc")]
         yield (
             f"{schema.PLANE}/names",
             rr.Points2D(
@@ -124,17 +124,17 @@ class Plane:
         for name, text, length, radius in angles:
             x, y = length * math.cos(newest[name]), length * math.sin(newest[name])
             suffix = f"  {errors_deg[name]:+.1f}°" if name in errors_deg else ""
-            yield _Arrow(name, self._run.colours[name], x, y, text + suffix, radius)
+            yield _Arrow(self._run.colours[name], x, y, text + suffix, radius)
 
     def _vectors(self, newest: Mapping[str, float]) -> Iterator[_Arrow]:
         pairs: list[tuple[str, str, str, float, float]] = []
         if self._currents:
             alpha = (2 * newest["i_a"] - newest["i_b"] - newest["i_c"]) / 3
-            pairs.append(("current", "current", "A", alpha, (newest["i_b"] - newest["i_c"]) / math.sqrt(3)))
+            pairs.append(("i_q", "current", "A", alpha, (newest["i_b"] - newest["i_c"]) / math.sqrt(3)))
         if self._voltages:
-            pairs.append(("voltage", "voltage", "V", newest["u_alpha"], newest["u_beta"]))
+            pairs.append(("u_alpha", "voltage", "V", newest["u_alpha"], newest["u_beta"]))
         if self._back_emf:
-            pairs.append(("back_emf", "back-EMF", "V", newest["e_alpha"], newest["e_beta"]))
+            pairs.append(("e_alpha", "back-EMF", "V", newest["e_alpha"], newest["e_beta"]))
         sizes = {unit: max((math.hypot(a, b) for *_, u, a, b in pairs if u == unit), default=0.0) for unit in "AV"}
         self._peak_i = max(self._peak_i * _HOLD, sizes["A"])
         self._peak_u = max(self._peak_u * _HOLD, sizes["V"])
@@ -142,8 +142,7 @@ class Plane:
         for name, text, unit, alpha, beta in pairs:
             size = math.hypot(alpha, beta)
             yield _Arrow(
-                name,
-                schema.COLOURS[name],
+                TABLE[name].rgb,
                 alpha / full[unit],
                 beta / full[unit],
                 f"{text}  {size:.2f} {unit}  (circle {full[unit]:g} {unit})",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from bench.analysis.colours import RGB
 from bench.rerunio import schema
 from protocol.signals import Flag
 
@@ -26,7 +27,7 @@ QUANTITIES = {
     "W": "Powers",
 }
 OTHER = "Other channels"
-LINES = len(schema.SPARE_COLOURS)  # of a plot by unit: all of them differ
+LINES = 8  # of a plot by unit: not more than there are spare colours
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Line:
     component: str
     channel: str
     name: str
-    colour: tuple[int, int, int]
+    colour: RGB
     factor: float = 1.0
     error: bool = False
     mean: bool = False

@@ -1,4 +1,4 @@
-"""What a recording holds and how it is named: entities, components, units, colours, number formats.
+"""What a recording holds and how it is named: entities, components, units, number formats.
 
 Writer, reader and dashboard share this module, so they cannot drift apart. It imports no rerun.
 
@@ -12,17 +12,17 @@ from __future__ import annotations
 import math
 import uuid
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from itertools import cycle
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle
+from bench.analysis.colours import RGB, apart, quantity
 from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.verdict import Verdict
 from protocol.descriptor import Channel
@@ -98,58 +98,6 @@ def mean_component(component: str) -> str:
     return f"mean_{component}"
 
 
-# One colour a quantity, in every view (dark background; Okabe and Ito's palette, told apart by colour-blind eyes too).
-WHITE, GREY = (235, 235, 235), (130, 130, 130)
-ORANGE, SKY, GREEN, YELLOW, PURPLE, VERMILION, LILAC, TEAL, BROWN, LIME = (
-    (240, 165, 30),
-    (80, 180, 250),
-    (30, 190, 140),
-    (240, 228, 66),
-    (225, 130, 185),
-    (240, 100, 50),
-    (160, 145, 250),
-    (60, 160, 165),
-    (176, 122, 84),
-    (170, 215, 60),
-)
-COLOURS: dict[str, tuple[int, int, int]] = {
-    "theta_enc": WHITE,
-    "omega_enc": WHITE,
-    "theta_true": GREY,
-    "omega_true": GREY,
-    "theta_avg": ORANGE,
-    "omega_avg": ORANGE,
-    "theta_vt": SKY,
-    "omega_vt": SKY,
-    "theta_la": LILAC,
-    "omega_la": LILAC,
-    "theta_zero": VERMILION,
-    "omega_zero": VERMILION,
-    "theta_lut": YELLOW,
-    "omega_lut": YELLOW,
-    "theta_hv": GREEN,
-    "omega_hv": GREEN,
-    "theta_hvd": PURPLE,
-    "omega_hvd": PURPLE,
-    "theta_plf": TEAL,
-    "omega_plf": TEAL,
-    "theta_q15": BROWN,
-    "omega_q15": BROWN,
-    "theta_le": LIME,
-    "omega_le": LIME,
-    "omega_ref": YELLOW,
-    "i_a": VERMILION,
-    "i_b": GREEN,
-    "i_c": LILAC,
-    "i_d": GREEN,
-    "i_q": PURPLE,
-    "i_d_ref": WHITE,
-    "i_q_ref": YELLOW,
-    "current": PURPLE,
-    "voltage": YELLOW,
-    "back_emf": GREEN,
-}
-SPARE_COLOURS = (VERMILION, LILAC, GREEN, PURPLE, TEAL, LIME, BROWN)  # of names that are not known
 LABELS = {
     "theta_enc": "encoder",
     "omega_enc": "encoder",
@@ -246,13 +194,23 @@ class RunInfo:
         return frozenset(name for name in ("hall", "status") if self.has(name) and name in whole)
 
     @cached_property
-    def colours(self) -> Mapping[str, tuple[int, int, int]]:
-        """Colour of every channel: fixed for the known names, one after the other within a unit for all others."""
-        found: dict[str, tuple[int, int, int]] = {}
-        spare = defaultdict[Unit, Iterator[tuple[int, int, int]]](lambda: cycle(SPARE_COLOURS))
-        for channel in self.channels:
-            found[channel.name] = COLOURS.get(channel.name) or next(spare[channel.unit])
-        return found
+    def colours(self) -> Mapping[str, RGB]:
+        """Colour of every channel: no two that are compared with each other, or shown by their unit, have the same.
+
+        A host's estimate has its observer's colour where the drive's own is not streamed.
+        """
+        compared = {self.position_reference, *self.position_estimates, *self.speeds}
+        together = defaultdict[Unit | None, dict[str, str]](dict)  # what channels stand for: the name in the table
+        stands: dict[str, tuple[Unit | None, str]] = {}
+        for channel in sorted(self.channels, key=lambda channel: channel.name.endswith(HOST_SUFFIX)):
+            name, unit = channel.name, channel.unit
+            own = name.removesuffix(HOST_SUFFIX)
+            group = None if name in compared else unit
+            thing = quantity(name) if unit == Unit.RAD_PER_S else name
+            together[group][thing] = quantity(own) if UNITS.get(own, unit) == unit else ""
+            stands[name] = group, thing
+        looks = {group: apart(wanted) for group, wanted in together.items()}
+        return {name: looks[group][thing].rgb for name, (group, thing) in stands.items()}
 
     def has(self, *names: str) -> bool:
         """Whether all these channels of the vocabulary are streamed, in the units that it gives them."""

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from bench.analysis.colours import BAD, FAULTY, GOOD, OBSERVERS, OFF, QUIET, RGB, TABLE, WARNING
 from bench.analysis.verdict import Verdict, worst
 from bench.rerunio import schema
 from protocol.codes import fault_names
@@ -18,22 +19,23 @@ SECTORS = ("I", "II", "III", "IV", "V", "VI")
 ILLEGAL = "illegal"
 NO_EDGE = "no edge yet"
 
-Colour = tuple[int, int, int]
-_DARK, _DIM, _RED = (52, 52, 52), (84, 84, 84), (230, 40, 40)
-_GREEN, _AMBER = (40, 130, 76), (200, 140, 20)
-
-HALL_COLOURS: dict[str, Colour] = {
-    **{f"{sensor}=0": _DARK for sensor in "abc"},
-    **{f"{sensor}=1": schema.COLOURS[f"i_{sensor}"] for sensor in "abc"},
-    **{sector: (_DIM, (110, 110, 110))[i % 2] for i, sector in enumerate(SECTORS)},
-    **{f"{sensor}=?": _DARK for sensor in "abc"},
-    ILLEGAL: _RED,
-    NO_EDGE: _DARK,
+HALL_COLOURS: dict[str, RGB] = {
+    **{f"{sensor}=0": OFF for sensor in "abc"},
+    **{f"{sensor}=1": TABLE[f"i_{sensor}"].rgb for sensor in "abc"},
+    **{sector: (QUIET, (72, 72, 72))[i % 2] for i, sector in enumerate(SECTORS)},
+    **{f"{sensor}=?": OFF for sensor in "abc"},
+    ILLEGAL: BAD,
+    NO_EDGE: OFF,
 }
 _HALL_LABELS = {f"{sensor}={bit}": label for sensor in "abc" for bit, label in (("0", "0"), ("1", sensor), ("?", "?"))}
 
-# Lanes of the drive: every word tells by itself which lane it stands in.
-_LANES = ("state", "faults", "source", "correction", "telemetry")
+
+def _shade(short: str) -> RGB:
+    """An observer's colour as a ground of words."""
+    red, green, blue = (6 * part // 10 for part in OBSERVERS[short].rgb)
+    return red, green, blue
+
+
 _STATUS_LANES = frozenset(("source", "correction"))  # that the channel `status` alone can fill
 UNKNOWN = "unknown"
 NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
@@ -44,35 +46,37 @@ _SOURCES = (  # by what `status` can tell
     "angle: vector tracking",
     "angle: another observer",
 )
-DRIVE_COLOURS: dict[str, Colour] = {
-    UNKNOWN: _DARK,
-    DriveState.BOOT.name: _DIM,
-    DriveState.IDLE.name: _DIM,
-    DriveState.ARMED.name: _AMBER,
-    DriveState.RUNNING.name: _GREEN,
-    DriveState.FAULT.name: _RED,
-    NO_FAULT: _DARK,
-    **{fault.name or "": _RED for fault in Fault},
-    _SOURCES[AngleSource.ENCODER]: _DIM,
-    _SOURCES[AngleSource.AVERAGE_SPEED]: (176, 116, 10),
-    _SOURCES[AngleSource.VECTOR_TRACKING]: (40, 120, 180),
-    _SOURCES[OTHER_SOURCE]: (120, 80, 180),
-    CORRECTION[0]: _DARK,
-    CORRECTION[1]: (60, 84, 140),
-    COMPLETE: _DARK,
-    GAP: _RED,
+DRIVE_LANES: dict[str, dict[str, RGB]] = {
+    "state": {
+        DriveState.BOOT.name: QUIET,
+        DriveState.IDLE.name: QUIET,
+        DriveState.ARMED.name: WARNING,
+        DriveState.RUNNING.name: GOOD,
+        DriveState.FAULT.name: BAD,
+    },
+    "faults": {NO_FAULT: OFF, **{fault.name or "": BAD for fault in Fault}},
+    "source": {
+        _SOURCES[AngleSource.ENCODER]: _shade("enc"),
+        _SOURCES[AngleSource.AVERAGE_SPEED]: _shade("avg"),
+        _SOURCES[AngleSource.VECTOR_TRACKING]: _shade("vt"),
+        _SOURCES[OTHER_SOURCE]: QUIET,
+    },
+    "correction": {CORRECTION[0]: OFF, CORRECTION[1]: _shade("vt")},
+    "telemetry": {COMPLETE: OFF, GAP: BAD},
 }
-_VERDICT_COLOURS: dict[Verdict, Colour] = {
-    Verdict.PASS: (38, 84, 58),
-    Verdict.FAIL: _RED,
-    Verdict.INVALID: _AMBER,
-    Verdict.ERROR: (150, 70, 170),
-    Verdict.ABORTED: _DIM,
-    Verdict.SKIPPED: _DARK,
+"""Words of each lane of the drive: every word tells by itself which lane it stands in."""
+DRIVE_COLOURS = {UNKNOWN: OFF} | {word: colour for lane in DRIVE_LANES.values() for word, colour in lane.items()}
+VERDICT_COLOURS: dict[Verdict, RGB] = {
+    Verdict.PASS: GOOD,
+    Verdict.FAIL: BAD,
+    Verdict.INVALID: WARNING,
+    Verdict.ERROR: FAULTY,
+    Verdict.ABORTED: QUIET,
+    Verdict.SKIPPED: OFF,
 }
 UNMARKED = "unmarked"
 _NAMED = 2  # marks that a stretch of the lane names; the log has them all
-STATE_COLOURS: dict[str, dict[str, Colour]] = {schema.HALL_LANES: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
+STATE_COLOURS: dict[str, dict[str, RGB]] = {schema.HALL_LANES: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
 
 
 def _hall_lanes() -> pa.Array:
@@ -90,10 +94,10 @@ HALL_LANES = _hall_lanes()  # by Hall code, and for UNKNOWN_CODE: states of the 
 
 def lanes(run: schema.RunInfo) -> tuple[str, ...]:
     """The lanes of the drive that the run can fill."""
-    return tuple(lane for lane in _LANES if lane not in _STATUS_LANES or "status" in run.words)
+    return tuple(lane for lane in DRIVE_LANES if lane not in _STATUS_LANES or "status" in run.words)
 
 
-def configuration(colours: Mapping[str, Colour]) -> rr.StateConfiguration:
+def configuration(colours: Mapping[str, RGB]) -> rr.StateConfiguration:
     """Colours and labels of the states of an entity."""
     packed = np.array([r << 24 | g << 16 | b << 8 | 0xFF for r, g, b in colours.values()], np.uint32)
     visible = [value not in (UNKNOWN, UNMARKED) for value in colours]
@@ -116,13 +120,13 @@ def fault_text(faults: int) -> str:
     return " ".join(fault_names(faults)) or NO_FAULT
 
 
-def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict[str, Colour]]:
+def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict[str, RGB]]:
     """One lane for marks that may overlap: ticks with the words from there on, and the words' colours.
 
     Where marks overlap, the worst verdict of them stands there, with the names that it belongs to.
     """
     lane: list[tuple[int, str]] = []
-    colours: dict[str, Colour] = {UNMARKED: _DARK}
+    colours: dict[str, RGB] = {UNMARKED: OFF}
     for tick in sorted({tick for mark in marks for tick in (mark.first_tick, mark.last_tick)}):
         there = [mark for mark in marks if mark.first_tick <= tick < mark.last_tick]
         words = UNMARKED
@@ -131,15 +135,15 @@ def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict
             names = [mark.name for mark in there if mark.verdict is verdict]
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
             words = f"{verdict} {', '.join(names[:_NAMED])}{more}"
-            colours[words] = _VERDICT_COLOURS[verdict]
+            colours[words] = VERDICT_COLOURS[verdict]
         lane.append((tick, words))
     return lane, colours
 
 
 MARK_LEVELS: dict[Verdict, str] = {Verdict.FAIL: "ERROR", Verdict.ERROR: "ERROR", Verdict.INVALID: "WARN"}
-LEVEL_COLOURS: dict[str, Colour] = {"CRITICAL": (255, 90, 90), "ERROR": (255, 90, 90), "WARN": (240, 180, 60)}
+LEVEL_COLOURS: dict[str, RGB] = {"CRITICAL": (255, 90, 90), "ERROR": (255, 90, 90), "WARN": WARNING}
 """Colours of the log's lines, by level; all other levels have LINE_COLOUR: without one, the last colour would stay."""
-LINE_COLOUR: Colour = (205, 205, 205)
+LINE_COLOUR: RGB = (205, 205, 205)
 EVENT_LEVELS: dict[int, str] = {
     EventCode.FAULT: "ERROR",
     EventCode.SETPOINT_REJECTED: "WARN",

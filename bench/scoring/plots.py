@@ -3,50 +3,57 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from bench.analysis.colours import Look, apart
 from bench.analysis.position import position_error
 from bench.analysis.units import RPM
 from bench.reports.style import (
-    BLACK,
-    BLUE,
     FONT_SIZE,
     GREY,
     LINE_WIDTH,
-    SPARE_COLOURS,
+    SERIES,
     axis_labels,
+    colour,
     degrees_axis,
     legend_above,
     new_figure,
 )
 from bench.scoring.board import Figures
 from bench.scoring.tracks import Track
+from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]
 POINTS = 3000  # of a line over time: minimum and maximum of as many stretches, so that no peak is lost
 ANGLE_BINS = 120
 SHOWN = 99.9  # percentile of the error in motion that the axis over time covers; the peak is told in words
-COLOURS = (*SPARE_COLOURS, BLACK, GREY)
-MARKERS = "os^DvPX<>*phd"
+
+
+def looks(names: Iterable[str]) -> dict[str, Look]:
+    """Looks of observers by their names on the board: those run here have their own before the same one recorded."""
+    shorts = {name: CATALOGUE[name].short if name in CATALOGUE else name.partition("_")[2] for name in names}
+    return apart({name: f"theta_{shorts[name]}" for name in sorted(shorts, key=lambda name: name not in CATALOGUE)})
 
 
 def draw_error_over_time(track: Track, name: str) -> Figure:
     """Speed and position error of an observer over a whole recording; the start of a recording is t = 0."""
     figure, (speed, error) = new_figure(2, height=3.6)
     begin = float(track.stretches[0].t[0])
+    own = looks(track.kinds)[name].paper
     for k, stretch in enumerate(track.stretches):
         t = stretch.t - begin
         degrees = np.degrees(position_error(stretch.theta, stretch.estimates[name].theta))
         rpm = 1.0 / (RPM * track.pole_pairs)
-        for omega, colour, words in ((stretch.estimates[name].omega, BLUE, name), (stretch.omega, BLACK, "encoder")):
+        by_encoder = stretch.omega, colour("omega_enc"), "encoder"
+        for omega, hue, words in ((stretch.estimates[name].omega, own, name), by_encoder):
             label = "" if k else words
-            speed.plot(*_envelope(t, omega * rpm), color=colour, linewidth=LINE_WIDTH, label=label)
-        error.plot(*_envelope(t, degrees), color=BLUE, linewidth=0.6)
+            speed.plot(*_envelope(t, omega * rpm), color=hue, linewidth=LINE_WIDTH, label=label)
+        error.plot(*_envelope(t, degrees), color=own, linewidth=0.6)
     _limit(error, track, name, begin)
     axis_labels(speed, "", "speed", unit_y="r/min")
     axis_labels(error, "t", "error", "s", "el. °")
@@ -91,10 +98,11 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
         mean = np.add.reduceat(sorted_, starts) / n
         std = np.sqrt(np.maximum(np.add.reduceat(sorted_**2, starts) / n - mean**2, 0.0))
         x = np.degrees((present + 0.5) * width)
-        ax.fill_between(x, mean - std, mean + std, color=BLUE, alpha=0.25, linewidth=0, label="± one std")
-        ax.plot(x, mean, color=BLUE, linewidth=LINE_WIDTH, label="mean")
+        own = looks(kind for track in tracks for kind in track.kinds)[name].paper
+        ax.fill_between(x, mean - std, mean + std, color=own, alpha=0.25, linewidth=0, label="± one std")
+        ax.plot(x, mean, color=own, linewidth=LINE_WIDTH, label="mean")
         for extreme, words in ((np.minimum, ""), (np.maximum, "extremes")):
-            ax.plot(x, extreme.reduceat(sorted_, starts), color=BLACK, linewidth=0.6, label=words)
+            ax.plot(x, extreme.reduceat(sorted_, starts), color=GREY, linewidth=0.6, label=words)
     ax.set_xlim(0, 360)
     ax.set_xticks(range(0, 361, 60))
     axis_labels(ax, "electrical angle", "error", "°", "el. °")
@@ -111,12 +119,13 @@ def draw_error_by_speed(observers: Mapping[str, Figures]) -> Figure:
     if len(bins) == 1:
         return _error_at_one_speed({name: f["by_speed"].get(bins[0]) for name, f in observers.items()}, bins[0])
     figure, axes = new_figure(2, height=4.6)
-    for k, (name, figures) in enumerate(observers.items()):
-        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+    found = looks(observers)
+    for name, figures in observers.items():
+        look = found[name]
         at = [i for i, bin in enumerate(bins) if bin in figures["by_speed"]]
         for ax, key in zip(axes, ("std", "max"), strict=True):
             values = [figures["by_speed"][bins[i]][key] for i in at]
-            ax.plot(at, values, marker=marker, markersize=4, linewidth=0.8, label=name, color=colour)
+            ax.plot(at, values, look.dash, marker=look.mark, markersize=4, lw=0.8, label=name, color=look.paper)
     for ax, words in zip(axes, ("error, std", "error, max"), strict=True):
         degrees_axis(ax, words)
         ax.set_ylim(bottom=0)
@@ -130,7 +139,7 @@ def _error_at_one_speed(observers: Mapping[str, Figures | None], bin: str) -> Fi
     known = [(name, figures) for name, figures in observers.items() if figures is not None]
     figure, axes = new_figure(1, 2, height=0.8 + 0.18 * len(known), share_x=False)
     for ax, key in zip(axes, ("std", "max"), strict=True):
-        ax.barh([name for name, _ in known], [figures[key] for _, figures in known], color=BLUE, height=0.7)
+        ax.barh([name for name, _ in known], [figures[key] for _, figures in known], color=SERIES[0], height=0.7)
         ax.invert_yaxis()
         axis_labels(ax, f"error, {key}, at {_words(bin)} r/min", "", "el. °")
     axes[1].tick_params(labelleft=False)

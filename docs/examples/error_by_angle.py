@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.reports.style import axis_labels, legend_above, new_figure
+from bench.reports.style import axis_labels, colour, legend_above, new_figure
 
 OBSERVERS = {
-    "zeroth_order": ("zero", "tab:gray"),
-    "average_speed": ("avg", "tab:orange"),
-    "vector_tracking": ("vt", "tab:blue"),
-    "learned_edges": ("le", "tab:green"),
-}  # by name: the short name of its channels, and a colour
+    "zeroth_order": "theta_zero",
+    "average_speed": "theta_avg",
+    "vector_tracking": "theta_vt",
+    "learned_edges": "theta_le",
+}  # by name: the channel of its angle
 BINS = np.arange(0, 361, 3)  # electrical degrees
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
@@ -27,13 +27,13 @@ with bench.connect("sim") as rig:
     run = rig.record(3.0)  # the first two seconds are for the observers to settle, and to learn
 
 figure, (ax,) = new_figure(1, height=3.2)
-for name, (short, colour) in OBSERVERS.items():
+for name, theta in OBSERVERS.items():
     late = bench.estimate(run, name).between(run.t[-1] - 1.0, run.t[-1])
-    error = np.degrees(late.position_error(f"theta_{short}_host"))
+    error = np.degrees(late.position_error(f"{theta}_host"))
     angle = np.degrees(late.theta) % 360
     mean, _ = np.histogram(angle, BINS, weights=error)
     n, _ = np.histogram(angle, BINS)
-    ax.plot(BINS[:-1] + 1.5, mean / n, color=colour, linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
+    ax.plot(BINS[:-1] + 1.5, mean / n, color=colour(theta), linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
     print(f"{name}: mean {error.mean():.3f}, std {error.std():.3f} el. deg")
 ax.set_xlim(0, 360)
 ax.set_xticks(range(0, 361, 60))

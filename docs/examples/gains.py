@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.reports.style import axis_labels, legend_above, new_figure
+from bench.reports.style import SERIES, axis_labels, legend_above, new_figure
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:
@@ -40,8 +40,8 @@ again = errors("theta_vt_host", bench.estimate(run, "vt"))
 print(f"drive's k_p {own_k_p:g}: {own[0]:.3f} by the drive, {again[0]:.3f} by the host; best {swept[:, 0].min():.3f}")
 
 figure, (ax,) = new_figure(1, height=3.0)
-ax.loglog(gains, swept[:, 0], "o-", markersize=3, color="tab:blue", label="std at 200 r/min")
-ax.loglog(gains, swept[:, 1], "s-", markersize=3, color="tab:orange", label="largest after the load step")
+ax.loglog(gains, swept[:, 0], "o-", markersize=3, color=SERIES[0], label="std at 200 r/min")
+ax.loglog(gains, swept[:, 1], "s-", markersize=3, color=SERIES[1], label="largest after the load step")
 ax.loglog([own_k_p] * 2, own, "k*", markersize=9, label="the drive itself")
 axis_labels(ax, "k_p", "position error", "1/s", "el. °")
 ax.set_xticks(ticks := [200, 500, 1000, 2000, 5000], ticks)

@@ -10,7 +10,7 @@ import numpy as np
 
 import bench
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
-from bench.reports.style import axis_labels, legend_above, new_figure
+from bench.reports.style import SERIES, axis_labels, legend_above, new_figure
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 angles, edges = [], []
@@ -30,7 +30,7 @@ print("late by", ", ".join(f"{degrees:.2f}" for degrees in late.mean(axis=1)), "
 print(f"hysteresis {np.mean(late[:, FORWARDS] - late[:, BACKWARDS]):.2f} el. deg, {found.n.sum()} edges")
 
 figure, (ax,) = new_figure(1, height=2.8)
-for column, words, colour in ((FORWARDS, "forwards", "tab:blue"), (BACKWARDS, "backwards", "tab:orange")):
+for column, words, colour in ((FORWARDS, "forwards", SERIES[0]), (BACKWARDS, "backwards", SERIES[1])):
     ax.bar(np.arange(6) + (column - 0.5) * 0.36, late[:, column], 0.34, color=colour, label=words)
 ax.axhline(0, color="black", linewidth=0.8)
 ax.set_xticks(range(6), [f"{60 * k}°" for k in range(6)])

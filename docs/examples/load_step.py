@@ -10,7 +10,7 @@ import numpy as np
 
 import bench
 from bench.analysis.units import RPM
-from bench.reports.style import axis_labels, legend_above, new_figure, time_axes
+from bench.reports.style import axis_labels, colour, legend_above, new_figure, time_axes
 
 RPM_SET, TORQUE = 500, 0.15  # r/min, N·m
 
@@ -33,10 +33,10 @@ dip = RPM_SET - rpm.min()
 print(f"dip: {dip:.0f} r/min; i_q rises by {after - before:.3f} A for {TORQUE} N·m, {torque_constant:.4f} N·m/A")
 
 figure, (speed, current) = new_figure(2, height=4.2)
-speed.plot(t[::16], rpm[::16], linewidth=1, color="tab:blue", label="speed by the encoder")
+speed.plot(t[::16], rpm[::16], linewidth=1, color=colour("omega_enc"), label="speed by the encoder")
 speed.axhline(RPM_SET - dip, color="gray", linestyle="--", linewidth=0.8, label=f"dips by {dip:.0f} r/min")
 smooth = np.convolve(run["i_q"], np.ones(32) / 32, "same")  # over 2 ms
-current.plot(t[32:-32:16], smooth[32:-32:16], linewidth=0.8, color="tab:orange", label="i_q, mean of 2 ms")
+current.plot(t[32:-32:16], smooth[32:-32:16], linewidth=0.8, color=colour("i_q"), label="i_q, mean of 2 ms")
 current.axhline(
     before + TORQUE / torque_constant, color="gray", linestyle="--", linewidth=0.8, label="what the torque takes"
 )

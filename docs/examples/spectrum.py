@@ -10,13 +10,13 @@ import numpy as np
 
 import bench
 from bench.analysis.waveforms import spectrum, thd
-from bench.reports.style import axis_labels, legend_above, new_figure
+from bench.reports.style import axis_labels, colour, legend_above, new_figure
 
-SOURCES = {"average-speed": "tab:orange", "vector-tracking": "tab:blue"}
+SOURCES = {"average-speed": "theta_avg", "vector-tracking": "theta_vt"}
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 figure, (waves, lines) = new_figure(2, height=4.8, share_x=False)
-for source, colour in SOURCES.items():
+for source, theta in SOURCES.items():
     with bench.connect("sim") as rig:
         rig.drive.start(source)
         rig.drive.speed(600, "r/min")
@@ -31,10 +31,12 @@ for source, colour in SOURCES.items():
     )
     first = int((np.diff(run["theta_enc"]) < -3).argmax())  # an electrical turn begins
     shown = slice(first, first + round(2.5 * run.sample_rate / distortion.f))
-    waves.plot(1e3 * (run.t[shown] - run.t[first]), i_a[shown], color=colour, linewidth=1, label=source)
+    waves.plot(1e3 * (run.t[shown] - run.t[first]), i_a[shown], color=colour(theta), linewidth=1, label=source)
     f, amplitude = spectrum(run.t, i_a)
     low = (f > 5) & (f < 1300)
-    lines.semilogy(f[low], amplitude[low], color=colour, linewidth=0.7, label=f"THD {100 * distortion.value:.1f} %")
+    lines.semilogy(
+        f[low], amplitude[low], color=colour(theta), linewidth=0.7, label=f"THD {100 * distortion.value:.1f} %"
+    )
 lines.set_ylim(5e-3, 10)
 axis_labels(waves, "t", "i_a", "ms", "A")
 axis_labels(lines, "f", "amplitude of i_a", "Hz", "A")

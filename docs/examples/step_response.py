@@ -11,10 +11,10 @@ import numpy as np
 import bench
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import step_response
-from bench.reports.style import axis_labels, legend_above, new_figure, time_axes
+from bench.reports.style import axis_labels, colour, legend_above, new_figure, time_axes
 
 FROM, TO = 300, 800  # r/min
-SOURCES = {"average-speed": "tab:orange", "vector-tracking": "tab:blue", "encoder": "black"}
+SOURCES = {"average-speed": "theta_avg", "vector-tracking": "theta_vt", "encoder": "theta_enc"}
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 runs = {}
@@ -34,9 +34,9 @@ for source, run in runs.items():
     stepped = int((run["omega_ref"] > run["omega_ref"][0] + 1.0).argmax())  # the reference begins to move
     t = run.t - run.t[stepped]
     rpm = run["omega_enc"] / RPM / run.parameters["n_p"]
-    speed.plot(t[::16], rpm[::16], color=SOURCES[source], label=source, linewidth=1)
+    speed.plot(t[::16], rpm[::16], color=colour(SOURCES[source]), label=source, linewidth=1)
     smooth = np.convolve(run["i_q"], np.ones(64) / 64, "same")  # over 4 ms
-    current.plot(t[64:-64:16], smooth[64:-64:16], color=SOURCES[source], linewidth=0.8)
+    current.plot(t[64:-64:16], smooth[64:-64:16], color=colour(SOURCES[source]), linewidth=0.8)
     step = step_response(t, rpm, 0.0, FROM, TO, smooth=0.005)
     last = rpm[-1600:].mean()
     print(f"{source}: {last:.1f} r/min in the end, rise {1e3 * step.rise:.0f} ms, {100 * step.overshoot:.1f} % over")

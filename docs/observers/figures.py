@@ -14,18 +14,14 @@ from observers.measures import Seen, learned
 from observers.recordings import EVENTS, SPEEDS
 from PIL import Image
 
+from bench.analysis.colours import apart
 from bench.reports.style import (
     BLACK,
-    BLUE,
     FONT_SIZE,
-    GREEN,
     GREY,
     LIGHT,
     LINE_WIDTH,
-    OLIVE,
-    ORANGE,
-    PURPLE,
-    VERMILION,
+    SERIES,
     axis_labels,
     column_title,
     degrees_axis,
@@ -33,22 +29,12 @@ from bench.reports.style import (
     new_figure,
     save,
 )
+from sim.observers.catalogue import CATALOGUE
 
-COLOURS = 128  # of a figure on the page
+COLOURS = 256  # of a figure on the page
 LARGEST = 120_000  # bytes
-LOOK: dict[str, tuple[str, str, str]] = {
-    "average_speed": (ORANGE, "-", "o"),
-    "vector_tracking": (BLUE, "-", "o"),
-    "load_angle": (OLIVE, "--", "v"),
-    "zeroth_order": (GREY, "-", "s"),
-    "lookup_table": (GREEN, "-", "o"),
-    "hall_vector": (PURPLE, "-", "^"),
-    "hall_vector_decoupled": (PURPLE, "--", "v"),
-    "programmable_filter": (VERMILION, "-", "o"),
-    "vector_tracking_q15": (BLUE, ":", "x"),
-    "learned_edges": (BLACK, "-", "D"),
-}
-"""Colour, dash and mark of each observer."""
+LOOK = apart({name: f"theta_{observer.short}" for name, observer in CATALOGUE.items()})
+HUE = {name: look.paper for name, look in LOOK.items()}
 TITLES = {
     "start_up": "start-up",
     "speed_step": "speed step",
@@ -86,9 +72,19 @@ def by_speed(numbers: Mapping[str, Any]) -> Any:
     """Standard deviation in steady running by speed, all loads, a line for each observer."""
     figure, (ax,) = new_figure(height=4.4)
     for name in numbers["board"]:
-        colour, dash, mark = LOOK[name]
+        mark, dash = LOOK[name].mark, LOOK[name].dash  # dashed lines last: what is below them shines through
         values = [numbers["by_speed"][name][str(rpm)]["std"] for rpm in SPEEDS]
-        ax.plot(SPEEDS, values, dash, marker=mark, markersize=3.5, color=colour, linewidth=1.3, label=name)
+        ax.plot(
+            SPEEDS,
+            values,
+            dash,
+            marker=mark,
+            markersize=3.5,
+            color=HUE[name],
+            lw=1.3,
+            label=name,
+            zorder=3 - (dash == "-"),
+        )
     _speed_axis(ax, unnamed=0)
     ax.set_yscale("log")
     ax.set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10, 20], ["0.1", "0.2", "0.5", "1", "2", "5", "10", "20"])
@@ -104,7 +100,7 @@ def transients(numbers: Mapping[str, Any]) -> Any:
     names = list(numbers["board"])[::-1]
     for ax, event in zip(axes, EVENTS, strict=True):
         values = [numbers["board"][name][event] for name in names]
-        ax.barh(range(len(names)), values, color=[LOOK[name][0] for name in names], height=0.7)
+        ax.barh(range(len(names)), values, color=[HUE[name] for name in names], height=0.7)
         for k, value in enumerate(values):
             ax.text(value + 1.5, k, f"{value:.0f}" if value >= 9.5 else f"{value:.1f}", va="center", fontsize=7)
         ax.set_xlim(0, 80)
@@ -125,7 +121,7 @@ def _one_turn(ax: Axes, seen: Seen, name: str) -> None:
     code = np.flatnonzero(np.diff(seen.errors["zeroth_order"][turn]) < -30.0)
     for edge in code:
         ax.axvline(t[edge], color=LIGHT, linewidth=2.5)
-    colour = LOOK[name][0]
+    colour = HUE[name]
     ax.plot(t, seen.errors[name][turn], color=colour, linewidth=LINE_WIDTH)
     ax.axhline(0.0, color=GREY, linewidth=0.6)
     limit = max(0.6, 1.15 * float(np.abs(seen.errors[name][turn]).max()))
@@ -139,7 +135,7 @@ def _event(ax: Axes, seen: Seen, names: tuple[str, ...], first: float, length: f
     """Errors in an event, from `first` s on."""
     part = (seen.t >= first) & (seen.t <= first + length)
     for name in names:
-        ax.plot(1e3 * (seen.t[part] - first), seen.errors[name][part], color=LOOK[name][0], lw=LINE_WIDTH, label=name)
+        ax.plot(1e3 * (seen.t[part] - first), seen.errors[name][part], color=HUE[name], lw=LINE_WIDTH, label=name)
     axis_labels(ax, "t", "error", "ms", "el. °")
     legend_above(ax)
 
@@ -148,7 +144,8 @@ def _distribution(ax: Axes, seen: Seen) -> None:
     """How often which error occurs, beside the uniform one of ideal sensors."""
     # bins of 4.5 deg: four samples at 500 r/min
     error = seen.errors["zeroth_order"][seen.whole(500, 4.0)]
-    ax.hist(error, bins=[4.5 * k for k in range(-10, 11)], density=True, color=GREY, label="measured")
+    bins = [4.5 * k for k in range(-10, 11)]
+    ax.hist(error, bins=bins, density=True, color=HUE["zeroth_order"], alpha=0.5, label="measured")
     ax.plot([-30, -30, 30, 30], [0, 1 / 60, 1 / 60, 0], color=BLACK, lw=LINE_WIDTH, label="ideal sensors")
     axis_labels(ax, "error", "density", "el. °", "1/°")
     legend_above(ax)
@@ -158,7 +155,7 @@ def _shares(ax: Axes, numbers: Mapping[str, Any]) -> None:
     """Error by the share of the right table that the drive has."""
     shares = numbers["shares"]
     x = [100.0 * float(share) for share in shares]
-    ax.plot(x, [shares[share]["std"] for share in shares], "o-", color=GREEN, lw=LINE_WIDTH, markersize=4)
+    ax.plot(x, [shares[share]["std"] for share in shares], "o-", color=HUE["lookup_table"], lw=LINE_WIDTH, ms=4)
     axis_labels(ax, "share of the right offsets in the table", "error, std", "%", "el. °")
     ax.set_ylim(bottom=0)
     column_title(ax, "500 r/min, 4 A")
@@ -168,7 +165,7 @@ def _spectrum(ax: Axes, numbers: Mapping[str, Any]) -> None:
     """Amplitudes of the error's harmonics of an electrical turn at 500 r/min."""
     for k, (name, harmonics) in enumerate(numbers["harmonics"].items()):
         orders = np.array([int(order) for order in harmonics])
-        ax.bar(orders + 0.4 * (k - 0.5), list(harmonics.values()), 0.4, label=name, color=(PURPLE, OLIVE)[k])
+        ax.bar(orders + 0.4 * (k - 0.5), list(harmonics.values()), 0.4, label=name, color=HUE[name])
     ax.set_xticks([1, 2, 3, 6, 9, 12, 15, 18])
     axis_labels(ax, "harmonic of the electrical frequency", "amplitude", "", "el. °")
     legend_above(ax)
@@ -180,7 +177,7 @@ def _against_theory(ax: Axes, numbers: Mapping[str, Any], name: str) -> None:
         computed = [abs(numbers["theory"]["by_speed"][str(rpm)][name][key]) for rpm in SPEEDS]
         measured = [abs(numbers["by_speed"][name][str(rpm)][key]) for rpm in SPEEDS]
         ax.plot(SPEEDS, computed, color=GREY, lw=LINE_WIDTH, label="computed" if key == "std" else "")
-        ax.plot(SPEEDS, measured, mark, color=LOOK[name][0], markersize=4, label=words)
+        ax.plot(SPEEDS, measured, mark, color=HUE[name], markersize=4, label=words)
     _speed_axis(ax)
     ax.set_ylim(bottom=0)
     degrees_axis(ax, "error")
@@ -191,15 +188,15 @@ def _vector_tracking(ax: Axes, numbers: Mapping[str, Any]) -> None:
     """Standard deviation by speed at 4 A, and what the ripple of omega_h and the dead time make of it."""
     theory = numbers["theory"]["by_speed"]
     parts = {
-        "feed-forward": ([theory[str(rpm)]["fed"]["std"] for rpm in SPEEDS], ":", ORANGE),
-        "with (6)": ([theory[str(rpm)]["ripple"]["std"] for rpm in SPEEDS], "--", ORANGE),
-        "dead time": ([theory[str(rpm)]["dead_time"]["4"]["std"] for rpm in SPEEDS], "-.", GREEN),
+        "feed-forward": ([theory[str(rpm)]["fed"]["std"] for rpm in SPEEDS], ":", SERIES[0]),
+        "with (6)": ([theory[str(rpm)]["ripple"]["std"] for rpm in SPEEDS], "--", SERIES[0]),
+        "dead time": ([theory[str(rpm)]["dead_time"]["4"]["std"] for rpm in SPEEDS], "-.", SERIES[1]),
         "together": ([theory[str(rpm)]["vector_tracking"]["4"] for rpm in SPEEDS], "-", GREY),
     }
     for words, (values, dash, colour) in parts.items():
         ax.plot(SPEEDS, values, dash, color=colour, lw=LINE_WIDTH, label=words)
     measured = [numbers["by_load"]["vector_tracking"][str(rpm)]["4"]["std"] for rpm in SPEEDS]
-    ax.plot(SPEEDS, measured, "o", color=BLUE, markersize=4, label="measured, 4 A")
+    ax.plot(SPEEDS, measured, "o", color=HUE["vector_tracking"], markersize=4, label="measured, 4 A")
     _speed_axis(ax)
     ax.set_ylim(0, 5)
     degrees_axis(ax, "error, std")
@@ -210,9 +207,9 @@ def _load(ax: Axes, numbers: Mapping[str, Any]) -> None:
     """Mean error by speed at 1, 4 and 8 A, compensated; uncompensated at 8 A."""
     for load, dash in (("1", ":"), ("4", "--"), ("8", "-")):
         values = [numbers["by_load"]["load_angle"][str(rpm)][load]["bias"] for rpm in SPEEDS]
-        ax.plot(SPEEDS, values, dash, marker="v", markersize=3, color=OLIVE, lw=LINE_WIDTH, label=f"{load} A")
+        ax.plot(SPEEDS, values, dash, marker="v", ms=3, color=HUE["load_angle"], lw=LINE_WIDTH, label=f"{load} A")
     values = [numbers["by_load"]["vector_tracking"][str(rpm)]["8"]["bias"] for rpm in SPEEDS]
-    ax.plot(SPEEDS, values, color=BLUE, lw=LINE_WIDTH, label="8 A, vector_tracking")
+    ax.plot(SPEEDS, values, color=HUE["vector_tracking"], lw=LINE_WIDTH, label="8 A, vector_tracking")
     _speed_axis(ax)
     degrees_axis(ax, "bias")
     legend_above(ax)
@@ -220,7 +217,7 @@ def _load(ax: Axes, numbers: Mapping[str, Any]) -> None:
 
 def _rounding(ax: Axes, seen: Seen) -> None:
     """Fixed less floating point at 50 and 500 r/min, over an electrical turn."""
-    for rpm, colour in ((50, VERMILION), (500, BLUE)):
+    for rpm, colour in ((50, SERIES[0]), (500, SERIES[1])):
         at = seen.where(rpm, 4.0)[-round(seen.rate * 60.0 / (rpm * seen.n_p)) :]
         difference = seen.errors["vector_tracking"][at] - seen.errors["vector_tracking_q15"][at]
         ax.plot(np.arange(len(at)) / len(at), 1e3 * difference, color=colour, lw=0.7, label=f"{rpm} r/min")
@@ -230,7 +227,8 @@ def _rounding(ax: Axes, seen: Seen) -> None:
 
 def _learning(ax: Axes, seen: Seen) -> None:
     """Error at 50 r/min before the edges are learned and after, over the last mechanical turn of each."""
-    for error, colour, words in zip(learned(seen), (VERMILION, BLACK), ("before", "after"), strict=True):
+    colours = SERIES[1], HUE["learned_edges"]
+    for error, colour, words in zip(learned(seen), colours, ("before", "after"), strict=True):
         turn = error[-round(seen.rate * 60.0 / 50.0) :]
         ax.plot(np.arange(len(turn)) / seen.rate, turn, color=colour, lw=LINE_WIDTH, label=f"{words} learning")
     axis_labels(ax, "t", "error, 50 r/min, 4 A", "s", "el. °")

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from bench.reports.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
+from bench.analysis.colours import SPARES
+from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, new_figure
 
 DASHED: dict[str, Any] = {"linestyle": "--", "linewidth": LINE_WIDTH}
 DOTTED: dict[str, Any] = {"linestyle": ":", "linewidth": 0.8, "color": "0.4"}
-MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
 
 
 class Panel(NamedTuple):
@@ -35,9 +35,9 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequenc
     """
     figure, axes = new_figure(1, len(panels), height=3.2)
     for ax, panel in zip(axes, panels, strict=True):
-        for (hue, mark), name, mine, others in zip(MARKS, loads, panel.values, panel.others, strict=False):
-            ax.plot(speeds, others, color=hue, alpha=0.6, **DASHED)
-            ax.plot(speeds, mine, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=name)
+        for look, name, mine, others in zip(SPARES, loads, panel.values, panel.others, strict=False):
+            ax.plot(speeds, others, color=look.paper, alpha=0.6, **DASHED)
+            ax.plot(speeds, mine, marker=look.mark, color=look.paper, linewidth=LINE_WIDTH, markersize=4, label=name)
         ax.axhline(panel.limit, **DOTTED)
         ax.set(xscale="log", yscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))

@@ -16,11 +16,9 @@ from bench.analysis.capture import F64, Capture
 from bench.analysis.units import RPM
 from bench.reports.style import (
     BLACK,
-    GREEN,
     GREY,
-    LILAC,
-    VERMILION,
     axis_labels,
+    colour,
     degrees_axis,
     legend_above,
     limit_lines,
@@ -45,9 +43,9 @@ def draw_run(capture: Capture, rows: Sequence[str], marks: Mapping[str, float]) 
     figure, axes = new_figure(len(rows), height=1.55 * len(rows) + 0.4)
     for ax, row in zip(axes, rows, strict=True):
         _ROWS[row](ax, t, capture)
-        for (words, at), (colour, dashes) in zip(happened.items(), MARKS, strict=False):
+        for (words, at), (hue, dashes) in zip(happened.items(), MARKS, strict=False):
             label = words if ax is axes[0] else None
-            ax.axvline(at - zero, color=colour, linestyle=dashes, linewidth=1.0, label=label, zorder=1)
+            ax.axvline(at - zero, color=hue, linestyle=dashes, linewidth=1.0, label=label, zorder=1)
         legend_above(ax)
     time_axes(axes, t[0], t[-1])
     return figure
@@ -70,7 +68,7 @@ def _dq(ax: Axes, t: F64, capture: Capture) -> None:
     for name, words, look in (
         ("i_d", "i_d", {"linewidth": 0.7}),
         ("i_q", "i_q", {"linewidth": 1.6}),
-        ("i_q_ref", "i_q reference", {"linewidth": 0.5, "linestyle": "-", "color": BLACK}),
+        ("i_q_ref", "i_q reference", {"linewidth": 0.5, "linestyle": "-"}),
     ):
         if name in capture:
             line(ax, t, capture[name], name, label=words, **look)
@@ -88,9 +86,9 @@ def _phases(ax: Axes, t: F64, capture: Capture) -> None:
 
 def _hall(ax: Axes, t: F64, capture: Capture) -> None:
     code = capture["hall"].astype(np.int64)
-    for bit, colour in enumerate((VERMILION, GREEN, LILAC)):
+    for bit, sensor in enumerate("abc"):
         level = 2 - bit + 0.7 * (code >> bit & 1)
-        ax.plot(t, level, color=colour, linewidth=0.9, drawstyle="steps-post")
+        ax.plot(t, level, color=colour(f"i_{sensor}"), linewidth=0.9, drawstyle="steps-post")
     ax.set_yticks([2.35, 1.35, 0.35], ["a", "b", "c"])
     ax.set_ylim(-0.2, 2.9)
     ax.grid(False, axis="y")

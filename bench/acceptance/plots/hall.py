@@ -17,15 +17,13 @@ from bench.analysis.capture import F64, Capture
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
 from bench.reports.style import (
     BLACK,
-    BLUE,
     FONT_SIZE,
-    GREEN,
     LIGHT,
     LINE_WIDTH,
-    ORANGE,
-    VERMILION,
+    SERIES,
     WIDTH,
     axis_labels,
+    colour,
     degrees_axis,
     legend_above,
     line,
@@ -50,7 +48,7 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
 
     ideal = np.arange(6) * math.pi / 3
     circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=3.0, label="ideal")
-    circle.vlines(ideal - middle, 0, 1, color=BLUE, linewidth=LINE_WIDTH, label="measured")
+    circle.vlines(ideal - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
     for name, angle in zip(SECTORS, ideal, strict=True):
         circle.text(angle + math.pi / 6, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE)
     circle.set_xticks(ideal)
@@ -64,9 +62,9 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     wanted = np.degrees(expected)
     chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
     for values, mark, hue, words in (
-        (offsets.mean[:, FORWARDS], ">", GREEN, "forwards"),
-        (offsets.mean[:, BACKWARDS], "<", ORANGE, "backwards"),
-        (middle, "o", BLUE, "middle"),
+        (offsets.mean[:, FORWARDS], ">", SERIES[1], "forwards"),
+        (offsets.mean[:, BACKWARDS], "<", SERIES[2], "backwards"),
+        (middle, "o", SERIES[0], "middle"),
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
     chart.axhline(0.0, color=BLACK, linewidth=0.6)
@@ -116,9 +114,9 @@ def draw_misaligned_hall(capture: Capture, turns: float = 2.0) -> Figure:
         grid.set_height_ratios([1.1, 1.6, 1.2])
 
     hall = capture["hall"].astype(int)[part]
-    for bit, (name, hue) in enumerate((("a", VERMILION), ("b", GREEN), ("c", BLUE))):
+    for bit, name in enumerate("abc"):
         level = 2 - bit
-        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=hue, linewidth=LINE_WIDTH)
+        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=colour(f"i_{name}"), linewidth=LINE_WIDTH)
         codes.text(-0.008, (level + 0.35 + 0.15) / 3.0, f"Hall {name}", ha="right", va="center", fontsize=FONT_SIZE,
                    transform=codes.transAxes)  # fmt: skip
     codes.set_ylim(-0.15, 2.85)

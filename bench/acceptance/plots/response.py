@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.analysis.capture import F64
-from bench.reports.style import BLUE, GREY, ORANGE, axis_labels, legend_above, new_figure
+from bench.reports.style import GREY, SERIES, axis_labels, legend_above, new_figure
 
 Complex = NDArray[np.complex128]
 
@@ -21,7 +21,7 @@ def draw_bode(f: F64, measured: Mapping[str, Complex], computed: Mapping[str, Ca
     """Magnitude and phase over the frequency, by name: `measured` (n,) at `f` (n,) Hz as dots, `computed` as lines."""
     figure, (magnitude, phase) = new_figure(2, height=4.4)
     dense = np.geomspace(f.min() / 1.6, f.max() * 1.6, 400)
-    for hue, (name, law) in zip((BLUE, ORANGE), computed.items(), strict=True):
+    for hue, (name, law) in zip(SERIES, computed.items(), strict=False):
         exact, near, dots = law(dense), law(f), measured[name]
         magnitude.semilogx(dense, _decibels(exact), color=hue, label=f"{name} by (11)")
         magnitude.semilogx(f, _decibels(dots), "o", color=hue, markersize=4)

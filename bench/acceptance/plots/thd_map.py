@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from bench.analysis.capture import F64
-from bench.reports.style import BLUE, FONT_SIZE, GREEN, LINE_WIDTH, ORANGE, PURPLE, axis_labels, new_figure
-
-MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"))
+from bench.analysis.colours import SPARES
+from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, new_figure
 
 
 def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Mapping[str, F64]) -> Figure:
@@ -24,8 +23,8 @@ def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Ma
     """
     figure, axes = new_figure(1, len(approaches), height=3.2)
     for ax, (name, thd) in zip(axes, approaches.items(), strict=True):
-        for (hue, mark), amps, y in zip(MARKS, loads, thd, strict=False):
-            ax.plot(speeds, y, marker=mark, color=hue, linewidth=LINE_WIDTH, markersize=4, label=f"{amps:g} A")
+        for look, amps, y in zip(SPARES, loads, thd, strict=False):
+            ax.plot(speeds, y, marker=look.mark, color=look.paper, lw=LINE_WIDTH, markersize=4, label=f"{amps:g} A")
         axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)

@@ -424,4 +424,4 @@ def test_lines_do_not_cross_the_plot_where_an_angle_wraps() -> None:
 
 def test_a_quantity_has_one_colour() -> None:
     assert style.colour("theta_vt") == style.colour("omega_vt") != style.colour("theta_avg")
-    assert style.colour("a name that nobody knows") in style.SPARE_COLOURS
+    assert style.colour("a name that nobody knows") in style.SERIES
