@@ -12,10 +12,13 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from protocol.signals import AngleSource
 
 DOCS = Path(__file__).parent
 PARTS = DOCS / "observers"
@@ -53,13 +56,20 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
-def page() -> str:
-    """The page from its words and the numbers of the last run."""
+def page(numbers: Mapping[str, Any] | None = None) -> str:
+    """The page from its words and some numbers, those of the last run by default."""
     words = Environment(
         loader=FileSystemLoader(PARTS), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True
     )
     words.filters["n"] = number
-    return words.get_template("observers.md.j2").render(**json.loads(NUMBERS.read_text()))
+    own = DOCS / "examples" / "own_observer"
+    return words.get_template("observers.md.j2").render(
+        **(numbers or json.loads(NUMBERS.read_text())),
+        sections=[path.name.removesuffix(".md.j2") for path in PARTS.glob("*.md.j2")],
+        own_observer=(own / "smoothed_average.py").read_text().rstrip(),
+        own_project=(own / "pyproject.toml").read_text().rstrip(),
+        next_source=max(AngleSource) + 1,
+    )
 
 
 def number(value: float | None, places: int | None = None) -> str:

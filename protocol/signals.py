@@ -226,7 +226,7 @@ def _channel(
     return Signal(id, name, unit, raw, scale, Flag.CHANNEL | flags, about)
 
 
-def _estimate(id: int, short: str, about: str) -> tuple[Signal, Signal]:
+def estimate_channels(id: int, short: str, about: str) -> tuple[Signal, Signal]:
     """The angle (channel `id`) and the speed (`id` + 1) of an observer, for those who ask for them."""
     flags = Flag.ESTIMATE | Flag.ON_REQUEST
     return (
@@ -262,14 +262,14 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(24, "omega_true", Unit.RAD_PER_S, SPEED, "the plant's electrical speed", Flag.TRUTH),
     _channel(25, "tau_e_true", Unit.NM, 1 / 16384, "the plant's electromagnetic torque", Flag.TRUTH),
     _channel(26, "tau_load_true", Unit.NM, 1 / 16384, "torque of the load machine on the shaft", Flag.TRUTH),
-    *_estimate(27, "la", "vector tracking with load-angle compensation, (18)-(19)"),
-    *_estimate(29, "zero", "the centre of the Hall sector [14]"),
-    *_estimate(31, "lut", "average speed with the table of edges [15]"),
-    *_estimate(33, "hv", "vector tracking of the Hall vector [16]"),
-    *_estimate(35, "hvd", "the same, harmonics decoupled [17]"),
-    *_estimate(37, "plf", "rotor flux by the programmable filter [18]"),
-    *_estimate(39, "q15", "vector tracking in 16-bit integers"),
-    *_estimate(41, "le", "back-EMF and learned Hall edges"),
+    *estimate_channels(27, "la", "vector tracking with load-angle compensation, (18)-(19)"),
+    *estimate_channels(29, "zero", "the centre of the Hall sector [14]"),
+    *estimate_channels(31, "lut", "average speed with the table of edges [15]"),
+    *estimate_channels(33, "hv", "vector tracking of the Hall vector [16]"),
+    *estimate_channels(35, "hvd", "the same, harmonics decoupled [17]"),
+    *estimate_channels(37, "plf", "rotor flux by the programmable filter [18]"),
+    *estimate_channels(39, "q15", "vector tracking in 16-bit integers"),
+    *estimate_channels(41, "le", "back-EMF and learned Hall edges"),
     _channel(
         43,
         "sensors_le",

@@ -133,10 +133,16 @@ class StreamConfig:
 
     def channel(self, name: str) -> Channel | Signal:
         """Return the channel of that name; KeyError, naming what there is, if it is not in the stream."""
+        if name not in self._by_name:
+            raise KeyError(f"no channel {name!r} in the stream; there are: {', '.join(self._by_name)}")
+        return self._by_name[name]
+
+    @cached_property
+    def _by_name(self) -> dict[str, Channel | Signal]:
+        found: dict[str, Channel | Signal] = {}
         for channel in self.channels:
-            if channel.name == name:
-                return channel
-        raise KeyError(f"no channel {name!r} in the stream; there are: {', '.join(c.name for c in self.channels)}")
+            found.setdefault(channel.name, channel)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +175,7 @@ class SampleChunk:
     def physical(self, name: str) -> NDArray[np.float64]:
         """Return a channel in its unit: raw * scale + offset in float64, shape (n,)."""
         channel = self.config.channel(name)
-        values: NDArray[np.float64] = self.raw[name].astype(np.float64) * channel.scale
+        values: NDArray[np.float64] = np.multiply(self.raw[name], channel.scale, dtype=np.float64)
         return values + channel.offset if channel.offset else values
 
 

@@ -3,37 +3,49 @@
 Numba's own disk cache watches only the file of the cached function: an edited helper in another file leaves a
 stale caller. So the kernels live in a directory whose name holds a hash of every source that kernels are made
 of, together with the versions of Python and numba: any edit starts a fresh directory, and old ones are
-pruned.
+pruned. Only what Python calls is kept (`sim.native`): the kernels that it is made of are in it.
 
 `$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory. Other packages' numba caches are
 never touched. Importing this module does not import numba; its decorators do.
 
 Signals: numba is not made for handlers that raise, such as Python's own of Ctrl-C. A handler runs between any two
-steps of Python code, and numba runs Python code where no exception may come out of it. Compiled code that returns a
-NamedTuple calls the class and uses the result unchecked: NULL, and the process ends in a segmentation fault. Where LLVM
-calls back while it compiles or loads, the exception is printed and lost. So signals wait (`sim.interrupts`): while a
-function compiles until the next pass, and while one runs that returns a NamedTuple to Python until it has returned.
+steps of Python code, and LLVM calls Python back while it compiles or loads: there an exception is printed and lost. So
+signals wait (`sim.interrupts`) while a function compiles, until the next pass.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from types import ModuleType
+from typing import Any, ClassVar, TypeVar, cast
 
 from sim.interrupts import Held
 
-__all__ = ["cache_dir", "is_warm", "jit", "kernel", "settled", "source_hash"]
+__all__ = [
+    "Locator",
+    "cache_dir",
+    "compiled_for_c",
+    "is_kept",
+    "kernel",
+    "source_hash",
+    "source_stamp",
+    "tell_by",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+TELL_EVERY = 1.0  # s
 KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
 
@@ -75,6 +87,25 @@ def source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
+@cache
+def source_stamp(module: str) -> str:
+    """Hash of a module's sources, if it is none of those that `source_hash` is made of; else empty.
+
+    Of a package's module all that is in the package counts: kernels are made of one another.
+    """
+    top = module.partition(".")[0]
+    if top in ("sim", "protocol"):
+        return ""
+    found = sys.modules.get(top) or sys.modules.get(module)
+    folders = [Path(folder) for folder in getattr(found, "__path__", ())]
+    file = getattr(sys.modules.get(module), "__file__", None)
+    paths = sorted(path for folder in folders for path in folder.rglob("*.py")) or ([Path(file)] if file else [])
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def _user_cache_dir() -> Path:
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(given)
@@ -93,15 +124,13 @@ def cache_dir() -> Path:
     return _user_cache_dir() / "hallbench" / f"numba-{source_hash()}"
 
 
-def is_warm(module: str = "tick", function: str = "advance") -> bool:
-    """Whether a kernel is compiled and kept for the present sources (default: the drive's control tick).
+def is_kept(function: Callable[..., Any]) -> bool:
+    """Whether a function that was compiled for C is kept for the present sources: its next use compiles nothing.
 
-    Cheap: it looks for a file and imports nothing. False means that the first use compiles, for some ten
-    seconds.
+    Cheap: it looks for a file and imports nothing.
     """
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        return True
-    return any(cache_dir().glob(f"*/{module}.{function}-*.nbc"))
+    folder = cache_dir() / function.__module__
+    return any(folder.glob(f"*.{function.__qualname__}-*.nbc"))
 
 
 @cache
@@ -119,64 +148,168 @@ def _prepare() -> str:
     return str(own)
 
 
-def jit(function: F) -> F:
-    """Compile a function: `numba.njit(cache=True, nogil=True)`, strict IEEE arithmetic, kept in `cache_dir()`.
-
-    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the
-    plain function agree bit for bit. Division by zero raises, as in Python. Where no cache can be written, it
-    compiles in every process.
-    """
-    return _compile(function)
-
-
 def kernel(function: F) -> F:
-    """`jit` for what runs within a period: put into its caller, without counting references to arrays.
+    """A function that compiled code puts into itself: strict IEEE arithmetic, no references to arrays counted.
 
-    It must not make an array. Nearly a hundred nanoseconds a period are in it: a reference is counted with an
-    atomic operation each time that an array is handed on.
+    Arithmetic keeps to the order of the source (no fastmath, no contraction), so that the compiled and the plain
+    function agree bit for bit, but where something is divided by zero: compiled that gives an infinity or NaN. It must
+    not make an array. Called from Python it runs as the plain function that it is: what a call from Python takes, for
+    tuples within tuples, would be two fifths of all that is to be compiled.
     """
-    return _compile(function, _nrt=False, forceinline=True, no_cfunc_wrapper=True)
-
-
-def settled(function: F) -> F:
-    """A compiled function that is always called with the same types: they are resolved at the first call only.
-
-    For nested tuples numba takes 30 us a call to find their types. No handler of a signal runs before it has returned.
-    """
-    entry: Callable[..., Any] | None = None
-
-    def call(*arguments: Any) -> Any:
-        nonlocal entry
-        with Held():
-            if entry is not None:
-                return entry(*arguments)
-            result = function(*arguments)
-            overloads = list(getattr(function, "overloads", {}).values())  # none with NUMBA_DISABLE_JIT
-            if len(overloads) == 1:
-                entry = overloads[0].entry_point
-            return result
-
-    return cast("F", call)
-
-
-def _compile(function: F, **options: bool) -> F:
     import numba
+
+    njit: Any = numba.njit
+    made = njit(
+        nogil=True,
+        error_model="numpy",
+        forceinline=True,
+        no_cfunc_wrapper=True,
+        no_cpython_wrapper=True,
+        _nrt=False,
+    )(function)
+    if hasattr(made, "py_func"):  # not with NUMBA_DISABLE_JIT
+        made.__class__ = _plainly_called(cast("Any", type(made)))
+    return cast("F", made)
+
+
+@cache
+def _plainly_called(dispatcher: Any) -> type[Any]:
+    class Kernel(dispatcher):  # type: ignore[misc]
+        def __call__(self, *arguments: Any) -> Any:
+            return self.py_func(*arguments)
+
+    return Kernel
+
+
+def compiled_for_c(function: Callable[..., None], arguments: Sequence[Any]) -> int:
+    """The address of a function compiled for C's calls: `arguments` are numba's types, it returns nothing.
+
+    Where no cache can be written, it compiles in every process. What it compiles is told (`tell_by`).
+    """
+    import numba
+
+    cfunc: Any = numba.cfunc
+    signature = numba.types.void(*arguments)
+    with _kept_by_numba(), nullcontext() if is_kept(function) else _told(function):
+        try:
+            compile_ = cfunc(signature, cache=bool(_prepare()), error_model="numpy", _nrt=False)
+            made = _between_passes(compile_)(function)
+        except RuntimeError:  # numba: "no locator available", the directory became unwritable
+            compile_ = cfunc(signature, error_model="numpy", _nrt=False)
+            made = _between_passes(compile_)(function)
+    _FUNCTIONS.append(made)
+    address: int = made.address
+    return address
+
+
+_FUNCTIONS: list[Any] = []  # what is compiled for C, alive as long as the process
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+class Progress:
+    """How much has been compiled in this process, and how that is told."""
+
+    tell: ClassVar[Callable[[str], None]] = _print
+    done: ClassVar[int] = 0
+    of: ClassVar[int] = 0
+    told: ClassVar[float] = -math.inf
+
+
+def tell_by(tell: Callable[[str], None]) -> None:
+    """From now on `tell` gets a line now and then while something compiles; before, standard error does."""
+    Progress.tell = tell
+
+
+@contextmanager
+def _told(function: Callable[..., Any]) -> Iterator[None]:
+    """Tell how far compiling has come."""
+    from numba.core import event
+
+    class Kernels(event.Listener):
+        def on_start(self, event: object) -> None:
+            _count(0)
+
+        def on_end(self, event: object) -> None:
+            _count(1)
+
+    Progress.of += 1 + len([one for one in kernels_of(function) if not one.signatures])
+    with event.install_listener("numba:compile", Kernels()):
+        yield
+    Progress.done = Progress.of
+
+
+def _count(kernels: int) -> None:
+    Progress.done = min(Progress.done + kernels, Progress.of)
+    if time.monotonic() - Progress.told >= TELL_EVERY:
+        Progress.told = time.monotonic()
+        Progress.tell(f"compiling, once on this machine: {Progress.done} of {Progress.of} kernels")
+
+
+def kernels_of(function: Any, found: set[Any] | None = None) -> set[Any]:
+    """All kernels that a function is made of, by the names in its code."""
+    found = set() if found is None else found
+    named, known = function.__code__.co_names, function.__globals__
+    values = [known.get(name) for name in named]
+    values += [getattr(module, name, None) for module in values if isinstance(module, ModuleType) for name in named]
+    for value in values:
+        if hasattr(value, "py_func") and value not in found:
+            found.add(value)
+            kernels_of(value.py_func, found)
+    return found
+
+
+class Locator:
+    """Where numba keeps a compiled function, and when that is stale: by the sources' hash, wherever they are installed.
+
+    numba's interface of a cache locator (its option NUMBA_CACHE_LOCATOR_CLASSES).
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._line = function.__code__.co_firstlineno
+        self._folder = cache_dir() / function.__module__
+        self._py_file = function.__code__.co_filename  # numba names it in warnings
+        self._stamp = source_stamp(function.__module__)
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Locator | None:
+        """The locator of a function; None where no cache can be written."""
+        made = cls(function)
+        try:
+            made._folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return None
+        return made
+
+    def get_cache_path(self) -> str:
+        """The folder, which exists."""
+        return str(self._folder)
+
+    ensure_cache_path = get_cache_path
+
+    def get_source_stamp(self) -> str:
+        """What changes with the sources that the folder's name does not stand for."""
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        """What tells functions of one name in a module apart."""
+        return str(self._line)
+
+
+@contextmanager
+def _kept_by_numba() -> Iterator[None]:
+    """Let numba keep what is made within in `cache_dir()`."""
     import numba.core.config
 
     config: Any = numba.core.config
-    njit: Any = numba.njit
-    directory = _prepare()
-    before = config.CACHE_DIR
-    config.CACHE_DIR = directory or before
+    before = config.CACHE_LOCATOR_CLASSES
+    config.CACHE_LOCATOR_CLASSES = f"{__name__}.Locator"
     try:
-        compiled = njit(cache=bool(directory), nogil=True, fastmath=False, **options)(function)
-    except RuntimeError:  # numba: "no locator available", the directory became unwritable
-        compiled = njit(nogil=True, fastmath=False, **options)(function)
+        yield
     finally:
-        config.CACHE_DIR = before
-    if hasattr(compiled, "_compile_for_args"):  # not with NUMBA_DISABLE_JIT
-        compiled._compile_for_args = _between_passes(compiled._compile_for_args)
-    return cast("F", compiled)
+        config.CACHE_LOCATOR_CLASSES = before
 
 
 def _between_passes(compile_: Callable[..., Any]) -> Callable[..., Any]:

@@ -76,7 +76,7 @@ def test_functions_are_small(nodes: Nodes) -> None:
         f"{file.relative_to(ROOT)}:{function.lineno} {function.name}"
         for file, function in nodes
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
-        and not {"kernel", "jit"} & {ast.unparse(decorator) for decorator in function.decorator_list}
+        and not {"kernel", "native", "intrinsic"} & {ast.unparse(decorator) for decorator in function.decorator_list}
         and (parameters_of(function) > MOST_PARAMETERS or lines_of(function) > MOST_LINES)
     ]
     assert not large

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+from bench.analysis.sources import source_short
 from protocol.descriptor import Channel
-from protocol.signals import SHORT, Flag, Signal, Unit
-
-_SHORT = {float(source): short for source, short in SHORT.items()}
+from protocol.signals import Flag, Signal, Unit
 
 
 def flagged(channels: Iterable[Channel | Signal], unit: Unit, *flags: Flag) -> str:
@@ -30,6 +29,6 @@ def speed_channel(channels: Iterable[Channel | Signal], parameters: Mapping[str,
     speeds = [channel for channel in channels if channel.unit == Unit.RAD_PER_S]
     if reference := flagged(speeds, Unit.RAD_PER_S, Flag.REFERENCE):
         return reference
-    own = f"omega_{_SHORT.get(parameters.get('observer', math.nan))}"
+    own = f"omega_{source_short(parameters.get('observer', math.nan))}"
     estimates = [channel.name for channel in speeds if channel.flags & Flag.ESTIMATE]
     return own if own in estimates else next(iter(estimates), "")

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from bench.analysis.sources import source_number
 from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import note
@@ -19,11 +20,14 @@ from protocol.signals import SOURCE_NAMES
 
 
 class Observer(click.Choice[str]):
-    """A name of an observer, written with - or _."""
+    """A name of an observer, written with - or _; of one that is not in the protocol's table too."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Read it, or say why not."""
-        return super().convert(str(value).replace("_", "-"), param, ctx)
+        name = str(value).replace("_", "-")
+        if name not in self.choices and source_number(name) is not None:
+            return name
+        return super().convert(name, param, ctx)
 
 
 @click.command("live")

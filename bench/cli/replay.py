@@ -78,10 +78,11 @@ def command(
 
 def _list(json_file: Path | None) -> None:
     from bench.cli.output import table
-    from sim.observers.catalogue import CATALOGUE
+    from sim.observers.catalogue import BROKEN, CATALOGUE
 
     headers = ("observer", "short", "source")
     rows = [[entry.name, entry.short, entry.source] for entry in CATALOGUE.values()]
+    rows += [[name, "", f"cannot be used: {why}"] for name, why in BROKEN.items()]
     if json_file is not None:
         write_json(json_file, [dict(zip(headers, row, strict=True)) for row in rows])
         return

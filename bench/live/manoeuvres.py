@@ -20,7 +20,7 @@ class Act:
     seconds: float
     speed_rpm: float
     load_a: float
-    source: AngleSource | None  # None leaves it alone
+    source: int | None  # None leaves it alone
 
 
 AVERAGE, TRACKING = AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING

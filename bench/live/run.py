@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.analysis.sources import source_number, source_short
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.bus import BusMeter
 from bench.device.client import POLL, WATCHDOG, Sink
@@ -38,7 +39,6 @@ from protocol.codes import fault_names
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
 from protocol.links import Link, open_link
-from protocol.signals import SHORT, SOURCE_NAMES
 from protocol.streams import StreamConfig
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class LiveRun:
             return SHOW
         if options.speed_rpm is None and options.load_a is None:
             return ()
-        source = SOURCE_NAMES[options.observer] if options.observer else None
+        source = source_number(options.observer) if options.observer else None
         title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"
         return (Act(title, math.inf, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
 
@@ -241,7 +241,7 @@ class LiveRun:
         names = self.options.channels
         if not self.options.observer or not all(name.startswith("+") for name in names or ()):
             return names
-        short = SHORT[SOURCE_NAMES[self.options.observer]]
+        short = source_short(source_number(self.options.observer) or 0)
         offered = {channel.name for channel in self.drive.descriptor.channels}
         return (*(names or ()), *(f"+{n}" for n in (f"theta_{short}", f"omega_{short}") if n in offered))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,65 +21,62 @@ from bench.errors import BenchError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
-from sim.interrupts import Held
-from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, Entry, chosen, missing
+from sim.native import layout
+from sim.observers import hall_speed, sample
+from sim.observers.catalogue import BROKEN, CATALOGUE
+from sim.observers.entry import Entry, chosen, missing
 
 INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
 OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
 """Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
-CHECKED = {
-    f"{what}_{entry.short}": (entry.name, what) for entry in CATALOGUE.values() for what in ("theta", "omega")
-} | {
-    **{name: ("vector_tracking", name) for name in ("delta_hat", "e_alpha", "e_beta")},
-    "sensors_le": ("learned_edges", "sensors"),
-}
+CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
+MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Arguments = tuple[Any, ...]  # arrays, one for each parameter of the kernels after params and state
+Records = NDArray[np.void]
+
+
+class _Seen(NamedTuple):
+    """What the front end takes."""
+
+    measured: Records  # MEASURED, shape (n,)
+    edges: Records  # EDGE, those up to the last of them
+    reset: Flags
 
 
 class _Inputs:
-    """Chunks in, arguments of the kernels out: edges wait here for the samples that cover them."""
+    """Chunks in, what the front end takes out: edges wait here for the samples that cover them."""
 
     def __init__(self) -> None:
         self._i_q = 0.0  # of the last sample, A
-        self._edge_tick: NDArray[np.int64] = np.empty(0, np.int64)
-        self._edge_hall: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self._edges: Records = np.empty(0, EDGE)
 
     def edges(self, chunk: EdgeChunk) -> bool:
         """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use.
 
         Whether such older edges were dropped.
         """
-        anew = bool(len(chunk) and len(self._edge_tick) and chunk.tick[0] < self._edge_tick[-1])
-        if anew:
-            self._edge_tick, self._edge_hall = self._edge_tick[:0], self._edge_hall[:0]
-        self._edge_tick = np.concatenate([self._edge_tick, chunk.tick])
-        self._edge_hall = np.concatenate([self._edge_hall, chunk.hall_new])
+        anew = bool(len(chunk) and len(self._edges) and chunk.tick[0] < self._edges["tick"][-1])
+        new = np.empty(len(chunk), EDGE)
+        new["tick"], new["code"] = chunk.tick, chunk.hall_new
+        self._edges = new if anew else np.concatenate([self._edges, new])
         return anew
 
-    def take(self, chunk: SampleChunk, reset: Flags) -> Arguments:
-        """What `sample.run` takes after params and state: samples, the edges up to them, resets."""
+    def take(self, chunk: SampleChunk, reset: Flags) -> _Seen:
+        """What was measured, the edges up to it, resets."""
         names = chunk.raw.dtype.names or ()
-        used = int(np.searchsorted(self._edge_tick, chunk.tick[-1], side="right"))
-        due = self._edge_tick[:used], self._edge_hall[:used]
-        self._edge_tick, self._edge_hall = self._edge_tick[used:], self._edge_hall[used:]
-        i_q_err = np.zeros(len(chunk))
+        measured = np.empty(len(chunk), MEASURED)
+        measured["tick"], measured["hall"], measured["i_q_err"] = chunk.tick, chunk.raw["hall"], 0.0
+        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
+            measured[name] = chunk.physical(name)
         if "i_q" in names and "i_q_ref" in names:
             i_q = chunk.physical("i_q")
-            i_q_err = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
+            measured["i_q_err"] = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
             self._i_q = float(i_q[-1])
-        measured = (chunk.physical(name) for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"))
-        return (chunk.tick, np.ascontiguousarray(chunk.raw["hall"]), *measured, i_q_err, *due, reset)
-
-
-def _one_sample() -> Arguments:
-    """Arguments of one sample, for compiling, or loading what was compiled, before a motor turns."""
-    x = np.zeros(1)
-    measured = np.zeros(1, np.int64), np.ones(1, np.uint8), x, x, x, x, x, x
-    return *measured, np.empty(0, np.int64), np.empty(0, np.uint8), np.ones(1, bool)
+        used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
+        due, self._edges = self._edges[:used], self._edges[used:]
+        return _Seen(measured, due, reset)
 
 
 def _drive_resets(chunk: SampleChunk) -> Flags:
@@ -125,7 +122,7 @@ class HostObservers:
         valid: Flags = last_reset >= last_gap
         self._synchronised = bool(valid[-1])
         found = self._kernels.run(self._inputs.take(chunk, reset))
-        return {name: getattr(found[observer], field) for name, (observer, field) in self.checked.items()}, valid
+        return {name: found[observer][field] for name, (observer, field) in self.checked.items()}, valid
 
     def compare(self, chunk: SampleChunk) -> tuple[int, int]:
         """Number of samples compared with the drive's own estimates, and of those that differ in any raw bit."""
@@ -147,34 +144,23 @@ class _Kernels:
         _require("the Hall front end", missing(sample.Settings, parameters))
         for entry in entries:
             _require(entry.name, entry.missing(parameters))
-        self._front = sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters))
-        self._observers = [(entry, entry.make_params(stream.pwm_hz, parameters)) for entry in entries]
-        with Held():  # kernels that return a NamedTuple
-            self._front_state = sample.init()
-            self._states = {entry.name: entry.init() for entry in entries}
-        self._clear_times()
-        self.run(_one_sample())
-        self._clear_times()
-
-    def _clear_times(self) -> None:
-        self.seconds = dict.fromkeys(self._states, 0.0)
+        self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
+        self._observers = {entry.name: entry.start(entry.make_params(stream.pwm_hz, parameters)) for entry in entries}
+        self.seconds = dict.fromkeys(self._observers, 0.0)
         self.front_seconds = 0.0
         self.steps = 0
 
-    def run(self, arguments: Arguments) -> dict[str, Any]:
-        """The observers' estimates by name, from what `_Inputs.take` gives."""
-        reset = arguments[-1]
+    def run(self, seen: _Seen) -> dict[str, Records]:
+        """The observers' estimates by name."""
         found = {}
         begun = time.thread_time()
-        with Held():  # kernels that return a NamedTuple
-            self._front_state, samples = sample.run(self._front, self._front_state, *arguments)
-            self.front_seconds += time.thread_time() - begun
-            for entry, params in self._observers:
-                begun = time.thread_time()
-                state = self._states[entry.name]
-                self._states[entry.name], found[entry.name] = entry.run(params, state, samples, reset)
-                self.seconds[entry.name] += time.thread_time() - begun
-        self.steps += len(reset)
+        samples = self._front.run(*seen)
+        self.front_seconds += time.thread_time() - begun
+        for name, observing in self._observers.items():
+            begun = time.thread_time()
+            found[name] = observing.run(samples, seen.reset)
+            self.seconds[name] += time.thread_time() - begun
+        self.steps += len(seen.reset)
         return found
 
 
@@ -246,7 +232,7 @@ class Estimators:
         self.restarts["lost_edges"] += len(after)
         reset[lost] = reset[after] = True
         found = self._kernels.run(self._inputs.take(chunk, reset))
-        return {name: Estimate(estimates.theta, estimates.omega) for name, estimates in found.items()}
+        return {name: Estimate(estimates["theta"], estimates["omega"]) for name, estimates in found.items()}
 
 
 def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[str, ...]:
@@ -272,6 +258,8 @@ def entry_of(name: str) -> Entry:
     wanted = name.replace("-", "_")
     if wanted in known:
         return known[wanted]
+    if wanted in BROKEN:
+        raise BenchError(f"observer '{name}' cannot be used: {BROKEN[wanted]}")
     there = ", ".join(f"{entry.name} ({entry.short})" for entry in CATALOGUE.values())
     raise BenchError(f"no observer '{name}'{did_you_mean(wanted, known)}; there are {there}")
 

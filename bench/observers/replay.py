@@ -29,8 +29,9 @@ from bench.rerunio.sinks import FileSink
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
 from protocol.streams import EdgeChunk, SampleChunk
-from sim.observers import catalogue, sample
+from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import names as names_of
 
 WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
 BEGAN = {
@@ -165,7 +166,7 @@ def checked_settings(
     settings: Mapping[str, float], observers: Sequence[str], recorded: Mapping[str, float]
 ) -> dict[str, float]:
     """`settings` by the parameters' full names. BenchError for what none of the observers has, or is out of range."""
-    used = set(catalogue.names(sample.Settings)).union(*(entry_of(name).parameters for name in observers))
+    used = set(names_of(sample.Settings)).union(*(entry_of(name).parameters for name in observers))
     known = {parameter.name: parameter for parameter in DRIVE_PARAMETERS}
     checked: dict[str, float] = {}
     for given, value in settings.items():

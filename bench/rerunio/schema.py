@@ -27,7 +27,7 @@ from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
-from protocol.signals import DRIVE_CHANNELS, Flag, RawType, Signal, Unit
+from protocol.signals import DRIVE_CHANNELS, SHORT, Flag, RawType, Signal, Unit
 from protocol.streams import StreamConfig
 
 APPLICATION = "hallbench"
@@ -99,30 +99,12 @@ def mean_component(component: str) -> str:
 
 
 LABELS = {
-    "theta_enc": "encoder",
-    "omega_enc": "encoder",
+    f"{what}_{short}": source.name.lower().replace("_", " ").replace("hall", "Hall")
+    for source, short in SHORT.items()
+    for what in ("theta", "omega")
+} | {
     "theta_true": "plant",
     "omega_true": "plant",
-    "theta_avg": "average speed",
-    "omega_avg": "Hall average",
-    "theta_vt": "vector tracking",
-    "omega_vt": "vector tracking",
-    "theta_la": "with load angle",
-    "omega_la": "with load angle",
-    "theta_zero": "zeroth order",
-    "omega_zero": "zeroth order",
-    "theta_lut": "look-up table",
-    "omega_lut": "look-up table",
-    "theta_hv": "Hall vector",
-    "omega_hv": "Hall vector",
-    "theta_hvd": "Hall vector, decoupled",
-    "omega_hvd": "Hall vector, decoupled",
-    "theta_plf": "programmable filter",
-    "omega_plf": "programmable filter",
-    "theta_q15": "fixed point",
-    "omega_q15": "fixed point",
-    "theta_le": "learned edges",
-    "omega_le": "learned edges",
     "omega_ref": "reference",
     "i_d_ref": "i_d reference",
     "i_q_ref": "i_q reference",

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from bench.analysis.sources import source_names, source_number
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
@@ -21,7 +22,6 @@ from bench.rig.restore import try_all
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
-from protocol.signals import SOURCE_NAMES
 
 UNITS = {"rad/s": 1.0, "r/min": RPM, "rpm": RPM}
 """Of a speed, in mechanical rad/s."""
@@ -91,9 +91,9 @@ class Drive(Machine):
 
     def observe(self, observer: str) -> None:
         """Change the angle source that the control uses; also while it runs."""
-        source = SOURCE_NAMES.get(observer.replace("_", "-"))
+        source = source_number(observer)
         if source is None:
-            raise BenchError(f"no angle source '{observer}': there are {', '.join(SOURCE_NAMES)}")
+            raise BenchError(f"no angle source '{observer}': there are {', '.join(source_names())}")
         self.set("observer", float(source))
 
     def speed(self, omega_m: float, unit: str = "rad/s", *, unless: Callable[[], bool] = lambda: False) -> None:

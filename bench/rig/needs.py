@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from bench.analysis.channels import flagged, reference_angle
+from bench.analysis.sources import source_number
 from bench.analysis.units import pole_pairs
 from bench.device.node import Node
 from bench.errors import NodeError
 from protocol.messages import Feature
-from protocol.signals import SOURCE_NAMES, Flag, Unit
+from protocol.signals import Flag, Unit
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "the show": ("parameter:n_p", "parameter:psi_f_hat", "parameter:observer"),
@@ -58,11 +59,11 @@ def lacks(node: Node, need: str) -> str:
 
 
 def offers(node: Node, source: str) -> bool:
-    """Whether the parameter `observer` of `node` can be set to this angle source, a name of SOURCE_NAMES."""
+    """Whether the parameter `observer` of `node` can be set to this angle source, by its name."""
     if not node.has_parameter("observer"):
         return False
-    allowed = node.parameter("observer")
-    return allowed.lo <= SOURCE_NAMES[source] <= allowed.hi
+    allowed, number = node.parameter("observer"), source_number(source)
+    return number is not None and allowed.lo <= number <= allowed.hi
 
 
 def require(node: Node, what: str, needs: Iterable[str]) -> None:

@@ -26,8 +26,8 @@ from bench.observers.estimators import Estimators
 from bench.observers.replay import readable_run
 from bench.rerunio.recording import Run
 from bench.scoring.phases import phases_of, speed_of
-from protocol.signals import AngleSource
 from sim.config.params import load_params
+from sim.native import layout
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
 
@@ -95,15 +95,10 @@ def scored(paths: Mapping[str, Path], folder: Path) -> dict[str, Any]:
             "lag": steady["lag"]["angle_us"],
             **{event: by_file[event][name][largest.get(event, "transient")]["max"] for event in EVENTS},
             "ns": steady["step_ns"],
-            "bytes": 8 * _numbers(CATALOGUE[name].init()),
+            "bytes": layout(CATALOGUE[name].kinds[1]).itemsize,
         }
     front = next(file["front_end_ns"] for file in score["files"] if Path(file["path"]).stem == "steady")
-    return {"board": board, "front_ns": front, "front_bytes": 8 * _numbers(sample.init())}
-
-
-def _numbers(state: Any) -> int:
-    """How many numbers a state holds."""
-    return sum(map(_numbers, state)) if isinstance(state, tuple) else int(state is not None)
+    return {"board": board, "front_ns": front, "front_bytes": layout(sample.State).itemsize}
 
 
 def measured(paths: Mapping[str, Path], seen: Seen) -> dict[str, Any]:
@@ -208,11 +203,11 @@ def predicted(drive: Mapping[str, float]) -> dict[str, Any]:
 def closed_loops() -> dict[str, Any]:
     """The drive with each angle source in its control loop: THD (20) of i_a in %, and the course of events."""
     found: dict[str, Any] = {}
-    for source in AngleSource:
+    for source in ("encoder", *CATALOGUE):
         loop = in_the_loop(source)
         thd: dict[str, float | None] = {str(rpm): None for rpm in loop.tripped}
         thd |= {str(rpm): 100.0 * thd_by_angle(theta, i_a).value for rpm, (theta, i_a) in loop.currents.items()}
         words = [f"{stage}: {what}" for stage, what in zip(STAGES, loop.course, strict=False) if what]
         words += [f"{rpm} r/min: {what}" for rpm, what in loop.tripped.items()]
-        found[source.name.lower()] = {"thd": thd, "words": words}
+        found[source] = {"thd": thd, "words": words}
     return found

@@ -15,10 +15,10 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.analysis.sources import source_number
 from bench.analysis.units import RPM
 from bench.errors import NodeError
 from bench.rig.rig import Plan, Recording, Rig
-from protocol.signals import AngleSource
 from sim.config.params import BenchParams, load_params
 from sim.ports.virtual import VirtualLink
 
@@ -32,14 +32,14 @@ LEARNING = 2.0  # s of each of the speeds of `learning`
 CHANNELS = ("theta_enc", "omega_enc", "i_a", "i_q")
 
 
-def rig_for(name: str, observer: AngleSource, table: bool = True, path: Path | None = None) -> Rig:
+def rig_for(name: str, observer: str, table: bool = True, path: Path | None = None) -> Rig:
     """A new simulated bench, with the table of its edges as parameters where `table` is set; recorded to `path`."""
     params = load_params(None, {"load.alpha_m_max": SLOPE})
     rig = Rig(Plan(lambda: VirtualLink.of(params, crc32(name.encode())), "virtual:", virtual=True))
     drive = rig.drive.node
     for key, value in (edges(params) if table else {}).items():
         drive.set(key, value)
-    drive.set("observer", observer)
+    drive.set("observer", source_number(observer))
     return rig.prepare([drive.channels(None if path else CHANNELS)], Recording(path))
 
 
@@ -140,7 +140,7 @@ def record(folder: Path) -> dict[str, Path]:
     paths = {}
     for name, course in {"steady": steady, **EVENTS, "learning": learning}.items():
         paths[name] = folder / f"{name}.rrd"
-        with rig_for(name, AngleSource.ENCODER, table=name != "learning", path=paths[name]) as rig:
+        with rig_for(name, "encoder", table=name != "learning", path=paths[name]) as rig:
             course(rig)
     return paths
 
@@ -167,7 +167,7 @@ STAGES = {
 """What the drive does alone: speed in r/min, and what the load is worth in A."""
 
 
-def in_the_loop(observer: AngleSource) -> InTheLoop:
+def in_the_loop(observer: str) -> InTheLoop:
     """Three speeds, held by the load machine, at 4 A; then a start, two load steps and a reversal on its own."""
     currents: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     tripped: dict[int, str] = {}

@@ -313,7 +313,7 @@ class BenchParams(Section):
         h = 1.0 / (self.clock.pwm_hz * self.clock.substeps)
         motor, inverter = self.motor, self.inverter
         lost = inverter.u_dc * inverter.dead_time * self.clock.pwm_hz + inverter.u_device
-        # Runge-Kutta steps are stable up to 2.78 of these time constants, and good up to about one
+        # the integrator's iteration ends up to four of the last of these time constants, and is good up to about one
         for name, value, least, unit in (
             ("motor.L_d", motor.L_d, motor.R_s * h, "H"),
             ("motor.L_q", motor.L_q, motor.R_s * h, "H"),

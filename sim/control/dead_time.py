@@ -23,6 +23,7 @@ from typing import NamedTuple
 from sim.numba_cache import kernel
 
 I_FADE = 0.3  # A
+PER_FADE = 1.0 / I_FADE
 
 
 class Params(NamedTuple):
@@ -39,7 +40,7 @@ def make_params(pwm_hz: float, *, dead_time_hat: float, dead_time_comp: float) -
 @kernel
 def _share(current: float) -> float:
     """Sign of a phase current, linear below I_FADE."""
-    return min(max(current / I_FADE, -1.0), 1.0)
+    return min(max(current * PER_FADE, -1.0), 1.0)
 
 
 @kernel

@@ -30,8 +30,9 @@ def duties(u_alpha: float, u_beta: float, u_dc: float) -> tuple[float, float, fl
         return 0.5, 0.5, 0.5
     u_a, u_b, u_c = inverse_clarke(u_alpha, u_beta)
     middle = 0.5 * (max(u_a, u_b, u_c) + min(u_a, u_b, u_c))
+    share = 1.0 / u_dc
     return (
-        min(max(0.5 + (u_a - middle) / u_dc, 0.0), 1.0),
-        min(max(0.5 + (u_b - middle) / u_dc, 0.0), 1.0),
-        min(max(0.5 + (u_c - middle) / u_dc, 0.0), 1.0),
+        min(max(0.5 + (u_a - middle) * share, 0.0), 1.0),
+        min(max(0.5 + (u_b - middle) * share, 0.0), 1.0),
+        min(max(0.5 + (u_c - middle) * share, 0.0), 1.0),
     )

@@ -26,10 +26,25 @@ from protocol.signals import (
     Flag,
     Parameter,
     Signal,
+    estimate_channels,
 )
 from sim.config.params import ConfigError
-from sim.drive.machine import SimulatedBench
-from sim.drive.tick_record import ENCODER_CHANNELS
+from sim.drive.machine import SOURCES, SimulatedBench
+
+FURTHER = 0x400  # ids of channels that are not in the protocol's table, from here on
+
+
+ENCODER_CHANNELS = ("theta_enc", "omega_enc")  # what a drive without an encoder does not have
+CHANNELS = (
+    *DRIVE_CHANNELS,
+    *(
+        signal
+        for source, entry in SOURCES.items()
+        if source > max(AngleSource)
+        for signal in estimate_channels(FURTHER + 2 * source, entry.short, entry.source)
+    ),
+)
+"""The drive's channels: those of the protocol's table, and angle and speed of observers that are not in it."""
 
 
 class DriveApp:
@@ -46,12 +61,12 @@ class DriveApp:
         self._bench = bench
         self._defaults = dict(bench.parameters)
         self._store = store
-        self._channels, self._parameters = DRIVE_CHANNELS, DRIVE_PARAMETERS
-        if not bench.params.encoder.present:
-            self._channels = tuple(c for c in DRIVE_CHANNELS if c.name not in ENCODER_CHANNELS)
-            self._parameters = tuple(
-                replace(p, lo=float(AngleSource.AVERAGE_SPEED)) if p.name == "observer" else p for p in DRIVE_PARAMETERS
-            )
+        encoder = bool(bench.params.encoder.present)
+        self._channels = tuple(c for c in CHANNELS if encoder or c.name not in ENCODER_CHANNELS)
+        sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
+        self._parameters = tuple(
+            replace(p, lo=sources[0], hi=sources[1]) if p.name == "observer" else p for p in DRIVE_PARAMETERS
+        )
         if store is not None:
             for name, value in _read_store(store, self._parameters).items():
                 bench.set_param(name, value)

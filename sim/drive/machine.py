@@ -10,52 +10,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.messages import DriveState, Fault, SetpointMode
-from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource
+from protocol.signals import AngleSource
 from protocol.streams import EDGE_RECORD
-from sim.config.params import BenchParams
+from sim.config.params import BenchParams, ConfigError
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
-from sim.drive.tick import Params as BenchConstants
-from sim.drive.tick_record import LOAD_DTYPE, SAMPLE_DTYPE
+from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
-from sim.numba_cache import settled
-from sim.observers import average_speed, bank
+from sim.native import Cells, address, layout, value
+from sim.observers import average_speed, back_emf, sample
+from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import Observing, chosen
+from sim.observers.hall_speed import Edge
+from sim.observers.sample import Sample
 from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
-__all__ = ["Recorded", "SimulatedBench", "Truth"]
+__all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 
-OBSERVED_BY = {
-    channel.id: 1 << source - 1
-    for source, short in SHORT.items()
-    for channel in DRIVE_CHANNELS
-    if source and channel.name in (f"theta_{short}", f"omega_{short}", f"sensors_{short}")
-}
-"""Bit of the observer, as `bank.Params.active` counts them, by the id of a channel that carries its estimate."""
-ALWAYS = 1 << AngleSource.AVERAGE_SPEED - 1 | 1 << AngleSource.VECTOR_TRACKING - 1  # observers that run in any case
+SOURCES = dict(enumerate(CATALOGUE.values(), 1))
+"""The observers by the value of the parameter `observer` that chooses them; 0 is the encoder."""
+FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
+ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
 SHOWN = 0.98  # of the largest speed that the Hall sensors show
+ROW = layout(tick.Row).itemsize // 8  # words
+PORTION = 2048  # periods that run at most before the observers do: what they see is still near
 _FASTEST = 1200.0  # rad/s, twice what any parameter allows: so many edges find room
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """What n periods recorded, as raw telemetry: a sample each, and m edges."""
-
-    index: int  # PWM period of the first sample
-    tick: int  # of the first sample
-    samples: NDArray[np.void]  # SAMPLE_DTYPE
-    load_samples: NDArray[np.void]  # LOAD_DTYPE
-    edges: NDArray[np.void]  # EDGE_RECORD, as on the wire
-    edge_tick: NDArray[np.int64]  # their ticks, not cut to 32 bits
-    log: NDArray[np.float64]  # shape (n, len(LOG_FIELDS)), unrounded; (0, ...) unless asked for
 
 
 class Truth(NamedTuple):
@@ -81,41 +68,46 @@ class SimulatedBench:
         self.params = params
         self.parameters = {name: _f32(value) for name, value in params.drive_parameters().items()}
         self.load_parameters = {name: _f32(value) for name, value in params.load_parameters().items()}
-        self._quantiles = noise.table()
-        self._watched: frozenset[int] = frozenset()
-        self._used = 0  # observers that the control has used since it began to run, a bit each
-        self._source_from, self._source_before = 0, int(self.parameters["observer"])
-        self._params = self._made(self.load_parameters)
+        self.n = 0
+        """Samples taken: the index of the next one."""
+        self.tick = params.clock.start_tick
+        """Device tick of the next sample."""
+        quantiles = noise.table()
+        self._quantiles = Cells(float, len(quantiles))
+        self._quantiles.array[:] = quantiles
+        self._watched: frozenset[str] = frozenset()
+        self._observers: dict[int, Observing] = {}  # by source, those that run
+        self._sections = Sections(())
+        self._used: set[int] = set()  # observers that the control has used since it began to run
+        self._source = self._source_before = int(self.parameters["observer"])
+        self._source_from = 0  # the first sample at which the control uses `_source`, and not `_source_before`
+        self._params, self._state, self._command = Cells(tick.Params), Cells(tick.State), Cells(tick.Command)
         self._drive = tick_firmware.Command(int(DriveState.IDLE), 0, 0.0, 0.0, 0.0)
         self._load = mechanics.Load(mechanics.OFF, 0.0, 0.0)
         self._load_state = int(DriveState.IDLE)
         self._reset = False
         self._edges_per_period = 3 + math.ceil(_FASTEST * params.motor.n_p * 3.0 / math.pi / params.clock.pwm_hz)
         self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
-        theta_e = math.radians(params.mechanics.theta_0_deg)
-        rng = noise.seeded(seed)
-        with Held():  # as in `settled`
-            self._state = tick.init(self._params, theta_e, params.clock.start_tick, self._quantiles, rng)
-
-    @property
-    def n(self) -> int:
-        """Samples taken: the index of the next one."""
-        return int(self._state.k)
-
-    @property
-    def tick(self) -> int:
-        """Device tick of the next sample."""
-        return int(self._state.tick)
+        self._edges, self._wire, self._flags = Cells(Edge, 0), Cells(tick.WireEdge, 0), Cells(np.uint8, 0)
+        self._count = Cells(int)
+        self._samples = Cells(Sample, PORTION)
+        firmware = self._state.array["firmware"]
+        self._faults, self._causes = firmware["faults"], firmware["protection"]["causes"]
+        self._set_params()
+        boot = self._state.array
+        boot["k"], boot["tick"], boot["rng"] = tick.NOT_BOOTED, self.tick, noise.seeded(seed)
+        boot["plant"]["theta_e"] = math.radians(params.mechanics.theta_0_deg)
+        self._run(self._source, 0, np.empty(0), 0, 0)
 
     @property
     def faults(self) -> Fault:
         """Faults that the firmware has latched; the outputs are off while there is one."""
-        return Fault(int(self._state.firmware.faults))
+        return Fault(int(self._faults[0]))
 
     @property
     def fault_causes(self) -> Fault:
         """Faults whose cause was there at the last sample."""
-        return Fault(int(self._state.firmware.protection.causes))
+        return Fault(int(self._causes[0]))
 
     @property
     def outputs_on(self) -> bool:
@@ -125,7 +117,7 @@ class SimulatedBench:
     @property
     def truth(self) -> Truth:
         """The plant's state at the last sample."""
-        plant, motor = self._state.plant, self._params.plant.motor
+        plant, motor = value(integrator.State, self._state.array["plant"][0]), self._constants.plant.motor
         i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
         return Truth(
             plant.theta_e,
@@ -136,31 +128,44 @@ class SimulatedBench:
             pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta),
         )
 
-    def watch(self, channels: frozenset[int]) -> None:
-        """From the next period on run the observers whose estimates are among these channels (ids), and no others.
+    def watch(self, channels: frozenset[str]) -> None:
+        """From the next period on run the observers whose estimates are among these channels (names), and no others.
 
         The average-speed and the vector-tracking observer run always, and so does the one that the control uses.
         """
         if channels != self._watched:
             self._watched = channels
-            self._params = self._made(self.load_parameters)
+            self._choose()
 
-    def _made(self, load_parameters: Mapping[str, float]) -> BenchConstants:
-        source = int(self.parameters["observer"])
-        self._used |= 1 << source >> 1
-        active = self._used
-        for channel in self._watched:
-            active |= OBSERVED_BY.get(channel, 0)
-        made = _make(self.params, self.parameters, load_parameters, active)
-        return made._replace(source=source, source_from=self._source_from, source_before=self._source_before)
+    def _choose(self) -> None:
+        """Run the observers that are to run: those that did before go on, others begin with the next sample."""
+        wanted = self._used | ALWAYS | ({self._source, self._source_before} - {AngleSource.ENCODER, FRONT_END})
+        wanted |= {source for source, entry in SOURCES.items() if not self._watched.isdisjoint(entry.channels)}
+        pwm_hz = self.params.clock.pwm_hz
+        self._observers = {
+            source: self._observers.get(source)
+            or SOURCES[source].start(SOURCES[source].make_params(pwm_hz, self.parameters))
+            for source in sorted(wanted - {FRONT_END})
+        }
+        self._sections = Sections([SOURCES[source] for source in self._observers])
+
+    def _set_params(self) -> None:
+        """Use the parameters as they are now."""
+        self._constants = _make(self.params, self.parameters, self.load_parameters)
+        self._params.first = self._constants
+        pwm_hz = self.params.clock.pwm_hz
+        for source, observing in self._observers.items():
+            observing.params = SOURCES[source].make_params(pwm_hz, self.parameters)
+        self._choose()
 
     def _observe(self, source: int) -> None:
         """Let the control use another angle: at once, or, where that is not known yet, when it has warmed up."""
-        before = self._params
-        self._source_before = before.source if self.n >= before.source_from else before.source_before
-        known = ALWAYS | before.firmware.bank.active
-        cold = self.outputs_on and source and not known >> source - 1 & 1
+        if self.n >= self._source_from:
+            self._source_before = self._source
+        self._source = source
+        cold = self.outputs_on and source not in {AngleSource.ENCODER, FRONT_END, *self._observers}
         self._source_from = self.n + round(WARM_UP * self.params.clock.pwm_hz) if cold else 0
+        self._used |= {source} - {AngleSource.ENCODER}
 
     def enter_state(self, state: DriveState) -> None:
         """Follow the drive's state; without a setpoint yet.
@@ -170,8 +175,8 @@ class SimulatedBench:
         if state == DriveState.ARMED:
             self._reset = True
         if state != DriveState.RUNNING:
-            self._used = self._source_from = 0
-            self._params = self._made(self.load_parameters)
+            self._used, self._source_from, self._source_before = set(), 0, self._source
+            self._choose()
         self._drive = tick_firmware.Command(int(state), 0, 0.0, 0.0, 0.0)
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0) -> None:
@@ -184,9 +189,9 @@ class SimulatedBench:
 
     def clear_faults(self) -> None:
         """Forget the latched faults; what still has a cause comes back as soon as the drive is ARMED."""
-        firmware = self._state.firmware
-        forgiven = firmware._replace(faults=0, protection=protection.forgiven(firmware.protection))
-        self._state = self._state._replace(firmware=forgiven)
+        firmware = self._state.array["firmware"][0]
+        firmware["faults"] = 0
+        firmware["protection"] = protection.forgiven(value(protection.State, firmware["protection"]))
 
     def load_enter_state(self, state: DriveState) -> None:
         """Follow the load machine's state: torque only in RUNNING, none until a setpoint."""
@@ -208,7 +213,7 @@ class SimulatedBench:
         if name == "observer":
             self._observe(int(value))
         self.parameters[name] = _f32(value)
-        self._params = self._made(self.load_parameters)
+        self._set_params()
 
     def set_load_param(self, name: str, value: float) -> None:
         """Set a parameter of the load machine, as a float32; a fault on the wires is there from the next period on.
@@ -218,60 +223,92 @@ class SimulatedBench:
         """
         if name not in self.load_parameters:
             raise KeyError(f"no parameter {name!r}; there are: {', '.join(self.load_parameters)}")
-        changed = self.load_parameters | {name: _f32(value)}
-        self._params = self._made(changed)
-        self.load_parameters = changed
+        before = self.load_parameters
+        self.load_parameters = before | {name: _f32(value)}
+        try:
+            self._set_params()
+        except ConfigError:
+            self.load_parameters = before
+            raise
 
     def get_param(self, name: str) -> float:
         """A firmware parameter as it is used."""
         return self.parameters[name]
 
-    def advance(self, n: int, log: bool = False) -> Recorded:
-        """Run `n` control periods; `log`: also keep estimates and truth unrounded."""
+    def advance(self, n: int) -> Recorded:
+        """Run `n` control periods."""
+        sections, index, first_tick = self._sections, self.n, self.tick
+        block = np.empty(n * sections.words)
+        self._room(n)
+        flags, count = self._flags.array, self._count.array
+        flags[:n] = 0
+        if n:
+            flags[0] = self._reset or not self.n
+            self._reset = False
+        count[0] = 0
+        waits = min(n, max(0, self._source_from - self.n))
+        with Held():  # a handler that raises would leave some of it behind
+            begin = 0
+            while begin < n:
+                source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
+                end = min(upto, begin + PORTION)
+                self._run(source, n, block, begin, end)
+                begin = end
+        m = count[0]
+        edges, wire = self._edges.array[:m].copy(), self._wire.array[:m].astype(EDGE_RECORD)
+        return Recorded(index, first_tick, n, sections, block, edges, wire, self._load_state)
+
+    def _run(self, source: int, n: int, block: NDArray[np.float64], begin: int, end: int) -> None:
+        """Run the periods from `begin` up to `end` of the `n` that `block` is for, then the observers over them."""
+        self._command.first = tick.Command(self._drive, self._load, source)
+        at, words, reset = address(block), self._sections.at, self._flags.at + begin
+        found = {
+            other: at + 8 * n * words[observing.entry.name] + begin * observing.dtype.itemsize
+            for other, observing in self._observers.items()
+        }
+        control = self._observers.get(source)
+        tick.advance(
+            self._params.at,
+            self._state.at,
+            self._command.at,
+            self._quantiles.at,
+            end - begin,
+            reset,
+            at + 8 * begin * ROW,
+            self._samples.at,
+            self._edges.at,
+            self._wire.at,
+            len(self._edges),
+            self._count.at,
+            *(control.loop(found[source]) if control else (0, 0, 0, 0, 0, 0)),
+        )
+        for other, observing in self._observers.items():
+            if other != source:
+                observing.step_over(self._samples.at, reset, end - begin, found[other])
+        self.n += end - begin
+        self.tick += (end - begin) * self.params.clock.period_ticks
+
+    def _room(self, n: int) -> None:
+        """Room for the edges of n periods, and their flags."""
         disturbed = self.load_parameters["hall_glitch"] > 0.0
-        places = (self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n
-        arrays = tick.Arrays(
-            np.empty(n, SAMPLE_DTYPE),
-            np.empty(n, LOAD_DTYPE),
-            np.empty(places, EDGE_RECORD),
-            np.empty(places, np.int64),
-            np.empty(places, np.uint8),
-            np.empty((n if log else 0, len(tick.LOG_FIELDS))),
-        )
-        index, first_tick = self.n, self.tick
-        command = tick.Command(self._drive, self._load, self._load_state, self._reset)
-        # numba hands a uint64 back as an int, and takes that for another type
-        state = self._state._replace(rng=np.uint64(self._state.rng))
-        self._state, m = _advance(self._params, state, command, n, self._quantiles, arrays)
-        self._reset = self._reset and n == 0
-        return Recorded(
-            index,
-            first_tick,
-            arrays.samples,
-            arrays.load_samples,
-            arrays.edges[:m],
-            arrays.edge_tick[:m],
-            arrays.log,
-        )
+        room = (self._edges_per_period + (self._pulse_edges_per_period if disturbed else 0)) * n
+        if room > len(self._edges):
+            self._edges, self._wire = Cells(Edge, room), Cells(tick.WireEdge, room)
+        if n > len(self._flags):
+            self._flags = Cells(np.uint8, n)
 
 
-_advance = settled(tick.advance)
-
-
-def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float], active: int) -> BenchConstants:
-    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`.
-
-    `active`: the observers that run (see `bank.Params`).
-    """
-    has_encoder = bool(p.encoder.present)
+def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float]) -> tick.Params:
+    """The kernels' constants for a bench whose firmware has the parameters `drive`, and its load machine `load`."""
     hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
     )
-    return BenchConstants(
+    motor = pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p)
+    return tick.Params(
         integrator.Params(
-            pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p),
+            motor,
             inverter.make_params(
                 p.inverter.u_dc,
                 p.inverter.dead_time,
@@ -281,6 +318,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
                 period,
             ),
             mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
+            integrator.make_decay(motor, period / p.clock.substeps),
         ),
         hall_sensor.make_params(hall.delta_deg, hall.hysteresis_deg, hall.jitter_deg),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
@@ -291,20 +329,18 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float],
             p.current_sensor.range,
             p.current_sensor.bits,
         ),
+        sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
+        back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),
+        shaft_encoder,
+        int(p.encoder.present),
         tick_firmware.Params(
-            bank.make_params(p.clock.tick_hz, p.clock.pwm_hz, active=active, **_some(drive, *bank.PARAMETERS)),
             current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
             dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp")),
-            shaft_encoder,
             _protection(p, drive),
             period,
             drive["n_p"],
-            has_encoder,
         ),
-        int(drive["observer"]),
-        0,
-        0,
         p.clock.period_ticks,
         p.clock.substeps,
         period / p.clock.substeps,

@@ -3,8 +3,10 @@
 In the period that ends at the sample k
 1. the plant moves from k-1 to k with the duties computed at k-2, and Hall edges are captured in timer ticks;
 2. the sensors are sampled;
-3. the firmware steps its observers, with the edges captured since k-1, and its control (`tick_firmware`);
-4. the sample is recorded, with references and voltages that were in force over the period that ends at it.
+3. the observers' front end is stepped, with the edges captured since k-1, and the observer that the control uses: no
+   other has a say in what happens next, so the others run over the samples after the loop;
+4. the firmware steps its control (`tick_firmware`);
+5. the sample is recorded, with references and voltages that were in force over the period that ends at it.
 
 An edge's tick is that of the first timer clock after it, so it lies in (tick_{k-1}, tick_k].
 
@@ -17,42 +19,24 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, Status
+from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, AngleSource, Status
 from sim.drive import tick_firmware
-from sim.drive.tick_record import (
-    PER_NM,
-    PER_RAD_PER_S,
-    PER_UNIT,
-    angle,
-    clipped,
-    edge_codes,
-    quantised,
-    quantised_u16,
-)
+from sim.drive import tick_protection as protection
+from sim.drive.tick_record import edge_codes, quantised, quantised_u16
+from sim.native import Pointer, invoke, native
 from sim.numba_cache import kernel
-from sim.observers import bank
+from sim.observers import back_emf, hall_speed, sample
+from sim.observers.hall_speed import Edge
+from sim.observers.sample import Measured, Sample
 from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
 
-RESET, CORRECTION, SYNC = int(Status.OBSERVERS_RESET), int(Status.CORRECTION_ON), int(Status.INJECTION_SYNC)
+ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
+RESET = int(Status.OBSERVERS_RESET)
 FAULT = tick_firmware.FAULT
 NEVER = hall_wiring.NEVER
 REFRESH = 256  # samples after which the rotor's cosine and sine are computed anew
-
-LOG_FIELDS = (
-    "theta_avg",
-    "omega_avg",
-    "theta_vt",
-    "omega_vt",
-    "delta_hat",
-    "e_alpha",
-    "e_beta",
-    "theta_e",  # the plant's, unwrapped
-    "omega_e",
-    "i_alpha",  # the plant's
-    "i_beta",
-)
+NOT_BOOTED = -1
 
 
 class Params(NamedTuple):
@@ -62,17 +46,18 @@ class Params(NamedTuple):
     hall: hall_sensor.Params
     wiring: hall_wiring.Params
     current_sensor: current_sensor.Params
+    front: sample.Params
+    back_emf: back_emf.Params
+    encoder: encoder.Params
+    has_encoder: int  # 1: there is one
     firmware: tick_firmware.Params
-    source: int  # AngleSource of the control
-    source_from: int  # the first sample at which it is used
-    source_before: int  # what is used until then
     period_ticks: int
     substeps: int
     h: float  # integration step, s
 
 
 class State(NamedTuple):
-    """Everything that changes."""
+    """Everything that changes, but what observers remember. To boot: `NOT_BOOTED`, tick, rng and the plant's angle."""
 
     k: int  # samples taken
     tick: int  # of the next sample
@@ -81,18 +66,59 @@ class State(NamedTuple):
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
     wiring: hall_wiring.State
+    front: sample.State
+    back_emf: back_emf.State
+    encoder: encoder.State
     firmware: tick_firmware.State
 
 
-class Arrays(NamedTuple):
-    """Where results go: n samples, and edges as far as there are places."""
+class Sensed(NamedTuple):
+    """What the sensors say at a sample, currents as telemetry carries them."""
 
-    samples: NDArray[np.void]  # SAMPLE_DTYPE
-    load_samples: NDArray[np.void]  # LOAD_DTYPE
-    edges: NDArray[np.void]  # EDGE_RECORD
-    edge_tick: NDArray[np.int64]  # the same edges for the observers
-    edge_hall: NDArray[np.uint8]
-    log: NDArray[np.float64]  # shape (n, len(LOG_FIELDS)), or (0, ...) for none
+    counter: int  # encoder
+    i_a: float
+    i_b: float
+    i_c: float
+
+
+class Row(NamedTuple):
+    """What a period records, by the channels' names where there is one; SI units, not rounded, angles not wrapped."""
+
+    hall: int
+    status: int
+    theta_enc: float
+    omega_enc: float
+    i_a: float
+    i_b: float
+    i_c: float
+    u_alpha: float
+    u_beta: float
+    u_dc: float
+    i_d: float
+    i_q: float
+    i_d_ref: float
+    i_q_ref: float
+    omega_ref: float
+    theta_avg: float
+    omega_avg: float
+    e_alpha: float
+    e_beta: float
+    theta_true: float
+    omega_true: float
+    tau_e_true: float
+    tau_load_true: float
+    omega_m: float
+    i_alpha_true: float
+    i_beta_true: float
+
+
+class WireEdge(NamedTuple):
+    """An edge as `protocol.streams.EDGE_RECORD` lays it out."""
+
+    tick: np.uint32
+    codes: np.uint8
+    flags: np.uint8
+    encoder: np.uint16
 
 
 class Command(NamedTuple):
@@ -100,43 +126,50 @@ class Command(NamedTuple):
 
     drive: tick_firmware.Command
     load: mechanics.Load
-    load_state: int  # DriveState of the load machine, for its record
-    reset: bool  # initialise the observers at the first sample
+    source: int  # AngleSource of the control
 
 
 @kernel
-def init(params: Params, theta_e: float, start_tick: int, quantiles: NDArray[np.float64], rng: np.uint64) -> State:
-    """The state at boot with the rotor at rest at `theta_e` (electrical rad)."""
-    rng = noise.advance(rng)
-    counter = encoder.count(params.firmware.encoder, theta_e)
+def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
+    """The state at boot, with the rotor at rest."""
+    rng = noise.advance(state.rng)
+    theta_e = state.plant.theta_e
     hall = hall_sensor.init(params.hall, theta_e, quantiles, rng)
     return State(
         0,
-        start_tick,
+        state.tick,
         rng,
         integrator.init(params.plant, theta_e),
         0.0,
         hall,
         hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
-        tick_firmware.init(counter),
+        sample.init(),
+        back_emf.init(),
+        encoder.init(encoder.count(params.encoder, theta_e)),
+        tick_firmware.init(),
     )
 
 
 @kernel
 def _captured(
-    params: Params, wiring: hall_wiring.State, new: int, tick: int, theta: float, arrays: Arrays, m: int
+    params: Params,
+    wiring: hall_wiring.State,
+    new: int,
+    tick: int,
+    theta: float,
+    edges: Pointer[Edge],
+    wire: Pointer[WireEdge],
+    m: int,
 ) -> tuple[hall_wiring.State, int]:
     """Capture an edge at `tick`, at the angle `theta`, if the code `new` is another one than before."""
     old = wiring.pins
     if new == old:
         return wiring, m
-    arrays.edge_tick[m] = tick
-    arrays.edge_hall[m] = new
-    row = arrays.edges[m]
-    row["tick"] = tick & 0xFFFFFFFF
-    row["codes"] = edge_codes(old, new)
-    row["flags"] = 0
-    row["encoder"] = encoder.count(params.firmware.encoder, theta) if params.firmware.has_encoder else 0
+    edges[m] = Edge(tick, new)
+    count = encoder.count(params.encoder, theta) if params.has_encoder == 1 else 0
+    wire[m] = WireEdge(
+        np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
+    )
     return hall_wiring.State(new, wiring.pulse, wiring.due), m + 1
 
 
@@ -149,18 +182,21 @@ def _edges(
     after: integrator.State,
     tick: int,
     offset: float,
-    arrays: Arrays,
+    edges: Pointer[Edge],
+    wire: Pointer[WireEdge],
     m: int,
-    quantiles: NDArray[np.float64],
+    room: int,
+    quantiles: Pointer[float],
     rng: np.uint64,
 ) -> tuple[hall_sensor.State, hall_wiring.State, int, np.uint64]:
     """Capture the edges between two plant states, those of the sensors and those of false pulses, in order.
 
-    `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far.
+    `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far, of
+    at most `room`.
     """
     n_p = params.plant.motor.n_p
     step_ticks = params.period_ticks / params.substeps
-    while m < arrays.edge_tick.shape[0]:
+    while m < room:
         way = 0
         theta = after.theta_e
         late = math.floor(step_ticks - offset)
@@ -183,44 +219,37 @@ def _edges(
             due = wiring.due
             wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, due, theta, arrays, m)
+            wiring, m = _captured(params, wiring, pins, due, theta, edges, wire, m)
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, captured, theta, arrays, m)
+            wiring, m = _captured(params, wiring, pins, captured, theta, edges, wire, m)
         else:
             break
     return hall, wiring, m, rng
 
 
 @kernel
-def _rewired(params: Params, state: State, arrays: Arrays, m: int) -> tuple[State, int]:
-    """The state with the wires as they are now: a code that changes with them is an edge as the period begins."""
-    pins = hall_wiring.pins(params.wiring, hall_sensor.code(state.hall.number), state.wiring.pulse)
-    tick = state.tick - params.period_ticks + 1
-    wiring, m = _captured(params, state.wiring, pins, tick, state.plant.theta_e, arrays, m)
-    return State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, wiring, state.firmware), m
-
-
-@kernel
 def _move(
     params: Params,
     state: State,
+    wiring: hall_wiring.State,
+    out: tick_firmware.Output,
     load: mechanics.Load,
-    arrays: Arrays,
+    edges: Pointer[Edge],
+    wire: Pointer[WireEdge],
     m: int,
-    quantiles: NDArray[np.float64],
-) -> tuple[State, int]:
+    room: int,
+    quantiles: Pointer[float],
+) -> tuple[integrator.State, float, hall_sensor.State, hall_wiring.State, int, np.uint64]:
     """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
-    out = state.firmware.now
-    if out.on:
+    if out.on == 1:
         applied = inverter.apply(params.plant.inverter, out.d_a, out.d_b, out.d_c)
     else:
         applied = inverter.off()
     plant = state.plant
     hall = state.hall
-    wiring = state.wiring
     rng = state.rng
     alpha = 0.0
     if params.wiring.gap > 0.0 or wiring.due != NEVER:
@@ -235,195 +264,167 @@ def _move(
         if plant.theta_e >= hall.above or plant.theta_e < hall.below or wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
             hall, wiring, m, rng = _edges(
-                params, hall, wiring, before, plant, state.tick, offset, arrays, m, quantiles, rng
+                params, hall, wiring, before, plant, state.tick, offset, edges, wire, m, room, quantiles, rng
             )
-    return State(state.k, state.tick, rng, plant, alpha, hall, wiring, state.firmware), m
+    return plant, alpha, hall, wiring, m, noise.advance(rng)
 
 
 @kernel
 def _sense(
-    params: Params, state: State, i_alpha: float, i_beta: float, quantiles: NDArray[np.float64]
-) -> tuple[np.uint64, tick_firmware.Sensed]:
-    """Sample the sensors; also the generator's next state."""
-    rng = noise.advance(state.rng)
+    params: Params, theta_e: float, i_alpha: float, i_beta: float, quantiles: Pointer[float], rng: np.uint64
+) -> Sensed:
+    """Sample the sensors."""
     sensor = params.current_sensor
     i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
     i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    return rng, tick_firmware.Sensed(
-        state.tick,
-        state.wiring.pins,
-        encoder.count(params.firmware.encoder, state.plant.theta_e),
-        quantised(i_a),
-        quantised(i_b),
-        quantised(i_c),
-        quantised_u16(params.plant.inverter.u_dc),
-    )
+    return Sensed(encoder.count(params.encoder, theta_e), quantised(i_a), quantised(i_b), quantised(i_c))
 
 
 @kernel
-def _silenced(firmware: tick_firmware.State) -> tick_firmware.State:
-    """The firmware's state with the outputs off at once."""
-    off = tick_firmware.output_off()
-    return tick_firmware.State(
-        firmware.bank,
-        firmware.encoder,
-        firmware.current,
-        firmware.speed,
-        firmware.source,
-        0,
-        0.0,
-        0.0,
-        0.0,
-        off,
-        off,
-        firmware.protection,
-        firmware.faults,
-    )
+def _implausible(after: hall_speed.State, before: hall_speed.State, pins: int) -> int:
+    """Implausible edges between two samples, by the front end's counts of illegal codes and skipped sectors."""
+    sampled = 1 if pins == 0 or pins == 7 else 0
+    return after.illegal - before.illegal - sampled + after.skipped - before.skipped
 
 
-@kernel
-def _with_bank(firmware: tick_firmware.State) -> tick_firmware.State:
-    """The firmware's state with its observers initialised."""
-    return tick_firmware.State(
-        bank.init(),
-        firmware.encoder,
-        firmware.current,
-        firmware.speed,
-        firmware.source,
-        firmware.mode,
-        firmware.i_d_ref,
-        firmware.i_q_ref,
-        firmware.i_q,
-        firmware.now,
-        firmware.next,
-        firmware.protection,
-        firmware.faults,
-    )
-
-
-@kernel
+@native
 def advance(
-    params: Params,
-    state: State,
-    command: Command,
+    params_: Pointer[Params],
+    state_: Pointer[State],
+    command_: Pointer[Command],
+    quantiles: Pointer[float],
     n: int,
-    quantiles: NDArray[np.float64],
-    arrays: Arrays,
-) -> tuple[State, int]:
-    """Run `n` periods into `arrays`; returns the state after them and the number of edges captured.
+    reset: Pointer[np.uint8],
+    rows: Pointer[Row],
+    samples: Pointer[Sample],
+    edges: Pointer[Edge],
+    wire: Pointer[WireEdge],
+    room: int,
+    count: Pointer[int],
+    observer: int,
+    observer_params: int,
+    observer_state: int,
+    found: Pointer[float],
+    found_at: int,
+    found_size: int,
+) -> None:
+    """Run `n` periods into `rows` and `samples`; `reset`: before which samples the observers are initialised.
+
+    Edges go to `edges` and `wire` from count[0] on, which is set to how many there are; at most `room`. `observer`: the
+    address of the function of the observer that the control uses, 0: none; `found`: its estimates, at the address
+    `found_at`, of `found_size` bytes each.
 
     The first period of all only takes a sample: nothing has moved yet.
     """
+    params = params_[0]
+    state = state_[0]
+    command = command_[0]
     motor = params.plant.motor
-    n_p = motor.n_p
-    m = int(np.int64(0))  # numba would compile a version of everything for the literal 0 too
-    if command.drive.state != tick_firmware.RUNNING or state.firmware.faults != 0:
-        silenced = _silenced(state.firmware)
-        state = State(state.k, state.tick, state.rng, state.plant, state.alpha_m, state.hall, state.wiring, silenced)
+    if state.k == NOT_BOOTED:
+        state = _booted(params, state, quantiles)
+    firmware = state.firmware
+    if command.drive.state != tick_firmware.RUNNING or firmware.faults != 0:
+        firmware = tick_firmware.silenced(firmware)
+    u_dc = quantised_u16(params.plant.inverter.u_dc)
+    m = count[0]
     for j in range(n):
         first = m
-        if state.k > 0:
-            if j == 0 or state.k == 1:
-                state, m = _rewired(params, state, arrays, m)
-            state, m = _move(params, state, command.load, arrays, m, quantiles)
-
+        k = state.k
         plant = state.plant
+        alpha = state.alpha_m
+        hall = state.hall
+        wiring = state.wiring
+        rng = state.rng
+        if k > 0:
+            if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
+                pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+                begin = state.tick - params.period_ticks + 1
+                wiring, m = _captured(params, wiring, pins, begin, plant.theta_e, edges, wire, m)
+            plant, alpha, hall, wiring, m, rng = _move(
+                params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
+            )
+        else:
+            rng = noise.advance(rng)
+
         i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
-        rng, sensed = _sense(params, state, i_alpha, i_beta, quantiles)
-        before = state.firmware
-        reset = state.k == 0 or (j == 0 and command.reset)
-        if reset:
-            before = _with_bank(before)
-        source = params.source if state.k >= params.source_from else params.source_before
-        firmware, result = tick_firmware.step(
-            params.firmware, before, command.drive, source, sensed, arrays.edge_tick, arrays.edge_hall, first, m
+        sensed = _sense(params, plant.theta_e, i_alpha, i_beta, quantiles, rng)
+        driving = firmware.driving
+        front = state.front
+        emf = state.back_emf
+        if reset[j] != 0:
+            front = sample.init()
+            emf = back_emf.init()
+        hall_before = front.hall
+        measured = Measured(
+            state.tick,
+            wiring.pins,
+            driving.now.u_alpha,
+            driving.now.u_beta,
+            sensed.i_a,
+            sensed.i_b,
+            sensed.i_c,
+            driving.i_q_ref - driving.i_q,
         )
+        front, seen = sample.step(params.front, front, measured, edges, first, m)
+        samples[j] = seen
+        emf, e_alpha, e_beta = back_emf.step(params.back_emf, emf, seen)
+        tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
+        theta_enc = encoder.angle(params.encoder, sensed.counter)
+        angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
+        if observer != 0:
+            invoke(observer, observer_params, observer_state, samples, reset, found_at, found_size, j)
+            at = j * (found_size // 8)
+            angle = tick_firmware.Angle(command.source, found[at], found[at + 1])
+        elif command.source == AVERAGE_SPEED:
+            angle = tick_firmware.Angle(command.source, seen.theta_avg, seen.hall.omega)
+        seen_by_protection = protection.Sensed(
+            max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
+            omega_enc if params.has_encoder == 1 else seen.hall.omega,
+            u_dc,
+            wiring.pins,
+            _implausible(front.hall, hall_before, wiring.pins),
+            front.hall.now.direction,
+            e_alpha,
+            e_beta,
+        )
+        firmware, result = tick_firmware.step(params.firmware, firmware, command.drive, seen_by_protection, seen, angle)
 
-        estimate = result.estimate
         drive_state = FAULT if firmware.faults != 0 else command.drive.state
-        status = drive_state | (min(firmware.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
-        if reset:
+        status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
+        if reset[j] != 0:
             status |= RESET
-        if estimate.correction_on == 1:
-            status |= CORRECTION
-        if estimate.injection_sync == 1:
-            status |= SYNC
         tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta)
-        tau_load = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, state.alpha_m)
-        row = arrays.samples[j]
-        row["hall"] = sensed.hall
-        row["status"] = status
-        row["theta_enc"] = angle(encoder.angle(params.firmware.encoder, sensed.counter))
-        row["omega_enc"] = clipped(result.omega_enc * PER_RAD_PER_S)
-        row["i_a"] = clipped(sensed.i_a * PER_UNIT)
-        row["i_b"] = clipped(sensed.i_b * PER_UNIT)
-        row["i_c"] = clipped(sensed.i_c * PER_UNIT)
-        row["u_alpha"] = clipped(before.now.u_alpha * PER_UNIT)
-        row["u_beta"] = clipped(before.now.u_beta * PER_UNIT)
-        row["u_dc"] = np.uint16(sensed.u_dc * PER_UNIT)
-        row["i_d"] = clipped(result.i_d * PER_UNIT)
-        row["i_q"] = clipped(result.i_q * PER_UNIT)
-        row["i_d_ref"] = clipped(before.i_d_ref * PER_UNIT)
-        row["i_q_ref"] = clipped(before.i_q_ref * PER_UNIT)
-        row["omega_ref"] = clipped(result.omega_ref * PER_RAD_PER_S)
-        row["theta_avg"] = angle(estimate.theta[0])
-        row["omega_avg"] = clipped(estimate.omega[0] * PER_RAD_PER_S)
-        row["theta_vt"] = angle(estimate.theta[1])
-        row["omega_vt"] = clipped(estimate.omega[1] * PER_RAD_PER_S)
-        row["theta_la"] = angle(estimate.theta[2])
-        row["omega_la"] = clipped(estimate.omega[2] * PER_RAD_PER_S)
-        row["theta_zero"] = angle(estimate.theta[3])
-        row["omega_zero"] = clipped(estimate.omega[3] * PER_RAD_PER_S)
-        row["theta_lut"] = angle(estimate.theta[4])
-        row["omega_lut"] = clipped(estimate.omega[4] * PER_RAD_PER_S)
-        row["theta_hv"] = angle(estimate.theta[5])
-        row["omega_hv"] = clipped(estimate.omega[5] * PER_RAD_PER_S)
-        row["theta_hvd"] = angle(estimate.theta[6])
-        row["omega_hvd"] = clipped(estimate.omega[6] * PER_RAD_PER_S)
-        row["theta_plf"] = angle(estimate.theta[7])
-        row["omega_plf"] = clipped(estimate.omega[7] * PER_RAD_PER_S)
-        row["theta_q15"] = angle(estimate.theta[8])
-        row["omega_q15"] = clipped(estimate.omega[8] * PER_RAD_PER_S)
-        row["theta_le"] = angle(estimate.theta[9])
-        row["omega_le"] = clipped(estimate.omega[9] * PER_RAD_PER_S)
-        row["sensors_le"] = estimate.sensors
-        row["delta_hat"] = angle(estimate.delta_hat)
-        row["e_alpha"] = clipped(estimate.e_alpha * PER_UNIT)
-        row["e_beta"] = clipped(estimate.e_beta * PER_UNIT)
-        row["theta_true"] = angle(plant.theta_e)
-        row["omega_true"] = clipped(n_p * plant.omega_m * PER_RAD_PER_S)
-        row["tau_e_true"] = clipped(tau_e * PER_NM)
-        row["tau_load_true"] = clipped(tau_load * PER_NM)
-
-        load_row = arrays.load_samples[j]
-        load_row["omega_m"] = plant.omega_m
-        load_row["tau_load"] = tau_load
-        load_row["status"] = command.load_state
-
-        if j < arrays.log.shape[0]:
-            log = arrays.log[j]
-            log[0] = estimate.theta[0]
-            log[1] = estimate.omega[0]
-            log[2] = estimate.theta[1]
-            log[3] = estimate.omega[1]
-            log[4] = estimate.delta_hat
-            log[5] = estimate.e_alpha
-            log[6] = estimate.e_beta
-            log[7] = plant.theta_e
-            log[8] = n_p * plant.omega_m
-            log[9] = i_alpha
-            log[10] = i_beta
-
-        state = State(
-            state.k + 1,
-            state.tick + params.period_ticks,
-            rng,
-            plant,
-            state.alpha_m,
-            state.hall,
-            state.wiring,
-            firmware,
+        rows[j] = Row(
+            wiring.pins,
+            status,
+            theta_enc,
+            omega_enc,
+            sensed.i_a,
+            sensed.i_b,
+            sensed.i_c,
+            driving.now.u_alpha,
+            driving.now.u_beta,
+            u_dc,
+            result.i_d,
+            result.i_q,
+            driving.i_d_ref,
+            driving.i_q_ref,
+            result.omega_ref,
+            seen.theta_avg,
+            seen.hall.omega,
+            e_alpha,
+            e_beta,
+            plant.theta_e,
+            motor.n_p * plant.omega_m,
+            tau_e,
+            mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, alpha),
+            plant.omega_m,
+            i_alpha,
+            i_beta,
         )
-    return state, m
+        tick = state.tick + params.period_ticks
+        state = State(k + 1, tick, rng, plant, alpha, hall, wiring, front, emf, tracker, firmware)
+    state_[0] = state
+    count[0] = m

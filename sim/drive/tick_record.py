@@ -1,4 +1,4 @@
-"""Raw telemetry records of one control period, laid out as `protocol.signals` says, ready for the wire.
+"""Raw telemetry of control periods, laid out as `protocol.signals` says, ready for the wire.
 
 Values round half to even and saturate at the ends of their type; angles wrap. Nothing here computes a value.
 """
@@ -6,38 +6,45 @@ Values round half to even and saturate at the ends of their type; angles wrap. N
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from protocol.signals import ANGLE, DRIVE_CHANNELS, LOAD_CHANNELS, MILLI, SPEED
+from protocol.signals import ANGLE, MILLI
 from protocol.streams import EDGE_ILLEGAL
+from sim.native import Pointer, native
 from sim.numba_cache import kernel
 
-SAMPLE_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in DRIVE_CHANNELS])
-LOAD_DTYPE = np.dtype([(channel.name, channel.raw.dtype) for channel in LOAD_CHANNELS])
-ENCODER_CHANNELS = ("theta_enc", "omega_enc")  # what a drive without an encoder does not have
-
-_SCALES = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 TWO_PI = 2.0 * math.pi
 PER_RAD = 1.0 / ANGLE
-PER_RAD_PER_S = 1.0 / SPEED
 PER_UNIT = 1.0 / MILLI
-PER_NM = 1.0 / _SCALES["tau_e_true"]
+TURNS, CLIPPED, UNSIGNED, BYTE, FLAG = range(5)
+"""How a column becomes raw: an angle, a signed or unsigned word that saturates, a byte, a bit of a byte."""
+
+
+class Column(NamedTuple):
+    """Where a column of 8-byte numbers lies in a block of sections of n records each, and what becomes of it."""
+
+    section: int  # words of a record of all sections before
+    field: int  # words of its record before it
+    stride: int  # words of its record
+    kind: int
+    per_unit: float  # counts; of a FLAG the bit
+    at: int  # bytes before it in a raw sample
 
 
 @kernel
-def angle(value: float) -> Any:
-    """An angle (rad, wrapped or not) as an i16 that covers a turn; the scale is no exact part of a turn."""
+def angle(value: float) -> int:
+    """An angle (rad, wrapped or not) as counts that cover a turn in 16 bits; the scale is no exact part of a turn."""
     if not -math.pi <= value < math.pi:
         value -= TWO_PI * math.floor((value + math.pi) / TWO_PI)
-    return np.int16(np.int64(np.rint(value * PER_RAD)))
+    return int(np.rint(value * PER_RAD))
 
 
 @kernel
-def clipped(value: float) -> Any:
-    """A count as an i16."""
-    return np.int16(min(max(np.rint(value), -32768.0), 32767.0))
+def clipped(value: float) -> int:
+    """A count, held within 16 bits with a sign."""
+    return int(min(max(np.rint(value), -32768.0), 32767.0))
 
 
 @kernel
@@ -58,3 +65,38 @@ def edge_codes(old: int, new: int) -> int:
     changed = old ^ new
     illegal = new == 0 or new == 7 or changed & (changed - 1) != 0
     return old | new << 3 | (EDGE_ILLEGAL if illegal else 0)
+
+
+@kernel
+def _put(raw: Pointer[np.uint8], at: int, count: int) -> None:
+    raw[at] = np.uint8(count & 0xFF)
+    raw[at + 1] = np.uint8((count >> 8) & 0xFF)
+
+
+@native
+def pack(
+    columns: Pointer[Column],
+    m: int,
+    floats: Pointer[float],
+    words: Pointer[int],
+    n: int,
+    raw: Pointer[np.uint8],
+    size: int,
+) -> None:
+    """Make raw samples of `size` bytes of the columns of a block, `floats` and `words` both; n samples."""
+    for c in range(m):
+        column = columns[c]
+        here = column.section * n + column.field
+        for k in range(n):
+            there = k * size + column.at
+            if column.kind == TURNS:
+                _put(raw, there, angle(floats[here]))
+            elif column.kind == CLIPPED:
+                _put(raw, there, clipped(floats[here] * column.per_unit))
+            elif column.kind == UNSIGNED:
+                _put(raw, there, int(floats[here] * column.per_unit))
+            elif column.kind == BYTE:
+                raw[there] = np.uint8(words[here] & 0xFF)
+            elif words[here] == 1:
+                raw[there] = np.uint8(int(raw[there]) | int(column.per_unit))
+            here += column.stride

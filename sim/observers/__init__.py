@@ -1,9 +1,9 @@
 """Rotor position and speed estimators: the same kernels in the simulated drive, live on a host and offline.
 
-Each module has one observer as pure kernels: `Params`, `State`, `Estimate` (NamedTuples of numbers), `init`,
-`step` (one control period) and `run` (the loop over arrays). `make_params` makes the `Params` of its `Settings`, a
-dataclass of the drive's parameters that it takes, by their names. Nothing here knows a plant, a drive or a wire:
-times, codes, voltages and currents come in as arguments, in SI units.
+Each module has one observer as pure kernels: `Params`, `State`, `Estimate` (NamedTuples of numbers), `init` and `step`
+(one control period). `make_params` makes the `Params` of its `Settings`, a dataclass of the drive's parameters that it
+takes, by their names. Nothing here knows a plant, a drive or a wire: times, codes, voltages and currents come in as
+arguments, in SI units.
 
     hall_speed               Hall front end: sector, direction, average speed (1), overdue edges, sensors' faults
     sample                   what every position observer is given, made once by the front end
@@ -19,8 +19,10 @@ times, codes, voltages and currents come in as arguments, in SI units.
     learned_edges            past the paper: back-EMF and edges whose places are learned (`edge_learning`,
                              `voltage_learning`)
     hall_edges               the places of the edges among the drive's parameters
-    catalogue                all of them by name, with what it takes to run one
-    bank                     all of them fed from one stream of samples and edges, as the drive runs them
+    back_emf                 (5) and (6), for the observers and for the drive's protection
+    by_front_end             the average-speed estimate, as an observer like the others
+    entry                    what it takes to run one: a function over memory, compiled when it is first asked for
+    catalogue                all of them by name, those of other packages too
 
 Equation numbers: S.-Y. Kim, C. Choi, K. Lee, W. Lee, "An Improved Rotor Position Estimation With
 Vector-Tracking Observer in PMSM Drives With Low-Resolution Hall-Effect Sensors", IEEE Trans. Ind. Electron.,

@@ -17,9 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sim.numba_cache import kernel
 from sim.observers import hall_speed
 from sim.observers.hall_speed import SECTOR_WIDTH
@@ -43,13 +40,6 @@ class Params(NamedTuple):
 
     hall: hall_speed.Params
     omega_max: float  # largest electrical speed, rad/s
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]  # electrical rad in [-pi, pi)
-    omega: NDArray[np.float64]  # omega_h, electrical rad/s
 
 
 def make_params(tick_hz: float, drive: Settings) -> Params:

@@ -26,10 +26,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.native import Pointer
+from sim.numba_cache import kernel
 
 # Sector 0..5 by Hall code (bit 0 = sensor a, 1 = b, 2 = c); -1: a code that no rotor angle gives.
 SECTOR_OF_CODE = (-1, 0, 2, 1, 4, 5, 3, -1)
@@ -46,6 +44,13 @@ class Params(NamedTuple):
     timeout: float  # ticks without an edge after which the rotor counts as standing
     glitch: float  # ticks within which an edge taken back was none
     omega_max: float  # rad/s, no sector is passed faster
+
+
+class Edge(NamedTuple):
+    """A captured edge of the Hall sensors."""
+
+    tick: int
+    code: int  # 0..7, after it
 
 
 class Entry(NamedTuple):
@@ -78,17 +83,6 @@ class Estimate(NamedTuple):
     omega: float  # omega_h, electrical rad/s, bounded while an edge is overdue; 0: unknown or standing
     age: float  # s since the sector was entered
     edge: int  # 1: a boundary was passed in this period
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    sector: NDArray[np.int64]
-    direction: NDArray[np.int64]
-    anchored: NDArray[np.int64]
-    omega: NDArray[np.float64]
-    age: NDArray[np.float64]
-    edge: NDArray[np.int64]
 
 
 def make_params(tick_hz: float, hall_timeout: float, omega_max: float = math.inf) -> Params:
@@ -202,55 +196,12 @@ def sample(params: Params, state: State, tick: int, code: int, edges: int) -> tu
 
 @kernel
 def step(
-    params: Params,
-    state: State,
-    tick: int,
-    hall: int,
-    edge_ticks: NDArray[np.int64],
-    edge_halls: NDArray[np.uint8],
-    first: int,
-    last: int,
+    params: Params, state: State, tick: int, hall: int, edges: Pointer[Edge], first: int, last: int
 ) -> tuple[State, Estimate]:
-    """One control period: edges [first, last) of the arrays, then the sample at `tick` with code `hall`."""
+    """One control period: the edges [first, last), then the sample at `tick` with code `hall`."""
     before = state.now.tick
     for j in range(first, last):
-        state = edge(params, state, edge_ticks[j], edge_halls[j])
-    passed = 1 if state.now.anchored == 1 and state.now.tick != before else 0
-    return sample(params, state, tick, hall, passed)
-
-
-@jit
-def empty(n: int) -> Estimates:
-    """Room for n estimates."""
-    return Estimates(
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.int64),
-    )
-
-
-@kernel
-def put(out: Estimates, k: int, estimate: Estimate) -> None:
-    """Store the k-th estimate of a run."""
-    out.sector[k] = estimate.sector
-    out.direction[k] = estimate.direction
-    out.anchored[k] = estimate.anchored
-    out.omega[k] = estimate.omega
-    out.age[k] = estimate.age
-    out.edge[k] = estimate.edge
-
-
-@kernel
-def at(estimates: Estimates, k: int) -> Estimate:
-    """The k-th estimate of a run."""
-    return Estimate(
-        estimates.sector[k],
-        estimates.direction[k],
-        estimates.anchored[k],
-        estimates.omega[k],
-        estimates.age[k],
-        estimates.edge[k],
-    )
+        passed = edges[j]
+        state = edge(params, state, passed.tick, passed.code)
+    entered = 1 if state.now.anchored == 1 and state.now.tick != before else 0
+    return sample(params, state, tick, hall, entered)

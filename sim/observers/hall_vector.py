@@ -42,12 +42,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers.average_speed import HALF_SECTOR, centre
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import wrap
 
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre that the estimate keeps to
@@ -96,14 +93,6 @@ class Estimate(NamedTuple):
     theta: float  # electrical rad in [-pi, pi), at the sample
     omega: float  # electrical rad/s
     tau_load: float  # N m, against the direction of rising angles
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    tau_load: NDArray[np.float64]
 
 
 def make_params(pwm_hz: float, drive: Settings, decouple: bool = False) -> Params:
@@ -170,18 +159,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     return State(on, beyond, theta, omega, params.k_torque * i_q, a_load), Estimate(
         theta, omega, -params.tau_by_a * a_load
     )
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.float64))
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-        out.tau_load[k] = estimate.tau_load
-    return state, out

@@ -23,9 +23,9 @@ vector-tracking observer", IEEE Trans. Ind. Appl., vol. 44, no. 1, pp. 161-173, 
 from __future__ import annotations
 
 from sim.observers import hall_vector
-from sim.observers.hall_vector import Estimate, Estimates, Params, Settings, State, init, run, step
+from sim.observers.hall_vector import Estimate, Params, Settings, State, init, step
 
-__all__ = ["Estimate", "Estimates", "Params", "Settings", "State", "init", "make_params", "run", "step"]
+__all__ = ["Estimate", "Params", "Settings", "State", "init", "make_params", "step"]
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:

@@ -33,16 +33,13 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers import edge_learning, voltage_learning
 from sim.observers.average_speed import FASTEST, HALF_SECTOR, centre
 from sim.observers.edge_learning import BY_CODES, BY_SPEED, DEG, NEARER, Edges, Twelve
 from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import clip, wrap
 from sim.observers.voltage_learning import Voltage
 
@@ -134,16 +131,6 @@ class Estimate(NamedTuple):
     sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved since the start
     learned: int  # places learned, 0..12
     unused: int  # edges not used so far: pulses, edges far off or of a sensor that is not believed
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    sensors: NDArray[np.int64]
-    learned: NDArray[np.int64]
-    unused: NDArray[np.int64]
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -371,26 +358,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     )
     waiting = 1 if pending >= 0 else 0
     return state, Estimate(theta, omega_lpf, edges.sensors, edges.learned, unused - waiting)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-    )
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-        out.sensors[k] = estimate.sensors
-        out.learned[k] = estimate.learned
-        out.unused[k] = estimate.unused
-    return state, out

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sim.observers import vector_tracking
-from sim.observers.vector_tracking import Estimate, Estimates, Params, Settings, State, init, run, step
+from sim.observers.vector_tracking import Estimate, Params, Settings, State, init, step
 
-__all__ = ["Estimate", "Estimates", "Params", "Settings", "State", "init", "make_params", "run", "step"]
+__all__ = ["Estimate", "Params", "Settings", "State", "init", "make_params", "step"]
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:

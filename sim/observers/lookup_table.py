@@ -27,13 +27,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_speed import SECTOR_WIDTH
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import wrap
 
 Six = tuple[float, float, float, float, float, float]
@@ -70,13 +67,6 @@ class Estimate(NamedTuple):
 
     theta: float  # electrical rad in [-pi, pi), at the sample; 0: no sector known yet
     omega: float  # electrical rad/s
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -156,17 +146,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     else:
         theta = middle + direction * (abs(omega) * hall.age - 0.5 * width)
     return State(direction, hall.anchored, omega, omega_before), Estimate(wrap(theta), omega)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-    return state, out

@@ -37,12 +37,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers.average_speed import HALF_SECTOR, centre
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import wrap
 
 STAGES = 3
@@ -97,15 +94,6 @@ class Estimate(NamedTuple):
     omega: float  # electrical rad/s: omega_h, filtered while `on`
     psi: float  # V s, length of the rotor flux; 0: the filter is off
     on: int  # 1: the angle is that of the rotor flux
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    psi: NDArray[np.float64]
-    on: NDArray[np.int64]
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -191,19 +179,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     else:
         state = init()
     return state, Estimate(sample.theta_avg, omega_h, 0.0, 0)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.int64))
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-        out.psi[k] = estimate.psi
-        out.on[k] = estimate.on
-    return state, out

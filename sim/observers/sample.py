@@ -1,4 +1,4 @@
-"""What every position observer is given of one control period, and the front end that makes it from the raw signals.
+"""What every position observer is given of one control period, and the front end that makes it from what is measured.
 
 The front end runs once, for all observers: `hall_speed` and `average_speed` on the Hall edges, Clarke's transform on
 the currents. It also passes on the last captured edge as it came, because an observer that doubts a sensor cannot work
@@ -12,9 +12,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit, kernel
+from sim.native import Cells, Pointer, address, layout, native
+from sim.numba_cache import kernel
 from sim.observers import average_speed, hall_speed
+from sim.observers.hall_speed import Edge
 from sim.observers.transforms import clarke
+
+INIT = -1  # for a number of samples: initialise, take none
+
+
+class Measured(NamedTuple):
+    """What a drive measures at a sample, and what it did over the period that ends there."""
+
+    tick: int
+    hall: int  # code, 0..7
+    u_alpha: float  # V, in force over the period
+    u_beta: float
+    i_a: float  # A, at the sample
+    i_b: float
+    i_c: float
+    i_q_err: float  # A, reference less q current in the drive's current loop one period ago
 
 
 class Sample(NamedTuple):
@@ -32,23 +49,6 @@ class Sample(NamedTuple):
     i_alpha: float  # A
     i_beta: float
     i_q_err: float  # A, reference less q current, as the drive's current loop had it one period ago
-
-
-class Samples(NamedTuple):
-    """A run of n periods: fields as in `Sample`, one element a sample."""
-
-    hall: hall_speed.Estimates
-    theta_avg: NDArray[np.float64]
-    code: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    edge_from: NDArray[np.int64]
-    edge_to: NDArray[np.int64]
-    edge_age: NDArray[np.float64]
-    u_alpha: NDArray[np.float64]
-    u_beta: NDArray[np.float64]
-    i_alpha: NDArray[np.float64]
-    i_beta: NDArray[np.float64]
-    i_q_err: NDArray[np.float64]
 
 
 class State(NamedTuple):
@@ -71,33 +71,20 @@ def init() -> State:
 
 @kernel
 def step(
-    params: Params,
-    state: State,
-    tick: int,
-    hall: int,
-    u_alpha: float,
-    u_beta: float,
-    i_a: float,
-    i_b: float,
-    i_c: float,
-    i_q_err: float,
-    edge_ticks: NDArray[np.int64],
-    edge_halls: NDArray[np.uint8],
-    first: int,
-    last: int,
+    params: Params, state: State, measured: Measured, edges: Pointer[Edge], first: int, last: int
 ) -> tuple[State, Sample]:
-    """One control period with the edges [first, last) of the arrays; `tick`, `hall`: time and code of the sample."""
+    """One control period with the edges [first, last): those after the last sample and up to this one, in order."""
     edge_from = state.code
     edge_to = state.code
     age = 0.0
     if last > first:
         if last - 1 > first:
-            edge_from = int(edge_halls[last - 2] & 7)
-        edge_to = int(edge_halls[last - 1] & 7)
-        age = (tick - edge_ticks[last - 1]) * params.hall.tick_period
-    code = int(hall & 7)
-    front, estimate = hall_speed.step(params.hall, state.hall, tick, hall, edge_ticks, edge_halls, first, last)
-    i_alpha, i_beta = clarke(i_a, i_b, i_c)
+            edge_from = edges[last - 2].code & 7
+        edge_to = edges[last - 1].code & 7
+        age = (measured.tick - edges[last - 1].tick) * params.hall.tick_period
+    code = measured.hall & 7
+    front, estimate = hall_speed.step(params.hall, state.hall, measured.tick, measured.hall, edges, first, last)
+    i_alpha, i_beta = clarke(measured.i_a, measured.i_b, measured.i_c)
     return State(front, code), Sample(
         estimate,
         average_speed.position(params, estimate),
@@ -106,110 +93,65 @@ def step(
         edge_from,
         edge_to,
         age,
-        u_alpha,
-        u_beta,
+        measured.u_alpha,
+        measured.u_beta,
         i_alpha,
         i_beta,
-        i_q_err,
+        measured.i_q_err,
     )
 
 
-@jit
-def empty(n: int) -> Samples:
-    """Room for n samples."""
-    return Samples(
-        hall_speed.empty(n),
-        np.empty(n, np.float64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-    )
-
-
-@kernel
-def at(samples: Samples, k: int) -> Sample:
-    """The k-th sample of a run."""
-    return Sample(
-        hall_speed.at(samples.hall, k),
-        samples.theta_avg[k],
-        samples.code[k],
-        samples.edges[k],
-        samples.edge_from[k],
-        samples.edge_to[k],
-        samples.edge_age[k],
-        samples.u_alpha[k],
-        samples.u_beta[k],
-        samples.i_alpha[k],
-        samples.i_beta[k],
-        samples.i_q_err[k],
-    )
-
-
-@jit
+@native
 def run(
-    params: Params,
-    state: State,
-    tick: NDArray[np.int64],
-    hall: NDArray[np.uint8],
-    u_alpha: NDArray[np.float64],
-    u_beta: NDArray[np.float64],
-    i_a: NDArray[np.float64],
-    i_b: NDArray[np.float64],
-    i_c: NDArray[np.float64],
-    i_q_err: NDArray[np.float64],
-    edge_tick: NDArray[np.int64],
-    edge_hall: NDArray[np.uint8],
-    reset: NDArray[np.bool_],
-) -> tuple[State, Samples]:
-    """`step` over n samples of one control period each, with `init` before each sample where `reset` is set.
-
-    Samples: shape (n,). Edges: shape (m,), rising ticks; an edge is taken in with the first sample at or after it, and
-    edges after the last sample are left alone (give them again with the next samples).
-    """
-    n = tick.shape[0]
-    m = edge_tick.shape[0]
-    out = empty(n)
+    params: Pointer[Params],
+    state: Pointer[State],
+    measured: Pointer[Measured],
+    reset: Pointer[np.uint8],
+    n: int,
+    edges: Pointer[Edge],
+    m: int,
+    samples: Pointer[Sample],
+) -> None:
+    """`step` over n samples; n = `INIT`: only `init`."""
+    constants = params[0]
+    now = init() if n == INIT else state[0]
     first = 0
     for k in range(n):
+        seen = measured[k]
         last = first
-        while last < m and edge_tick[last] <= tick[k]:
+        while last < m and edges[last].tick <= seen.tick:
             last += 1
-        if reset[k]:
-            state = init()
-        state, sample = step(
-            params,
-            state,
-            tick[k],
-            hall[k],
-            u_alpha[k],
-            u_beta[k],
-            i_a[k],
-            i_b[k],
-            i_c[k],
-            i_q_err[k],
-            edge_tick,
-            edge_hall,
-            first,
-            last,
-        )
+        if reset[k] != 0:
+            now = init()
+        now, samples[k] = step(constants, now, seen, edges, first, last)
         first = last
-        hall_speed.put(out.hall, k, sample.hall)
-        out.theta_avg[k] = sample.theta_avg
-        out.code[k] = sample.code
-        out.edges[k] = sample.edges
-        out.edge_from[k] = sample.edge_from
-        out.edge_to[k] = sample.edge_to
-        out.edge_age[k] = sample.edge_age
-        out.u_alpha[k] = sample.u_alpha
-        out.u_beta[k] = sample.u_beta
-        out.i_alpha[k] = sample.i_alpha
-        out.i_beta[k] = sample.i_beta
-        out.i_q_err[k] = sample.i_q_err
-    return state, out
+    state[0] = now
+
+
+class FrontEnd:
+    """The front end at work over measured samples, a portion at a time: its constants and what it remembers."""
+
+    def __init__(self, params: Params) -> None:
+        self._params, self.state = Cells(Params), Cells(State)
+        self._params.first = params
+        run(self._params.at, self.state.at, 0, 0, INIT, 0, 0, 0)
+
+    def run(self, measured: NDArray[np.void], edges: NDArray[np.void], reset: NDArray[np.bool_]) -> NDArray[np.void]:
+        """`step` over n samples of one control period each, with `init` before each where `reset`, shape (n,), is set.
+
+        `measured`: records of `Measured`, shape (n,). `edges`: of `Edge`, shape (m,), rising ticks; an edge is taken in
+        with the first sample at or after it, and edges after the last sample are left alone (give them again with the
+        next samples). Returns records of `Sample`, shape (n,).
+        """
+        samples = np.empty(len(measured), layout(Sample))
+        run(
+            self._params.at,
+            self.state.at,
+            address(measured),
+            address(reset),
+            len(measured),
+            address(edges),
+            len(edges),
+            address(samples),
+        )
+        return samples

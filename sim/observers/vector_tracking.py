@@ -12,8 +12,8 @@ What the paper leaves open, and how it is settled here:
   that the back-EMF shows along the estimate, with hysteresis, so that a rotor that turns back between two
   edges is followed. While the two disagree omega_h is stale and is not fed forward.
 - (6) takes omega_h, and tau = min(tau_max, 1/|omega_h|). The gain and phase of the sampled filter
-  y += a (x - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a; the paper's 1 + j tau omega,
-  the inverse of the continuous filter, leaves a bias that grows with speed (`exact_inverse` = 0).
+  y += a (x - y) are undone by its own inverse, (1 - (1 - a) e^{-j omega T_s}) / a (`back_emf`); the paper's
+  1 + j tau omega, the inverse of the continuous filter, leaves a bias that grows with speed.
 - (7): below the back-EMF of `omega_on` the vector is not stretched to full length: noise would be.
 - Around zero speed the correction is off: it starts at an edge with |omega_h| >= omega_on, from that edge's
   angle, and stops once |omega_h| < omega_off. It is off as well while the reference voltage is exactly
@@ -42,12 +42,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
+from sim.observers import back_emf
 from sim.observers.average_speed import HALF_SECTOR, centre
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import TWO_PI, clip, wrap
 
 GUARD = 2.0 * HALF_SECTOR  # rad from the sector's centre beyond which the estimate is not believed
@@ -87,11 +85,9 @@ class Params(NamedTuple):
     """Constants of the observer: SI units, electrical angles and speeds."""
 
     T_s: float
-    R_s: float
-    L_by_T: float  # L_s / T_s
+    back_emf: back_emf.Params
     k_p: float
     k_i_T: float  # k_i * T_s
-    a_min: float  # gain of the filter of (6) at tau = tau_max: T_s / (T_s + tau)
     omega_on: float
     omega_off: float
     e_min: float  # V, back-EMF at omega_on
@@ -100,7 +96,6 @@ class Params(NamedTuple):
     k_ic_T: float  # k_ic * T_s
     load_angle_comp: int
     literal_sgn: int
-    exact_inverse: int
     a_omega: float  # gain of the filter on the estimated speed
     inject: int
     inject_amplitude: float  # rad
@@ -110,13 +105,9 @@ class Params(NamedTuple):
 class State(NamedTuple):
     """What the observer remembers."""
 
-    primed: int  # 1: the fields below hold a past sample
+    back_emf: back_emf.State
     on: int  # 1: the correction is at work
     direction: int  # +1 or -1 while it is
-    i_alpha: float
-    i_beta: float
-    e_alpha: float  # back-EMF after the low-pass filter of (6), before its inverse
-    e_beta: float
     theta: float  # (10)
     omega: float  # (4)
     omega_corr_i: float  # integral part of (9)
@@ -137,28 +128,14 @@ class Estimate(NamedTuple):
     sync: int  # 1: the test sine begins a turn at this sample
 
 
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    delta_hat: NDArray[np.float64]
-    e_alpha: NDArray[np.float64]
-    e_beta: NDArray[np.float64]
-    on: NDArray[np.int64]
-    sync: NDArray[np.int64]
-
-
 def make_params(pwm_hz: float, drive: Settings) -> Params:
     """Constants for control periods at `pwm_hz` Hz."""
     T_s = 1.0 / float(pwm_hz)
     return Params(
         T_s=T_s,
-        R_s=float(drive.R_s_hat),
-        L_by_T=float(drive.L_s_hat) / T_s,
+        back_emf=back_emf.make_params(pwm_hz, drive.R_s_hat, drive.L_s_hat, drive.tau_max),
         k_p=float(drive.k_p_vt),
         k_i_T=float(drive.k_i_vt) * T_s,
-        a_min=T_s / (T_s + float(drive.tau_max)),
         omega_on=float(drive.omega_on),
         omega_off=float(drive.omega_off),
         e_min=max(float(drive.psi_f_hat) * float(drive.omega_on), E_TINY),
@@ -167,7 +144,6 @@ def make_params(pwm_hz: float, drive: Settings) -> Params:
         k_ic_T=float(drive.k_ic) * T_s,
         load_angle_comp=int(drive.load_angle_comp),
         literal_sgn=int(drive.literal_sgn),
-        exact_inverse=1,
         a_omega=1.0 - math.exp(-2.0 * math.pi * float(drive.bw_omega_lpf) * T_s),
         inject=int(drive.inject),
         inject_amplitude=float(drive.inject_amplitude),
@@ -178,21 +154,7 @@ def make_params(pwm_hz: float, drive: Settings) -> Params:
 @kernel
 def init() -> State:
     """Nothing known: the next sample gives the first currents and the angle by the Hall sector."""
-    return State(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-
-
-@kernel
-def _undo_filter(params: Params, a: float, omega: float) -> tuple[float, float]:
-    """Real and imaginary part of the inverse, at `omega`, of the filter y += a (x - y)."""
-    x = omega * params.T_s
-    b = 1.0 - a
-    if params.exact_inverse == 0:
-        return 1.0, x * b / a  # T_s b / a is tau
-    # Series of cos and sin: within 5e-8 for |x| < 0.3, over twice the speed of Table II's motor at 16 kHz.
-    y = x * x
-    cos = 1.0 - y * (0.5 - y * (1.0 / 24.0 - y / 720.0))
-    sin = x * (1.0 - y * (1.0 / 6.0 - y / 120.0))
-    return (1.0 - b * cos) / a, b * sin / a
+    return State(back_emf.init(), 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @kernel
@@ -222,31 +184,16 @@ def step(
     """One control period."""
     hall = sample.hall
     theta_avg = sample.theta_avg
-    u_alpha, u_beta = sample.u_alpha, sample.u_beta
-    i_alpha, i_beta = sample.i_alpha, sample.i_beta
     omega_h = hall.omega
-    if state.primed == 0:
-        state = State(1, 0, 0, i_alpha, i_beta, 0.0, 0.0, theta_avg, omega_h, 0.0, 0.0, omega_h, 1.0)
+    # (5), (6): f is E_f*
+    emf, f_alpha, f_beta = back_emf.step(params.back_emf, state.back_emf, sample)
+    if state.back_emf.primed == 0:
+        state = State(emf, 0, 0, theta_avg, omega_h, 0.0, 0.0, omega_h, 1.0)
         return state, Estimate(theta_avg, omega_h, 0.0, 0.0, 0.0, 0, 0)
 
-    # (5): mean back-EMF of the period that ends here
-    i_alpha_mean = 0.5 * (i_alpha + state.i_alpha)
-    i_beta_mean = 0.5 * (i_beta + state.i_beta)
-    e_alpha = u_alpha - params.R_s * i_alpha_mean - params.L_by_T * (i_alpha - state.i_alpha)
-    e_beta = u_beta - params.R_s * i_beta_mean - params.L_by_T * (i_beta - state.i_beta)
-
-    # (6): f is E_f*
     speed = abs(omega_h)
-    x = params.T_s * speed
-    a = max(params.a_min, x / (1.0 + x))
-    e_alpha = state.e_alpha + a * (e_alpha - state.e_alpha)
-    e_beta = state.e_beta + a * (e_beta - state.e_beta)
-    g_re, g_im = _undo_filter(params, a, omega_h)
-    f_alpha = g_re * e_alpha - g_im * e_beta
-    f_beta = g_re * e_beta + g_im * e_alpha
-
     turn, sync, injected_angle, injected_speed = _injected(params, state.turn)
-    driven = u_alpha != 0.0 or u_beta != 0.0
+    driven = sample.u_alpha != 0.0 or sample.u_beta != 0.0
     on = state.on if driven and speed >= params.omega_off else 0
     direction = state.direction
     theta = state.theta
@@ -293,34 +240,5 @@ def step(
         theta = wrap(middle + clip(wrap(theta + params.T_s * omega_h - middle), HALF_SECTOR))
 
     omega_lpf = state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
-    state = State(
-        1, on, direction, i_alpha, i_beta, e_alpha, e_beta, theta, omega, omega_corr_i, delta_i, omega_lpf, turn
-    )
+    state = State(emf, on, direction, theta, omega, omega_corr_i, delta_i, omega_lpf, turn)
     return state, Estimate(theta, omega_lpf, delta, f_alpha, f_beta, on, sync)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.float64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-    )
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-        out.delta_hat[k] = estimate.delta_hat
-        out.e_alpha[k] = estimate.e_alpha
-        out.e_beta[k] = estimate.e_beta
-        out.on[k] = estimate.on
-        out.sync[k] = estimate.sync
-    return state, out

@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.numba_cache import jit, kernel
-from sim.observers.sample import Sample, Samples, at
+from sim.numba_cache import kernel
+from sim.observers.sample import Sample
 from sim.observers.transforms import TWO_PI
 
 TURN = 1 << 32
@@ -125,14 +125,6 @@ class Estimate(NamedTuple):
     theta: float  # electrical rad in [-pi, pi), at the sample
     omega: float  # electrical rad/s, low-pass filtered
     on: int  # 1: the correction is at work
-
-
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    on: NDArray[np.int64]
 
 
 def _integer(value: float, unit: float, limit: int) -> int:
@@ -378,18 +370,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     """One control period."""
     state = advance(params.q, state, counts(params, sample))
     return state, Estimate(_signed(state.theta) * (TWO_PI / TURN), state.omega / params.omega_scale, state.on)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.int64))
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-        out.on[k] = estimate.on
-    return state, out

@@ -16,12 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim.numba_cache import jit, kernel
+from sim.numba_cache import kernel
 from sim.observers.average_speed import centre
-from sim.observers.sample import Sample, Samples, at
+from sim.observers.sample import Sample
 from sim.observers.transforms import wrap
 
 
@@ -45,13 +42,6 @@ class Estimate(NamedTuple):
     omega: float  # omega_h, electrical rad/s
 
 
-class Estimates(NamedTuple):
-    """A run's results, one element a sample."""
-
-    theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-
-
 def make_params(pwm_hz: float, drive: Settings) -> Params:
     """No constants; the arguments are taken because every observer takes them."""
     return Params()
@@ -69,17 +59,3 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     hall = sample.hall
     theta = 0.0 if hall.sector < 0 else wrap(centre(hall.sector))
     return state, Estimate(theta, hall.omega)
-
-
-@jit
-def run(params: Params, state: State, samples: Samples, reset: NDArray[np.bool_]) -> tuple[State, Estimates]:
-    """`step` over n samples, with `init` before each where `reset`, shape (n,), is set."""
-    n = reset.shape[0]
-    out = Estimates(np.empty(n, np.float64), np.empty(n, np.float64))
-    for k in range(n):
-        if reset[k]:
-            state = init()
-        state, estimate = step(params, state, at(samples, k))
-        out.theta[k] = estimate.theta
-        out.omega[k] = estimate.omega
-    return state, out

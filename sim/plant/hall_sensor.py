@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.native import Pointer
 from sim.numba_cache import kernel
 from sim.plant import noise
 
@@ -82,7 +82,7 @@ def code(number: int) -> int:
 
 
 @kernel
-def enter(params: Params, number: int, theta_e: float, quantiles: NDArray[np.float64], rng: np.uint64) -> State:
+def enter(params: Params, number: int, theta_e: float, quantiles: Pointer[float], rng: np.uint64) -> State:
     """The state on entering the sector `number` at `theta_e`, with the jitter of its two edges drawn from `rng`."""
     below = edge_angle(params, number) - params.half_hysteresis
     above = edge_angle(params, number + 1) + params.half_hysteresis
@@ -92,7 +92,7 @@ def enter(params: Params, number: int, theta_e: float, quantiles: NDArray[np.flo
 
 
 @kernel
-def init(params: Params, theta_e: float, quantiles: NDArray[np.float64], rng: np.uint64) -> State:
+def init(params: Params, theta_e: float, quantiles: Pointer[float], rng: np.uint64) -> State:
     """The state at boot at the unwrapped angle `theta_e` (rad)."""
     number = math.floor(theta_e / (math.pi / 3.0)) - 1
     while edge_angle(params, number + 1) <= theta_e:

@@ -1,4 +1,4 @@
-"""Motor, inverter and shaft stepped in time: classic fourth-order Runge-Kutta, or running down with outputs off.
+"""Motor, inverter and shaft stepped in time: the winding exactly, or running down with outputs off.
 
 A step ends early where the speed passes zero (friction turns round there, or holds the shaft); the rest of the
 interval follows as a step of its own.
@@ -16,9 +16,34 @@ from sim.numba_cache import kernel
 from sim.plant import inverter, mechanics, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
-ONE_SIXTH = 1.0 / 6.0
+ONE_SIXTH, ONE_TWELFTH, ONE_THIRTIETH, ONE_SIXTIETH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 30.0, 1.0 / 60.0
 SMALL = 0.3  # rad up to which a rotation's series is good to 5e-14
-TINY = 1e-3  # rad up to which three terms are good to 1e-13
+TINY = 0.06  # rad up to which a shorter one is good to 5e-15
+ROUNDS = 3  # of the iteration for the inverter's loss
+
+
+class Decay(NamedTuple):
+    """How the winding's flux follows a constant voltage over a step of `h` seconds, a = R_s (1/L_d + 1/L_q) / 2."""
+
+    h: float
+    whole: float  # exp(-a h)
+    gain: float  # s, (1 - exp(-a h)) / a
+    half: float  # the same of half a step
+    half_gain: float
+    skew: float  # s, what a voltage that falls by one volt over the step adds to the answer to its mean
+
+
+def make_decay(motor: pmsm.Params, h: float) -> Decay:
+    """The constants of a step of `h` seconds."""
+    x = motor.R_s * motor.g_mean * h
+    return Decay(
+        float(h),
+        math.exp(-x),
+        -h * math.expm1(-x) / x,
+        math.exp(-0.5 * x),
+        -h * math.expm1(-0.5 * x) / x,
+        h * x / 12.0,
+    )
 
 
 class Params(NamedTuple):
@@ -27,6 +52,7 @@ class Params(NamedTuple):
     motor: pmsm.Params
     inverter: inverter.Params
     shaft: mechanics.Params
+    decay: Decay  # of whole steps
 
 
 class State(NamedTuple):
@@ -65,6 +91,8 @@ def refresh(state: State) -> State:
 def rotation(angle: float) -> tuple[float, float]:
     """cos and sin of an angle (rad), by series where it is small."""
     x = angle * angle
+    if x < TINY * TINY:
+        return 1.0 - x * (0.5 - x * (C_4 - x * C_6)), angle * (1.0 - x * (C_3 - x * (C_5 - x * C_7)))
     if x > SMALL * SMALL:
         return math.cos(angle), math.sin(angle)
     return (
@@ -81,102 +109,158 @@ def turn(cos: float, sin: float, angle: float) -> tuple[float, float]:
 
 
 @kernel
-def _nudge(cos: float, sin: float, angle: float) -> tuple[float, float]:
-    """`turn` by the angles (rad) in which the stages of one step differ: nearly nothing."""
-    x = angle * angle
-    if x > TINY * TINY:
-        return turn(cos, sin, angle)
-    c = 1.0 - 0.5 * x
-    s = angle * (1.0 - C_3 * x)
-    return cos * c - sin * s, sin * c + cos * s
+def _decay(params: Params, h: float) -> Decay:
+    """The same for a step of any length: by series, for at most the step that `params` is made for."""
+    if h == params.decay.h:
+        return params.decay
+    x = params.motor.R_s * params.motor.g_mean * h
+    y = 0.5 * x
+    half = math.exp(-y)
+    half_share = 1.0 - 0.5 * y * (1.0 - y * (1.0 / 3.0 - y * (1.0 / 12.0 - y * (1.0 / 60.0 - y / 360.0))))
+    return Decay(h, half * half, h * half_share * 0.5 * (1.0 + half), half, 0.5 * h * half_share, h * x / 12.0)
 
 
 @kernel
-def _rates(
-    params: Params,
-    applied: inverter.Applied,
-    K_re: float,
-    K_im: float,
-    y_alpha: float,
-    y_beta: float,
-    omega_m: float,
-    cos: float,
-    sin: float,
-) -> tuple[float, float, float]:
-    """Rates of y (V) and the torque (N m) in one stage of `_driven`."""
-    motor = params.motor
-    omega_e = motor.n_p * omega_m
-    k_alpha = K_re * cos - K_im * sin
-    k_beta = K_re * sin + K_im * cos
-    # written so that as little as possible waits for y
-    i_alpha, i_beta = pmsm.winding_currents(
-        motor, y_alpha + (k_alpha - motor.psi_f * cos), y_beta + (k_beta - motor.psi_f * sin), cos, sin
-    )
-    loss_alpha, loss_beta = inverter.loss(params.inverter, applied, i_alpha, i_beta)
+def _nudge(cos: float, sin: float, angle: float) -> tuple[float, float]:
+    """`turn` by nearly nothing: by an angle (rad) whose third power is."""
+    c = 1.0 - 0.5 * angle * angle
+    return cos * c - sin * angle, sin * c + cos * angle
+
+
+@kernel
+def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
+    """The voltage on R_s of the currents that are there because L_d and L_q differ."""
+    i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     return (
-        (applied.u_alpha + omega_e * k_beta) - motor.R_s * i_alpha - loss_alpha,
-        (applied.u_beta - omega_e * k_alpha) - motor.R_s * i_beta - loss_beta,
-        pmsm.torque(motor, y_alpha + k_alpha, y_beta + k_beta, i_alpha, i_beta),
+        motor.R_s * (i_alpha - motor.g_mean * (psi_alpha - motor.psi_f * cos)),
+        motor.R_s * (i_beta - motor.g_mean * (psi_beta - motor.psi_f * sin)),
     )
+
+
+@kernel
+def _torque(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> float:
+    """Torque (N m); where L_d = L_q it is the magnet's part alone, which is found without the currents."""
+    if motor.g_diff == 0.0:
+        return motor.k_tau * motor.g_mean * motor.psi_f * (cos * psi_beta - sin * psi_alpha)
+    i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
+    return pmsm.torque(motor, psi_alpha, psi_beta, i_alpha, i_beta)
 
 
 @kernel
 def _driven(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
-    """One Runge-Kutta step with the outputs on.
+    """One step with the outputs on.
 
-    The magnet's flux turns and would be the largest error: 1e-6 A at two steps a period and 3000 r/min. So what
-    is integrated is y = psi - K exp(j theta), where K = a psi_f / (a + j omega), a = R_s / L, is the answer to the
-    magnet in steady state at the step's first speed. It is exact for L_d = L_q, and close otherwise.
+    The winding's flux answers a constant voltage exactly. What else acts on it is slow: the magnet as it turns, and
+    what L_d and L_q differ by, both by Simpson's rule; and the inverter's loss, in the mean over the step as the
+    currents go from its begin to its end, which is found by iteration where a phase comes near zero. Torque and speed
+    go by Simpson's rule too.
     """
     motor = params.motor
     n_p = motor.n_p
     b = params.shaft.b
     gain = push.gain
-    dry = push.tau_dry
+    decay = _decay(params, h)
     half = 0.5 * h
-
-    omega1 = state.omega_m
     a = motor.R_s * motor.g_mean
-    omega_e = n_p * omega1
-    share = a * motor.psi_f / (a * a + omega_e * omega_e)
-    K_re = share * a
-    K_im = -share * omega_e
-    cos, sin = state.cos, state.sin
-    y_alpha = state.psi_alpha - (K_re * cos - K_im * sin)
-    y_beta = state.psi_beta - (K_re * sin + K_im * cos)
+    magnet = a * motor.psi_f
 
-    a1, b1, tau = _rates(params, applied, K_re, K_im, y_alpha, y_beta, omega1, cos, sin)
-    alpha1 = gain * (tau - b * omega1 - dry) + push.alpha
+    omega_m = state.omega_m
+    omega_e = n_p * omega_m
+    cos0, sin0 = state.cos, state.sin
+    i0_alpha, i0_beta = pmsm.currents(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
+    loss_alpha, loss_beta = inverter.loss(params.inverter, applied, i0_alpha, i0_beta)
+    u_alpha = applied.u_alpha - loss_alpha
+    u_beta = applied.u_beta - loss_beta
+    tau0 = _torque(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
+    alpha0 = gain * (tau0 - b * omega_m - push.tau_dry) + push.alpha
 
-    c, s = rotation(half * n_p * omega1)
-    cos, sin = state.cos * c - state.sin * s, state.sin * c + state.cos * s
-    omega2 = state.omega_m + half * alpha1
-    a2, b2, tau = _rates(params, applied, K_re, K_im, y_alpha + half * a1, y_beta + half * b1, omega2, cos, sin)
-    alpha2 = gain * (tau - b * omega2 - dry) + push.alpha
+    # the middle; the torque's slope is that of L_d = L_q
+    rate_alpha = u_alpha - motor.R_s * i0_alpha
+    rate_beta = u_beta - motor.R_s * i0_beta
+    slope = cos0 * rate_beta - sin0 * rate_alpha - omega_e * (sin0 * state.psi_beta + cos0 * state.psi_alpha)
+    slope = gain * (motor.k_tau * motor.g_mean * motor.psi_f * slope - b * alpha0)
+    early = 0.125 * h * h * n_p * (alpha0 + ONE_SIXTH * h * slope)  # rad, of what the first speed would make
+    c, s = rotation(half * omega_e + early)
+    cos = cos0 * c - sin0 * s
+    sin = sin0 * c + cos0 * s
+    x_cos = decay.half * cos0 - cos
+    x_sin = decay.half * sin0 - sin
+    tilt = h * ONE_TWELFTH
+    share = 0.25 * h * magnet
+    psi_alpha = decay.half * state.psi_alpha + decay.half_gain * u_alpha
+    psi_beta = decay.half * state.psi_beta + decay.half_gain * u_beta
+    faster = half * n_p * alpha0
+    psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
+    psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
+    bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
+    if motor.g_diff != 0.0:
+        bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
+        bend_alpha, bend_beta = bend0_alpha, bend0_beta
+        for _ in range(2):
+            mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
+            mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
+            bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
+        psi_alpha -= decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
+        psi_beta -= decay.half_gain * 0.5 * (bend0_beta + bend_beta)
+    mid_alpha, mid_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
+    tau = _torque(motor, psi_alpha, psi_beta, cos, sin)
+    alpha = gain * (tau - b * (omega_m + half * (alpha0 + 0.5 * half * slope)) - push.tau_dry) + push.alpha
 
-    c, s = _nudge(c, s, half * n_p * (omega2 - omega1))
-    cos, sin = state.cos * c - state.sin * s, state.sin * c + state.cos * s
-    omega3 = state.omega_m + half * alpha2
-    a3, b3, tau = _rates(params, applied, K_re, K_im, y_alpha + half * a2, y_beta + half * b2, omega3, cos, sin)
-    alpha3 = gain * (tau - b * omega3 - dry) + push.alpha
-
+    # the end, at the angle by the slope: what it lacks is put right when all is known, so that nothing waits for it
+    ahead = n_p * h * h * (0.5 * alpha0 + ONE_SIXTH * h * slope)
+    c, s = _nudge(c, s, ahead - 2.0 * early)
+    magnet *= h * ONE_SIXTH
+    free_alpha = decay.whole * (state.psi_alpha + magnet * cos0) + 4.0 * magnet * decay.half * cos
+    free_beta = decay.whole * (state.psi_beta + magnet * sin0) + 4.0 * magnet * decay.half * sin
     cos, sin = cos * c - sin * s, sin * c + cos * s
-    cos, sin = _nudge(cos, sin, h * n_p * (omega3 - omega2))
-    omega4 = state.omega_m + h * alpha3
-    a4, b4, tau = _rates(params, applied, K_re, K_im, y_alpha + h * a3, y_beta + h * b3, omega4, cos, sin)
-    alpha4 = gain * (tau - b * omega4 - dry) + push.alpha
-
-    sixth = h * ONE_SIXTH
-    angle = sixth * n_p * (omega1 + 2.0 * (omega2 + omega3) + omega4)
-    cos, sin = _nudge(cos, sin, angle - h * n_p * omega3)
-    return State(
-        y_alpha + sixth * (a1 + 2.0 * (a2 + a3) + a4) + (K_re * cos - K_im * sin),
-        y_beta + sixth * (b1 + 2.0 * (b2 + b3) + b4) + (K_re * sin + K_im * cos),
-        state.omega_m + sixth * (alpha1 + 2.0 * (alpha2 + alpha3) + alpha4),
-        state.theta_e + angle,
-        cos,
-        sin,
-    )
+    free_alpha += magnet * cos
+    free_beta += magnet * sin
+    psi_alpha = free_alpha + decay.gain * u_alpha
+    psi_beta = free_beta + decay.gain * u_beta
+    if motor.g_diff != 0.0:
+        end_alpha = psi_alpha - decay.gain * bend_alpha
+        end_beta = psi_beta - decay.gain * bend_beta
+        bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
+        sixth = h * ONE_SIXTH
+        bend_alpha = sixth * (decay.whole * bend0_alpha + 4.0 * decay.half * bend_alpha + bend1_alpha)
+        bend_beta = sixth * (decay.whole * bend0_beta + 4.0 * decay.half * bend_beta + bend1_beta)
+        free_alpha -= bend_alpha
+        free_beta -= bend_beta
+        psi_alpha -= bend_alpha
+        psi_beta -= bend_beta
+    i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
+    if not inverter.settled(params.inverter, i0_alpha, i0_beta, i_alpha, i_beta):
+        bent = 0.125 * h * motor.g_mean
+        bow_alpha = mid_alpha - 0.5 * (i0_alpha + i_alpha)
+        bow_beta = mid_beta - 0.5 * (i0_beta + i_beta)
+        for _ in range(ROUNDS):
+            mean_alpha, mean_beta = inverter.mean_loss(
+                params.inverter, applied, i0_alpha, i0_beta, i_alpha, i_beta, bow_alpha, bow_beta
+            )
+            end_alpha, end_beta = inverter.loss(params.inverter, applied, i_alpha, i_beta)
+            end_alpha -= loss_alpha
+            end_beta -= loss_beta
+            psi_alpha = free_alpha + decay.gain * (applied.u_alpha - mean_alpha) - decay.skew * end_alpha
+            psi_beta = free_beta + decay.gain * (applied.u_beta - mean_beta) - decay.skew * end_beta
+            i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
+            less = motor.g_mean * decay.half_gain
+            bow_alpha = mid_alpha - 0.5 * (i0_alpha + i_alpha) - less * (mean_alpha - loss_alpha) + bent * end_alpha
+            bow_beta = mid_beta - 0.5 * (i0_beta + i_beta) - less * (mean_beta - loss_beta) + bent * end_beta
+    late = n_p * h * h * ONE_SIXTH * (alpha0 + 2.0 * alpha) - ahead
+    along = sin * psi_beta + cos * psi_alpha
+    tau1 = _torque(motor, psi_alpha, psi_beta, cos, sin) - motor.k_tau * motor.g_mean * motor.psi_f * along * late
+    alpha1 = gain * (tau1 - b * (omega_m + h * alpha) - push.tau_dry) + push.alpha
+    faster = ONE_SIXTH * (alpha0 + 4.0 * alpha + alpha1)
+    if motor.g_diff == 0.0:  # the slopes are known: Simpson's rule with them is better by two orders
+        omega_e += n_p * h * alpha
+        rate_alpha += motor.R_s * (i0_alpha - i_alpha)
+        rate_beta += motor.R_s * (i0_beta - i_beta)
+        end = cos * rate_beta - sin * rate_alpha - omega_e * along
+        end = gain * (motor.k_tau * motor.g_mean * motor.psi_f * end - b * alpha1)
+        faster = (7.0 * (alpha0 + alpha1) + 16.0 * alpha) * ONE_THIRTIETH + h * ONE_SIXTIETH * (slope - end)
+    cos, sin = _nudge(cos, sin, late)
+    theta_e = state.theta_e + (h * n_p * state.omega_m + ahead + late)
+    return State(psi_alpha, psi_beta, omega_m + h * faster, theta_e, cos, sin)
 
 
 @kernel
@@ -209,8 +293,17 @@ def _step(params: Params, state: State, applied: inverter.Applied, push: mechani
 @kernel
 def torque(params: Params, state: State) -> float:
     """Electromagnetic torque now, N m."""
+    return _torque(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
+
+
+@kernel
+def _bends(params: Params, state: State, h: float) -> bool:
+    """Whether a step is better taken as two: a phase is near zero, or L_d and L_q differ."""
+    if params.motor.g_diff != 0.0:
+        return True
     i_alpha, i_beta = pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
-    return pmsm.torque(params.motor, state.psi_alpha, state.psi_beta, i_alpha, i_beta)
+    turned = params.motor.n_p * abs(state.omega_m) * h
+    return inverter.near_zero(params.inverter, i_alpha, i_beta, turned)
 
 
 @kernel
@@ -220,21 +313,24 @@ def step(
     """The state after `h` seconds, and the forced acceleration (rad/s2) of the load machine, 0 where it forces none."""
     left = h
     alpha = 0.0
-    for _ in range(4):  # zero speed is passed once or twice in a step; four times never
+    part = 0.5 * h if applied.on and _bends(params, state, h) else h
+    cut = False
+    for _ in range(10):  # zero speed is passed once or twice in a step; more often never
+        part = min(part, left)
         tau_e = torque(params, state) if state.omega_m == 0.0 else 0.0
         push = mechanics.push(params.shaft, load, state.omega_m, tau_e, left)
         alpha = push.alpha
-        after = _step(params, state, applied, push, left)
-        if push.gain == 0.0 or after.omega_m * push.tau_dry >= 0.0:
-            return after, alpha
-        # the speed turned against the direction that friction was taken for
-        part = state.omega_m / (state.omega_m - after.omega_m)
-        if part <= 0.0:  # from rest: the torque fell within the step
-            part = 1.0
-        else:
-            after = _step(params, state, applied, push, part * left)
-        state = State(after.psi_alpha, after.psi_beta, 0.0, after.theta_e, after.cos, after.sin)
-        left *= 1.0 - part
+        after = _step(params, state, applied, push, part)
+        turned = push.gain != 0.0 and after.omega_m * push.tau_dry < 0.0  # against friction as it was taken
+        if turned and not cut and state.omega_m != 0.0:
+            part *= state.omega_m / (state.omega_m - after.omega_m)
+            cut = True
+            continue
+        omega_m = 0.0 if turned or cut else after.omega_m
+        cut = False
+        state = State(after.psi_alpha, after.psi_beta, omega_m, after.theta_e, after.cos, after.sin)
+        left -= part
         if left <= 1e-6 * h:
-            return state, alpha
+            break
+        part = left
     return state, alpha

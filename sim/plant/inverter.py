@@ -23,6 +23,10 @@ from typing import NamedTuple
 from sim.numba_cache import kernel
 from sim.plant import pmsm
 
+NEAR = 1e-6  # of i_smooth: closer currents are one
+TWO_THIRDS = 2.0 / 3.0
+CLEAR = 1.1  # of i_smooth: from here on a phase is not near zero, though the way is not quite straight
+
 
 class Params(NamedTuple):
     """The inverter's constants."""
@@ -83,6 +87,65 @@ def loss(params: Params, applied: Applied, i_alpha: float, i_beta: float) -> tup
         applied.e_a * min(max(i_a * params.g_smooth, -1.0), 1.0),
         applied.e_b * min(max(i_b * params.g_smooth, -1.0), 1.0),
         applied.e_c * min(max(i_c * params.g_smooth, -1.0), 1.0),
+    )
+
+
+@kernel
+def near_zero(params: Params, i_alpha: float, i_beta: float, turned: float) -> bool:
+    """Whether a phase is near zero at these currents (A), or will be when they have turned by an angle (rad)."""
+    a, b, c = pmsm.phases(params.g_smooth * i_alpha, params.g_smooth * i_beta)
+    a, b, c = abs(a), abs(b), abs(c)
+    return min(a, b, c) < CLEAR + turned * max(a, b, c)
+
+
+@kernel
+def settled(params: Params, i0_alpha: float, i0_beta: float, i1_alpha: float, i1_beta: float) -> bool:
+    """Whether `loss` is the same on the way from some currents (A) to others: no phase comes near zero."""
+    g = params.g_smooth
+    a0, b0, c0 = pmsm.phases(g * i0_alpha, g * i0_beta)
+    a1, b1, c1 = pmsm.phases(g * i1_alpha, g * i1_beta)
+    near = min(abs(a0), abs(b0), abs(c0), abs(a1), abs(b1), abs(c1))
+    return near >= CLEAR and a0 * a1 > 0.0 and b0 * b1 > 0.0 and c0 * c1 > 0.0
+
+
+@kernel
+def _area(x: float) -> float:
+    """Integral of sat from 0 to x."""
+    size = abs(x)
+    return 0.5 * x * x if size < 1.0 else size - 0.5
+
+
+@kernel
+def _mean_sat(x0: float, x1: float) -> float:
+    """Mean of sat on the way from x0 to x1."""
+    if x0 >= 1.0 and x1 >= 1.0:
+        return 1.0
+    if x0 <= -1.0 and x1 <= -1.0:
+        return -1.0
+    if abs(x1 - x0) < NEAR:
+        return min(max(0.5 * (x0 + x1), -1.0), 1.0)
+    return (_area(x1) - _area(x0)) / (x1 - x0)
+
+
+@kernel
+def mean_loss(
+    params: Params,
+    applied: Applied,
+    i0_alpha: float,
+    i0_beta: float,
+    i1_alpha: float,
+    i1_beta: float,
+    bow_alpha: float,
+    bow_beta: float,
+) -> tuple[float, float]:
+    """The mean of `loss` on the way from some currents (A) to others; `bow`: how far half way is from straight."""
+    g = params.g_smooth
+    shift_alpha = TWO_THIRDS * bow_alpha  # the straight way of the same mean
+    shift_beta = TWO_THIRDS * bow_beta
+    a0, b0, c0 = pmsm.phases(g * (i0_alpha + shift_alpha), g * (i0_beta + shift_beta))
+    a1, b1, c1 = pmsm.phases(g * (i1_alpha + shift_alpha), g * (i1_beta + shift_beta))
+    return pmsm.vector(
+        applied.e_a * _mean_sat(a0, a1), applied.e_b * _mean_sat(b0, b1), applied.e_c * _mean_sat(c0, c1)
     )
 
 

@@ -13,6 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.native import Pointer
 from sim.numba_cache import kernel
 
 BITS = 12
@@ -50,21 +51,21 @@ def advance(state: np.uint64) -> np.uint64:
 
 
 @kernel
-def first(quantiles: NDArray[np.float64], state: np.uint64) -> float:
+def first(quantiles: Pointer[float], state: np.uint64) -> float:
     """A standard normal number from a state."""
-    return float(quantiles[state >> _FIRST])
+    return float(quantiles[int(state >> _FIRST)])
 
 
 @kernel
-def second(quantiles: NDArray[np.float64], state: np.uint64) -> float:
+def second(quantiles: Pointer[float], state: np.uint64) -> float:
     """A second one from other bits of the same state."""
-    return float(quantiles[(state >> _SECOND) & _MASK])
+    return float(quantiles[int((state >> _SECOND) & _MASK)])
 
 
 @kernel
-def third(quantiles: NDArray[np.float64], state: np.uint64) -> float:
+def third(quantiles: Pointer[float], state: np.uint64) -> float:
     """A third one."""
-    return float(quantiles[(state >> _THIRD) & _MASK])
+    return float(quantiles[int((state >> _THIRD) & _MASK)])
 
 
 @kernel

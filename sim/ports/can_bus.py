@@ -31,7 +31,6 @@ from protocol.canmap.frame import (
     EXTENDED,
     FD_LENGTHS,
     FDF,
-    MAX_DATA,
     RECORD_BYTES,
     REMOTE,
     STANDARD_MASK,
@@ -330,8 +329,8 @@ class SimulatedBus:
             if not self._carries(record):
                 self.rejected += 1
                 continue
-            can_id, length, flags = _header(record)
-            nominal, fast = frame_bits(can_id, length, flags, np.frombuffer(record, np.uint8, MAX_DATA, _DATA_AT))
+            can_id = _header(record)[0]
+            nominal, fast = frame_bits(record)
             rates = self.rates
             node._record = record
             node._since = self.time

@@ -11,10 +11,6 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from numpy.lib.recfunctions import repack_fields
-from numpy.typing import NDArray
-
 from protocol import __version__
 from protocol.device.session import DeviceSession, Identity
 from protocol.device.state import WATCHDOG_OFF
@@ -76,7 +72,10 @@ class SimulatedDevice:
 
         commit = Feature.COMMIT if store is not None else Feature(0)
         drive = DriveApp(self.bench, store)
-        self._columns = [channel.name for channel in drive.channels]
+        self._channels = tuple(drive.channels)
+        self._names = {channel.id: channel.name for channel in drive.channels}
+        self._watched: frozenset[int] = frozenset()
+        self._watched_names: frozenset[str] = frozenset()
         self.drive: DeviceSession = self.network.add(
             drive,
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
@@ -114,14 +113,17 @@ class SimulatedDevice:
         while periods > 0:
             n = min(periods, self._portion, self._until_watchdog())
             unfed = [self._unfed(session) + n / self.pwm_hz for session in self._sessions] if self._notice else []
-            self.bench.watch(self.drive.streams.channels)
+            self._watch(self.drive.streams.channels)
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
             self.network.carry(self.periods / self.pwm_hz)
             self.drive.push_edges(recorded.edges)
-            self.drive.push_samples(recorded.index, recorded.tick, self._telemetered(recorded.samples))
-            self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
+            if self.drive.streams.running:
+                raw = recorded.raw(self._channels, self._watched_names)
+                self.drive.push_samples(recorded.index, recorded.tick, raw)
+            if self.load.streams.running:
+                self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
             self.network.advance(self.tick)
             if self.bench.faults:
                 self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
@@ -137,11 +139,12 @@ class SimulatedDevice:
         """Return and forget the bytes that wait for the link, at most `limit`."""
         return self.network.data_to_send(limit)
 
-    def _telemetered(self, samples: NDArray[np.void]) -> NDArray[np.void]:
-        """The samples with the columns of the drive's channels only."""
-        if len(self._columns) == len(samples.dtype.names or ()):
-            return samples
-        return repack_fields(samples[self._columns])
+    def _watch(self, channels: frozenset[int]) -> None:
+        """Let the bench run what these channels (ids) of the drive need."""
+        if channels != self._watched:
+            self._watched = channels
+            self._watched_names = frozenset(self._names[channel] for channel in channels)
+            self.bench.watch(self._watched_names)
 
     def _until_watchdog(self) -> int:
         """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""

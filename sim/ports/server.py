@@ -215,8 +215,7 @@ def serve(options: ServeOptions, tell: Say) -> None:
     params = load_params(options.config, options.overrides)
     port = _make_port(options)
     try:
-        if not numba_cache.is_warm():
-            tell("compiling the simulation (once, some ten seconds) ...")
+        numba_cache.tell_by(tell)
         if isinstance(port, TcpPort) and port.exposed:
             print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
         with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
@@ -338,9 +337,11 @@ def _make_network(options: ServeOptions) -> Network:
 
 
 def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
-    from sim.ports.device import SimulatedDevice, random_boot_id  # numba: after it is said that it compiles
+    from sim.compile import compile_all  # numba
+    from sim.ports.device import SimulatedDevice, random_boot_id
 
-    device = SimulatedDevice(
+    compile_all()
+    return SimulatedDevice(
         params,
         random_boot_id() if options.seed is None else options.seed,
         boot_id=random_boot_id(),
@@ -348,6 +349,3 @@ def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> Simul
         network=_make_network(options),
         notice=tell,
     )
-    # compiles, or loads what was compiled, the lengths of CAN frames too: a heartbeat is on its way
-    SimulatedDevice(params, network=_make_network(options)).advance(32)
-    return device

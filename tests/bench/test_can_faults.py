@@ -38,7 +38,8 @@ class Rig:
         self.samples: list[np.ndarray] = []  # what the drive handed to its streams: the truth to compare with
         self.edges: list[np.ndarray] = []
         drive = self.device.drive
-        drive.push_samples = kept_of(drive.push_samples, self.samples)  # type: ignore[method-assign]
+        self.first: list[int] = []  # index of the first of them
+        drive.push_samples = kept_of(drive.push_samples, self.samples, self.first)  # type: ignore[method-assign]
         drive.push_edges = kept_of(drive.push_edges, self.edges)  # type: ignore[method-assign]
         self.link = SteppedLink(self.device, step)
         self.bench = Bench(self.link)
@@ -61,9 +62,10 @@ class Rig:
         samples = [chunk for chunk in self.bench.collector.chunks if isinstance(chunk, SampleChunk)]
         edges = [chunk for chunk in self.bench.collector.chunks if isinstance(chunk, EdgeChunk)]
         true_samples, true_edges = np.concatenate(self.samples), np.concatenate(self.edges)
+        first = self.first[0]
         for chunk in samples:
             for name in NAMES:
-                assert (chunk.raw[name] == true_samples[name][chunk.index]).all(), name
+                assert (chunk.raw[name] == true_samples[name][chunk.index - first]).all(), name
         for each in edges:
             assert (each.tick & 0xFFFFFFFF == true_edges["tick"][each.index]).all()
             assert (each.encoder == true_edges["encoder"][each.index]).all()
@@ -85,10 +87,12 @@ class SteppedLink(WatchedLink):
         self._step = max(1, round(step * device.pwm_hz))
 
 
-def kept_of(push: Callable[..., None], kept: list[np.ndarray]) -> Callable[..., None]:
-    """`push`, whose last argument is kept too."""
+def kept_of(push: Callable[..., None], kept: list[np.ndarray], begun: list[int] | None = None) -> Callable[..., None]:
+    """`push`, whose last argument is kept too; `begun` gets its first one, once."""
 
     def pushed(*arguments: Any) -> None:
+        if begun == []:
+            begun.append(arguments[0])
         kept.append(arguments[-1].copy())
         push(*arguments)
 

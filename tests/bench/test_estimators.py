@@ -16,7 +16,8 @@ from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_f
 from bench.rerunio.recording import read_run
 from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
-from sim.observers.catalogue import CATALOGUE, DEFAULTS
+from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import DEFAULTS
 
 ALL = tuple(f"+{name}" for name in CHECKED)
 """Also what is streamed on request only."""

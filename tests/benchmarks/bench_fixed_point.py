@@ -17,7 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.observers import sample, vector_tracking_q15
+from sim.native import value
+from sim.observers import vector_tracking_q15
+from sim.observers.sample import Sample
 from tests.benchmarks.replay import Telemetry, telemetry
 from tests.benchmarks.table import Row, cost
 from tests.sim.drive.rig import PWM_HZ
@@ -70,7 +72,7 @@ def nanoseconds(repeat: int) -> tuple[float, float, float]:
     seen = _recorded(1000, 4.0)
     params = seen.params("vector_tracking_q15")
     n = seen.reset.size
-    rows = np.array([[0, *vector_tracking_q15.counts(params, sample.at(seen.samples, k))] for k in range(n)])
+    rows = np.array([[0, *vector_tracking_q15.counts(params, value(Sample, seen.samples[k]))] for k in range(n)])
     with tempfile.TemporaryDirectory() as folder:
         program = q15_harness.build(Path(folder, "harness"), "-O2")
         state = vector_tracking_q15.init()

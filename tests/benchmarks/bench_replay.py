@@ -28,7 +28,7 @@ SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, in turn
 GOAL_ALONE = 1000.0  # x real time, each observer on one core
 GOAL_FILES = 50.0
 GOAL_SCORE = 20.0  # s for a minute
-PIECE = 1 << 17  # samples at a time
+PIECE = 3200  # samples at a time, as a replay has them
 
 
 def record(path: Path, seconds: float) -> None:

@@ -7,18 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.signals import AngleSource, Status
+from sim.native import Cells
 from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, chosen
+from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import chosen
 from tests.benchmarks.table import Quickest
 from tests.sim.drive.rig import PWM_HZ, SCALE, Recorded, Rig, column
 
-INPUTS = ("u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
+MEASURED = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
 
 
 class Telemetry(NamedTuple):
     """What observers get, and the truth; n samples."""
 
-    samples: sample.Samples
+    samples: np.ndarray  # of the front end
     reset: np.ndarray
     theta: np.ndarray  # rad, unwrapped
     theta_vt: np.ndarray  # rad, of the drive's own vector tracking
@@ -30,40 +32,37 @@ class Telemetry(NamedTuple):
 
     def estimates(self, name: str):
         """What the observer makes of it."""
-        entry = CATALOGUE[name]
-        return entry.run(self.params(name), entry.init(), self.samples, self.reset)[1]
+        return CATALOGUE[name].start(self.params(name)).run(self.samples, self.reset).view(np.recarray)
 
     def nanoseconds(self, name: str, repeat: int) -> float:
         """A step of the observer, compiled; the best of so many runs."""
-        entry, params, best = CATALOGUE[name], self.params(name), Quickest()
+        at_work, best = CATALOGUE[name].start(self.params(name)), Quickest()
         for _ in range(repeat):
             with best.timed():
-                entry.run(params, entry.init(), self.samples, self.reset)
+                at_work.run(self.samples, self.reset)
         return 1e9 * best[""] / self.reset.size
+
+
+def measured_of(bench: Rig, *parts: Recorded) -> np.ndarray:
+    """What the front end takes of it, edges aside."""
+    raw = np.concatenate([part.samples for part in parts])
+    measured = Cells(sample.Measured, raw.size).array
+    measured["tick"] = parts[0].tick + np.arange(raw.size) * bench.params.clock.period_ticks
+    measured["hall"] = raw["hall"]
+    for name in MEASURED:
+        measured[name] = raw[name] * SCALE[name]
+    measured["i_q_err"] = raw["i_q_ref"] * SCALE["i_q_ref"] - np.r_[0.0, raw["i_q"][:-1] * SCALE["i_q"]]
+    return measured
 
 
 def telemetry(bench: Rig, parts: list[Recorded]) -> Telemetry:
     """Everything recorded, as a host would have it."""
     raw = np.concatenate([part.samples for part in parts])
-    edges = np.concatenate([part.edges for part in parts])
     clock = bench.params.clock
-    u_alpha, u_beta, i_a, i_b, i_c, i_q_ref, i_q = (raw[name] * SCALE[name] for name in INPUTS)
+    measured = measured_of(bench, *parts)
     reset = (raw["status"] & Status.OBSERVERS_RESET) != 0
-    _, samples = sample.run(
-        sample.make_params(clock.tick_hz, chosen(sample.Settings, bench.parameters)),
-        sample.init(),
-        parts[0].tick + np.arange(raw.size, dtype=np.int64) * clock.period_ticks,
-        raw["hall"].copy(),
-        u_alpha,
-        u_beta,
-        i_a,
-        i_b,
-        i_c,
-        i_q_ref - np.r_[0.0, i_q[:-1]],
-        np.concatenate([part.edge_tick for part in parts]),
-        (edges["codes"] >> 3) & 7,
-        reset,
-    )
+    front = sample.FrontEnd(sample.make_params(clock.tick_hz, chosen(sample.Settings, bench.parameters)))
+    samples = front.run(measured, np.concatenate([part.captured for part in parts]), reset)
     theta, theta_vt = (np.concatenate([column(part, name) for part in parts]) for name in ("theta_e", "theta_vt"))
     return Telemetry(samples, reset, theta, theta_vt, bench.parameters)
 

@@ -131,10 +131,10 @@ def test_load_angle_its_size_its_sign_and_its_compensation(factor, k_ic):
         bench = running(VECTOR, L_s_hat=factor * 0.176e-3, k_ic=gain)
         settled(bench, 500, 0.2, 0.5, 0.1)
         bench.set_param("load_angle_comp", comp)
-        light = bench.advance(PWM_HZ // 2, log=True)
+        light = bench.advance(PWM_HZ // 2)
         bench.setpoint(SetpointMode.CURRENT, 8.0, 0.0)
         bench.advance(PWM_HZ // 2)
-        full = bench.advance(PWM_HZ // 2, log=True)
+        full = bench.advance(PWM_HZ // 2)
         delta = np.degrees(column(full, "delta_hat").mean())
         return error_deg(full, "theta_vt").mean() - error_deg(light, "theta_vt").mean(), delta
 
@@ -153,6 +153,6 @@ def test_a_coasting_rotor_is_followed_by_its_edges():
     bench = running(VECTOR)
     bench.spin(800, 0.8)
     bench.enter_state(DriveState.IDLE)
-    recorded = bench.advance(PWM_HZ // 2, log=True)
+    recorded = bench.advance(PWM_HZ // 2)
     assert np.abs(error_deg(recorded, "theta_vt")[1600:]).max() < 20
     assert not np.any(recorded.samples["status"][1:] & Status.CORRECTION_ON)

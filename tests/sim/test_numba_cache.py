@@ -1,22 +1,55 @@
 """The cache of compiled kernels: keyed to the sources, importable without numba."""
 
+from __future__ import annotations
+
+import math
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
+from typing import Any
 
 import pytest
 
 from sim import numba_cache
-from sim.numba_cache import jit
+from sim.drive import tick
+from sim.native import Cells, Native, Pointer, native
+from sim.numba_cache import is_kept, kernels_of, tell_by
 
+SOURCE = """
+from sim.native import Pointer
+from sim.numba_cache import kernel
 
-@jit
-def double(x: float) -> float:
+@kernel
+def twice(x):
     return 2.0 * x
+
+@kernel
+def four_times(x):
+    return twice(twice(x))
+
+def fill(x: float, y: Pointer[float]) -> None:
+    y[0] = four_times(x)
+"""
+
+
+@pytest.fixture
+def fill() -> FunctionType:
+    """A function of kernels that nothing has compiled yet."""
+    names: dict[str, Any] = {"__name__": __name__}
+    exec(compile(SOURCE, __file__, "exec"), names)
+    made: FunctionType = names["fill"]
+    return made
+
+
+def filled(function: Native, x: float) -> float:
+    y = Cells(float)
+    function(x, y.at)
+    return float(y.first)
 
 
 def test_module_imports_without_numba() -> None:
-    code = "import sys, sim.numba_cache as c; c.is_warm(); sys.exit('numba' in sys.modules)"
+    code = "import sys, sim.numba_cache as c; c.is_kept(print); sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -56,15 +89,53 @@ def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(list(tmp_path.iterdir())) == numba_cache.KEPT + 1
 
 
-def test_compiled_kernel_lands_in_the_cache() -> None:
-    assert double(1.5) == 3.0
-    assert numba_cache.is_warm("test_numba_cache", "double") or not hasattr(double, "py_func")
-    assert not numba_cache.is_warm("test_numba_cache", "no_such_kernel")
+@pytest.fixture
+def lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """What is told of compiling, in an empty cache."""
+    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
+    monkeypatch.setattr(numba_cache, "_prepare", lambda: str(tmp_path))
+    monkeypatch.setattr(numba_cache, "Progress", type("Fresh", (numba_cache.Progress,), {"told": -1e9}))
+    monkeypatch.setattr(numba_cache, "TELL_EVERY", 0.0)
+    told: list[str] = []
+    tell_by(told.append)
+    return told
 
 
-def test_unwritable_cache_still_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numba_cache, "_prepare", lambda: "")
-    assert jit(lambda x: x + 1.0)(1.0) == 2.0
+def test_what_is_compiled_is_kept_and_told_and_found_again_by_a_copy_installed_elsewhere(
+    fill: FunctionType, lines: list[str], tmp_path: Path
+) -> None:
+    assert not is_kept(fill)
+    assert filled(native(fill), 1.5) == 6.0
+    assert is_kept(fill)
+    assert lines[0] == "compiling, once on this machine: 0 of 3 kernels"
+    assert lines[-1] == "compiling, once on this machine: 2 of 3 kernels"
+    before = len(lines)
+    elsewhere = fill.__code__.replace(co_filename=str(tmp_path / "elsewhere" / Path(__file__).name))
+    copy = FunctionType(elsewhere, fill.__globals__, "fill")
+    copy.__annotations__, copy.__module__ = fill.__annotations__, fill.__module__
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / Path(__file__).name).write_text("")
+    assert filled(native(copy), 2.5) == 10.0
+    assert len(lines) == before
+
+
+def test_kernels_are_found_by_the_names_in_the_code(fill: FunctionType) -> None:
+    assert {one.__name__ for one in kernels_of(fill)} == {"twice", "four_times"}
+    names = {f"{one.__module__}.{one.__name__}" for one in kernels_of(tick.advance._function)}
+    assert {"sim.plant.integrator.rotation", "sim.control.transforms.park", "sim.plant.noise.uniform"} <= names
+
+
+def test_unwritable_cache_still_compiles(monkeypatch: pytest.MonkeyPatch, fill: FunctionType, lines: list[str]) -> None:
+    monkeypatch.setattr(numba_cache.Locator, "from_function", classmethod(lambda cls, function, file: None))
+    assert filled(native(fill), 1.0) == 4.0
+    assert not is_kept(fill)
+
+
+def test_a_division_by_zero_raises_nothing_in_compiled_code() -> None:
+    def divide(x: float, y: Pointer[float]) -> None:
+        y[0] = 1.0 / x
+
+    assert filled(native(divide), 0.0) == math.inf
 
 
 STORM = """

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 
 from bench.acceptance.results import Measurement, Verdict
 from bench.analysis.limits import Limits
-from protocol.signals import SOURCE_NAMES
+from bench.analysis.sources import source_name
 from protocol.text import told
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
@@ -139,9 +139,7 @@ def plain(value: object) -> str:
 
 def setting(value: float, name: str) -> str:
     """The value of a drive's parameter; that of `observer` with the name of the angle source."""
-    source = (
-        {float(number): source for source, number in SOURCE_NAMES.items()}.get(value) if name == "observer" else None
-    )
+    source = source_name(value) if name == "observer" else ""
     return plain(value) + (f" ({source})" if source else "")
 
 

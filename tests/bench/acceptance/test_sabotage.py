@@ -73,8 +73,8 @@ class Workshop:
 
         advance = SimulatedBench.advance
 
-        def watched(bench: SimulatedBench, n: int, log: bool = False) -> Recorded:
-            recorded = advance(bench, n, log)
+        def watched(bench: SimulatedBench, n: int) -> Recorded:
+            recorded = advance(bench, n)
             currents = [np.abs(recorded.samples[phase].astype(int)).max() for phase in ("i_a", "i_b", "i_c")]
             self.largest = max(self.largest, MILLI * float(max(currents)))
             return recorded

@@ -8,7 +8,6 @@ from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS
 from sim.config.params import load_params
 from sim.drive.machine import Recorded, SimulatedBench
-from sim.drive.tick import LOG_FIELDS
 
 PWM_HZ = 16_000
 RPM = 2 * np.pi / 60  # mechanical rad/s
@@ -37,12 +36,12 @@ class Rig(SimulatedBench):
         for state in (DriveState.ARMED, DriveState.RUNNING):
             self.enter_state(state)
             self.load_enter_state(state)
-            records.append(self.advance(1, log=True))
+            records.append(self.advance(1))
         return records
 
     def run(self, seconds: float) -> Recorded:
-        """Go on for a time, unrounded results and truth logged."""
-        return self.advance(round(seconds * PWM_HZ), log=True)
+        """Go on for a time."""
+        return self.advance(round(seconds * PWM_HZ))
 
     def forced(self, rpm: float, i_q: float, seconds: float) -> Recorded:
         """Speed forced by the load machine, current by the drive."""
@@ -57,9 +56,12 @@ class Rig(SimulatedBench):
         return self.run(seconds)
 
 
+COLUMNS = {"theta_e": "theta_true", "omega_e": "omega_true", "i_alpha": "i_alpha_true", "i_beta": "i_beta_true"}
+
+
 def column(recorded: Recorded, name: str) -> np.ndarray:
-    """A logged estimate, or the truth."""
-    return recorded.log[:, LOG_FIELDS.index(name)]
+    """An estimate or the truth, not rounded; angles of the truth not wrapped."""
+    return recorded[COLUMNS.get(name, name)]
 
 
 def physical(recorded: Recorded, name: str) -> np.ndarray:
@@ -68,6 +70,5 @@ def physical(recorded: Recorded, name: str) -> np.ndarray:
 
 
 def error_deg(recorded: Recorded, name: str) -> np.ndarray:
-    """Actual less estimated angle, electrical degrees; the estimate as logged, or as the channel where none is."""
-    estimate = column(recorded, name) if name in LOG_FIELDS else physical(recorded, name)
-    return (np.degrees(column(recorded, "theta_e") - estimate) + 180) % 360 - 180
+    """Actual less estimated angle, electrical degrees."""
+    return (np.degrees(recorded["theta_true"] - recorded[name]) + 180) % 360 - 180

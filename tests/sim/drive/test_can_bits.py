@@ -101,7 +101,7 @@ def frames(draw: st.DrawFn) -> np.ndarray:
 @given(frames())
 def test_bits_are_those_of_the_frame_written_out_and_no_more_than_the_worst_case(row: np.ndarray) -> None:
     can_id, length, flags = int(row["id"][0]), int(row["length"][0]), int(row["flags"][0])
-    nominal, fast = frame_bits(can_id, length, flags, row["data"][0])
+    nominal, fast = frame_bits(row.tobytes())
     assert bits_of(row) == written_out(row) == (nominal, fast)
     assert frame_seconds(row, FD)[0] == pytest.approx(nominal / 1e6 + fast / 5e6)
     rates = FD if flags & BRS else CLASSIC

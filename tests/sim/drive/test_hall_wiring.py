@@ -37,7 +37,7 @@ def old_and_new(recorded):
 @pytest.mark.parametrize("swap", list(SWAPPED))
 def test_exchanged_wires_are_a_legal_sequence_backwards(swap, omega_m):
     bench = turning(omega_m, **{"wiring.hall_swap": int(swap)})
-    recorded = bench.advance(8000, log=True)
+    recorded = bench.advance(8000)
     table = np.array([int(bits, 2) for bits in SWAPPED[swap]])
     assert np.array_equal(recorded.samples["hall"], table[sensor_codes(recorded)])
     old, new = old_and_new(recorded)
@@ -50,13 +50,13 @@ def test_exchanged_wires_are_a_legal_sequence_backwards(swap, omega_m):
 
 @pytest.mark.parametrize("wires", range(1, 8))
 def test_broken_wires_read_one_and_their_edges_vanish(wires):
-    recorded = turning(60.0, **{"wiring.hall_open": wires}).advance(8000, log=True)
+    recorded = turning(60.0, **{"wiring.hall_open": wires}).advance(8000)
     assert np.array_equal(recorded.samples["hall"], sensor_codes(recorded) | wires)
     old, new = old_and_new(recorded)
     assert not np.any((old ^ new) & wires)
     assert np.all(old != new)
     assert np.array_equal(old[1:], new[:-1])
-    turns = (recorded.log[-1, 7] - recorded.log[0, 7]) / (2 * np.pi)
+    turns = (recorded["theta_true"][-1] - recorded["theta_true"][0]) / (2 * np.pi)
     connected = 3 - wires.bit_count()
     assert len(old) == pytest.approx(2 * connected * turns, abs=2)
     jumps = np.array([int(c).bit_count() > 1 for c in old ^ new], bool)
@@ -104,7 +104,7 @@ def test_false_pulses_are_short_independent_and_as_many_as_asked_for():
 
 def test_false_pulses_and_edges_of_the_sensors_are_captured_in_order():
     bench = turning(300.0, **{"wiring.hall_glitch": 1e5, "load.alpha_m_max": 0.0})
-    recorded = bench.advance(16_000, log=True)
+    recorded = bench.advance(16_000)
     old, new = old_and_new(recorded)
     assert np.all(np.diff(recorded.edge_tick) >= 0)
     assert np.array_equal(old[1:], new[:-1])
@@ -117,7 +117,7 @@ def test_false_pulses_and_edges_of_the_sensors_are_captured_in_order():
     assert np.abs(off + 0.5).max() < 0.6
     bench.set_load_param("hall_glitch", 0.0)
     bench.advance(1)  # a pulse ends
-    quiet = bench.advance(16_000, log=True)
+    quiet = bench.advance(16_000)
     assert np.array_equal(quiet.samples["hall"], sensor_codes(quiet))
 
 
@@ -142,7 +142,7 @@ def test_sensors_that_are_moved_open_their_sectors_where_they_stand():
     for number, delta in enumerate(deltas, 1):
         bench.set_load_param(f"hall_delta_{number}", np.radians(delta))
     bench.advance(1000)
-    recorded = bench.advance(8000, log=True)
+    recorded = bench.advance(8000)
     theta = np.interp(recorded.edge_tick, recorded.tick + 1250 * np.arange(8000), column(recorded, "theta_e"))
     _, new = old_and_new(recorded)
     sector = np.array([list(CODE_OF_SECTOR).index(code) for code in new])

@@ -31,10 +31,10 @@ def response(where, hz, amplitude=0.05):
     """Complex gain of the estimate against sin(phase), the phase counted from the first sample with the sync bit."""
     bench = running(**ALIGNED)
     inject(bench, where, amplitude, hz)
-    recorded = bench.advance(32_000, log=True)
+    recorded = bench.advance(32_000)
     first = int(np.flatnonzero(recorded.samples["status"] & Status.INJECTION_SYNC)[0])
     settled = slice(first + 8_000, None)
-    phase = 2 * np.pi * hz / PWM_HZ * (np.arange(len(recorded.log)) - first)
+    phase = 2 * np.pi * hz / PWM_HZ * (np.arange(len(recorded)) - first)
     error = np.angle(np.exp(1j * (column(recorded, "theta_vt") - column(recorded, "theta_e"))))
     basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(phase)])[settled]
     (in_phase, ahead, _), *_ = np.linalg.lstsq(basis, error[settled], rcond=None)
@@ -75,5 +75,5 @@ def test_nothing_is_added(bench, amplitude):
     for where in Injection:
         injected = bench()
         inject(injected, where, amplitude, 123.0)
-        logs.add(injected.advance(1_000, log=True).log.tobytes())
+        logs.add(injected.advance(1_000).rows.tobytes())
     assert len(logs) == 1

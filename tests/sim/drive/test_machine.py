@@ -31,11 +31,11 @@ def test_same_seed_same_bits_whatever_the_portions(glitches):
         bench.enable()
         bench.set_param("observer", AngleSource.LEARNED_EDGES)  # takes over with sample 1600
         bench.setpoint(SetpointMode.SPEED, 100.0)
-        runs = [bench.advance(n, log=True) for n in portions]
+        runs = [bench.advance(n) for n in portions]
         assert bench.n == sum(portions)
         return [
             np.concatenate([getattr(run, name) for run in runs]).tobytes()
-            for name in ("samples", "load_samples", "edges", "edge_tick", "log")
+            for name in ("samples", "load_samples", "edges", "edge_tick", "rows")
         ]
 
     whole = record([3000], 3)
@@ -247,10 +247,9 @@ def test_load_torque_step_is_held_by_the_speed_loop():
 
 def test_truth_is_the_plants_state_at_the_last_sample():
     bench = spinning()
-    recorded = bench.advance(100, log=True)
+    recorded = bench.advance(100)
     truth = bench.truth
     assert truth.omega_e == 6 * truth.omega_m
-    assert recorded.log[-1, 7] == truth.theta_e
-    assert recorded.log[-1, 8] == truth.omega_e
+    assert recorded["theta_true"][-1] == truth.theta_e
+    assert recorded["omega_true"][-1] == truth.omega_e
     assert recorded.samples["tau_e_true"][-1] / 16384 == pytest.approx(truth.tau_e, abs=1e-4)
-    assert recorded.log[:0].shape[1] == bench.advance(1).log.shape[1]

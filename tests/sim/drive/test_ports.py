@@ -69,11 +69,13 @@ def test_unplug_and_plug(port: Port) -> None:
     assert port.read_fds() == []
     with pytest.raises(LinkClosed):
         link.read(5.0)
-    with pytest.raises(LinkNotFound):
-        link.reopen()
+    own_name = not isinstance(port, PtyPort) or "ttySIM" in port.target
+    if own_name:  # the number of a pty may be that of another process by now
+        with pytest.raises(LinkNotFound):
+            link.reopen()
     port.plug()
-    if not isinstance(port, PtyPort) or "ttySIM" in port.target:
-        link.reopen()  # same name
+    if own_name:
+        link.reopen()
     else:
         link = open_link(port.target)
     port.read()

@@ -55,8 +55,8 @@ def test_edges_come_where_and_when_the_rotor_passes_them():
     for sign in (1, -1):
         bench = forced(Rig(**IDEAL), sign * omega_m)
         recorded = bench.advance(n)
-        rate = sign * 6 * omega_m  # electrical rad/s; the first substep of 1/32000 s is the jump to it
-        lost = 0.5 / 32000.0
+        rate = sign * 6 * omega_m  # electrical rad/s; the first step of 1/16000 s is the jump to it
+        lost = 0.5 / 16000.0
         expected = []
         for number in range(-200, 200):
             edge = math.radians(60.0 * number - TABLE_I[number % 6])
@@ -89,7 +89,7 @@ def test_an_edge_belongs_to_the_sample_that_shows_its_code():
 def test_hysteresis_and_jitter_move_the_edges():
     def means(sign, **overrides):
         recorded = forced(Rig(**{**IDEAL, **overrides}), sign * 50.0).advance(32000)
-        angles = recorded.edge_tick / 20e6 * 300.0 - 300.0 * 0.5 / 32000.0
+        angles = recorded.edge_tick / 20e6 * 300.0 - 300.0 * 0.5 / 16000.0
         at = np.degrees(sign * angles) + 30.0
         codes = recorded.edges["codes"] >> 3 & 7
         new = np.array([CODES.index(code) for code in codes])
@@ -190,11 +190,11 @@ bench = Rig(5, **{
 bench.load(SetpointMode.SPEED, 300.0)
 bench.enable()
 bench.setpoint(SetpointMode.CURRENT, 4.0)
-one = bench.advance(250, log=True)
+one = bench.advance(250)
 bench.enable(False)
-two = bench.advance(30, log=True)
+two = bench.advance(30)
 print(json.dumps([
-    [r.samples.tobytes().hex(), r.edges.tobytes().hex(), r.load_samples.tobytes().hex(), r.log.tobytes().hex()]
+    [r.samples.tobytes().hex(), r.edges.tobytes().hex(), r.load_samples.tobytes().hex(), r.rows.tobytes().hex()]
     for r in (one, two)
 ]))
 """

@@ -143,8 +143,10 @@ def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
     for theta_0 in (0.0, 60.0, 110.0, 200.0, 300.0):
         bench = drive(**{"wiring.hall_swap": swap, "mechanics.theta_0_deg": theta_0})
         bench.setpoint(SetpointMode.SPEED, 100 * RPM)
-        recorded = bench.advance(32_000, log=True)
-        assert abs(recorded.log[-1, 7] - recorded.log[0, 7]) < 20 * 2 * np.pi  # one turn of the shaft would be 6
+        recorded = bench.advance(32_000)
+        assert (
+            abs(recorded["theta_true"][-1] - recorded["theta_true"][0]) < 20 * 2 * np.pi
+        )  # one turn of the shaft would be 6
         assert max(np.abs(recorded.samples[f"i_{x}"] / 1024).max() for x in "abc") < 10.0
         assert bench.faults in (0, Fault.HALL)
 
@@ -164,7 +166,7 @@ def watched(bench, periods):
     doubt, opposed = 0.0, 0.0
     for _ in range(periods // 80):
         bench.advance(80)
-        state = bench._state.firmware.protection
+        state = bench._state.first.firmware.protection
         doubt, opposed = max(doubt, state.doubt), max(opposed, state.opposed)
     assert bench.faults == 0
     return doubt, opposed
@@ -207,6 +209,6 @@ def test_jitter_at_an_edge_raises_no_doubt_at_standstill():
     for k in range(100):
         bench.load_setpoint(SetpointMode.SPEED, (-1) ** k * 1.0)
         edges += len(bench.advance(80).edges)
-        assert bench._state.firmware.protection.doubt == 0.0
+        assert bench._state.first.firmware.protection.doubt == 0.0
     assert edges > 50
     assert bench.faults == 0

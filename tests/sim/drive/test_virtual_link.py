@@ -103,7 +103,7 @@ def test_what_comes_out_is_what_the_bench_recorded() -> None:
 
     bench = SimulatedBench(PARAMS, seed=5)
     bench._drive, bench._load, bench._load_state, bench._reset = commands
-    bench.watch(frozenset(channel.id for channel in DRIVE_CHANNELS))
+    bench.watch(frozenset(channel.name for channel in DRIVE_CHANNELS))
     recorded = bench.advance(link.device.periods)
     for node, channels, truth in ((1, DRIVE_CHANNELS, recorded.samples), (2, LOAD_CHANNELS, recorded.load_samples)):
         samples = host.samples(node)

@@ -11,7 +11,7 @@ dead time's error uncompensated: the defaults of the simulated bench. Unless a s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +19,10 @@ from ideal_motor import N_P, PSI_F, PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
 
 from protocol.signals import AngleSource
 from sim.drive.machine import Recorded
+from sim.native import Cells
 from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE, chosen
+from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import chosen
 from tests.sim.drive.rig import Rig, column, physical
 
 TORQUE = 1.5 * N_P * PSI_F  # N m/A
@@ -34,7 +36,7 @@ TOLD = {"lookup_table": table(TABLE_I - HALF_HYSTERESIS, TABLE_I + HALF_HYSTERES
 class Recording(NamedTuple):
     """A run of the drive: what observers are given, and the truth; arrays of shape (n,)."""
 
-    samples: sample.Samples
+    samples: np.ndarray  # of the front end
     reset: np.ndarray
     scored: np.ndarray  # where errors count
     theta: np.ndarray  # electrical rad, unwrapped
@@ -48,7 +50,9 @@ class Recording(NamedTuple):
         entry = CATALOGUE[name]
         drive = self.drive | TOLD.get(name, {})
         drive |= {key: drive[key] * factor for key, factor in (believed or {}).items()}
-        return entry.run(entry.make_params(PWM_HZ, drive), entry.init(), self.samples, self.reset)
+        at_work = entry.start(entry.make_params(PWM_HZ, drive))
+        estimates = at_work.run(self.samples, self.reset).view(np.recarray)
+        return at_work.state.first, estimates
 
     def estimates(self, name: str, believed: Mapping[str, float] | None = None):
         return self.run(name, believed)[1]
@@ -90,27 +94,28 @@ class Tape:
 
     def recording(self) -> Recording:
         assert not self.bench.faults
-        samples, edges, log = (
-            np.concatenate([getattr(part, name) for part in self._parts]) for name in ("samples", "edges", "log")
-        )
-        whole = replace(self._parts[0], samples=samples, edges=edges, log=log)
-        tick = np.concatenate([part.tick + np.arange(len(part.samples)) * (TICK_HZ // PWM_HZ) for part in self._parts])
-        edge_tick = np.concatenate([part.edge_tick for part in self._parts])
+
+        def joined(read, name):
+            return np.concatenate([read(part, name) for part in self._parts])
+
+        edges = np.concatenate([part.captured for part in self._parts])
+        tick = np.concatenate([part.tick + np.arange(len(part)) * (TICK_HZ // PWM_HZ) for part in self._parts])
         reset = np.concatenate(self._resets)
-        seen = (physical(whole, name) for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"))
-        i_q_err = physical(whole, "i_q_ref") - np.r_[0.0, physical(whole, "i_q")[:-1]]
-        hall = np.ascontiguousarray(samples["hall"])
-        front = sample.make_params(TICK_HZ, chosen(sample.Settings, self.bench.parameters))
-        inputs = (tick, hall, *seen, i_q_err, edge_tick, edges["codes"] >> 3 & 7, reset)
+        measured = Cells(sample.Measured, len(tick)).array
+        measured["tick"], measured["hall"] = tick, joined(column, "hall")
+        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
+            measured[name] = joined(physical, name)
+        measured["i_q_err"] = joined(physical, "i_q_ref") - np.r_[0.0, joined(physical, "i_q")[:-1]]
+        front = sample.FrontEnd(sample.make_params(TICK_HZ, chosen(sample.Settings, self.bench.parameters)))
         return Recording(
-            sample.run(front, sample.init(), *inputs)[1],
+            front.run(measured, edges, reset).view(np.recarray),
             reset,
             np.concatenate(self._scored),
-            column(whole, "theta_e").copy(),
-            column(whole, "omega_e").copy(),
-            np.searchsorted(tick, edge_tick),
+            joined(column, "theta_e"),
+            joined(column, "omega_e"),
+            np.searchsorted(tick, edges["tick"]),
             dict(self.bench.parameters),
-            column(whole, "theta_vt").copy(),
+            joined(column, "theta_vt"),
         )
 
 

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.observers import sample
-from sim.observers.catalogue import names
+from sim.native import layout
+from sim.observers import hall_speed, sample
+from sim.observers.entry import Entry, Observing, names
 
 TICK_HZ = 20_000_000
 PWM_HZ = 16_000
@@ -72,11 +73,15 @@ class Signals(NamedTuple):
     edge_hall: np.ndarray
     theta: np.ndarray  # truth, unwrapped
 
-    def arguments(self, reset=None):
-        """Positional arguments of `bank.run` after params and state."""
-        if reset is None:
-            reset = np.zeros(self.tick.size, np.bool_)
-        return (*self[:-1], reset)
+    @property
+    def measured(self) -> np.ndarray:
+        """What the front end takes of them, edges aside."""
+        return np.rec.fromarrays(self[:8], layout(sample.Measured))
+
+    @property
+    def edges(self) -> np.ndarray:
+        """The edges, as the front end takes them."""
+        return np.rec.fromarrays([self.edge_tick, self.edge_hall], layout(hall_speed.Edge))
 
 
 def rpm(value: float) -> float:
@@ -176,22 +181,35 @@ def error_deg(actual: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     return (np.degrees(actual - estimated) + 180) % 360 - 180
 
 
-def samples(s: Signals, reset=None) -> sample.Samples:
+def samples(s: Signals, reset=None) -> np.recarray:
     """What the front end makes of the signals for the observers."""
+    reset = np.zeros(s.tick.size, np.bool_) if reset is None else reset
     params = sample.make_params(TICK_HZ, own(sample))
-    return sample.run(params, sample.init(), *s.arguments(reset))[1]
+    return sample.FrontEnd(params).run(s.measured, s.edges, reset).view(np.recarray)
 
 
-def part(seen: sample.Samples, begin: int, end: int | None = None) -> sample.Samples:
-    """Samples [begin, end) of a run."""
-    hall, *others = seen
-    return sample.Samples(type(hall)(*(c[begin:end].copy() for c in hall)), *(c[begin:end].copy() for c in others))
+def changed(records: np.recarray, **columns) -> np.recarray:
+    """A copy with other columns; those of a record within by its name and theirs, with two underscores between."""
+    copy = records.copy()
+    for name, values in columns.items():
+        inner, _, field = name.rpartition("__")
+        (copy[inner] if inner else copy)[field] = values
+    return copy
+
+
+def run(observer, params, seen, reset=None, state=None):
+    """State and estimates of an observer's module over samples, from `init` or from a state on."""
+    entry = Entry.of(observer, "x", "a test's")
+    at_work = Observing(entry, params)
+    if state is not None:
+        at_work.state.first = state
+    estimates = at_work.run(seen, np.zeros(len(seen), np.bool_) if reset is None else reset)
+    return at_work.state.first, estimates.view(np.recarray)
 
 
 def track(observer, params, s: Signals, reset=None):
     """Estimates of an observer over the signals."""
-    reset = np.zeros(s.tick.size, np.bool_) if reset is None else reset
-    return observer.run(params, observer.init(), samples(s, reset), reset)[1]
+    return run(observer, params, samples(s, reset), reset)[1]
 
 
 def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:

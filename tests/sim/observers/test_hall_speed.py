@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from ideal_motor import CODES, PAPER_EDGES, TICK_HZ, TICKS, constant, rpm, signals
+from ideal_motor import CODES, PAPER_EDGES, TICK_HZ, TICKS, Signals, constant, rpm, signals
 
 from sim.observers import average_speed, hall_speed, sample
 
@@ -16,17 +16,17 @@ def forwards(edges, step=STEP):
 
 
 def agree(out, expected):
-    for name in out._fields:
-        assert np.array_equal(getattr(out, name), getattr(expected, name)), name
+    for name in hall_speed.Estimate._fields:
+        assert np.array_equal(out[name], expected[name]), name
 
 
 def front(tick, hall, edge_tick, edge_hall, params=PARAMS):
     """Last state and estimates of the front end, no motor connected."""
     none = np.zeros(tick.size)
-    given = average_speed.Params(params, 0.0)
-    arguments = (tick, hall, none, none, none, none, none, none, edge_tick, edge_hall, np.zeros(tick.size, bool))
-    state, out = sample.run(given, sample.init(), *arguments)
-    return state.hall, out.hall
+    s = Signals(tick, hall, none, none, none, none, none, none, edge_tick, edge_hall, none)
+    end = sample.FrontEnd(average_speed.Params(params, 0.0))
+    out = end.run(s.measured, s.edges, np.zeros(tick.size, bool))
+    return end.state.first.hall, out.view(np.recarray).hall
 
 
 def feed(events, until=None, params=PARAMS):

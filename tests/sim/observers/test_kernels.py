@@ -6,15 +6,32 @@ import subprocess
 import sys
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_motor import DRIVE, PAPER_EDGES, PWM_HZ, T_S, TICK_HZ, constant, own, quantised, rpm, samples, signals, table
+from ideal_motor import (
+    PAPER_EDGES,
+    PWM_HZ,
+    TICK_HZ,
+    changed,
+    constant,
+    own,
+    quantised,
+    rpm,
+    run,
+    samples,
+    signals,
+    table,
+)
 
+from sim.native import value
 from sim.observers import learned_edges, sample
-from sim.observers.catalogue import CATALOGUE, DEFAULTS, names
+from sim.observers.catalogue import CATALOGUE
+from sim.observers.entry import DEFAULTS, names
 from sim.observers.hall_edges import EDGES
+from sim.observers.sample import FrontEnd, Sample
 
 MODULES = [name for name in CATALOGUE if name != "average_speed"]  # which is the front end's
 OBSERVERS = [import_module(f"sim.observers.{name}") for name in MODULES]
@@ -67,9 +84,7 @@ def resets(n):
 
 def bits(estimates, state):
     """Every bit of a run's result."""
-    digest = hashlib.sha256()
-    for column in estimates:
-        digest.update(np.asarray(column, np.float64).tobytes())
+    digest = hashlib.sha256(np.array([list(estimate) for estimate in estimates], np.float64).tobytes())
     digest.update(np.array(list(numbers(state))).tobytes())
     return digest.hexdigest()
 
@@ -93,7 +108,7 @@ def heard(make):
 
 def run_whole(observer, make):
     """State and estimates."""
-    return observer.run(observer.make_params(PWM_HZ, own(observer, **TOLD)), observer.init(), *heard(make))
+    return run(observer, observer.make_params(PWM_HZ, own(observer, **TOLD)), *heard(make))
 
 
 def digests():
@@ -109,10 +124,34 @@ def test_step_and_run_agree_bit_for_bit(observer):
     for k in range(reset.size):
         if reset[k]:
             state = observer.init()
-        state, estimate = observer.step(params, state, sample.at(seen, k))
+        state, estimate = observer.step(params, state, value(Sample, seen[k]))
         estimates.append(estimate)
     last, out = run_whole(observer, busy)
-    assert bits(zip(*estimates, strict=True), state) == bits(out, last)
+    assert bits(estimates, state) == bits(out, last)
+
+
+@EACH
+def test_a_run_in_portions_gives_the_same_bits(observer):
+    seen, reset = heard(busy)
+    params, cuts = observer.make_params(PWM_HZ, own(observer, **TOLD)), (0, 1, 2, 700, 701, 5200, len(reset))
+    state, parts = None, []
+    for begin, end in pairwise(cuts):
+        state, out = run(observer, params, seen[begin:end], reset[begin:end], state)
+        parts.append(out)
+    assert bits(np.concatenate(parts), state) == bits(*reversed(run_whole(observer, busy)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_front_end_gives_the_same_bits_in_portions_with_edges_to_come(seed):
+    """As a live stream has them: more edges than the samples so far can use, given again with the next."""
+    s, rng = busy(), np.random.default_rng(seed)
+    measured, edges, reset = s.measured, s.edges, resets(s.tick.size)
+    end = FrontEnd(sample.make_params(TICK_HZ, own(sample)))
+    parts, used = [], 0
+    for first, last in pairwise(np.unique(np.r_[0, rng.integers(0, len(reset), rng.integers(1, 400)), len(reset)])):
+        parts.append(end.run(measured[first:last], edges[used : used + 50], reset[first:last]))
+        used += int(np.searchsorted(s.edge_tick[used : used + 50], s.tick[last - 1], side="right"))
+    assert np.array_equal(np.concatenate(parts), samples(s, reset))
 
 
 def test_the_uncompiled_kernels_agree_bit_for_bit():
@@ -125,25 +164,10 @@ def test_the_uncompiled_kernels_agree_bit_for_bit():
 
 def test_what_can_be_learned_is_learned_where_the_bits_are_compared():
     params = learned_edges.make_params(PWM_HZ, own(learned_edges))
-    state, out = learned_edges.run(params, learned_edges.init(), *heard(learning))
+    state, out = run(learned_edges, params, *heard(learning))
     assert state.edges.learned == 6
     assert 0.0 not in (state.edges.c, state.voltage.v, state.voltage.R_error)
     assert out.sensors[-1] == 1
-
-
-@EACH
-def test_one_compiled_version_serves_parameters_of_all_kinds(observer):
-    """Whole numbers from a host, numpy scalars: no second compilation."""
-    if not hasattr(observer.run, "signatures"):
-        pytest.skip("not compiled")
-    reset = np.zeros(100, bool)
-    seen = samples(signals(constant(rpm(100)), 100 * T_S))
-    for kind in (float, np.float32, int):
-        drive = {name: kind(value) for name, value in DRIVE.items() if value or kind is not int}
-        params = observer.make_params(PWM_HZ, own(observer, **drive))
-        state, _ = observer.run(params, observer.init(), seen, reset)
-        observer.run(params, state, seen, reset)
-    assert len(observer.run.signatures) == 1
 
 
 @EACH
@@ -153,12 +177,12 @@ def test_parameters_that_are_zero_divide_by_nothing(observer, speed):
     zeros = [name for name in names(observer.Settings) if name not in ("n_p", "hall_timeout") and name not in OPTIONAL]
     s = signals(constant(rpm(speed)), 0.05, i_q=8.0)
     driven = samples(s)
-    still = driven._replace(u_alpha=0 * s.u_alpha, u_beta=0 * s.u_beta)
+    still = changed(driven, u_alpha=0.0, u_beta=0.0)
     for zero in [zeros, *([name] for name in zeros)]:
         params = observer.make_params(PWM_HZ, own(observer, **dict.fromkeys(zero, 0.0)))
         for seen in (driven, still):
-            for column in observer.run(params, observer.init(), seen, np.zeros(s.tick.size, bool))[1]:
-                assert np.isfinite(column).all(), zero
+            estimates = run(observer, params, seen)[1]
+            assert all(np.isfinite(estimates[name]).all() for name in estimates.dtype.names), zero
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -16,9 +16,9 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
-    part,
     ramp,
     rpm,
+    run,
     samples,
     signals,
     table,
@@ -35,8 +35,7 @@ def make(**drive):
 
 def estimate(s, **drive):
     """Last state and all estimates."""
-    reset = np.zeros(s.tick.size, np.bool_)
-    return learned_edges.run(make(**drive), learned_edges.init(), samples(s), reset)
+    return run(learned_edges, make(**drive), samples(s))
 
 
 def errors(s, out, settled=0.5):
@@ -229,11 +228,11 @@ def test_without_voltage_the_edges_lead():
 
 def test_an_observer_that_is_half_a_turn_off_finds_back():
     s = signals(constant(rpm(800)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
-    seen, n = samples(s), s.tick.size
+    seen = samples(s)
     cut = PWM_HZ // 2
-    state, _ = learned_edges.run(make(), learned_edges.init(), part(seen, 0, cut), np.zeros(cut, np.bool_))
+    state, _ = run(learned_edges, make(), seen[:cut])
     turned = state._replace(theta=float((state.theta + 2 * np.pi) % (2 * np.pi) - np.pi))
-    _, out = learned_edges.run(make(), turned, part(seen, cut), np.zeros(n - cut, np.bool_))
+    _, out = run(learned_edges, make(), seen[cut:], state=turned)
     error = error_deg(s.theta[cut:], out.theta)
     assert np.abs(error[0]) > 170
     assert np.abs(error[-1600:]).max() < 1.0

@@ -14,22 +14,22 @@ from ideal_motor import (
     constant,
     error_deg,
     own,
-    part,
     ramp,
     rpm,
+    run,
     samples,
     signals,
     track,
     turning_back,
 )
 
-from sim.observers import hall_speed, vector_tracking
-from sim.observers.sample import Samples
+from sim.native import Cells
+from sim.observers import back_emf, vector_tracking
+from sim.observers.sample import Sample
 
 
-def estimate(s, exact_inverse=True, **drive):
-    params = vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive))
-    return track(vector_tracking, params._replace(exact_inverse=int(exact_inverse)), s)
+def estimate(s, **drive):
+    return track(vector_tracking, vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive)), s)
 
 
 def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **drive):
@@ -45,25 +45,21 @@ def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **d
     u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
     omega_h = np.broadcast_to(np.asarray(omega_h, float), n).copy()
     sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
-    ones = np.ones(n, np.int64)
-    front = hall_speed.Estimates(sector, direction * ones, ones, omega_h, np.zeros(n), 0 * ones)
+    seen = Cells(Sample, n).array.view(np.recarray)
+    hall = seen.hall
+    hall.sector, hall.direction, hall.anchored, hall.omega = sector, direction, 1, omega_h
     first = vector_tracking.init()._replace(
-        primed=1,
+        # the filter of (6) as it would have settled: as long as tau is short this hardly matters
+        back_emf=back_emf.State(1, i.real[0], i.imag[0], u.real[1], u.imag[1]),
         on=1,
         direction=direction,
-        i_alpha=i.real[0],
-        i_beta=i.imag[0],
-        # the filter of (6) as it would have settled: as long as tau is short this hardly matters
-        e_alpha=(u.real[1]),
-        e_beta=(u.imag[1]),
         theta=float(theta[0] if start is None else start),
         omega=float(omega_h[0]),
         omega_lpf=float(omega_h[0]),
     )
-    i_q_err = np.broadcast_to(np.asarray(i_q_ref, float) - i_q, n)
-    none = np.zeros(n, np.int64)
-    seen = Samples(front, theta, none, none, none, none, 0.0 * theta, u.real, u.imag, i.real, i.imag, i_q_err)
-    return vector_tracking.run(params, first, part(seen, 1), np.zeros(n - 1, np.bool_))[1]
+    seen.i_q_err = np.asarray(i_q_ref, float) - i_q
+    seen.theta_avg, seen.u_alpha, seen.u_beta, seen.i_alpha, seen.i_beta = theta, u.real, u.imag, i.real, i.imag
+    return run(vector_tracking, params, seen[1:], state=first)[1]
 
 
 @pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
@@ -79,18 +75,9 @@ def test_exact_on_ideal_signals(speed):
 
 
 @pytest.mark.parametrize("speed", [500.0, 1000.0, 2000.0, -1000.0])
-def test_the_plain_inverse_of_the_filter_leaves_a_bias_and_the_exact_one_none(speed):
-    omega = rpm(speed)
-    s = signals(constant(omega), 0.4)
-    tau = min(1e-3, 1 / abs(omega))
-    a = T_S / (T_S + tau)
-    sampled = a / (1 - (1 - a) * np.exp(-1j * omega * T_S))
-    bias = np.degrees(np.angle(sampled * (1 + 1j * tau * omega)))  # of theta*, hence of the estimate
-    plain = error_deg(s.theta, estimate(s, exact_inverse=False, tau_max=1e-3).theta)[-800:]
-    exact = error_deg(s.theta, estimate(s, exact_inverse=True, tau_max=1e-3).theta)[-800:]
-    assert abs(bias) > 0.05
-    assert plain.mean() == pytest.approx(-bias, abs=0.01)
-    assert abs(exact.mean()) < 0.002
+def test_the_filter_of_the_back_emf_leaves_no_bias(speed):
+    s = signals(constant(rpm(speed)), 0.4)
+    assert abs(error_deg(s.theta, estimate(s, tau_max=1e-3).theta)[-800:].mean()) < 0.002
 
 
 @pytest.mark.parametrize("hertz", [5.0, 37.0, 100.0, 202.0, 500.0, 1000.0])
@@ -225,10 +212,10 @@ def test_an_estimate_far_from_its_sector_is_dropped_and_found_again():
     omega = rpm(500)
     s = signals(constant(omega), 0.2)
     params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
-    seen, reset, half = samples(s), np.zeros(s.tick.size, bool), 1600
-    state, _ = vector_tracking.run(params, vector_tracking.init(), seen, reset[:half])
+    seen, half = samples(s), 1600
+    state, _ = run(vector_tracking, params, seen[:half])
     lost = state._replace(theta=float(s.theta[half] + np.radians(130)), omega_corr_i=200.0)
-    _, out = vector_tracking.run(params, lost, part(seen, half), reset[half:])
+    _, out = run(vector_tracking, params, seen[half:], state=lost)
     error = np.abs(error_deg(s.theta[half:], out.theta))
     assert out.on[0] == 0
     assert error[0] < 0.1

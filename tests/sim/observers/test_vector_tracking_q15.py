@@ -8,11 +8,26 @@ import pytest
 import q15_harness
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ideal_motor import PAPER_EDGES, PWM_HZ, constant, error_deg, own, quantised, rpm, samples, signals, turning_back
+from ideal_motor import (
+    PAPER_EDGES,
+    PWM_HZ,
+    changed,
+    constant,
+    error_deg,
+    own,
+    quantised,
+    rpm,
+    run,
+    samples,
+    signals,
+    turning_back,
+)
 from test_kernels import busy, resets
 
-from sim.observers import sample, vector_tracking
+from sim.native import value
+from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
+from sim.observers.sample import Sample
 
 PARAMS = q15.make_params(PWM_HZ, own(q15))
 TURN = 1 << 32
@@ -21,11 +36,11 @@ TURN = 1 << 32
 def both(s, hall_factor=1.0):
     """Estimates of the fixed-point and of the floating-point observer, the Hall speed wrong by a factor."""
     seen, reset = samples(s), np.zeros(s.tick.size, np.bool_)
-    seen = seen._replace(hall=seen.hall._replace(omega=hall_factor * seen.hall.omega))
+    seen = changed(seen, hall__omega=hall_factor * seen.hall.omega)
     params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
     return (
-        q15.run(PARAMS, q15.init(), seen, reset)[1],
-        vector_tracking.run(params, vector_tracking.init(), seen, reset)[1],
+        run(q15, PARAMS, seen, reset)[1],
+        run(vector_tracking, params, seen, reset)[1],
     )
 
 
@@ -58,7 +73,7 @@ def recording(name):
     s = quantised(s)
     reset = resets(s.tick.size) & (name == "busy")
     seen = samples(s, reset)
-    return np.array([[again, *q15.counts(PARAMS, sample.at(seen, k))] for k, again in enumerate(reset)], np.int64)
+    return np.array([[again, *q15.counts(PARAMS, value(Sample, seen[k]))] for k, again in enumerate(reset)], np.int64)
 
 
 RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
@@ -317,9 +332,9 @@ def test_full_scale_saturates_and_a_larger_base_does_not():
     more = own(q15, psi_f_hat=20 * own(q15).psi_f_hat)
     wide = q15.make_params(PWM_HZ, more, base_u=640.0, base_i=640.0)
     assert wide.q == PARAMS.q
-    _, out = q15.run(wide, q15.init(), seen, reset)
-    _, same = q15.run(PARAMS, q15.init(), samples(small), reset)
+    _, out = run(q15, wide, seen, reset)
+    _, same = run(q15, PARAMS, samples(small), reset)
     assert np.array_equal(out.theta, same.theta)
     narrow = q15.make_params(PWM_HZ, more)
-    counts = np.array([q15.counts(narrow, sample.at(seen, k))[:4] for k in range(100)])
+    counts = np.array([q15.counts(narrow, value(Sample, seen[k]))[:4] for k in range(100)])
     assert np.abs(counts).max() == INT16

@@ -1,0 +1,157 @@
+"""What the simulated bench recorded over some periods: columns in SI units, raw samples made of them when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.descriptor import sample_dtype
+from protocol.signals import DRIVE_CHANNELS, LOAD_CHANNELS, Flag, RawType, Signal, Status
+from protocol.streams import EDGE_RECORD
+from sim.drive import tick_record as record
+from sim.drive.tick import Row
+from sim.native import Cells, address, layout
+from sim.observers.entry import Entry
+from sim.observers.hall_speed import Edge
+
+LOAD_DTYPE = sample_dtype(LOAD_CHANNELS)
+FLAGS = {"on": Status.CORRECTION_ON, "sync": Status.INJECTION_SYNC}
+"""What the vector-tracking observer adds to the status: fields of its estimates."""
+_KINDS = {RawType.I16: record.CLIPPED, RawType.U16: record.UNSIGNED, RawType.U8: record.BYTE}
+_WORD = 8
+
+
+class _Table(NamedTuple):
+    columns: Cells  # record.Column
+    dtype: np.dtype[np.void]  # of a raw sample
+    whole: bool  # all of it is made
+    channels: tuple[Signal, ...]
+
+
+class Sections:
+    """How a block is divided: the records of the loop, and the estimates of each of `running`.
+
+    A section holds as many records as there are periods, one section after the other.
+    """
+
+    def __init__(self, running: Sequence[Entry]) -> None:
+        self.at: dict[str, int] = {}
+        """Words of a record of all sections before, by the observer's name; "": that of the loop."""
+        self.words = 0
+        """Of a period."""
+        self._found: dict[str, tuple[int, int, int]] = {}
+        self._tables: dict[tuple[int, frozenset[str] | None], _Table] = {}
+        self._add("", layout(Row), {name: name for name in Row._fields})
+        for entry in running:
+            more = {name: name for name in FLAGS} if entry.name == "vector_tracking" else {}
+            self._add(entry.name, layout(entry.kinds[2]), {**entry.channels, **more})
+
+    def _add(self, name: str, kind: np.dtype[np.void], fields: Mapping[str, str]) -> None:
+        assert kind.fields is not None
+        for column, field in fields.items():
+            place = self.words, kind.fields[field][1] // _WORD, kind.itemsize // _WORD
+            self._found.setdefault(column, place)
+        self.at[name] = self.words
+        self.words += kind.itemsize // _WORD
+
+    def where(self, name: str) -> tuple[int, int, int]:
+        """Section, field and stride of a column, in words; KeyError if there is none."""
+        return self._found[name]
+
+    def table(self, channels: tuple[Signal, ...], only: frozenset[str] | None) -> _Table:
+        """How raw samples of these channels are made, of all or of some of them."""
+        key = id(channels), only  # the table keeps them, so no others get this id
+        if key not in self._tables:
+            dtype = sample_dtype(channels)
+            assert dtype.fields is not None
+            columns = []
+            made = [c for c in channels if c.name in self._found and (only is None or c.name in only)]
+            for channel in made:
+                kind = record.TURNS if channel.flags & Flag.WRAPS else _KINDS[channel.raw]
+                at = dtype.fields[channel.name][1]
+                columns.append(record.Column(*self.where(channel.name), kind, 1.0 / channel.scale, at))
+                if channel.name == "status":
+                    columns += [
+                        record.Column(*self.where(field), record.FLAG, float(bit), at)
+                        for field, bit in FLAGS.items()
+                        if field in self._found
+                    ]
+            cells = Cells(record.Column, len(columns))
+            cells.array[:] = columns
+            self._tables[key] = _Table(cells, dtype, len(made) == len(channels), channels)
+        return self._tables[key]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What n periods recorded, and m edges. `recorded[name]`: a column, see `__getitem__`."""
+
+    index: int
+    """PWM period of the first sample."""
+    tick: int
+    """Of the first sample."""
+    n: int
+    sections: Sections
+    block: NDArray[np.float64]
+    captured: NDArray[np.void]
+    """Edges as observers see them, records of `Edge`, shape (m,)."""
+    edges: NDArray[np.void]
+    """The same as on the wire, EDGE_RECORD."""
+    load_state: int
+
+    def __len__(self) -> int:
+        return self.n
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """A channel's values, not rounded and angles not wrapped, or another field of `Row`; SI units, shape (n,).
+
+        Channels of whole numbers come as such. KeyError for a channel of an observer that was not running.
+        """
+        section, field, stride = self.sections.where(name)
+        here = self.block[section * self.n + field :][: self.n * stride : stride]
+        return here.view(np.int64) if name in _WHOLE else here
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """All that the loop recorded, records of `Row`, shape (n,)."""
+        kind = layout(Row)
+        return self.block[: self.n * (kind.itemsize // _WORD)].view(kind)
+
+    @property
+    def edge_tick(self) -> NDArray[np.int64]:
+        """Ticks of the edges, not cut to 32 bits, shape (m,)."""
+        ticks: NDArray[np.int64] = self.captured["tick"]
+        return ticks
+
+    def raw(self, channels: tuple[Signal, ...], only: frozenset[str] | None = None) -> NDArray[np.void]:
+        """Raw samples of these channels of the drive, as on the wire, shape (n,).
+
+        Zero where an observer did not run, and, if `only` some are wanted (names), in all others.
+        """
+        table = self.sections.table(channels, only)
+        made = np.empty(self.n, table.dtype) if table.whole else np.zeros(self.n, table.dtype)
+        block = address(self.block)
+        record.pack(table.columns.at, len(table.columns), block, block, self.n, address(made), table.dtype.itemsize)
+        return made
+
+    @cached_property
+    def samples(self) -> NDArray[np.void]:
+        """Raw samples of all channels that a drive of this package has."""
+        return self.raw(DRIVE_CHANNELS)
+
+    @property
+    def load_samples(self) -> NDArray[np.void]:
+        """Raw samples of the load machine."""
+        made = np.empty(self.n, LOAD_DTYPE)
+        made["omega_m"], made["tau_load"], made["status"] = self["omega_m"], self["tau_load_true"], self.load_state
+        return made
+
+
+_WHOLE = ("hall", "status", *FLAGS)
+assert layout(Edge).itemsize == 2 * _WORD
+assert EDGE_RECORD.itemsize == _WORD
