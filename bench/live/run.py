@@ -22,6 +22,7 @@ from bench.device.node import LOAD, ClockFit
 from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
 from bench.files import check_output
+from bench.live.gathered import Gathered
 from bench.live.manoeuvres import SHOW, Act, timed
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
@@ -129,6 +130,7 @@ class LiveRun:
         self._pole_pairs: int | None = None
         self._watchdog = WATCHDOG  # s
         self._judge: Plausibility | None = None  # of a run that turns the motor
+        self._gathered = Gathered(())  # what counts and judges
         self._bus: dict[str, Any] | None = None
         self._signal = 0  # the first that came
 
@@ -281,10 +283,10 @@ class LiveRun:
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
-            sinks: list[Sink] = [stats, *([self._judge] if self._judge else []), *outputs.sinks]
+            self._gathered = Gathered([stats, self._judge] if self._judge else [stats])
             if augmenter is not None:
                 self.client.change = augmenter.take
-            self.client.sinks = [self._notes, *sinks]
+            self.client.sinks = [self._notes, self._gathered, *outputs.sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
@@ -331,6 +333,7 @@ class LiveRun:
             self._bus = meter.report(self.drive.load)
             self._interrupted(self.make_safe)
         self._interrupted(self._stop_streams)
+        self._gathered.flush()
         if acts and stats.faults and not self.tripped:  # in the last moment
             why = self.rig.drive.starved(self._watchdog)
             self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{why}"
@@ -405,6 +408,7 @@ class LiveRun:
 
     def perform(self, act: Act, end: float, stats: RunStatistics) -> None:
         """One act: angle source, load and speed, then watch until the client's clock says `end`."""
+        self._gathered.flush()
         stats.segment = act.title
         if not self.tripped:
             self.note(act.title)

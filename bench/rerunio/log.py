@@ -24,7 +24,7 @@ from bench.device.counters import DeviceCounters
 from bench.rerunio import markdown, schema, states
 from bench.rerunio.blocks import Block, StreamKey, stream_key
 from bench.rerunio.hall_lanes import HallLanes
-from bench.rerunio.plane import Plane
+from bench.rerunio.plane import Picture, Plane
 from bench.rerunio.plots import left_out, trend_lines
 from bench.rerunio.trend import Rows, TrendBinner
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
@@ -35,24 +35,27 @@ from protocol.text import printable, told
 REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newest rows
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
+TREND_LOT = 10  # bins, at least, that go out together
 RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
 Values = NDArray[Any]
-_STATE = "StateChange:state"
+_STATE, _ARROWS, _LABELS = "StateChange:state", "Arrows2D:vectors", "Points2D:labels"
 _METADATA = {  # of columns that are no numbers of ours
-    _STATE: {
-        "rerun:archetype": "rerun.archetypes.StateChange",
-        "rerun:component": _STATE,
-        "rerun:component_type": "rerun.components.Text",
+    component: {
+        "rerun:archetype": f"rerun.archetypes.{component.partition(':')[0]}",
+        "rerun:component": component,
+        "rerun:component_type": f"rerun.components.{kind}",
     }
+    for component, kind in ((_STATE, "Text"), (_ARROWS, "Vector2D"), (_LABELS, "Text"))
 }
+_ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 
 
 class RunLog:
-    """Logs one run to `stream`."""
+    """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more."""
 
-    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo) -> None:
+    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo, lot: float = 0.0) -> None:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
@@ -69,8 +72,10 @@ class RunLog:
         self._next_health_ns = self._next_plane_ns = 0
         bands, means = trend_lines(run)
         self._trend_lines = [*bands, *means]
-        self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands))
+        self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands), max(TREND_LOT, round(lot / TREND_BIN)))
         self._plane = Plane(run)
+        self._pictures: list[tuple[int, Picture]] = []
+        self._lot_ns, self._next_lot_ns = round(lot * 1e9), 0
 
     # -- static -------------------------------------------------------------------------------------------------
 
@@ -101,7 +106,9 @@ class RunLog:
             self._edges(stream, join(edges))
         for stream, samples in self._by_stream(block.samples):
             self._samples(stream, join(samples))
-        self._hall_lanes()
+        if self._now_ns >= self._next_lot_ns:
+            self._next_lot_ns = self._now_ns + self._lot_ns
+            self._send_lot()
         for node, event in block.events:
             self._event(node, event)
         for node, heartbeat in block.heartbeats:
@@ -133,6 +140,7 @@ class RunLog:
 
     def finish(self) -> None:
         """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
+        self._send_lot()
         self._send_trend(self._trend.rest())
         if self.marks:
             self._mark_lane()
@@ -142,8 +150,9 @@ class RunLog:
     def _reach(self, t_ns: int) -> None:
         """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
         if t_ns + RESTART_NS < self._now_ns:
+            self._send_lot()
             self._send_trend(self._trend.rest())
-            self._next_plane_ns = self._next_health_ns = self._lanes_ns = self._now_ns = t_ns
+            self._next_plane_ns = self._next_health_ns = self._next_lot_ns = self._lanes_ns = self._now_ns = t_ns
             self._hall.restart()
         self._now_ns = max(self._now_ns, t_ns)
 
@@ -164,10 +173,10 @@ class RunLog:
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
-            self._at(int(t_ns[-1]))
             newest = {name: float(value[-1]) for name, value in values.items()}
-            for entity, parts in self._plane.picture(newest, {n: float(e[-1]) for n, e in errors.items()}):
-                self._stream.log(entity, parts)
+            picture = self._plane.picture(newest, {n: float(e[-1]) for n, e in errors.items()})
+            if picture is not None:
+                self._pictures.append((int(t_ns[-1]), picture))
 
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
         columns: dict[str, pa.Array] = {
@@ -182,10 +191,17 @@ class RunLog:
         if stream.entity == schema.HALL:
             self._hall.edges(t_ns, chunk.hall_new)
 
-    def _hall_lanes(self) -> None:
+    def _send_lot(self) -> None:
+        """Log the Hall lanes and the pictures of the stator plane since the last time."""
         t_ns, codes = self._hall.take()
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_LANES.take(pa.array(codes))})
+        pictures, self._pictures = self._pictures, []
+        if pictures:
+            t_ns = np.array([at for at, _ in pictures])
+            arrows, labels = zip(*(picture for _, picture in pictures), strict=True)
+            self._send(schema.VECTORS, t_ns, {_ARROWS: pa.array(arrows, pa.list_(_ARROW))})
+            self._send(schema.LEGEND, t_ns, {_LABELS: pa.array(labels, pa.list_(pa.string()))})
 
     def _by_stream(self, chunks: Sequence[Chunk]) -> list[tuple[_Stream, list[Chunk]]]:
         groups: dict[str, tuple[_Stream, list[Chunk]]] = {}

@@ -25,6 +25,10 @@ _POINT = 0.0  # a radius: labels only
 _HOLD = 0.98  # a picture: how slowly a scale shrinks again
 
 
+Picture = tuple[list[tuple[float, float]], list[str]]
+"""Ends of the arrows, as rerun has them, and the lines of the legend."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Arrow:
     colour: RGB
@@ -60,7 +64,7 @@ class Plane:
         return ", ".join(part for part in parts if part)
 
     def frame(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield entity and static content: circle, sector borders and names, phase axes."""
+        """Yield entity and static content: circle, sector borders and names, phase axes; how arrows and legend look."""
         if not self.contents:
             return
         angles = np.linspace(0, 2 * math.pi, 121)
@@ -88,33 +92,21 @@ class Plane:
                 draw_order=-5,
             ),
         )
+        arrows = self._arrows(dict.fromkeys(self._used, 0.0), {})
+        colours = [arrow.colour for arrow in arrows]
+        yield schema.VECTORS, rr.Arrows2D.from_fields(colors=colours, radii=[-arrow.radius for arrow in arrows])
+        places = [(_TEXT_X, -0.95 + 0.34 * row) for row in range(len(arrows))]
+        yield schema.LEGEND, rr.Points2D(places, colors=colours, radii=_POINT, show_labels=True)
 
-    def picture(
-        self, newest: Mapping[str, float], errors_deg: Mapping[str, float]
-    ) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield entity and content for the newest values of all channels and the position errors in degrees."""
+    def picture(self, newest: Mapping[str, float], errors_deg: Mapping[str, float]) -> Picture | None:
+        """What moves, for the newest values of all channels and the position errors in degrees."""
         if not self.contents or not all(math.isfinite(newest[name]) for name in self._used):
-            return  # a float channel of a physical drive can hold anything
-        arrows = [*self._axes(newest, errors_deg), *self._vectors(newest)]
-        yield (
-            schema.VECTORS,
-            rr.Arrows2D(
-                vectors=[(arrow.x, -arrow.y) for arrow in arrows],
-                colors=[arrow.colour for arrow in arrows],
-                radii=[-arrow.radius for arrow in arrows],
-            ),
-        )
-        y = [-0.95 + 0.34 * row for row in range(len(arrows))]
-        yield (
-            schema.VECTORS + "/legend",
-            rr.Points2D(
-                [(_TEXT_X, row) for row in y],
-                labels=[arrow.text for arrow in arrows],
-                colors=[arrow.colour for arrow in arrows],
-                radii=_POINT,
-                show_labels=True,
-            ),
-        )
+            return None  # a float channel of a physical drive can hold anything
+        arrows = self._arrows(newest, errors_deg)
+        return [(arrow.x, -arrow.y) for arrow in arrows], [arrow.text for arrow in arrows]
+
+    def _arrows(self, newest: Mapping[str, float], errors_deg: Mapping[str, float]) -> list[_Arrow]:
+        return [*self._axes(newest, errors_deg), *self._vectors(newest)]
 
     def _axes(self, newest: Mapping[str, float], errors_deg: Mapping[str, float]) -> Iterator[_Arrow]:
         estimates = self._run.position_estimates

@@ -50,6 +50,7 @@ DRIVE = "drive"  # state, faults, angle source, correction, telemetry: one lane 
 ACCEPTANCE = "acceptance"  # marks of an acceptance run, and one lane that shows them
 PLANE = "stator/plane"
 VECTORS = "stator/vectors"
+LEGEND = f"{VECTORS}/legend"
 SUMMARY = "summary"
 
 # components

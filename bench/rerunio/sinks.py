@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 BLOCK_PERIOD = 0.055  # s of signal a message to a live view
 FILE_PERIOD = 0.045  # s of signal a message to a file: with what is under way it lacks 0.1 s at most after kill -9
+FILE_LOT = 0.5  # s of signal of what only plots need: the samples and edges that it is made of are written before
 READY_TIMEOUT = 10.0  # s for rerun to be imported and the dashboard to be written
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
@@ -226,7 +227,7 @@ class FileSink(_BlockSink):
         from bench.rerunio.log import RunLog
 
         try:
-            log = RunLog(self._stream, self.run)
+            log = RunLog(self._stream, self.run, FILE_LOT)
             log.start()
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
             self._ready.set()

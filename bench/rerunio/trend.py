@@ -19,7 +19,7 @@ class TrendBinner:
     The first `bands` terms come out as minimum and maximum, the others as mean.
     """
 
-    def __init__(self, bin_ns: int, bands: int, lot: int = 10) -> None:
+    def __init__(self, bin_ns: int, bands: int, lot: int) -> None:
         self._bin_ns = bin_ns
         self._bands = bands
         self._lot = lot

@@ -17,6 +17,9 @@ from protocol.wire import ByteWire, HostWire
 MAX_READ = 65536
 """Most bytes that one `read` returns."""
 
+SLICE = 0.01
+"""Seconds after which a settling read empties the kernel's buffer: a pty holds 12 KiB."""
+
 REFILL = 0.0005
 """Seconds that a settled read waits for the kernel to refill the buffer that it has just emptied."""
 
@@ -124,29 +127,36 @@ class DescriptorLink(ABC):
         fd = self._require_open()
         if not select.select([fd], [], [], max(0.0, timeout))[0]:
             return b""
-        if settle > 0.0:
-            time.sleep(settle)
         parts: list[bytes] = []
-        free = MAX_READ
-        while free:
+        left = max(0.0, settle)
+        while True:
+            pause = min(left, SLICE)
+            if pause:
+                time.sleep(pause)
+            left -= pause
+            if not self._drain(fd, parts, settle > 0.0) or left <= 0.0:
+                return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _drain(self, fd: int, parts: list[bytes], settled: bool) -> bool:
+        """Add to `parts` what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
+        while (free := MAX_READ - sum(map(len, parts))) > 0:
             try:
                 part = self._receive(free)
             except BlockingIOError:
                 # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
-                if settle > 0.0 and select.select([fd], [], [], REFILL)[0]:
+                if settled and select.select([fd], [], [], REFILL)[0]:
                     continue
-                break
+                return True
             except OSError as error:
                 if parts:  # the caller gets the tail now and the error at the next read
-                    break
+                    return False
                 raise self._gone(error) from None
             if not part:
                 if parts:
-                    break
+                    return False
                 raise self._gone(None)
             parts.append(part)
-            free -= len(part)
-        return parts[0] if len(parts) == 1 else b"".join(parts)
+        return False
 
     def write(self, data: bytes) -> None:
         """See `Link.write`."""

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from sim.ports.device import SimulatedDevice
     from sim.ports.networks import Network
 
-STEP = 0.005  # s between portions
+STEP = 0.01  # s between portions
+RETRY = 0.002  # s until a port that took only a part is tried again
 LATE = 0.05  # s of delay that is worth a word
 LATE_PERIOD = 5.0  # s between such words
 WARNING = 4  # level of a LOG
@@ -148,6 +149,8 @@ class Server:
         self._pacer = None if baud is None else Pacer(baud)
         self._portion = max(1, round(STEP * device.pwm_hz))
         self._pending = b""
+        self.full = False
+        """Whether the port took only a part of what was to be sent."""
         self._tell = _say_nothing if tell is None else tell
         self._told_late = -math.inf
 
@@ -179,6 +182,7 @@ class Server:
 
     def _send(self, now: float) -> None:
         free = _WRITE if self._pacer is None else self._pacer.allowance(now)
+        self.full = False
         while free > 0:
             if not self._pending:
                 self._pending = self.device.data_to_send(free)
@@ -191,6 +195,7 @@ class Server:
             if self._pacer is not None:
                 self._pacer.spend(taken)
             if taken < len(part):
+                self.full = True
                 return
 
     def summary(self) -> str:
@@ -241,7 +246,8 @@ def _say_nothing(line: str) -> None:
 def _run(server: Server, received: set[int], tell: Say) -> None:
     next_step = time.monotonic()
     while not received.intersection(_STOPS):
-        select.select(server.port.read_fds(), [], [], max(0.0, next_step - time.monotonic()))
+        left = max(0.0, next_step - time.monotonic())
+        select.select(server.port.read_fds(), [], [], min(left, RETRY) if server.full else left)
         now = time.monotonic()
         server.step(now)
         if now >= next_step:  # else bytes from the host woke it

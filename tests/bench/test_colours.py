@@ -24,7 +24,7 @@ from bench.reports.style import SERIES
 from bench.rerunio import states
 from bench.rerunio.plane import Plane
 from bench.rerunio.plots import plots
-from bench.rerunio.schema import RunInfo
+from bench.rerunio.schema import VECTORS, RunInfo
 from bench.scoring.plots import draw_error_by_speed
 from protocol.signals import DRIVE_CHANNELS, Flag
 from sim.observers.catalogue import CATALOGUE
@@ -92,8 +92,7 @@ def too_near(
 
 def arrows(run: RunInfo) -> dict[str, RGB]:
     """What the stator plane shows."""
-    names = [channel.name for channel in run.channels]
-    (_, drawn), _ = Plane(run).picture(dict.fromkeys(names, 0.5), {})
+    drawn = dict(Plane(run).frame())[VECTORS]
     packed = drawn.colors.as_arrow_array().to_pylist()
     return {f"arrow {k}": (c >> 24, c >> 16 & 255, c >> 8 & 255) for k, c in enumerate(packed)}
 

@@ -12,7 +12,7 @@ def test_bands_hold_every_peak_and_means_the_mean_however_the_run_is_cut(cut: in
     n, bin_ns = 4321, 10_000_000
     t = 1_234_567 + np.arange(n, dtype=np.int64) * 62_500
     values = rng.normal(size=(3, n)).astype(np.float32)
-    binner = TrendBinner(bin_ns, bands=2)
+    binner = TrendBinner(bin_ns, bands=2, lot=10)
     parts = [binner.add(t[i : i + cut], values[:, i : i + cut]) for i in range(0, n, cut)] + [binner.rest()]
     found = [part for part in parts if part is not None]
     times = np.concatenate([part[0] for part in found])
@@ -28,4 +28,4 @@ def test_bands_hold_every_peak_and_means_the_mean_however_the_run_is_cut(cut: in
 
 
 def test_an_empty_binner_has_nothing_left() -> None:
-    assert TrendBinner(10, 1).rest() is None
+    assert TrendBinner(10, 1, 10).rest() is None

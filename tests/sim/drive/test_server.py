@@ -160,7 +160,7 @@ def test_a_host_that_vanishes_ends_in_the_watchdog_and_the_next_one_finds_out(
     start = bench.now
     while bench.device.bench.outputs_on:
         bench.step()
-    assert bench.now - start <= 0.21
+    assert bench.now - start <= 0.2 + 2 * STEP
     assert "ms after the last ALIVE: watchdog (node 1, simulated drive)" in lines[-1]
     for _ in range(200):  # nobody reads: nothing hangs
         bench.step()
