@@ -36,6 +36,7 @@ class StreamTable:
         self._samples: dict[int, SampleStream] = {}
         self._edges: dict[int, EdgeStream] = {}
         self._configured: dict[int, tuple[StreamSet, StreamReply]] = {}
+        self._wanted: frozenset[int] = frozenset()
         self._latency: dict[int, int] = {}
         self._cfg_id = identity.boot_id & 0xFFFF
         self._dropped = 0
@@ -61,7 +62,7 @@ class StreamTable:
     @property
     def channels(self) -> frozenset[int]:
         """Ids of the channels that streams are configured with."""
-        return frozenset(number for request, _ in self._configured.values() for number in request.channels)
+        return self._wanted
 
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
@@ -94,6 +95,7 @@ class StreamTable:
         self._tx.rates[node, request.stream] = shape.rate
         reply = StreamReply(request.stream, cfg_id, size, shape.block, load, stream.slot, self._identity.tick0)
         self._configured[request.stream] = request, reply
+        self._look_at_channels()
         return reply
 
     def describe(self, number: int) -> StreamInfo:
@@ -183,7 +185,11 @@ class StreamTable:
         if stream is not None:
             self._dropped += stream.dropped
             del self._configured[number]
+            self._look_at_channels()
             del self._tx.rates[self._identity.node, number]
+
+    def _look_at_channels(self) -> None:
+        self._wanted = frozenset(number for request, _ in self._configured.values() for number in request.channels)
 
     def _check(self, request: StreamSet) -> None:
         """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""

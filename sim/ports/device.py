@@ -106,13 +106,14 @@ class SimulatedDevice:
         """Take bytes from the host, cut anywhere, at the present tick."""
         self.network.receive(data)
         if self._notice:
-            self._report([0.0, 0.0], self._notice)
+            self._report(self._watchdogs(), 0, self._notice)
 
     def advance(self, periods: int) -> None:
         """Run control periods; what they produce waits in `data_to_send`."""
         while periods > 0:
-            n = min(periods, self._portion, self._until_watchdog())
-            unfed = [self._unfed(session) + n / self.pwm_hz for session in self._sessions] if self._notice else []
+            left = self._watchdogs()
+            # the outputs go off on time however long the portions
+            n = min(periods, self._portion, math.ceil((min(left) + 1) * self.pwm_hz / 1000))
             self._watch(self.drive.streams.channels)
             recorded = self.bench.advance(n)
             self.periods += n
@@ -128,7 +129,7 @@ class SimulatedDevice:
             if self.bench.faults:
                 self.drive.fault(self.bench.faults)  # does nothing with those that are latched already
             if self._notice:
-                self._report(unfed, self._notice)
+                self._report(left, n, self._notice)
 
     @property
     def has_data(self) -> bool:
@@ -146,17 +147,12 @@ class SimulatedDevice:
             self._watched_names = frozenset(self._names[channel] for channel in channels)
             self.bench.watch(self._watched_names)
 
-    def _until_watchdog(self) -> int:
-        """Periods until a watchdog may run out, so that the outputs go off on time however long the portions."""
-        left = min(session.machine.watchdog_ms(self.tick) for session in self._sessions)
-        return math.ceil((left + 1) * self.pwm_hz / 1000)
+    def _watchdogs(self) -> list[int]:
+        """ms until each session's watchdog runs out, WATCHDOG_OFF where it is not at work."""
+        return [session.machine.watchdog_ms(self.tick) for session in self._sessions]
 
-    def _unfed(self, session: DeviceSession) -> float:
-        """Seconds since the session's watchdog was fed, 0 where it is not at work."""
-        left = session.machine.watchdog_ms(self.tick)
-        return 0.0 if left == WATCHDOG_OFF else session.app.get_param("watchdog") - left / 1000
-
-    def _report(self, unfed: list[float], notice: Callable[[str], None]) -> None:
+    def _report(self, left: list[int], periods: int, notice: Callable[[str], None]) -> None:
+        """Say what outputs went on or off in the last `periods`, before which `left` was what `_watchdogs` says."""
         for n, session in enumerate(self._sessions):
             on = session.app.outputs_on
             if on == self._were_on[n]:
@@ -167,7 +163,8 @@ class SimulatedDevice:
             if on:
                 notice(f"outputs on ({name})")
             elif faults & Fault.WATCHDOG:
-                notice(f"outputs off {unfed[n] * 1000:.0f} ms after the last ALIVE: watchdog ({name})")
+                unfed = session.app.get_param("watchdog") * 1000 - left[n] + periods * 1000 / self.pwm_hz
+                notice(f"outputs off {unfed:.0f} ms after the last ALIVE: watchdog ({name})")
             else:
                 notice(f"outputs off: {faults.name if faults else 'STOP'} ({name})")
 

@@ -147,7 +147,7 @@ class Server:
         self.port = port
         self.schedule = Schedule(device.pwm_hz, now)
         self._pacer = None if baud is None else Pacer(baud)
-        self._portion = max(1, round(STEP * device.pwm_hz))
+        self._portion = max(1, round(2 * STEP * device.pwm_hz))  # more only where it catches up
         self._pending = b""
         self.full = False
         """Whether the port took only a part of what was to be sent."""
