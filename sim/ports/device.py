@@ -13,7 +13,6 @@ from pathlib import Path
 
 from protocol import __version__
 from protocol.device.session import DeviceSession, Identity
-from protocol.device.state import WATCHDOG_OFF
 from protocol.device.tx import TxQueue
 from protocol.messages import Fault, Feature, Role
 from sim.config.params import BenchParams
