@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
+from bench.analysis.capture import F64
 from bench.analysis.colours import SPARES
 from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, new_figure
 
@@ -23,8 +24,8 @@ class Panel(NamedTuple):
     title: str
     name: str
     unit: str
-    values: Sequence[Sequence[float]]
-    others: Sequence[Sequence[float]]
+    values: F64
+    others: F64
     limit: float  # drawn as a line
 
 
