@@ -138,10 +138,7 @@ def test_learned_edges_transients(
     settle(record, 500)
     load_step = around(record, 0.1, lambda: load.torque(4.0 * drive.torque_constant), 0.6)
     before = at_point(drive, load, record, 500, 0.2)
-    with record.stretch() as stretch:
-        drive.current(8.0)
-        record.wait(0.4)
-    full_step = stretch.capture
+    full_step = around(record, 0.0, lambda: drive.current(8.0), 0.4)
     after = record(0.2)
     drive.stop()
     for name, run in (("speed_step", speed_step), ("load_step_4A", load_step), ("load_step_8A", full_step)):
