@@ -101,13 +101,12 @@ def test_learned_edges_map(drive: Drive, load: NodeLoad, record: Record, measure
         error = error_deg(runs[THD_LOAD, speed], PROPOSED)
         measure(f"proposed.error_std.{speed}rpm", error.std(), runs[THD_LOAD, speed])
     measure("ratio_max", (std[1] / std[0]).max(), *runs.values())
-    names = [f"{amps:g} A" for amps in LOADS]
     figure(
         "learned_edges_map",
         "Position error over speed, by q current: (a) standard deviation, (b) largest; the paper's observer dashed.",
         lambda: draw_by_speed(
             SPEEDS,
-            names,
+            LOADS,
             [
                 Panel("(a)", "error std", "deg", std[1], std[0], 0.5),
                 Panel("(b)", "error max", "deg", largest[1], largest[0], 1.5),
