@@ -19,6 +19,7 @@ from bench.analysis.capture import F64
 from bench.analysis.colours import SPARES
 from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, new_figure
 
+POINTS: dict[str, Any] = {"linewidth": LINE_WIDTH, "markersize": 4}
 DASHED: dict[str, Any] = {"linestyle": "--", "linewidth": LINE_WIDTH}
 DOTTED: dict[str, Any] = {"linestyle": ":", "linewidth": 0.8, "color": "0.4"}
 
@@ -43,15 +44,7 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[float], panels: Seque
     for ax, panel in zip(axes, panels, strict=True):
         for look, amps, mine, others in zip(SPARES, loads, panel.values, panel.others, strict=False):
             ax.plot(speeds, others, color=look.paper, alpha=0.6, **DASHED)
-            ax.plot(
-                speeds,
-                mine,
-                marker=look.mark,
-                color=look.paper,
-                linewidth=LINE_WIDTH,
-                markersize=4,
-                label=f"{amps:g} A",
-            )
+            ax.plot(speeds, mine, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
         ax.axhline(panel.limit, **DOTTED)
         ax.set(xscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
@@ -73,9 +66,7 @@ def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Ma
     values = values[np.isfinite(values) & (values > 0.0)]
     for ax, (name, thd) in zip(axes, approaches.items(), strict=True):
         for look, amps, y in zip(SPARES, loads, thd, strict=False):
-            ax.plot(
-                speeds, y, marker=look.mark, color=look.paper, linewidth=LINE_WIDTH, markersize=4, label=f"{amps:g} A"
-            )
+            ax.plot(speeds, y, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
         axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
         ax.set_xlim(0, 1.04 * max(speeds))
         _log_ordinate(ax)
