@@ -33,13 +33,13 @@ from bench.acceptance.suite.common import (
     turn_both_ways,
     whole_turns,
 )
+from bench.analysis.capture import F64
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, sine_response
 from bench.rig.loads import Load, NodeLoad
 from protocol.signals import Injection, Status
 
 pytestmark = needs(*PAPER)
 
-F64 = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
