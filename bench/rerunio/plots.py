@@ -60,7 +60,7 @@ class Plot:
 
     @property
     def seconds(self) -> float:
-        """What it shows."""
+        """How far back it shows, s."""
         return TREND if self.entity == schema.TREND else WAVE
 
 
