@@ -25,6 +25,7 @@ from bench.acceptance.session import LIMITS_ELSEWHERE
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.settings import read_settings
+from protocol.text import counted
 
 SUITE = Path(__file__).with_name("suite")
 WORDS = {
@@ -197,17 +198,16 @@ def _arguments(options: AcceptOptions) -> list[str]:
     for name, value in given:
         if value is not None:
             arguments += [name, str(value)]
-    if options.yes:
-        arguments.append("--bench-yes")
-    if options.allow_skipped:
-        arguments.append("--bench-allow-skipped")
-    if options.list_only:
-        arguments.append("--collect-only")
-    return arguments
+    flags = {
+        "--bench-yes": options.yes,
+        "--bench-allow-skipped": options.allow_skipped,
+        "--collect-only": options.list_only,
+    }
+    return arguments + [name for name, wanted in flags.items() if wanted]
 
 
 def _tightest(measurements: tuple[Measurement, ...]) -> str:
-    text = f"  {_several(len(measurements), 'measurement')}"
+    text = f"  {counted(len(measurements), 'measurement')}"
     if (closest := tightest(measurements)) is None:
         return text
     return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.limits}]"
@@ -235,12 +235,8 @@ def closing_lines(run: RunResult) -> list[str]:
 
 def _counted(verdicts: list[Verdict], what: str) -> str:
     """How many, and unless all passed how many of each verdict, the worst first."""
-    text = _several(len(verdicts), what)
+    text = counted(len(verdicts), what)
     if all(verdict is Verdict.PASS for verdict in verdicts):
         return text
     counts = Counter(verdicts)
     return f"{text} ({', '.join(f'{counts[v]} {WORDS[v]}' for v in WORDS if v in counts)})"
-
-
-def _several(n: int, what: str) -> str:
-    return f"{n} {what}{'' if n == 1 else 's'}"

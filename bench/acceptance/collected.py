@@ -49,21 +49,18 @@ def is_acceptance_test(item: pytest.Item) -> bool:
 
 def names_of(node_ids: Iterable[str]) -> dict[str, str]:
     """Name of each test by node id: without `test_`, and with its file where two have the same."""
-    short = {node_id: _function(node_id).removeprefix("test_") for node_id in node_ids}
+    short = {node_id: _function(node_id) for node_id in node_ids}
     often = Counter(short.values())
     return {node_id: name if often[name] == 1 else long_name(node_id) for node_id, name in short.items()}
 
 
 def long_name(node_id: str) -> str:
     """With its file, whatever else is run."""
-    return f"{_file(node_id).removeprefix('test_')}.{_function(node_id).removeprefix('test_')}"
+    file = Path(node_id.partition("::")[0]).stem
+    return f"{file.removeprefix('test_')}.{_function(node_id)}"
 
 
 def _function(node_id: str) -> str:
-    """With what is in brackets."""
+    """Without `test_`, with what is in brackets."""
     path, bracket, parameters = node_id.partition("[")
-    return path.rpartition("::")[2] + bracket + parameters
-
-
-def _file(node_id: str) -> str:
-    return Path(node_id.partition("::")[0]).stem
+    return path.rpartition("::")[2].removeprefix("test_") + bracket + parameters

@@ -7,6 +7,7 @@ pulses. What was put in goes away at the test's end, once the drive is off.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -24,14 +25,12 @@ PARAMETERS = ("hall_open", "hall_swap", "hall_glitch")
 PLACEMENT = tuple(f"hall_delta_{s}" for s in range(1, 7))
 
 
-def can_insert(rig: Rig) -> bool:
-    """Whether the rig itself inserts faults."""
-    return isinstance(rig.load, NodeLoad) and all(rig.load.node.has_parameter(name) for name in PARAMETERS)
-
-
-def can_place(rig: Rig) -> bool:
-    """Whether the rig itself moves the Hall sensors."""
-    return isinstance(rig.load, NodeLoad) and all(rig.load.node.has_parameter(name) for name in PLACEMENT)
+def offered(rig: Rig, parameters: Collection[str]) -> NodeLoad | None:
+    """The load machine if it has all these parameters: by `PARAMETERS` the rig itself inserts faults, by `PLACEMENT` it
+    moves the Hall sensors.
+    """
+    load = rig.load
+    return load if isinstance(load, NodeLoad) and all(map(load.node.has_parameter, parameters)) else None
 
 
 class HallFaults:
@@ -39,6 +38,7 @@ class HallFaults:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
+        self._node = offered(rig, PARAMETERS)
         self._by_hand = False  # a person has put one in
         rig.at_end.append(self._put_right)
 
@@ -52,15 +52,15 @@ class HallFaults:
 
     def glitches(self, per_second: float) -> None:
         """Short false pulses; the test is skipped where the rig cannot make them."""
-        if not can_insert(self._rig):
+        if self._node is None:
             pytest.skip("needs a rig that makes false pulses on the Hall wires")
-        self._load().set("hall_glitch", per_second)
+        self._node.set("hall_glitch", per_second)
 
     def clear(self) -> None:
         """Everything as it belongs."""
-        if can_insert(self._rig):
+        if self._node is not None:
             for name in PARAMETERS:
-                self._load().set(name, 0.0)
+                self._node.set(name, 0.0)
         elif self._by_hand:
             self._rig.ask("Put the Hall wires back as they belong")
             self._by_hand = False
@@ -68,16 +68,12 @@ class HallFaults:
     def _put_right(self) -> None:
         """What the rig has put in goes with the load's parameters."""
         with suppress(BenchError):  # the drive is off, and nobody may be there any more
-            if not can_insert(self._rig):
+            if self._node is None:
                 self.clear()
 
     def _set(self, name: str, value: float, words: str) -> None:
-        if can_insert(self._rig):
-            self._load().set(name, value)
+        if self._node is not None:
+            self._node.set(name, value)
         else:
             self._by_hand = True
             self._rig.ask(words)
-
-    def _load(self) -> NodeLoad:
-        assert isinstance(self._rig.load, NodeLoad)
-        return self._rig.load

@@ -22,10 +22,10 @@ def missing(what: str, rig: Rig) -> str | None:
         case "load.speed":
             return None if SPEED in rig.load.abilities else "needs a load that forces a speed"
         case "hall-faults":
-            able = faults.can_insert(rig) or rig.plan.ask is not None
+            able = faults.offered(rig, faults.PARAMETERS) or rig.plan.ask is not None
             return None if able else "needs a rig that inserts faults of the Hall wiring, or a person who does"
         case "hall-placement":
-            return None if faults.can_place(rig) else "needs a rig that moves the Hall sensors"
+            return None if faults.offered(rig, faults.PLACEMENT) else "needs a rig that moves the Hall sensors"
         case "rate":
             enough = rig.rate >= float(value)
             return None if enough else f"needs {value} samples a second; the link carries {rig.rate:g}"

@@ -16,6 +16,7 @@ from bench.analysis.limits import Limits
 from bench.analysis.verdict import Verdict, worst
 from bench.errors import OutputsMayBeOn
 from bench.rig.quality import ParameterValue, Quality
+from protocol.text import counted
 
 __all__ = [
     "Figure", "Limits", "Measurement", "ParameterValue", "Quality", "RunResult", "TestResult", "Verdict",
@@ -149,7 +150,7 @@ def untested(run: RunResult) -> list[str]:
     for why, tests in sorted(reasons.items(), key=lambda pair: -sum(len(test.measurements) for test in pair[1])):
         count = sum(len(test.measurements) for test in tests)
         names = ", ".join(test.name for test in tests)
-        lines.append(f"{count} measurement{'s' * (count != 1)}: {why} ({names})")
+        lines.append(f"{counted(count, 'measurement')}: {why} ({names})")
     return lines
 
 

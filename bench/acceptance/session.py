@@ -79,11 +79,8 @@ class BenchSession:
     def _settings(self) -> Settings:
         option = self.config.option
         settings = read_settings(Path(option.bench_toml) if option.bench_toml else None)
-        return replace(
-            settings,
-            config=Path(option.bench_config) if option.bench_config else settings.config,
-            operator=option.bench_operator or settings.operator,
-        )
+        config = Path(option.bench_config) if option.bench_config else settings.config
+        return replace(settings, config=config, operator=option.bench_operator or settings.operator)
 
     @property
     def directory(self) -> Path | None:
@@ -132,7 +129,13 @@ class BenchSession:
                 envelope = announced(items[0])
                 for item in items[1:]:
                     envelope = envelope.join(announced(item))
-                require_agreement(self.target, self.settings, envelope, self.config.option.bench_yes, self._confirm())
+                require_agreement(
+                    self.target,
+                    self.settings,
+                    envelope,
+                    self.config.option.bench_yes,
+                    self._confirm if person.at_terminal() else None,
+                )
         except (BenchError, HbpError) as error:
             self.error = str(error)
             self._held.close()
@@ -161,18 +164,12 @@ class BenchSession:
         if file and Path(file) != STANDARD_OUTPUT:
             check_output(Path(file), f"results {file}", overwrite=True)
 
-    def _confirm(self) -> Any:
-        if not person.at_terminal():
-            return None
-
-        def confirm(question: str) -> bool:
-            with self._uncaptured():
-                try:
-                    return click.confirm(question, err=True)
-                except click.Abort:
-                    raise KeyboardInterrupt from None
-
-        return confirm
+    def _confirm(self, question: str) -> bool:
+        with self._uncaptured():
+            try:
+                return click.confirm(question, err=True)
+            except click.Abort:
+                raise KeyboardInterrupt from None
 
     def _ask(self) -> person.Ask | None:
         if not self.settings.person or not person.at_terminal():
@@ -232,7 +229,7 @@ class BenchSession:
         )
         channels = frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:"))
         running = item.stash[RUNNING]
-        path = self._recording(name)
+        path = self.directory / "recordings" / f"{file_name(name)}.rrd" if self.directory else None
         if path is not None:
             running.recording = path
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -241,8 +238,9 @@ class BenchSession:
         recording = Recording(path, {"test": name})
         with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
             if not self.setup.identity:
-                about = rig.describe() | self._limits_elsewhere()
-                self.setup = Setup(describe(rig.drive.node.identity), rig.before, about)
+                elsewhere = self._elsewhere
+                unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}
+                self.setup = Setup(describe(rig.drive.node.identity), rig.before, rig.describe() | unused)
             yield rig
             rig.summary(_words(running, rig.drive.changed))
 
@@ -256,13 +254,6 @@ class BenchSession:
                 if isinstance(what, OutputsMayBeOn):
                     self.unsafe = self.error = str(what)
             raise
-
-    def _limits_elsewhere(self) -> dict[str, str]:
-        names = self._elsewhere
-        return {LIMITS_ELSEWHERE: f"{len(names)}: {', '.join(names)}"} if names else {}
-
-    def _recording(self, name: str) -> Path | None:
-        return self.directory / "recordings" / f"{file_name(name)}.rrd" if self.directory else None
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""

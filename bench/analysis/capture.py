@@ -70,12 +70,11 @@ class Capture:
         return self.samples.physical(channel)
 
     def __contains__(self, channel: str) -> bool:
-        return channel in (self.samples.raw.dtype.names or ())
+        return channel in self.names
 
     def _require(self, channel: str) -> None:
         if channel not in self:
-            names = ", ".join(self.samples.raw.dtype.names or ())
-            raise BenchError(f"channel '{channel}' is not in the stream; there are {names}")
+            raise BenchError(f"channel '{channel}' is not in the stream; there are {', '.join(self.names)}")
 
     # -- time ---------------------------------------------------------------------------------------------------
 

@@ -32,9 +32,8 @@ def source_short(number: float) -> str:
 
 
 def _other(number: float) -> tuple[str, str]:
-    return (
-        _others().get(int(number), ("", "")) if number > max(AngleSource) and float(number).is_integer() else ("", "")
-    )
+    known = number > max(AngleSource) and float(number).is_integer()
+    return _others().get(int(number), ("", "")) if known else ("", "")
 
 
 def _others() -> dict[int, tuple[str, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 
 from protocol import __version__
@@ -12,10 +11,10 @@ PROGRAM = "hallbench"
 BUILT_ON = ("numpy", "numba", "rerun-sdk", "pyserial", "python-can", "pytest")
 
 
-def versions(packages: Iterable[str] = BUILT_ON) -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Of the program, of Python, of the packages that there are, and of the machine."""
     found = {PROGRAM: __version__, "python": platform.python_version()}
-    found |= {name: told for name in packages if (told := _version(name))}
+    found |= {name: told for name in BUILT_ON if (told := _version(name))}
     return found | {"platform": platform.platform()}
 
 

@@ -52,13 +52,18 @@ def new_figure(
     figure = Figure(figsize=(WIDTH, height or ROW_HEIGHT * rows + 0.4), layout="constrained", facecolor="white")
     axes: list[Axes] = list(figure.subplots(rows, columns, squeeze=False, sharex="col" if share_x else "none").flat)
     for ax in axes:
-        ax.grid(True, color=LIGHT, linewidth=0.5)
-        ax.set_axisbelow(True)
-        ax.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
-        ax.spines[["top", "right"]].set_visible(False)
+        plain(ax)
         ax.spines[["left", "bottom"]].set_linewidth(0.6)
         ax.set_prop_cycle(color=SERIES)
     return figure, axes
+
+
+def plain(ax: Axes) -> None:
+    """Axes with a light grid behind the data, small ticks, and no frame above and on the right."""
+    ax.grid(True, color=LIGHT, linewidth=0.5)
+    ax.set_axisbelow(True)
+    ax.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def line(ax: Axes, x: NDArray[Any], y: NDArray[Any], name: str, **properties: Any) -> Line2D:

@@ -24,23 +24,15 @@ LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
 ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
 WIDTH = 1.5  # of a line, in points
 
+Span = tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]
+
 
 def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest."""
     found = plots(run)
-    states = rrb.StateTimelineView(
-        name=f"Drive, last {TREND:g} s",
-        origin="/",
-        contents=[f"/{schema.DRIVE}"],
-        time_ranges=_queried(TREND),
-        time_view=_shown(TREND),
-    )
-    hall = rrb.StateTimelineView(
-        name=f"Hall sensors a, b, c and sector, last {HALL:g} s",
-        origin="/",
-        contents=[f"/{schema.HALL_LANES}"],
-        time_ranges=_queried(HALL_QUERIED),
-        time_view=_shown(HALL, legend=False),
+    states = _lanes(f"Drive, last {TREND:g} s", schema.DRIVE, _span(TREND), _span(TREND / (1 - LEGEND_SHARE)))
+    hall = _lanes(
+        f"Hall sensors a, b, c and sector, last {HALL:g} s", schema.HALL_LANES, _span(HALL_QUERIED), _span(HALL)
     )
     trends = _rows([plot for plot in found.values() if plot.entity == schema.TREND])
     waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST])
@@ -102,12 +94,12 @@ def _marked(run: schema.RunInfo, marks: Sequence[schema.Mark]) -> rrb.StateTimel
     start, end = (
         rrb.TimeRangeBoundary.absolute(seconds=float(schema.ns_from_tick(tick, run.tick_hz)) / 1e9) for tick in ends
     )
+    return _lanes("Acceptance, all that was measured", schema.ACCEPTANCE, (start, end), (start, end))
+
+
+def _lanes(name: str, entity: str, queried: Span, shown: Span) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(
-        name="Acceptance, all that was measured",
-        origin="/",
-        contents=[f"/{schema.ACCEPTANCE}"],
-        time_ranges=rrb.VisibleTimeRange(schema.TIMELINE, start=start, end=end),
-        time_view=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        name=name, origin="/", contents=[f"/{entity}"], time_ranges=_queried(queried), time_view=_shown(shown)
     )
 
 
@@ -132,20 +124,19 @@ def _view(plot: Plot) -> rrb.TimeSeriesView:
         axis_y=rrb.ScalarAxis(range=plot.y_range) if plot.y_range else None,
         background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
-        time_ranges=_queried(plot.seconds),
-        axis_x=_shown(plot.seconds),
+        time_ranges=_queried(_span(plot.seconds)),
+        axis_x=_shown(_span(plot.seconds / (1 - LEGEND_SHARE))),
     )
 
 
-def _span(seconds: float) -> tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]:
+def _span(seconds: float) -> Span:
+    """The last `seconds` up to the cursor."""
     return rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds), rrb.TimeRangeBoundary.cursor_relative()
 
 
-def _queried(seconds: float) -> rrb.VisibleTimeRange:
-    start, end = _span(seconds)
-    return rrb.VisibleTimeRange(schema.TIMELINE, start=start, end=end)
+def _queried(span: Span) -> rrb.VisibleTimeRange:
+    return rrb.VisibleTimeRange(schema.TIMELINE, start=span[0], end=span[1])
 
 
-def _shown(seconds: float, legend: bool = True) -> rrb.TimeAxis:
-    start, end = _span(seconds / (1 - LEGEND_SHARE) if legend else seconds)
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+def _shown(span: Span) -> rrb.TimeAxis:
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=span[0], end=span[1]))

@@ -27,7 +27,7 @@ from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.plane import Picture, Plane
 from bench.rerunio.plots import left_out, trend_lines
 from bench.rerunio.trend import Rows, TrendBinner
-from protocol.messages import DeviceEvent, EventCode, Heartbeat
+from protocol.messages import DeviceEvent, DriveState, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import printable, told
@@ -116,7 +116,8 @@ class RunLog:
         for tick, text, level in block.notes:
             self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
             self._stream.log(schema.NOTES, _line(text, level))
-        self._repeat_lanes()
+        if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
+            self._log_lanes(self._now_ns)
         self._health()
 
     def mark(self, mark: schema.Mark) -> None:
@@ -140,18 +141,20 @@ class RunLog:
 
     def finish(self) -> None:
         """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
-        self._send_lot()
-        self._send_trend(self._trend.rest())
+        self._send_rest()
         if self.marks:
-            self._mark_lane()
+            lane, colours = states.mark_lane(self.marks)
+            self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
+            for tick, words in lane:
+                self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
+                self._stream.log(schema.ACCEPTANCE, rr.StateChange(state=[words]))
         self._next_health_ns = 0
         self._health()
 
     def _reach(self, t_ns: int) -> None:
         """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
         if t_ns + RESTART_NS < self._now_ns:
-            self._send_lot()
-            self._send_trend(self._trend.rest())
+            self._send_rest()
             self._next_plane_ns = self._next_health_ns = self._next_lot_ns = self._lanes_ns = self._now_ns = t_ns
             self._hall.restart()
         self._now_ns = max(self._now_ns, t_ns)
@@ -179,17 +182,16 @@ class RunLog:
                 self._pictures.append((int(t_ns[-1]), picture))
 
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
-        columns: dict[str, pa.Array] = {
-            schema.EDGE_OLD: pa.array(chunk.hall_old),
-            schema.EDGE_NEW: pa.array(chunk.hall_new),
-            schema.EDGE_ILLEGAL: pa.array(chunk.illegal),
-            schema.EDGE_ENCODER: pa.array(chunk.encoder),
-        }
+        columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in schema.EDGE_FIELDS}
         t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
         self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
         if stream.entity == schema.HALL:
             self._hall.edges(t_ns, chunk.hall_new)
+
+    def _send_rest(self) -> None:
+        self._send_lot()
+        self._send_trend(self._trend.rest())
 
     def _send_lot(self) -> None:
         """Log the Hall lanes and the pictures of the stator plane since the last time."""
@@ -283,17 +285,6 @@ class RunLog:
         self._at(t_ns)
         self._stream.log(schema.DRIVE, rr.StateChange(state=list(self._lanes.values())))
 
-    def _repeat_lanes(self) -> None:
-        if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
-            self._log_lanes(self._now_ns)
-
-    def _mark_lane(self) -> None:
-        lane, colours = states.mark_lane(self.marks)
-        self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
-        for tick, words in lane:
-            self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
-            self._stream.log(schema.ACCEPTANCE, rr.StateChange(state=[words]))
-
     def _telemetry_lane(self, t_ns: NDArray[np.int64], chunk: SampleChunk) -> None:
         if not chunk.gaps and self._lanes["telemetry"] == states.COMPLETE:
             return
@@ -313,11 +304,11 @@ class RunLog:
         if words[0] != self._status:
             rows = [0, *rows]
         for row in rows:
-            word, at = int(words[row]), int(t_ns[row])
+            word = int(words[row])
             self._lane(
-                at,
-                state=states.state_name(word & STATUS_STATE_MASK),
-                source=states.source_name((word & STATUS_SOURCE_MASK) >> STATUS_SOURCE_SHIFT),
+                int(t_ns[row]),
+                state=DriveState(word & STATUS_STATE_MASK).name,
+                source=states.SOURCES[(word & STATUS_SOURCE_MASK) >> STATUS_SOURCE_SHIFT],
                 correction=states.CORRECTION[bool(word & Status.CORRECTION_ON)],
             )
         self._status = int(words[-1])
@@ -334,7 +325,7 @@ class RunLog:
         )
         state = event.number if event.code == EventCode.STATE_CHANGED else None
         if state is not None and node == self.run.node and self._status is None:
-            self._lane(t_ns, state=states.state_name(state))
+            self._lane(t_ns, state=DriveState(state).name)
 
     def _heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
         if node != self.run.node:

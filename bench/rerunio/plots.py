@@ -27,6 +27,7 @@ QUANTITIES = {
     "W": "Powers",
 }
 OTHER = "Other channels"
+Range = tuple[float, float] | None
 LINES = 8  # of a plot by unit: not more than there are spare colours
 
 
@@ -54,9 +55,13 @@ class Plot:
     name: str
     entity: str
     lines: tuple[Line, ...]
-    seconds: float
-    y_range: tuple[float, float] | None = None
+    y_range: Range = None
     by_unit: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """How far back it shows, s."""
+        return TREND if self.entity == schema.TREND else WAVE
 
 
 def plots(run: schema.RunInfo) -> dict[str, Plot]:
@@ -89,34 +94,30 @@ def _known(run: schema.RunInfo) -> dict[str, Plot]:
     angles = [name for name in (run.position_reference, *run.position_estimates) if name]
     wraps = all(channel.flags & Flag.WRAPS for channel in run.channels if channel.name in angles)
     currents = None if run.i_max is None else HEADROOM * schema.nice_ceiling(run.i_max)
-    last, now = f"last {TREND:g} s", f"last {WAVE:g} s"
     error = "Position error, electrical [°]"
+    dq = (
+        *_values(run, filter(run.has, schema.DQ_CURRENTS), "A"),
+        *_values(run, filter(run.has, schema.DQ_REFERENCES), "A", mean=True),
+    )
+    phases = _values(run, filter(run.has, ("i_a", "i_b", "i_c")), "A")
     return {
-        "error_trend": Plot(f"{error}, min/max, {last}", schema.TREND, errors, TREND, ERROR_RANGE),
-        "speed": Plot(f"{speed}, min/max, {last}", schema.TREND, _speeds(run), TREND),
-        "dq": Plot(
-            f"d/q currents [A], min/max, {last}",
-            schema.TREND,
-            _values(run, filter(run.has, schema.DQ_CURRENTS), "A")
-            + _values(run, filter(run.has, schema.DQ_REFERENCES), "A", mean=True),
-            TREND,
+        "error_trend": _trend(error, errors, ERROR_RANGE),
+        "speed": _trend(speed, _speeds(run)),
+        "dq": _trend("d/q currents [A]", dq),
+        "position": _wave(
+            "Rotor position, electrical [rad]", _values(run, angles, "rad"), ANGLE_RANGE if wraps else None
         ),
-        "position": Plot(
-            f"Rotor position, electrical [rad], {now}",
-            schema.FAST,
-            _values(run, angles, "rad"),
-            WAVE,
-            ANGLE_RANGE if wraps else None,
-        ),
-        "error": Plot(f"{error}, {now}", schema.FAST, errors, WAVE, ERROR_RANGE),
-        "phases": Plot(
-            f"Phase currents [A], {now}",
-            schema.FAST,
-            _values(run, filter(run.has, ("i_a", "i_b", "i_c")), "A"),
-            WAVE,
-            None if currents is None else (-currents, currents),
-        ),
+        "error": _wave(error, errors, ERROR_RANGE),
+        "phases": _wave("Phase currents [A]", phases, None if currents is None else (-currents, currents)),
     }
+
+
+def _trend(name: str, lines: tuple[Line, ...], y_range: Range = None, by_unit: bool = False) -> Plot:
+    return Plot(f"{name}, min/max, last {TREND:g} s", schema.TREND, lines, y_range, by_unit)
+
+
+def _wave(name: str, lines: tuple[Line, ...], y_range: Range = None, by_unit: bool = False) -> Plot:
+    return Plot(f"{name}, last {WAVE:g} s", schema.FAST, lines, y_range, by_unit)
 
 
 def _errors(run: schema.RunInfo) -> tuple[Line, ...]:
@@ -163,8 +164,5 @@ def _by_unit(run: schema.RunInfo, channels: Iterable[schema.AnyChannel]) -> dict
             lines = _values(run, part, unit)
             of = f" {number} of {len(parts)}" if len(parts) > 1 else ""
             name = f"{QUANTITIES.get(unit, OTHER)}{of} [{unit or '–'}]"
-            key = f"{name}, min/max, last {TREND:g} s"
-            found[key] = Plot(key, schema.TREND, lines, TREND, by_unit=True)
-            key = f"{name}, last {WAVE:g} s"
-            found[key] = Plot(key, schema.FAST, lines, WAVE, by_unit=True)
+            found |= {plot.name: plot for plot in (_trend(name, lines, by_unit=True), _wave(name, lines, by_unit=True))}
     return found

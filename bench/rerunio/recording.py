@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,23 +86,25 @@ def read_run(path: str | Path) -> Run:
             continue
         data = json.loads(_last_text(rows, schema.STREAM_JSON))
         config, entity = schema.stream_from_json(data, info), data["entity"]
-        parts = tables.get(f"/{entity}", [])
-        parts = [part for part in parts if schema.TIMELINE in part.schema.names]
+        parts = [part for part in tables.get(f"/{entity}", []) if schema.TIMELINE in part.schema.names]
         if config.event == StreamEvent.EDGES:
             edge_streams[entity] = _edges(config, parts)
         else:
             streams[entity] = _samples(config, parts)
-    summaries = tables.get(f"/{schema.SUMMARY}", [])
+    events, notes, marks, summaries = (
+        tables.get(f"/{entity}", []) for entity in (schema.EVENTS, schema.NOTES, schema.ACCEPTANCE, schema.SUMMARY)
+    )
+    marks = [part for part in marks if schema.MARK_FIELDS[0] in part.schema.names]
     return Run(
         path=path,
         info=info,
         streams=streams,
         edge_streams=edge_streams,
-        events=_events(tables.get(f"/{schema.EVENTS}", [])),
-        notes=_notes(tables.get(f"/{schema.NOTES}", []), info.tick_hz),
-        levels=_levels(tables.get(f"/{schema.NOTES}", [])),
+        events=tuple(DeviceEvent(*row) for row in _rows(events, schema.EVENT_FIELDS, (int, int, int, float))),
+        notes=tuple(zip(_ticks(notes, info.tick_hz).tolist(), _texts(notes, "TextLog:text"), strict=True)),
+        levels=tuple(_texts(notes, "TextLog:level")),
         summary=_last_text(summaries, "TextDocument:text") if summaries else "",
-        marks=_marks(tables.get(f"/{schema.ACCEPTANCE}", [])),
+        marks=tuple(schema.Mark(*row) for row in _rows(marks, schema.MARK_FIELDS, (str, int, int, Verdict))),
     )
 
 
@@ -152,16 +154,8 @@ def _samples(config: StreamConfig, parts: list[pa.RecordBatch]) -> SampleChunk:
 
 
 def _edges(config: StreamConfig, parts: list[pa.RecordBatch]) -> EdgeChunk:
-    return EdgeChunk(
-        config=config,
-        tick=_ticks(parts, config.tick_hz),
-        hall_old=_column(parts, schema.EDGE_OLD, np.uint8),
-        hall_new=_column(parts, schema.EDGE_NEW, np.uint8),
-        illegal=_column(parts, schema.EDGE_ILLEGAL, np.bool_),
-        encoder=_column(parts, schema.EDGE_ENCODER, np.uint16),
-        index=_index(parts, 1),
-        gaps=_gaps(parts),
-    )
+    fields = {name: _column(parts, f"edge:{name}", dtype) for name, dtype in schema.EDGE_FIELDS.items()}
+    return EdgeChunk(config, _ticks(parts, config.tick_hz), index=_index(parts, 1), gaps=_gaps(parts), **fields)
 
 
 def _ticks(parts: list[pa.RecordBatch], tick_hz: int) -> I64:
@@ -209,30 +203,16 @@ def _gaps(parts: list[pa.RecordBatch]) -> tuple[Gap, ...]:
     )
 
 
-def _events(parts: list[pa.RecordBatch]) -> tuple[DeviceEvent, ...]:
-    kinds: tuple[Callable[[Any], Any], ...] = (int, int, int, float)
-    columns = [
-        [kind(v) for v in _column(parts, name, object)] for kind, name in zip(kinds, schema.EVENT_FIELDS, strict=True)
-    ]
-    return tuple(DeviceEvent(*values) for values in zip(*columns, strict=True))
+def _rows(
+    parts: list[pa.RecordBatch], names: Sequence[str], kinds: Sequence[Callable[[Any], Any]]
+) -> Iterator[tuple[Any, ...]]:
+    """The values of components that have one in every row, each of its kind."""
+    columns = [map(kind, _column(parts, name, object)) for name, kind in zip(names, kinds, strict=True)]
+    return zip(*columns, strict=True)
 
 
-def _notes(parts: list[pa.RecordBatch], tick_hz: int) -> tuple[tuple[int, str], ...]:
-    texts = [str(text) for text in _column(parts, "TextLog:text", object)]
-    return tuple(zip(_ticks(parts, tick_hz).tolist(), texts, strict=True))
-
-
-def _levels(parts: list[pa.RecordBatch]) -> tuple[str, ...]:
-    return tuple(str(level) for level in _column(parts, "TextLog:level", object))
-
-
-def _marks(parts: list[pa.RecordBatch]) -> tuple[schema.Mark, ...]:
-    parts = [part for part in parts if schema.MARK_FIELDS[0] in part.schema.names]
-    kinds: tuple[Callable[[Any], Any], ...] = (str, int, int, Verdict)
-    columns = [
-        [kind(v) for v in _column(parts, name, object)] for kind, name in zip(kinds, schema.MARK_FIELDS, strict=True)
-    ]
-    return tuple(schema.Mark(*values) for values in zip(*columns, strict=True))
+def _texts(parts: list[pa.RecordBatch], name: str) -> list[str]:
+    return [str(text) for text in _column(parts, name, object)]
 
 
 def _last_text(parts: list[pa.RecordBatch], component: str) -> str:

@@ -58,12 +58,7 @@ RUN_JSON = "hallbench:run"
 STREAM_JSON = "hallbench:stream"
 INDEX = "index:first"  # index of this row, on the first row of each contiguous stretch
 GAP_FIELDS = ("gap:lost_samples", "gap:lost_frames", "gap:overrun")  # on the first row after a gap
-EDGE_OLD, EDGE_NEW, EDGE_ILLEGAL, EDGE_ENCODER = (
-    "edge:hall_old",
-    "edge:hall_new",
-    "edge:illegal",
-    "edge:encoder",
-)
+EDGE_FIELDS = {"hall_old": np.uint8, "hall_new": np.uint8, "illegal": np.bool_, "encoder": np.uint16}  # as edge:NAME
 EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
 MARK_FIELDS = ("mark:name", "mark:first_tick", "mark:last_tick", "mark:verdict")
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
@@ -216,10 +211,7 @@ class RunInfo:
     @cached_property
     def speeds(self) -> tuple[str, ...]:
         """Measured and estimated electrical speeds, in drawing order."""
-        return (
-            *self._flagged(Flag.ESTIMATE, Unit.RAD_PER_S),
-            *self._flagged(Flag.REFERENCE, Unit.RAD_PER_S),
-        )
+        return self._flagged(Flag.ESTIMATE, Unit.RAD_PER_S) + self._flagged(Flag.REFERENCE, Unit.RAD_PER_S)
 
     def _flagged(self, flag: Flag, unit: Unit) -> tuple[str, ...]:
         return tuple(c.name for c in self.channels if c.flags & flag and c.unit == unit)

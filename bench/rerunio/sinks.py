@@ -111,6 +111,10 @@ class _BlockSink(Sink):
         """
         self._builder.note(text, level, self._now(), tick)
 
+    def summary(self, markdown: str) -> None:
+        """Take the summary, which replaces an earlier one."""
+        self._put(markdown)
+
     def _start(self) -> None:
         """Start the thread; wait until it has imported and opened what it needs, because streaming data would not."""
         self._thread.start()
@@ -145,8 +149,7 @@ class FileSink(_BlockSink):
     """Records a run to an .rrd file that opens with the dashboard.
 
     `live_drops` tells how many blocks the live view has lost, for the record. With `wait` a caller that is faster
-    than the disk is held back instead of failing: for virtual time only. The `footer` makes a large file open at once,
-    and costs 0.8 GB of memory an hour while it is written. Raises RecordingError if the file exists
+    than the disk is held back instead of failing: for virtual time only. Raises RecordingError if the file exists
     (unless `overwrite`) or cannot be created.
     """
 
@@ -157,7 +160,6 @@ class FileSink(_BlockSink):
         *,
         overwrite: bool = False,
         wait: bool = False,
-        footer: bool = True,
         live_drops: Callable[[], int] = lambda: 0,
         now: Now = time.monotonic,
     ) -> None:
@@ -171,14 +173,10 @@ class FileSink(_BlockSink):
         self._backlog = 0
         self._room = threading.Condition()
         _claim(self.path, overwrite)
-        self._stream = _open_file(self.path, run, footer)
+        self._stream = _open_file(self.path, run)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._start()
         self.check()
-
-    def summary(self, markdown: str) -> None:
-        """Put the summary into the recording."""
-        self._put(markdown)
 
     def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict) -> None:
         """Mark a stretch of the run: `name` was measured there, and ended so. From any thread; marks may overlap.
@@ -271,29 +269,17 @@ class LiveSink(_BlockSink):
     draws only a frame or two a second.
     """
 
-    def __init__(
-        self,
-        run: schema.RunInfo,
-        port: int,
-        *,
-        hold: bool = False,
-        queue_blocks: int | None = None,
-        now: Now = time.monotonic,
-    ) -> None:
+    def __init__(self, run: schema.RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic) -> None:
         super().__init__(run, HOLD_PERIOD if hold else BLOCK_PERIOD, now)
         self.dropped_blocks = 0
         self.dropped_samples = 0
         self.error: str | None = None
-        self._queue: queue.Queue[_Item] = queue.Queue(queue_blocks or (HOLD_QUEUE if hold else LIVE_QUEUE))
+        self._queue: queue.Queue[_Item] = queue.Queue(HOLD_QUEUE if hold else LIVE_QUEUE)
         self._closing = threading.Event()
         self._hold = hold
         self._stream, self.url = _serve(run, port)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._start()
-
-    def summary(self, markdown: str) -> None:
-        """Show the summary."""
-        self._put(markdown)
 
     def close(self) -> bool:
         """Give viewers what is queued and end the server; False if a stalled viewer keeps it from ending in time."""
@@ -358,12 +344,12 @@ def _new_stream(run: schema.RunInfo) -> rr.RecordingStream:
     return stream
 
 
-def _open_file(path: Path, run: schema.RunInfo, footer: bool) -> rr.RecordingStream:
+def _open_file(path: Path, run: schema.RunInfo) -> rr.RecordingStream:
     from bench.rerunio import dashboard
 
     stream = _new_stream(run)
     try:
-        stream.save(path, write_footer=footer)
+        stream.save(path)  # with a footer: a large file opens at once, and takes 0.8 GB of memory an hour meanwhile
         stream.send_blueprint(dashboard.blueprint(run))
     except RuntimeError as error:
         raise RecordingError(f"recording {path}: {_why(path, error)}") from None

@@ -40,7 +40,7 @@ _STATUS_LANES = frozenset(("source", "correction"))  # that the channel `status`
 UNKNOWN = "unknown"
 NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
 CORRECTION = ("back-EMF correction off", "back-EMF correction on")
-_SOURCES = (  # by what `status` can tell
+SOURCES = (  # by the two bits of `status` that name an AngleSource
     "angle: encoder",
     "angle: average speed",
     "angle: vector tracking",
@@ -56,10 +56,10 @@ DRIVE_LANES: dict[str, dict[str, RGB]] = {
     },
     "faults": {NO_FAULT: OFF, **{fault.name or "": BAD for fault in Fault}},
     "source": {
-        _SOURCES[AngleSource.ENCODER]: _shade("enc"),
-        _SOURCES[AngleSource.AVERAGE_SPEED]: _shade("avg"),
-        _SOURCES[AngleSource.VECTOR_TRACKING]: _shade("vt"),
-        _SOURCES[OTHER_SOURCE]: QUIET,
+        SOURCES[AngleSource.ENCODER]: _shade("enc"),
+        SOURCES[AngleSource.AVERAGE_SPEED]: _shade("avg"),
+        SOURCES[AngleSource.VECTOR_TRACKING]: _shade("vt"),
+        SOURCES[OTHER_SOURCE]: QUIET,
     },
     "correction": {CORRECTION[0]: OFF, CORRECTION[1]: _shade("vt")},
     "telemetry": {COMPLETE: OFF, GAP: BAD},
@@ -105,16 +105,6 @@ def configuration(colours: Mapping[str, RGB]) -> rr.StateConfiguration:
     return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed, visible=visible)
 
 
-def state_name(value: int) -> str:
-    """Name of a DriveState; an unknown one keeps its number."""
-    return DriveState(value).name
-
-
-def source_name(value: int) -> str:
-    """Words for the two bits of `status` that name an AngleSource."""
-    return _SOURCES[value]
-
-
 def fault_text(faults: int) -> str:
     """Names of the fault bits."""
     return " ".join(fault_names(faults)) or NO_FAULT
@@ -155,7 +145,7 @@ def event_text(node: int, event: DeviceEvent) -> str:
     """One line for an event of node `node`."""
     match event.code:
         case EventCode.STATE_CHANGED:
-            text = f"state {event.arg:g}" if event.number is None else state_name(event.number)
+            text = f"state {event.arg:g}" if event.number is None else DriveState(event.number).name
             text = f"state {text.removeprefix('state ')}"
         case EventCode.FAULT:
             text = f"FAULT {fault_text(event.faults)}"

@@ -15,7 +15,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote
 
@@ -86,26 +85,21 @@ def binary() -> Path:
 class ViewerProcess:
     """A viewer in a process group of its own, with a guard that ends it when this process dies."""
 
-    def __init__(self, arguments: list[str], log: Path | None = None) -> None:
-        with open(log or os.devnull, "ab") as output:
-            self._process = subprocess.Popen(
-                ["/bin/sh", "-c", _GUARD, "guard", str(binary()), *arguments],
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=output,
-                start_new_session=True,
-            )
+    def __init__(self, arguments: list[str]) -> None:
+        self._process = subprocess.Popen(
+            ["/bin/sh", "-c", _GUARD, "guard", str(binary()), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self.group = self._process.pid
         atexit.register(self.close)
 
     @property
     def running(self) -> bool:
         """Whether the viewer runs; a native viewer ends when its window is closed."""
         return self._process.poll() is None
-
-    @property
-    def group(self) -> int:
-        """Its process group."""
-        return self._process.pid
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the viewer ends (its window is closed); False after `timeout` s."""
@@ -137,13 +131,7 @@ class LiveView:
     """
 
     def __init__(
-        self,
-        run: schema.RunInfo,
-        kind: str,
-        *,
-        grpc_port: int | None = None,
-        web_port: int | None = None,
-        now: Callable[[], float] = time.monotonic,
+        self, run: schema.RunInfo, kind: str, *, grpc_port: int | None = None, web_port: int | None = None
     ) -> None:
         if kind not in ("native", "web"):
             raise ViewerError(f"viewer {kind!r}: choose native, web or none")
@@ -151,7 +139,7 @@ class LiveView:
         web = free_port(WEB_PORT, web_port, "the web viewer") if kind == "web" else 0
         binary()
         self.kind = kind
-        self.sink = LiveSink(run, port, hold=kind == "web", now=now)
+        self.sink = LiveSink(run, port, hold=kind == "web")
         if kind == "web":
             arguments = ["--serve-web", "--bind", HOST, "--web-viewer-port", str(web), self.sink.url]
             self.url = f"http://{HOST}:{web}/?url={quote(self.sink.url, safe='')}&theme=dark"

@@ -1,18 +1,25 @@
-"""Errors of an observer over speed, one curve a load, with another observer's dashed behind. Nothing here measures."""
+"""What an observer makes of currents and angle over speed, one curve a load. Nothing here measures.
+
+Source of the THD map: (20) and Fig. 13 of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
+from bench.analysis.capture import F64
 from bench.analysis.colours import SPARES
 from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, new_figure
 
+POINTS: dict[str, Any] = {"linewidth": LINE_WIDTH, "markersize": 4}
 DASHED: dict[str, Any] = {"linestyle": "--", "linewidth": LINE_WIDTH}
 DOTTED: dict[str, Any] = {"linestyle": ":", "linewidth": 0.8, "color": "0.4"}
 
@@ -23,34 +30,64 @@ class Panel(NamedTuple):
     title: str
     name: str
     unit: str
-    values: Sequence[Sequence[float]]
-    others: Sequence[Sequence[float]]
+    values: F64
+    others: F64
     limit: float  # drawn as a line
 
 
-def draw_by_speed(speeds: Sequence[float], loads: Sequence[str], panels: Sequence[Panel], other: str) -> Figure:
-    """The panels side by side, both axes logarithmic; `speeds` (n,) in r/min, `loads` (m,) by name.
+def draw_by_speed(speeds: Sequence[float], loads: Sequence[float], panels: Sequence[Panel], other: str) -> Figure:
+    """Errors with another observer's dashed behind: the panels side by side, both axes logarithmic.
 
-    `other`: name of the observer that is dashed.
+    `speeds` (n,) in r/min, `loads` (m,) in A. `other`: name of the observer that is dashed.
     """
     figure, axes = new_figure(1, len(panels), height=3.2)
     for ax, panel in zip(axes, panels, strict=True):
-        for look, name, mine, others in zip(SPARES, loads, panel.values, panel.others, strict=False):
+        for look, amps, mine, others in zip(SPARES, loads, panel.values, panel.others, strict=False):
             ax.plot(speeds, others, color=look.paper, alpha=0.6, **DASHED)
-            ax.plot(speeds, mine, marker=look.mark, color=look.paper, linewidth=LINE_WIDTH, markersize=4, label=name)
+            ax.plot(speeds, mine, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
         ax.axhline(panel.limit, **DOTTED)
-        ax.set(xscale="log", yscale="log", xticks=_labelled(speeds))
+        ax.set(xscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
         ax.xaxis.set_minor_formatter(NullFormatter())
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        _log_ordinate(ax)
         axis_labels(ax, f"{panel.title} Mechanical speed", panel.name, "r/min", panel.unit)
-    handles, labels = axes[0].get_legend_handles_labels()
-    handles += [Line2D([], [], color="0.4", **DASHED), Line2D([], [], **DOTTED)]
-    labels += [other, "limit"]
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
+    more = {other: Line2D([], [], color="0.4", **DASHED), "limit": Line2D([], [], **DOTTED)}
+    _legend_above(figure, axes[0], more)
     return figure
+
+
+def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Mapping[str, F64]) -> Figure:
+    """Total harmonic distortions of a phase current, the approaches side by side with the same axes; by logarithm.
+
+    `loads` (m,) in A; `speeds` (n,) in r/min; `approaches`: distortions in %, (m, n), by name.
+    """
+    figure, axes = new_figure(1, len(approaches), height=3.2)
+    values = np.concatenate([thd.ravel() for thd in approaches.values()])
+    values = values[np.isfinite(values) & (values > 0.0)]
+    for ax, (name, thd) in zip(axes, approaches.items(), strict=True):
+        for look, amps, y in zip(SPARES, loads, thd, strict=False):
+            ax.plot(speeds, y, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
+        axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
+        ax.set_xlim(0, 1.04 * max(speeds))
+        _log_ordinate(ax)
+        if len(values):
+            ax.set_ylim(0.8 * values.min(), 1.25 * values.max())
+    _legend_above(figure, axes[0], {})
+    return figure
+
+
+def _log_ordinate(ax: Axes) -> None:
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _legend_above(figure: Figure, ax: Axes, more: Mapping[str, Line2D]) -> None:
+    """One legend for all axes: the curves of `ax`, and `more` by name."""
+    handles, labels = ax.get_legend_handles_labels()
+    handles, labels = [*handles, *more.values()], [*labels, *more]
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=FONT_SIZE)
 
 
 def _labelled(speeds: Sequence[float]) -> list[float]:

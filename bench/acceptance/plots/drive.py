@@ -12,22 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bench.acceptance.suite.common import PROPOSED, error_deg, rpm
 from bench.analysis.capture import F64, Capture
-from bench.analysis.units import RPM
-from bench.reports.style import (
-    BLACK,
-    GREY,
-    axis_labels,
-    colour,
-    degrees_axis,
-    legend_above,
-    limit_lines,
-    line,
-    new_figure,
-    time_axes,
-)
+from bench.reports import style
+from bench.reports.style import axis_labels, line
 
-MARKS = ((BLACK, (0, (1, 1))), (GREY, "--"), (BLACK, "-."), (GREY, "-"))
+MARKS = ((style.BLACK, (0, (1, 1))), (style.GREY, "--"), (style.BLACK, "-."), (style.GREY, "-"))
 """Colour and dashes of the first mark, the second …"""
 
 
@@ -40,28 +30,28 @@ def draw_run(capture: Capture, rows: Sequence[str], marks: Mapping[str, float]) 
     happened = {words: at for words, at in marks.items() if not math.isnan(at)}
     zero = next(iter(happened.values()), capture.span[0])
     t = capture.t - zero
-    figure, axes = new_figure(len(rows), height=1.55 * len(rows) + 0.4)
+    figure, axes = style.new_figure(len(rows), height=1.55 * len(rows) + 0.4)
     for ax, row in zip(axes, rows, strict=True):
         _ROWS[row](ax, t, capture)
         for (words, at), (hue, dashes) in zip(happened.items(), MARKS, strict=False):
             label = words if ax is axes[0] else None
             ax.axvline(at - zero, color=hue, linestyle=dashes, linewidth=1.0, label=label, zorder=1)
-        legend_above(ax)
-    time_axes(axes, t[0], t[-1])
+        style.legend_above(ax)
+    style.time_axes(axes, t[0], t[-1])
     return figure
 
 
 def _speed(ax: Axes, t: F64, capture: Capture) -> None:
     for name in ("omega_vt", "omega_enc", "omega_ref"):
         if name in capture:
-            line(ax, t, capture[name] / (capture.parameters["n_p"] * RPM), name)
+            line(ax, t, rpm(capture, name), name)
     axis_labels(ax, "", "speed", unit_y="r/min")
 
 
 def _error(ax: Axes, t: F64, capture: Capture) -> None:
-    error = np.degrees(capture.position_error("theta_vt"))
+    error = error_deg(capture, PROPOSED)
     line(ax, t, error, "theta_vt", label="", linewidth=0.7)
-    degrees_axis(ax, "position error", max(10.0, 1.1 * float(np.abs(error).max())))
+    style.degrees_axis(ax, "position error", max(10.0, 1.1 * float(np.abs(error).max())))
 
 
 def _dq(ax: Axes, t: F64, capture: Capture) -> None:
@@ -80,7 +70,7 @@ def _phases(ax: Axes, t: F64, capture: Capture) -> None:
         if name in capture:
             line(ax, t, capture[name], name, linewidth=0.7)
     if "i_max" in capture.parameters:
-        limit_lines(ax, -capture.parameters["i_max"], capture.parameters["i_max"], "i_max")
+        style.limit_lines(ax, -capture.parameters["i_max"], capture.parameters["i_max"], "i_max")
     axis_labels(ax, "", "current", unit_y="A")
 
 
@@ -88,7 +78,7 @@ def _hall(ax: Axes, t: F64, capture: Capture) -> None:
     code = capture["hall"].astype(np.int64)
     for bit, sensor in enumerate("abc"):
         level = 2 - bit + 0.7 * (code >> bit & 1)
-        ax.plot(t, level, color=colour(f"i_{sensor}"), linewidth=0.9, drawstyle="steps-post")
+        ax.plot(t, level, color=style.colour(f"i_{sensor}"), linewidth=0.9, drawstyle="steps-post")
     ax.set_yticks([2.35, 1.35, 0.35], ["a", "b", "c"])
     ax.set_ylim(-0.2, 2.9)
     ax.grid(False, axis="y")

@@ -15,21 +15,8 @@ from matplotlib.transforms import Bbox
 
 from bench.analysis.capture import F64, Capture
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
-from bench.reports.style import (
-    BLACK,
-    FONT_SIZE,
-    LIGHT,
-    LINE_WIDTH,
-    SERIES,
-    WIDTH,
-    axis_labels,
-    colour,
-    degrees_axis,
-    legend_above,
-    line,
-    new_figure,
-    wrapped_degrees,
-)
+from bench.reports import style
+from bench.reports.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
 
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
 
@@ -39,7 +26,7 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
 
     `expected` (6,) and `tolerance` in rad: the offsets that they should have, halfway between both directions.
     """
-    figure = Figure(figsize=(WIDTH, 4.0), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(style.WIDTH, 4.0), layout="constrained", facecolor="white")
     grid = figure.add_gridspec(2, 2, height_ratios=[2.6, 1.0])
     circle = figure.add_subplot(grid[0, 0], projection="polar")
     chart = figure.add_subplot(grid[0, 1])
@@ -67,15 +54,13 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
         (middle, "o", SERIES[0], "middle"),
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
-    chart.axhline(0.0, color=BLACK, linewidth=0.6)
+    chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
     chart.set_xticks(x, SECTORS)
     chart.set_xlim(-0.6, 5.6)
-    chart.grid(True, axis="y", color=LIGHT, linewidth=0.5)
-    chart.set_axisbelow(True)
-    chart.tick_params(labelsize=FONT_SIZE, width=0.6, length=3)
-    chart.spines[["top", "right"]].set_visible(False)
-    axis_labels(chart, "edge that opens the sector", "ideal − measured", unit_y="el. °")
-    legend_above(chart)
+    style.plain(chart)
+    chart.grid(False, axis="x")
+    style.axis_labels(chart, "edge that opens the sector", "ideal − measured", unit_y="el. °")
+    style.legend_above(chart)
 
     below.set_axis_off()
     rows = {
@@ -99,38 +84,39 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     return figure
 
 
-def draw_misaligned_hall(capture: Capture, turns: float = 2.0) -> Figure:
+def draw_misaligned_hall(capture: Capture) -> Figure:
     """The outputs of the three Hall sensors, actual and estimated position, and the error, over the actual angle.
 
     The paper's Fig. 2 over the angle in place of the time: at the grid lines a well placed sensor would switch. It
-    shows the first `turns` whole electrical turns of `capture`, which must turn forwards.
+    shows the first two whole electrical turns of `capture`, which must turn forwards.
     """
+    shown = 720.0  # deg
     theta = np.degrees(capture.theta)
     start = 360.0 * np.ceil(theta[0] / 360.0)
-    part = (theta >= start) & (theta <= start + 360.0 * turns)
+    part = (theta >= start) & (theta <= start + shown)
     x = theta[part] - start
-    figure, (codes, position, error) = new_figure(3, height=5.2)
+    figure, (codes, position, error) = style.new_figure(3, height=5.2)
     if (grid := codes.get_gridspec()) is not None:
         grid.set_height_ratios([1.1, 1.6, 1.2])
 
     hall = capture["hall"].astype(int)[part]
     for bit, name in enumerate("abc"):
         level = 2 - bit
-        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=colour(f"i_{name}"), linewidth=LINE_WIDTH)
+        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=style.colour(f"i_{name}"), linewidth=LINE_WIDTH)
         codes.text(-0.008, (level + 0.35 + 0.15) / 3.0, f"Hall {name}", ha="right", va="center", fontsize=FONT_SIZE,
                    transform=codes.transAxes)  # fmt: skip
     codes.set_ylim(-0.15, 2.85)
     codes.set_yticks([])
 
-    line(position, x, wrapped_degrees(capture["theta_enc"][part]), capture.reference, label="actual")
-    line(position, x, wrapped_degrees(capture["theta_avg"][part]), "theta_avg", label="estimated")
-    degrees_axis(position, "position", 180)
-    legend_above(position)
-    line(error, x, np.degrees(capture.position_error("theta_avg"))[part], "theta_avg")
-    degrees_axis(error, "error", 40)
+    style.line(position, x, style.wrapped_degrees(capture["theta_enc"][part]), capture.reference, label="actual")
+    style.line(position, x, style.wrapped_degrees(capture["theta_avg"][part]), "theta_avg", label="estimated")
+    style.degrees_axis(position, "position", 180)
+    style.legend_above(position)
+    style.line(error, x, np.degrees(capture.position_error("theta_avg"))[part], "theta_avg")
+    style.degrees_axis(error, "error", 40)
 
-    error.set_xlim(0, 360.0 * turns)
-    error.set_xticks(np.arange(0, 360.0 * turns + 1, 60))
-    axis_labels(error, "actual angle", "error", "el. °", "el. °")
+    error.set_xlim(0, shown)
+    error.set_xticks(np.arange(0, shown + 1, 60))
+    style.axis_labels(error, "actual angle", "error", "el. °", "el. °")
     figure.align_ylabels([position, error])
     return figure

@@ -9,15 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bench.analysis.capture import Capture
-from bench.reports.style import (
-    axis_labels,
-    column_title,
-    degrees_axis,
-    legend_above,
-    line,
-    new_figure,
-    wrapped_degrees,
-)
+from bench.reports import style
 
 
 def draw_steady(average: Capture, proposed: Capture, seconds: float) -> Figure:
@@ -26,7 +18,7 @@ def draw_steady(average: Capture, proposed: Capture, seconds: float) -> Figure:
     On the left with the average-speed approach in the control loop, on the right with the proposed one. Both columns
     have the same axes.
     """
-    figure, axes = new_figure(3, 2, height=5.0)
+    figure, axes = style.new_figure(3, 2, height=5.0)
     rows = [axes[k : k + 2] for k in (0, 2, 4)]
     for column, (capture, estimate, words) in enumerate(
         ((average, "theta_avg", "(a) average speed"), (proposed, "theta_vt", "(b) proposed"))
@@ -35,17 +27,17 @@ def draw_steady(average: Capture, proposed: Capture, seconds: float) -> Figure:
         part = capture.between(start, start + seconds)
         t = part.t - start
         current, position, error = (row[column] for row in rows)
-        column_title(current, words)
-        line(current, t, part["i_a"], "i_a")
-        line(position, t, wrapped_degrees(part[part.reference]), part.reference, label="actual")
-        line(position, t, wrapped_degrees(part[estimate]), estimate, label="estimated")
-        line(error, t, np.degrees(part.position_error(estimate)), estimate)
-        axis_labels(current, "", "phase current", unit_y="A")
-        degrees_axis(position, "position", 180)
-        degrees_axis(error, "error", 30)
-        axis_labels(error, "t", "error", "s", "el. °")
+        style.column_title(current, words)
+        style.line(current, t, part["i_a"], "i_a")
+        style.line(position, t, style.wrapped_degrees(part[part.reference]), part.reference, label="actual")
+        style.line(position, t, style.wrapped_degrees(part[estimate]), estimate, label="estimated")
+        style.line(error, t, np.degrees(part.position_error(estimate)), estimate)
+        style.axis_labels(current, "", "phase current", unit_y="A")
+        style.degrees_axis(position, "position", 180)
+        style.degrees_axis(error, "error", 30)
+        style.axis_labels(error, "t", "error", "s", "el. °")
         error.set_xlim(0, seconds)
-        legend_above(position)
+        style.legend_above(position)
     largest = max(np.abs(capture["i_a"]).max() for capture in (average, proposed))
     for ax in rows[0]:
         ax.set_ylim(-1.1 * largest, 1.1 * largest)

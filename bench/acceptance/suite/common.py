@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
 
-from bench.acceptance.plots.transients import Transient
 from bench.analysis.capture import F64, Capture
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
@@ -115,11 +114,12 @@ def speed_error(capture: Capture, observer: str) -> float:
     return float((rpm(capture, OMEGA[observer]) - rpm(capture)).std())
 
 
-class After(NamedTuple):
-    """A transient, with what came before it, and where it began."""
+class Transient(NamedTuple):
+    """A transient, with what came before it, where it began, and the approach whose estimate it is seen by."""
 
     capture: Capture
     start: float  # device time, s
+    observer: str = PROPOSED
 
     def part(self, first: float, last: float | None = None) -> Capture:
         """From `first` to `last` s after the start; without `last` to the end, in whole turns."""
@@ -128,9 +128,26 @@ class After(NamedTuple):
         return self.capture.between(self.start + first, self.start + last)
 
 
-def shown(after: After, observer: str) -> Transient:
-    """What the figures of transients draw."""
-    return Transient(after.capture, after.start, THETA[observer], OMEGA[observer])
+def from_reference(capture: Capture, speed_rpm: float, observer: str) -> Transient:
+    """A transient that begins when the speed reference first leaves `speed_rpm`, upwards."""
+    reference = rpm(capture, "omega_ref")
+    return Transient(capture, float(capture.t[int(np.argmax(reference > speed_rpm + 1.0))]), observer)
+
+
+def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> None:
+    """Start the drive on its own angle, ask for a speed and wait."""
+    drive.start(own_angle(drive))
+    drive.speed(speed_rpm * RPM)
+    record.wait(seconds)
+
+
+def around(record: Record, before: float, command: Callable[[], object], after: float) -> Capture:
+    """From `before` s before a command to `after` s after it."""
+    with record.stretch() as stretch:
+        record.wait(before)
+        command()
+        record.wait(after)
+    return stretch.capture
 
 
 def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: float = 5.0) -> bool:

@@ -10,7 +10,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance.suite.common import rpm
 from bench.analysis.capture import F64, Capture
 from protocol.codes import DriveState
 from protocol.signals import STATUS_STATE_MASK
@@ -38,11 +37,6 @@ def current(capture: Capture) -> F64:
     if not all(name in capture for name in PHASES):
         return np.hypot(capture["i_d"], capture["i_q"])
     return np.asarray(np.max([np.abs(capture[name]) for name in PHASES], axis=0), dtype=np.float64)
-
-
-def speed(capture: Capture) -> F64:
-    """Speed by the encoder, by the drive's estimate where there is none; mechanical r/min, shape (n,)."""
-    return rpm(capture)
 
 
 def largest(values: F64, where: NDArray[np.bool_]) -> float:

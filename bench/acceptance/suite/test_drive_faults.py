@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -16,7 +15,17 @@ from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limi
 from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.drive import draw_run
-from bench.acceptance.suite.common import PROPOSED, TURNS, VECTOR, Figure, Measure, error_deg, own_angle, rpm
+from bench.acceptance.suite.common import (
+    PROPOSED,
+    TURNS,
+    VECTOR,
+    Figure,
+    Measure,
+    error_deg,
+    own_angle,
+    rpm,
+    run_at,
+)
 from bench.acceptance.suite.events import (
     GONE,
     PHASES,
@@ -25,7 +34,6 @@ from bench.acceptance.suite.events import (
     illegal,
     largest,
     only,
-    speed,
     states,
     stepped,
     tripped,
@@ -54,9 +62,7 @@ def test_hall_wire_broken(
 
     How far it may run away follows from the time and the current.
     """
-    drive.start(own_angle(drive))
-    drive.speed(300 * RPM)
-    record.wait(0.4)
+    run_at(drive, record, 300, 0.4)
     with drive.may_trip():
         with record.stretch() as stretch:
             hall_faults.open(wire)
@@ -73,11 +79,9 @@ def test_hall_wire_broken(
     measure("named", named)
     measure("current_max", current(run).max(), run)
     measure("current_after", largest(current(run), run.t >= fault + 5e-3), run)
-    drive.start(own_angle(drive))
-    drive.speed(300 * RPM)
-    record.wait(0.4)
+    run_at(drive, record, 300, 0.4)
     again = record(0.2)
-    measure("speed_again", speed(again).mean(), again)
+    measure("speed_again", rpm(again).mean(), again)
     figure(
         f"drive_broken_{wire}",
         f"Hall wire {wire} breaks at 300 r/min; dashed: the current limit",
@@ -156,7 +160,7 @@ def test_hall_wires_exchanged(
         after = record(0.1)
         drive.forget_faults()
     measure("current_max", current(run).max(), run)
-    measure("speed_max", np.abs(speed(run)).max(), run)
+    measure("speed_max", np.abs(rpm(run)).max(), run)
     measure("only_hall", faults in ((), ("HALL",)))
     measure("current_after", current(after).max(), after)
     figure(
@@ -164,13 +168,6 @@ def test_hall_wires_exchanged(
         f"100 r/min asked for with the Hall wires {pair[0]} and {pair[1]} exchanged; dashed: the current limit",
         lambda: draw_run(run, ("speed", "hall", "phases"), {"FAULT": tripped(run)}),
     )
-
-
-class Burst(NamedTuple):
-    """False pulses on the Hall wires at 500 r/min."""
-
-    during: Capture
-    after: Capture
 
 
 @limit("implausible_edges", "", lo=4, hi=200, about="edges that skip a sector or lead to 000 or 111: the burst came")
@@ -183,13 +180,13 @@ def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, me
 
     Two false edges close together make any Hall speed: that `omega_avg` leaves its range is no flaw of the data.
     """
-    burst = _glitches(drive, record, hall_faults)
-    changed = burst.during.edges.hall_old ^ burst.during.edges.hall_new
+    burst, after = _glitches(drive, record, hall_faults)
+    changed = burst.edges.hall_old ^ burst.edges.hall_new
     several = (changed & (changed - 1)) != 0
-    needed = only(burst.during, "hall", "i_d", "i_q", *PHASES)
-    measure("implausible_edges", int((several | (burst.during.edges.illegal != 0)).sum()), needed)
-    measure("current_max", current(burst.during).max(), needed)
-    measure("speed_after", speed(burst.after).mean(), burst.after)
+    needed = only(burst, "hall", "i_d", "i_q", *PHASES)
+    measure("implausible_edges", int((several | (burst.edges.illegal != 0)).sum()), needed)
+    measure("current_max", current(burst).max(), needed)
+    measure("speed_after", rpm(after).mean(), after)
 
 
 @limit("error_max", "deg", lo=4, hi=85, about="largest position error during the burst and 0.1 s after it")
@@ -202,33 +199,18 @@ def test_hall_glitches_error(
     drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
 ) -> None:
     """The position error under the same false pulses: bounded, and as before soon after."""
-    burst = _glitches(drive, record, hall_faults)
-    after = error_deg(burst.after, PROPOSED)
-    needed = only(burst.during, "theta_enc", "omega_enc", "theta_vt")
-    measure("error_max", np.abs(error_deg(burst.during, PROPOSED)).max(), needed)
-    measure("speed_deviation", np.abs(rpm(burst.during) - 500.0).max(), needed)
-    measure("error_std_after", after.std(), burst.after)
-    measure("error_max_after", np.abs(after).max(), burst.after)
+    burst, after = _glitches(drive, record, hall_faults)
+    error_after = error_deg(after, PROPOSED)
+    needed = only(burst, "theta_enc", "omega_enc", "theta_vt")
+    measure("error_max", np.abs(error_deg(burst, PROPOSED)).max(), needed)
+    measure("speed_deviation", np.abs(rpm(burst) - 500.0).max(), needed)
+    measure("error_std_after", error_after.std(), after)
+    measure("error_max_after", np.abs(error_after).max(), after)
     figure(
         "drive_glitches",
         "1000 false pulses a second on the Hall wires for 50 ms at 500 r/min; the inputs as the drive samples them",
-        lambda: draw_run(burst.during, ("speed", "error", "hall"), {}),
+        lambda: draw_run(burst, ("speed", "error", "hall"), {}),
     )
-
-
-class Silence(NamedTuple):
-    """A host that fell silent at 200 r/min."""
-
-    run: Capture
-    last: float
-    """Device time in s of the last that the drive heard."""
-    fault: float
-    """Device time in s of FAULT; NaN if it never came."""
-    watchdog: float
-    """s that the drive waits, as it says."""
-    faults: tuple[str, ...]
-    off: bool
-    """Whether its heartbeat then said that the outputs are off."""
 
 
 @limit("trip_time", "s", lo=0.19, hi=0.26, about="from the last set point to FAULT")
@@ -242,11 +224,12 @@ def test_watchdog(drive: Drive, record: Record, measure: Measure) -> None:
 
     The last that it hears is a set point, whose effect shows in the data when that was.
     """
-    silence = _silence(drive, record, lambda: None)
-    measure("trip_time", silence.fault - silence.last, silence.run)
-    measure("lateness", 1e3 * (silence.fault - silence.last - silence.watchdog), silence.run)
-    measure("named", silence.faults == ("WATCHDOG",))
-    measure("outputs_off", silence.off)
+    run, last, named, off = _silence(drive, record, lambda: None)
+    trip_time = tripped(run) - last
+    measure("trip_time", trip_time, run)
+    measure("lateness", 1e3 * (trip_time - drive.parameters.get("watchdog", WATCHDOG)), run)
+    measure("named", named)
+    measure("outputs_off", off)
 
 
 @limit(
@@ -261,8 +244,8 @@ def test_watchdog_under_load(drive: Drive, load: Load, record: Record, measure: 
     """The same under a load torque of 2 A: the currents that held it are gone."""
     torque = 2.0 * drive.torque_constant
     load.torque(torque)
-    silence = _silence(drive, record, load.off)
-    run, last, fault = silence.run, silence.last, silence.fault
+    run, last, *_ = _silence(drive, record, load.off)
+    fault = tripped(run)
     measure("current_before", largest(current(run), run.t < fault), run)
     measure("off_time", currents_gone(run) - last if not math.isnan(fault) else math.nan, run)
     figure(
@@ -272,12 +255,14 @@ def test_watchdog_under_load(drive: Drive, load: Load, record: Record, measure: 
     )
 
 
-def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> Silence:
-    """Fall silent at 200 r/min; `let_go` takes the load off once the drive has tripped."""
+def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> tuple[Capture, float, bool, bool]:
+    """Fall silent at 200 r/min; `let_go` takes the load off once the drive has tripped.
+
+    Returns what came, the device time in s of the last that the drive heard, whether WATCHDOG was its only fault, and
+    whether its heartbeat then said that the outputs are off.
+    """
     watchdog = drive.parameters.get("watchdog", WATCHDOG)
-    drive.start(own_angle(drive))
-    drive.speed(200 * RPM)
-    record.wait(0.3)
+    run_at(drive, record, 200, 0.3)
     with drive.may_trip():
         with record.stretch() as stretch:
             record.wait(0.03)
@@ -286,24 +271,23 @@ def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> Silenc
             record.until(lambda: bool(drive.faults), 3.0 * watchdog)
             let_go()
             record.wait(0.05)
-        run, faults = stretch.capture, drive.faults
+        run, named = stretch.capture, drive.faults == ("WATCHDOG",)
         heartbeat = drive.node.next_heartbeat()
         drive.forget_faults()
     last = stepped(run, "omega_ref") if "omega_ref" in run else run.span[0]
-    return Silence(run, last, tripped(run), watchdog, faults, heartbeat is not None and not heartbeat.outputs_on)
+    return run, last, named, heartbeat is not None and not heartbeat.outputs_on
 
 
-def _glitches(drive: Drive, record: Record, hall_faults: HallFaults) -> Burst:
-    drive.start(own_angle(drive))
-    drive.speed(500 * RPM)
-    record.wait(0.5)
+def _glitches(drive: Drive, record: Record, hall_faults: HallFaults) -> tuple[Capture, Capture]:
+    """False pulses on the Hall wires at 500 r/min: from the first of them to 0.1 s after the last, and later."""
+    run_at(drive, record, 500, 0.5)
     with record.stretch() as stretch:
         hall_faults.glitches(1000)
         record.wait(0.05)
         hall_faults.glitches(0)
         record.wait(0.1)
     record.wait(0.2)
-    return Burst(stretch.capture, record(0.24))
+    return stretch.capture, record(0.24)
 
 
 def _wiring(run: Capture) -> str:

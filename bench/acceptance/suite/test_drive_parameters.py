@@ -18,8 +18,8 @@ from bench.acceptance.suite.common import (
     VECTOR,
     Measure,
     error_deg,
-    own_angle,
     rpm,
+    run_at,
     settle,
     turn_both_ways,
     whole_turns,
@@ -123,9 +123,7 @@ def test_hall_edges(drive: Drive, record: Record, measure: Measure) -> None:
 @energises(speed_rpm=1000, current=8)
 def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) -> None:
     """The flux linkage from the back-EMF at 1000 r/min, light load; direction and pole pairs of the encoder."""
-    drive.start(own_angle(drive))
-    drive.speed(1000 * RPM)
-    record.wait(0.6)
+    run_at(drive, record, 1000, 0.6)
     run = record(0.4)
     omega = float(np.abs(run[run.speed]).mean())
     psi_f = np.hypot(run["e_alpha"], run["e_beta"]).mean() / omega if omega else math.nan
@@ -147,9 +145,7 @@ def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) ->
 def test_torque_constant(drive: Drive, load: Load, record: Record, measure: Measure) -> None:
     """The q current that a known load torque takes at 500 r/min, above that of the friction."""
     amperes = 4.0
-    drive.start(own_angle(drive))
-    drive.speed(500 * RPM)
-    record.wait(0.4)
+    run_at(drive, record, 500, 0.4)
     light = whole_turns(record(0.25))
     load.torque(amperes * drive.torque_constant)
     settle(record, 500, within=0.005)
@@ -171,9 +167,7 @@ def test_torque_constant(drive: Drive, load: Load, record: Record, measure: Meas
 @energises(speed_rpm=100, current=8)
 def test_current_offsets(drive: Drive, record: Record, measure: Measure) -> None:
     """What the current sensors say where there is no current, after the drive has run."""
-    drive.start(own_angle(drive))
-    drive.speed(100 * RPM)
-    record.wait(0.2)
+    run_at(drive, record, 100, 0.2)
     drive.stop()
     record.until(lambda: abs(record.latest(record.rig.speed_channel)) < REST, 5.0)
     record.wait(0.2)

@@ -20,13 +20,15 @@ from bench.acceptance.suite.common import (
     VECTOR,
     Figure,
     Measure,
+    around,
     error_deg,
     or_nan,
     own_angle,
     rpm,
+    run_at,
     settle,
 )
-from bench.acceptance.suite.events import GONE, current, currents_gone, first, largest, speed, states, stepped
+from bench.acceptance.suite.events import GONE, current, currents_gone, first, largest, states, stepped
 from bench.analysis.waveforms import settled
 from bench.rig.loads import Load, NodeLoad
 from protocol.codes import DriveState
@@ -45,17 +47,11 @@ def test_reversal_300_rpm(drive: Drive, record: Record, measure: Measure, figure
 
     The Hall speed is lost about zero and found again; the drive must not trip on the way.
     """
-    drive.start(PROPOSED)
-    drive.speed(300 * RPM)
-    record.wait(0.4)
-    with record.stretch() as stretch:
-        record.wait(0.05)
-        drive.speed(-300 * RPM)
-        record.wait(0.5)
+    run_at(drive, record, 300, 0.4)
+    run = around(record, 0.05, lambda: drive.speed(-300 * RPM), 0.5)
     after = record(0.2)
-    run = stretch.capture
     start = stepped(run, "omega_ref")
-    omega = speed(run)
+    omega = rpm(run)
     since = run.t >= start
     measure("zero_time", 1e3 * (first(run, since & (omega < 0.0)) - start), run)
     settling = or_nan(lambda: settled(run.t[since], omega[since], -300.0, 15.0, hold=0.05).time)
@@ -122,7 +118,8 @@ def test_low_speed_20_rpm(
 @energises(speed_rpm=3000, current=8)
 def test_full_speed_3000_rpm(drive: Drive, record: Record, measure: Measure) -> None:
     """The drive's rated speed, light load; the Hall edges tell how fast the shaft is."""
-    run = _fast(drive, record, 3000)
+    run_at(drive, record, 3000, 1.0)
+    run = record(0.2)
     measure("speed", _speed_by_edges(run), run)
     measure("speed_ripple", rpm(run, "omega_vt").std(), run)
     measure("current_max", current(run).max(), run)
@@ -135,7 +132,8 @@ def test_full_speed_3000_rpm(drive: Drive, record: Record, measure: Measure) -> 
 @energises(speed_rpm=3000, current=8)
 def test_full_speed_3000_rpm_error(drive: Drive, record: Record, measure: Measure) -> None:
     """The position error at the drive's rated speed, light load."""
-    _measure_error(measure, _fast(drive, record, 3000))
+    run_at(drive, record, 3000, 1.0)
+    _measure_error(measure, record(0.2))
 
 
 @limit("speed", "r/min", lo=2487, hi=2513, about="mean by the encoder")
@@ -152,9 +150,7 @@ def test_high_power_2500_rpm_6_A(drive: Drive, load: Load, record: Record, measu
     The rest up to the current limit of 8 A is for the ripple of the estimated speed: where that reaches the limit, the
     shaft stays slower than it should be.
     """
-    drive.start(PROPOSED)
-    drive.speed(2500 * RPM)
-    record.wait(0.7)
+    run_at(drive, record, 2500, 0.7)
     for amperes in (3, 6):  # in two steps: a single one takes the speed far down
         load.torque(amperes * drive.torque_constant)
         record.wait(0.2)
@@ -190,7 +186,7 @@ def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure
         load.torque(0.0)
         record.wait(0.5)
     run = stretch.capture
-    omega = speed(run)
+    omega = rpm(run)
     moves = first(run, omega > 15.0)
     held, free = run.t < moves - 0.01, run.t >= moves
     measure("current_held", largest(current(run), held), run)
@@ -216,29 +212,17 @@ def test_stall_and_restart(drive: Drive, load: NodeLoad, record: Record, measure
 @energises(speed_rpm=500, current=8)
 def test_stop_500_rpm(drive: Drive, record: Record, measure: Measure) -> None:
     """STOP at 500 r/min: outputs off at once, for good, and the drive stays IDLE."""
-    drive.start(own_angle(drive))
-    drive.speed(500 * RPM)
-    record.wait(0.4)
+    run_at(drive, record, 500, 0.4)
     before = record(0.1)
-    with record.stretch() as stretch:
-        drive.stop()
-        record.wait(0.25)
-    run = stretch.capture
+    run = around(record, 0.0, drive.stop, 0.25)
     off = first(run, states(run) != DriveState.RUNNING)
     after = run.t >= off
-    measure("speed_before", speed(before).mean(), before)
+    measure("speed_before", rpm(before).mean(), before)
     measure("command_time", 1e3 * (off - run.t[0]), run)
     measure("off_time", 1e3 * (currents_gone(run) - off), run)
     idle = states(run)[after] == DriveState.IDLE
     measure("idle_share", 100.0 * idle.mean() if len(idle) else math.nan, run)
     measure("current_after", largest(current(run), run.t >= off + 5e-3), run)
-
-
-def _fast(drive: Drive, record: Record, speed_rpm: float) -> Capture:
-    drive.start(PROPOSED)
-    drive.speed(speed_rpm * RPM)
-    record.wait(1.0)
-    return record(0.2)
 
 
 def _speed_by_edges(run: Capture) -> float:

@@ -19,14 +19,14 @@ from bench.acceptance.suite.common import (
     LEARNED,
     PAPER,
     PROPOSED,
-    After,
     Figure,
     Measure,
+    around,
     error_deg,
+    from_reference,
     ratio,
     rpm,
     settle,
-    shown,
     thd_of_current,
     whole_turns,
 )
@@ -86,40 +86,30 @@ def test_learned_edges_map(drive: Drive, load: NodeLoad, record: Record, measure
     teach(drive, load, record)
     runs = {(amps, speed): at_point(drive, load, record, speed, amps, 66.0 / speed) for amps, speed in grid}
     drive.stop()  # what follows takes longer than the watchdog
-    std: dict[str, list[list[float]]] = {observer: [] for observer in (PROPOSED, LEARNED)}
-    largest: dict[str, list[list[float]]] = {observer: [] for observer in std}
-    for amps in LOADS:
-        for observer in std:
-            errors = [error_deg(runs[amps, speed], observer) for speed in SPEEDS]
-            std[observer].append([float(error.std()) for error in errors])
-            largest[observer].append([float(np.abs(error).max()) for error in errors])
-        for k, speed in enumerate(SPEEDS):
-            measure(f"error_std.{amps:g}A.{speed}rpm", std[LEARNED][-1][k], runs[amps, speed])
-            measure(f"error_max.{amps:g}A.{speed}rpm", largest[LEARNED][-1][k], runs[amps, speed])
-    thd = []
+    std, largest = np.empty((2, 2, len(LOADS), len(SPEEDS)))  # by observer, load and speed
+    for place, (amps, speed) in zip(np.ndindex(len(LOADS), len(SPEEDS)), grid, strict=True):
+        run = runs[amps, speed]
+        for k, observer in enumerate((PROPOSED, LEARNED)):
+            error = error_deg(run, observer)
+            std[k, *place], largest[k, *place] = error.std(), np.abs(error).max()
+        measure(f"error_std.{amps:g}A.{speed}rpm", std[1, *place], run)
+        measure(f"error_max.{amps:g}A.{speed}rpm", largest[1, *place], run)
     for speed in THD_SPEEDS:
         run = runs[THD_LOAD, speed]
-        thd.append(thd_of_current(whole_turns(run)))
-        measure(f"thd.{THD_LOAD:g}A.{speed}rpm", thd[-1], run)
+        measure(f"thd.{THD_LOAD:g}A.{speed}rpm", thd_of_current(whole_turns(run)), run)
     for speed in (500, 1000):
-        row = std[PROPOSED][LOADS.index(THD_LOAD)]
-        measure(f"proposed.error_std.{speed}rpm", row[SPEEDS.index(speed)], runs[THD_LOAD, speed])
-    ratios = [
-        ratio(mine, its)
-        for a, b in zip(std[LEARNED], std[PROPOSED], strict=True)
-        for mine, its in zip(a, b, strict=True)
-    ]
-    measure("ratio_max", max(ratios), *runs.values())
-    names = [f"{amps:g} A" for amps in LOADS]
+        error = error_deg(runs[THD_LOAD, speed], PROPOSED)
+        measure(f"proposed.error_std.{speed}rpm", error.std(), runs[THD_LOAD, speed])
+    measure("ratio_max", max(map(ratio, std[1].flat, std[0].flat)), *runs.values())
     figure(
         "learned_edges_map",
         "Position error over speed, by q current: (a) standard deviation, (b) largest; the paper's observer dashed.",
         lambda: draw_by_speed(
             SPEEDS,
-            names,
+            LOADS,
             [
-                Panel("(a)", "error std", "deg", std[LEARNED], std[PROPOSED], 0.5),
-                Panel("(b)", "error max", "deg", largest[LEARNED], largest[PROPOSED], 1.5),
+                Panel("(a)", "error std", "deg", std[1], std[0], 0.5),
+                Panel("(b)", "error max", "deg", largest[1], largest[0], 1.5),
             ],
             "vector tracking",
         ),
@@ -142,23 +132,12 @@ def test_learned_edges_transients(
     load.torque(0.0)
     drive.speed(500 * RPM)
     settle(record, 500)
-    with record.stretch() as stretch:
-        record.wait(0.1)
-        drive.speed(1000 * RPM)
-        record.wait(0.6)
-    speed_step = stretch.capture
+    speed_step = around(record, 0.1, lambda: drive.speed(1000 * RPM), 0.6)
     drive.speed(500 * RPM)
     settle(record, 500)
-    with record.stretch() as stretch:
-        record.wait(0.1)
-        load.torque(4.0 * drive.torque_constant)
-        record.wait(0.6)
-    load_step = stretch.capture
+    load_step = around(record, 0.1, lambda: load.torque(4.0 * drive.torque_constant), 0.6)
     before = at_point(drive, load, record, 500, 0.2)
-    with record.stretch() as stretch:
-        drive.current(8.0)
-        record.wait(0.4)
-    full_step = stretch.capture
+    full_step = around(record, 0.0, lambda: drive.current(8.0), 0.4)
     after = record(0.2)
     drive.stop()
     for name, run in (("speed_step", speed_step), ("load_step_4A", load_step), ("load_step_8A", full_step)):
@@ -168,18 +147,13 @@ def test_learned_edges_transients(
     measure("load_step_8A.error_shift", shift, before, after)
     settled = speed_step.between(speed_step.span[1] - 0.15, speed_step.span[1])
     measure("speed_step.speed", rpm(settled).mean(), settled)
-    begin = After(speed_step, float(speed_step.t[int(np.argmax(rpm(speed_step, "omega_ref") > 501.0))]))
+    begin = from_reference(speed_step, 500.0, PROPOSED)
     figure(
         "learned_edges_speed_step",
         "Speed step, 500 to 1000 r/min, near no load, learned edges in the loop. "
         "(a) Estimate of the paper's observer on the same samples. (b) Learned edges.",
         lambda: draw_transient(
-            shown(begin, PROPOSED),
-            shown(begin, LEARNED),
-            -0.05,
-            0.2,
-            12,
-            ("proposed, not in the loop", "learned edges"),
+            begin, begin._replace(observer=LEARNED), -0.05, 0.2, 12, ("proposed, not in the loop", "learned edges")
         ),
     )
 

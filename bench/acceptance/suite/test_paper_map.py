@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.acceptance import RPM, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.plots.thd_map import draw_thd_map
+from bench.acceptance.plots.by_speed import draw_thd_map
 from bench.acceptance.suite.common import AVERAGE, PAPER, PROPOSED, WORDS, Figure, Measure, thd_of_current, whole_turns
 from bench.rig.loads import NodeLoad
 

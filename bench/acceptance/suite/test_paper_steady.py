@@ -33,13 +33,13 @@ from bench.acceptance.suite.common import (
     turn_both_ways,
     whole_turns,
 )
+from bench.analysis.capture import F64
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, sine_response
 from bench.rig.loads import Load, NodeLoad
 from protocol.signals import Injection, Status
 
 pytestmark = needs(*PAPER)
 
-F64 = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
@@ -71,13 +71,12 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
 @limit("wiring_as_specified", "", lo=1, about="1: Hall codes and encoder agree on the specified wiring")
 @needs("observer:encoder", "hall-placement")
 @energises(speed_rpm=300, current=4)
-def test_table1_hall_edges(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+def test_table1_hall_edges(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
     """Table I: sensors that the rig has placed as the paper's are found there by the encoder, both ways.
 
     The drive runs on its encoder, so that misplaced sensors do not disturb the speed. The paper's figure is taken as
     the middle of both directions.
     """
-    assert isinstance(load, NodeLoad)
     for s, placed in enumerate(TABLE_I):
         load.set(f"hall_delta_{s + 1}", math.radians(placed))
     turning, offsets = turn_both_ways(drive, record, measure)
@@ -147,12 +146,11 @@ EXPECTED = _expected(np.array(PLACED))
 @limit("error_max", "deg", lo=EXPECTED.largest - 1.5, hi=EXPECTED.largest + 1.5, about="average speed, anywhere")
 @needs("observer:encoder", "hall-placement")
 @energises(speed_rpm=200, current=4)
-def test_fig02_misaligned_hall(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
+def test_fig02_misaligned_hall(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 2: the average-speed estimate with Hall sensors misplaced by phi = -15, 10 and 10 deg.
 
     The drive runs on its encoder. The jumps of the estimate are compared with those that (1)-(2) imply.
     """
-    assert isinstance(load, NodeLoad)
     for s, delta in enumerate(PLACED):
         load.set(f"hall_delta_{s + 1}", math.radians(delta))
     drive.start("encoder")

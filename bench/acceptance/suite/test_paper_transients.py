@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.plots.transients import LoadAngle, draw_load_angle, draw_transient
+from bench.acceptance.plots.transients import draw_load_angle, draw_transient
 from bench.acceptance.suite.common import (
     AVERAGE,
     OMEGA,
@@ -18,38 +18,31 @@ from bench.acceptance.suite.common import (
     PROPOSED,
     THETA,
     WORDS,
-    After,
     Figure,
     Measure,
+    Transient,
+    around,
     error_deg,
+    from_reference,
     or_nan,
     ratio,
     ripple,
     rpm,
     settle,
-    shown,
     speed_error,
     whole_turns,
 )
 from bench.analysis.waveforms import StepResponse, settled, step_response
-from bench.rig.loads import SPEED, Load, NodeLoad, OwnLoad
+from bench.rig.loads import SPEED, Load
 
 pytestmark = needs(*PAPER)
-
-Servo = NodeLoad | OwnLoad  # what may be able to force a speed
 
 LOW, HIGH = 500.0, 1000.0  # r/min
 LOAD, FULL_LOAD = 4.0, 8.0  # A of q current
 TURN = 60 / LOW / 6  # s, an electrical turn of the paper's motor at LOW
 
 
-def from_reference(capture: Capture, speed_rpm: float) -> After:
-    """A transient that begins when the speed reference first leaves `speed_rpm`, upwards."""
-    reference = rpm(capture, "omega_ref")
-    return After(capture, float(capture.t[int(np.argmax(reference > speed_rpm + 1.0))]))
-
-
-def from_dip(capture: Capture, quiet: float) -> After:
+def from_dip(capture: Capture, quiet: float, observer: str) -> Transient:
     """A load step after `quiet` s: it begins when the speed last had 95 % of what it was about to lose.
 
     The last half second is none of it, so that what follows the step is always there.
@@ -61,25 +54,30 @@ def from_dip(capture: Capture, quiet: float) -> After:
     speed, t = speed[within], t[within]
     lowest = int(np.argmin(speed))
     high = np.flatnonzero(speed[: lowest + 1] >= before - 0.05 * (before - speed[lowest]))
-    return After(capture, float(t[high[-1]] if len(high) else t[lowest]))
+    return Transient(capture, float(t[high[-1]] if len(high) else t[lowest]), observer)
 
 
-def second_edge(after: After) -> float:
+def second_edge(after: Transient) -> float:
     """When the sensors first give a speed, in s after the start: at the second edge; 0 if that takes over 100 ms."""
     times = after.capture.edges.tick / after.capture.tick_hz - after.start
     times = times[(times > 0.0) & (times < 0.1)]
     return float(times[1]) if len(times) > 1 else 0.0
 
 
-def measure_errors(measure: Measure, observer: str, capture: Capture, phase: str) -> None:
-    """`APPROACH.error_max.PHASE` and `…error_std.PHASE` in electrical degrees, `…speed_error.PHASE` in r/min."""
+def measure_errors(measure: Measure, observer: str, capture: Capture, phase: str) -> float:
+    """`APPROACH.error_max.PHASE` and `…error_std.PHASE` in electrical degrees, `…speed_error.PHASE` in r/min.
+
+    Returns the second.
+    """
     word, error = WORDS[observer], error_deg(capture, observer)
+    std = float(error.std())
     measure(f"{word}.error_max.{phase}", np.abs(error).max(), capture)
-    measure(f"{word}.error_std.{phase}", error.std(), capture)
+    measure(f"{word}.error_std.{phase}", std, capture)
     measure(f"{word}.speed_error.{phase}", speed_error(capture, observer), capture)
+    return std
 
 
-def measure_step(measure: Measure, run: After, before: float, after: float) -> None:
+def measure_step(measure: Measure, run: Transient, before: float, after: float) -> None:
     """`proposed.rise` in ms and `proposed.overshoot` in % of the speed's step, in r/min."""
     whole = run.capture
 
@@ -130,7 +128,7 @@ def place(load: Load, record: Record) -> None:
         return abs(record.latest("omega_enc")) < 1.0 and not record.latest(OMEGA[AVERAGE])
 
     record.until(at_rest, 5.0)
-    if isinstance(load, Servo) and SPEED in load.abilities and not at_the_edge():
+    if SPEED in load.abilities and not at_the_edge():
         load.speed(TURNING * RPM)
         record.until(at_the_edge, 10.0)
         load.speed(0.0)
@@ -138,7 +136,7 @@ def place(load: Load, record: Record) -> None:
         record.wait(0.1)
 
 
-def start_up(drive: Drive, load: Load, record: Record, observer: str) -> After:
+def start_up(drive: Drive, load: Load, record: Record, observer: str) -> Transient:
     """From rest to LOW; afterwards the shaft is at rest again, and the outputs are off."""
     place(load, record)
     with record.stretch() as stretch:
@@ -149,7 +147,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str) -> After:
     drive.speed(0.0)
     record.until(lambda: abs(record.latest("omega_enc")) < 1.0, 5.0)
     drive.stop()
-    return from_reference(stretch.capture, 0.0)
+    return from_reference(stretch.capture, 0.0, observer)
 
 
 @limit("average.initial_error", "deg", lo=20, hi=36, about="between the rotor and the centre of its Hall sector")
@@ -204,7 +202,7 @@ def test_fig09_start_up(drive: Drive, load: Load, record: Record, measure: Measu
     figure(
         "fig09_start_up",
         "Start-up, 0 to 500 r/min. (a) With the average speed. (b) With the proposed observer.",
-        lambda: draw_transient(shown(runs[AVERAGE], AVERAGE), shown(runs[PROPOSED], PROPOSED), -0.02, 0.2, 36),
+        lambda: draw_transient(runs[AVERAGE], runs[PROPOSED], -0.02, 0.2, 36),
     )
 
 
@@ -233,18 +231,14 @@ def test_fig10_speed_step(drive: Drive, record: Record, measure: Measure, figure
         drive.observe(observer)
         drive.speed(LOW * RPM)
         settle(record, LOW)
-        with record.stretch() as stretch:
-            record.wait(0.1)
-            drive.speed(HIGH * RPM)
-            record.wait(0.8)
-        runs[observer] = from_reference(stretch.capture, LOW)
+        step = around(record, 0.1, lambda: drive.speed(HIGH * RPM), 0.8)
+        runs[observer] = from_reference(step, LOW, observer)
     stds = {}
     for observer, run in runs.items():
         word = WORDS[observer]
         transient, steady = run.part(0.0, 0.15), run.part(0.4)
-        measure_errors(measure, observer, transient, "transient")
+        stds[observer] = measure_errors(measure, observer, transient, "transient")
         measure_errors(measure, observer, steady, "steady")
-        stds[observer] = error_deg(transient, observer).std()
         measure(f"{word}.speed", rpm(steady).mean(), steady)
     run = runs[PROPOSED]
     steady = run.part(0.4)
@@ -254,7 +248,7 @@ def test_fig10_speed_step(drive: Drive, record: Record, measure: Measure, figure
     figure(
         "fig10_speed_step",
         "Speed step, 500 to 1000 r/min, near no load. (a) With the average speed. (b) With the proposed observer.",
-        lambda: draw_transient(shown(runs[AVERAGE], AVERAGE), shown(runs[PROPOSED], PROPOSED), -0.05, 0.2, 24),
+        lambda: draw_transient(runs[AVERAGE], runs[PROPOSED], -0.05, 0.2, 24),
     )
 
 
@@ -287,18 +281,14 @@ def test_fig11_load_step(drive: Drive, load: Load, record: Record, measure: Meas
         drive.observe(observer)
         load.torque(0.0)
         settle(record, LOW)
-        with record.stretch() as stretch:
-            record.wait(before)
-            load.torque(LOAD * drive.torque_constant)
-            record.wait(1.0)
-        runs[observer] = from_dip(stretch.capture, 0.8 * before)
+        step = around(record, before, lambda: load.torque(LOAD * drive.torque_constant), 1.0)
+        runs[observer] = from_dip(step, 0.8 * before, observer)
     stds = {}
     for observer, run in runs.items():
         word = WORDS[observer]
         transient, steady = run.part(0.0, 0.15), run.part(0.4)
-        measure_errors(measure, observer, transient, "transient")
+        stds[observer] = measure_errors(measure, observer, transient, "transient")
         measure_errors(measure, observer, steady, "steady")
-        stds[observer] = error_deg(transient, observer).std()
         measure(f"{word}.speed", rpm(steady).mean(), steady)
         measure(f"{word}.ripple_q", or_nan(ripple, steady, "i_q", TURN), steady)
     run = runs[PROPOSED]
@@ -313,7 +303,7 @@ def test_fig11_load_step(drive: Drive, load: Load, record: Record, measure: Meas
     figure(
         "fig11_load_step",
         "Load step, near no load to 4 A, at 500 r/min. (a) With the average speed. (b) With the proposed observer.",
-        lambda: draw_transient(shown(runs[AVERAGE], AVERAGE), shown(runs[PROPOSED], PROPOSED), -0.05, 0.3, 24),
+        lambda: draw_transient(runs[AVERAGE], runs[PROPOSED], -0.05, 0.3, 24),
     )
 
 
@@ -322,18 +312,7 @@ def test_fig11_load_step(drive: Drive, load: Load, record: Record, measure: Meas
 LESS, MORE = 0.92, 1.08  # of the drive's own L_s_hat
 
 
-def load_step(drive: Drive, record: Record) -> After:
-    """Currents from none to FULL_LOAD, at a forced speed."""
-    with record.stretch() as stretch:
-        record.wait(0.65)
-        drive.current(FULL_LOAD)
-        record.wait(0.9)
-    drive.current(0.0)
-    capture = stretch.capture
-    return After(capture, float(capture.t[int(np.argmax(capture["i_q_ref"] > 0.5 * FULL_LOAD))]))
-
-
-def error_shift(after: After) -> float:
+def error_shift(after: Transient) -> float:
     """Mean position error at full load less that at none, each over whole turns, electrical degrees."""
     unloaded = whole_turns(after.capture.between(after.capture.span[0], after.start - 0.01))
     return float(error_deg(after.part(0.2), PROPOSED).mean() - error_deg(unloaded, PROPOSED).mean())
@@ -349,7 +328,7 @@ def error_shift(after: After) -> float:
 @limit("i_q", "A", lo=7.9, hi=8.1, about="at full load")
 @needs("load.speed", "channel:i_q_ref", "parameter:load_angle_comp", "parameter:k_ic", "parameter:L_s_hat")
 @energises(speed_rpm=LOW, current=FULL_LOAD)
-def test_fig12_load_angle(drive: Drive, load: Servo, record: Record, measure: Measure, figure: Figure) -> None:
+def test_fig12_load_angle(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 12: step to full load at 500 r/min, without and with the load-angle compensation.
 
     Paper: full load shifts the error by about +-1 degree, and (18)-(19) remove that. The shift comes from what the
@@ -373,17 +352,19 @@ def test_fig12_load_angle(drive: Drive, load: Servo, record: Record, measure: Me
         drive.set("k_ic", gain)
         drive.set("load_angle_comp", float(gain != 0.0))
         record.wait(0.1)
-        runs[name] = load_step(drive, record)
+        step = around(record, 0.65, lambda: drive.current(FULL_LOAD), 0.9)
+        drive.current(0.0)
+        runs[name] = Transient(step, float(step.t[int(np.argmax(step["i_q_ref"] > 0.5 * FULL_LOAD))]))
         measure(name, error_shift(runs[name]), runs[name].capture)
         drive.set("load_angle_comp", 0.0)  # which forgets the integral of (18)
     own = runs["shift"].part(0.2)
     measure("error_std", error_deg(own, PROPOSED).std(), own)
     measure("speed", rpm(own).mean(), own)
     measure("i_q", own["i_q"].mean(), own)
-    drawn = [
-        LoadAngle(f"{share:.2f} $L_s$", *(shown(runs[f"{kind}.{name}"], PROPOSED) for kind in ("shift", "compensated")))
+    drawn = {
+        f"{share:.2f} $L_s$": (runs[f"shift.{name}"], runs[f"compensated.{name}"])
         for share, name in ((MORE, "more_L"), (LESS, "less_L"))
-    ]
+    }
     figure(
         "fig12_load_angle",
         "Load step, no load to 8 A, at 500 r/min, with 1.08 and 0.92 times the drive's own L_s. (a) Without and (b) "

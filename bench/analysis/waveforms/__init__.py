@@ -9,14 +9,7 @@ is NaN, with its count beside it.
 """
 
 from bench.analysis.waveforms.frequency import Spectrum, sine_response, spectrum
-from bench.analysis.waveforms.harmonics import (
-    Fundamental,
-    Thd,
-    fundamental,
-    periodic,
-    thd,
-    thd_by_angle,
-)
+from bench.analysis.waveforms.harmonics import Fundamental, Thd, fundamental, periodic, thd, thd_by_angle
 from bench.analysis.waveforms.sectors import (
     BACKWARDS,
     FORWARDS,
@@ -38,28 +31,7 @@ from bench.analysis.waveforms.steps import (
 )
 
 __all__ = [
-    "BACKWARDS",
-    "FORWARDS",
-    "Constant",
-    "EdgeOffsets",
-    "Fundamental",
-    "RampFit",
-    "SectorErrors",
-    "Settled",
-    "Spectrum",
-    "StepResponse",
-    "Thd",
-    "by_sector",
-    "constant",
-    "edge_offsets",
-    "fundamental",
-    "periodic",
-    "ramp",
-    "sector_of_angle",
-    "settled",
-    "sine_response",
-    "spectrum",
-    "step_response",
-    "thd",
-    "thd_by_angle",
-]
+    "BACKWARDS", "FORWARDS", "Constant", "EdgeOffsets", "Fundamental", "RampFit", "SectorErrors", "Settled", "Spectrum",
+    "StepResponse", "Thd", "by_sector", "constant", "edge_offsets", "fundamental", "periodic", "ramp",
+    "sector_of_angle", "settled", "sine_response", "spectrum", "step_response", "thd", "thd_by_angle",
+]  # fmt: skip

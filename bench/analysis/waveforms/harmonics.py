@@ -183,16 +183,10 @@ def _columns(phase: Floats, order: int) -> Floats:
     return np.concatenate([np.ones((len(phase), 1)), np.cos(turning), np.sin(turning)], axis=1)
 
 
-def _complex(coefficients: Floats, order: int) -> NDArray[np.complex128]:
-    """(order + 1,) amplitudes c with y = Re(sum of c_n exp(j n phase)), from the coefficients of `_columns`."""
-    amplitudes: NDArray[np.complex128] = np.concatenate(
-        [coefficients[:1] + 0j, coefficients[1 : order + 1] - 1j * coefficients[order + 1 : 2 * order + 1]]
-    )
-    return amplitudes
-
-
 def _harmonics(phase: Floats, y: Floats, order: int) -> NDArray[np.complex128]:
-    return _complex(least_squares(_columns(phase, order), y), order)
+    """(order + 1,) amplitudes c with y = Re(sum of c_n exp(j n phase))."""
+    mean, cosines, sines = np.split(least_squares(_columns(phase, order), y), [1, order + 1])
+    return np.concatenate([mean + 0j, cosines - 1j * sines])
 
 
 def _refined(t: Floats, y: Floats, line: float, period: float) -> float:

@@ -83,7 +83,9 @@ def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(
     stuck.free.set()
 
 
-def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.SyntheticRun) -> None:
+def test_the_live_view_shows_what_it_dropped_not_as_lost(
+    made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: list[dict[str, int]] = []
     gate = threading.Event()
 
@@ -92,7 +94,8 @@ def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.Synthet
             gate.wait()
             seen.append(block.losses)
 
-    live = LiveSink(synthetic.run_info(), any_port(), queue_blocks=2)
+    monkeypatch.setattr(sinks, "LIVE_QUEUE", 2)
+    live = LiveSink(synthetic.run_info(), any_port())
     original = live._log
     live._log = lambda log, item: original(Log(), item)  # type: ignore[assignment,arg-type,method-assign]
     made.feed(live)
