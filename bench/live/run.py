@@ -264,10 +264,8 @@ class LiveRun:
         augmenter = None
         if options.estimate:
             from bench.observers.augment import Augmenter
-            from bench.observers.estimators import Estimators
 
-            estimators = Estimators(options.estimate, parameters, stream)
-            augmenter = Augmenter(estimators, stream)
+            augmenter = Augmenter(options.estimate, parameters, stream)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
