@@ -284,7 +284,7 @@ class Node:
             counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
             self.client.rejections.pop(self.number, None)
-            self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
+            self.client.session.send(Setpoint(mode, counter, value, value2), self.number)  # a heartbeat tells its fate
 
             def answered(counter: int = counter, rejected: int = rejected) -> bool:
                 now = self.client.heartbeats.get(self.number)

@@ -329,13 +329,7 @@ class Rig:
 
     def until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Go on until `condition()` holds; False when it does not within `timeout` s. Raises DriveTripped."""
-        end = self.client.now() + timeout
-        while not condition():
-            left = end - self.client.now()
-            if left <= 0:
-                return False
-            self._poll(min(POLL, left))
-        return True
+        return self.client.wait(condition, timeout, self._poll)
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come."""
@@ -477,8 +471,7 @@ class Rig:
 
     def note(self, text: str, level: str = "INFO") -> None:
         """A line in the log of recording and dashboard."""
-        for sink in self.client.sinks:
-            sink.note(text, level)
+        self.client.note(text, level)
 
     def summary(self, markdown: str) -> None:
         """The text that a viewer of the recording reads first."""
