@@ -268,7 +268,11 @@ class Rig:
         elif not self.plan.passive:
             failures = failures_of([self.drive.stop])
             stopped = not failures
-            trip = self._late_trip() if stopped else None
+            if stopped:
+                try:
+                    self.drive.look_at_the_end()
+                except DriveTripped as late:  # seen only when STOP was answered
+                    trip = late
             restore = partial(self.drive.restore, clear_faults=stopped)
             failures += failures_of([*self.at_end, restore, self.drive.node.stop_streams])
         else:
@@ -284,14 +288,6 @@ class Rig:
         failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure
-
-    def _late_trip(self) -> DriveTripped | None:
-        """A trip that was seen only when STOP was answered."""
-        try:
-            self.drive.look_at_the_end()
-        except DriveTripped as trip:
-            return trip
-        return None
 
     # -- time ---------------------------------------------------------------------------------------------------
 
