@@ -173,7 +173,7 @@ class Drive(Machine):
         """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
         if self._faults & ~self._expected and not self._may_trip:
             self._told |= self._faults
-            starved = self.starved(self.parameters.get("watchdog", WATCHDOG))  # from here
+            starved = self.starved(self.parameters.get("watchdog", WATCHDOG))  # if the reason is here
             advice = "; compute after drive.stop(), not while the drive runs" if starved else ""
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{starved}{advice}")
         if why := self.node.astray():

@@ -78,8 +78,10 @@ class Outputs:
 
     def summary(self, markdown: str) -> None:
         """The text that a reader of recording and view sees first."""
-        for sink in reversed(self.sinks):
-            sink.summary(markdown)
+        if self.view is not None:
+            self.view.sink.summary(markdown)
+        if self.file is not None:
+            self.file.summary(markdown)
 
     def live_drops(self) -> int:
         """Blocks that the live view has lost."""
