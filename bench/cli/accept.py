@@ -75,7 +75,9 @@ def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
         raise click.UsageError("--junit -: only --json goes to standard output; give a file")
     check_files({"--junit": junit, "--json": json_file}, overwrite, [given["bench_toml"], given["config"]])
     if report is not None:
-        _check_report(report, overwrite)
+        if holds_report(report) and not overwrite:
+            raise BenchError(f"--report {report} holds a report: choose another name, or --overwrite to replace it")
+        check_directory(report, f"--report {report}", make=True)
     from bench.acceptance.accept import AcceptOptions, accept, closing_lines
 
     with _Screen(status=not given["list_only"]) as screen:
@@ -89,13 +91,6 @@ def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
         if report is not None:
             say(f"report: {report / 'report.html'}")
     sys.exit(code)
-
-
-def _check_report(directory: Path, overwrite: bool) -> None:
-    """Raise BenchError where the report cannot be written, and for an earlier one."""
-    if holds_report(directory) and not overwrite:
-        raise BenchError(f"--report {directory} holds a report: choose another name, or --overwrite to replace it")
-    check_directory(directory, f"--report {directory}", make=True)
 
 
 def _show(listed: dict[str, Limits], json_file: Path | None) -> None:

@@ -12,7 +12,7 @@ import click
 from bench.analysis.sources import source_number
 from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
-from bench.cli.streams import note
+from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
 from bench.files import STANDARD_OUTPUT
@@ -125,8 +125,8 @@ def command(
     station = read_settings(None)
     settings = replace(station, operator=operator or station.operator, config=config)
     options = live.LiveOptions(target=target, channels=names, settings=settings, **given)
-    from bench.cli.output import Progress, print_summary
-    from bench.live.summary import Summary
+    from bench.cli.output import Progress, pairs, table
+    from bench.live.summary import ERROR_HEADERS, Summary, error_rows, run_rows
 
     unwritten: list[BenchError] = []
 
@@ -136,7 +136,10 @@ def command(
             if json_file is not None:
                 write_json(json_file, summary.as_json())
             if json_file != STANDARD_OUTPUT:
-                print_summary(summary)
+                if errors := error_rows(summary):
+                    table(ERROR_HEADERS, errors)
+                    echo()
+                pairs(f"run on {summary.target}", run_rows(summary))
         except BenchError as error:  # how the run ended matters more
             unwritten.append(error)
 

@@ -10,7 +10,6 @@ import re
 import sys
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import click
@@ -21,22 +20,17 @@ from protocol.text import printable
 if TYPE_CHECKING:
     from rich.status import Status
 
-    from bench.live.summary import Summary
-
-
 NARROW = 11
 """Columns that words keep on a terminal too narrow for a table."""
 
 
-def table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
+def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print `rows` under `headers`; the first column is left-aligned, numbers to the right."""
     headers, rows = _cells(headers), [_cells(row) for row in rows]
     if sys.stdout.isatty():
-        _rich_table(headers, rows, title)
+        _rich_table(headers, rows)
         return
-    widths = [max(len(str(row[column])) for row in [headers, *rows]) for column in range(len(headers))]
-    if title:
-        echo(title)
+    widths = [max(len(row[column]) for row in [headers, *rows]) for column in range(len(headers))]
     for row in [headers, *rows]:
         cells = [
             cell.rjust(width) if column and _is_number(cell) else cell.ljust(width)
@@ -74,14 +68,14 @@ def _is_number(cell: str) -> bool:
     return re.fullmatch(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?(/\d+)?", cell) is not None
 
 
-def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> None:
+def _rich_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     console = Console()
-    shown = Table(title=Text(printable(title)) if title else None, title_justify="left", box=SIMPLE_HEAD)
+    shown = Table(box=SIMPLE_HEAD)
     needed = 0  # for numbers, which must not fold, and some words
     for column, header in enumerate(headers):
         numeric = column > 0 and any(_is_number(row[column]) for row in rows)
@@ -115,9 +109,7 @@ class Progress:
             self._status.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.pause()
 
     def pause(self) -> None:
@@ -155,14 +147,3 @@ class Progress:
         elif (now := time.monotonic()) - self._last_plain >= self.PLAIN_PERIOD:
             self._last_plain = now
             note(text)
-
-
-def print_summary(summary: Summary) -> None:
-    """Print the figures of a run as tables."""
-    from bench.live.summary import ERROR_HEADERS, error_rows, run_rows
-
-    errors = error_rows(summary)
-    if errors:
-        table(ERROR_HEADERS, errors)
-        echo()
-    pairs(f"run on {summary.target}", run_rows(summary))

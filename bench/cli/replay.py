@@ -11,26 +11,21 @@ from bench.cli.files import FILE, check_files, json_option, overwrite_option, wr
 from bench.cli.number import Number
 
 
-class Setting(click.ParamType[tuple[str, float]]):
-    """NAME=VALUE with a finite number."""
-
-    name = "setting"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
-        """Split it, or say why not."""
-        if isinstance(value, tuple):
-            return value
-        name, sign, number = str(value).partition("=")
-        if not sign or not name.strip():
-            self.fail(f"'{value}' is not NAME=VALUE", param, ctx)
-        return name.strip(), Number().convert(number.strip(), param, ctx)
+def setting(value: Any) -> tuple[str, float]:
+    """Split NAME=VALUE with a finite number, or say why not."""
+    if isinstance(value, tuple):
+        return value
+    name, sign, number = str(value).partition("=")
+    if not sign or not name.strip():
+        raise click.BadParameter(f"'{value}' is not NAME=VALUE")
+    return name.strip(), Number().convert(number.strip(), None, None)
 
 
 @click.command("replay")
 @click.argument("run", metavar="RUN.rrd", type=FILE, required=False)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="An observer to run, by its name or short name; repeatable (default: all).")  # fmt: skip
-@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=Setting(),
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting,
               help="A drive parameter for the observers, as k_p=900; repeatable.")  # fmt: skip
 @click.option("-o", "--out", metavar="FILE", type=FILE, help="The new recording (default: RUN.replay.rrd).")
 @json_option("the counts")

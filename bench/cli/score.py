@@ -13,21 +13,16 @@ from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
 
-class Share(click.ParamType[float]):
-    """A share above 0 and below 1, as 20% or 0.2."""
-
-    name = "share"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read it, or say why not."""
-        text = str(value).strip()
-        try:
-            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
-        except ValueError:
-            share = 0.0
-        if not 0.0 < share < 1.0:
-            self.fail(f"'{value}' is no share above 0 and below 100%, such as 20% or 0.2", param, ctx)
-        return share
+def share(value: Any) -> float:
+    """Read a share above 0 and below 1, as 20% or 0.2, or say why not."""
+    text = str(value).strip()
+    try:
+        found = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        found = 0.0
+    if not 0.0 < found < 1.0:
+        raise click.BadParameter(f"'{value}' is no share above 0 and below 100%, such as 20% or 0.2")
+    return found
 
 
 @click.command("score")
@@ -40,7 +35,7 @@ class Share(click.ParamType[float]):
 @click.option("--expect", metavar="FILE", type=FILE, help="Bounds on figures (TOML or JSON); outside: exit code 1.")
 @click.option("--write-expect", metavar="FILE", type=FILE, help="Write bounds around this run's figures (TOML).")
 @overwrite_option
-@click.option("--margin", type=Share(), default="20%", show_default=True, help="Of --write-expect, on both sides.")
+@click.option("--margin", type=share, default="20%", show_default=True, help="Of --write-expect, on both sides.")
 def command(
     runs: tuple[Path, ...],
     observers: tuple[str, ...],

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import astuple, dataclass, field
 from typing import TypeVar
@@ -34,7 +34,6 @@ from protocol.links.base import Link
 from protocol.messages import (
     Alive,
     DeviceEvent,
-    ErrorReply,
     EventCode,
     Fault,
     Heartbeat,
@@ -42,7 +41,6 @@ from protocol.messages import (
     MessageType,
     Payload,
     Request,
-    Setpoint,
     StreamEvent,
 )
 from protocol.streams import Beat, EdgeChunk, LossCounters, SampleChunk, StreamConfig
@@ -170,7 +168,7 @@ class Client:
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
         self._streams: dict[int, _Streams] = {}
-        self._closed: dict[int, Losses] = {}
+        self._retired: dict[int, list[Decoder]] = {}  # of streams that have ended
         self._watches: dict[int, _Watch] = {}
         self._pending: _Pending | None = None
         self._must_open = False  # the link must be opened again
@@ -185,18 +183,16 @@ class Client:
 
     def run_for(self, seconds: float) -> None:
         """Poll for `seconds` of the link's clock."""
-        end = self.now() + seconds
-        while (left := end - self.now()) > 0:
-            self.poll(min(POLL, left))
+        self.wait(lambda: False, seconds)
 
-    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Poll until `condition()` holds; False when it does not within `timeout` s."""
+    def wait(self, condition: Callable[[], bool], timeout: float, poll: Callable[[float], None] | None = None) -> bool:
+        """Poll, by `poll` if there is one, until `condition()` holds; False when it does not within `timeout` s."""
         end = self.now() + timeout
         while not condition():
             left = end - self.now()
             if left <= 0:
                 return False
-            self.poll(min(POLL, left))
+            (poll or self.poll)(min(POLL, left))
         return True
 
     # -- connection ---------------------------------------------------------------------------------------------
@@ -239,14 +235,9 @@ class Client:
             self.health.down_since = now
             self.health.outages += 1
             self._next_reopen = now
-            self._note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
+            self.note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
             if self._pending:
                 self._pending.error = error
-
-    def _give_up_in_time(self) -> None:
-        """Raise LinkClosed when a drive that was lost has not answered again in time."""
-        if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
-            raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
 
     def _reopen(self, timeout: float) -> None:
         """One turn while the link is down: try to open it again, at most ten times a second."""
@@ -283,7 +274,8 @@ class Client:
                 other._turn(0.0)
 
     def _turn(self, timeout: float) -> None:
-        self._give_up_in_time()
+        if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
+            raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
         if self._must_open:
             self._reopen(timeout)
             self._polled = self.now()
@@ -336,21 +328,26 @@ class Client:
                 for sink in self.sinks:
                     sink.event(node, happened)
             case LogReceived(log=log):
-                self._note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
+                self.note(log.text, _LOG_LEVELS.get(log.level, "INFO"))
             case ReplyReceived(tid=tid, message=message):
                 self._settle(tid, reply=message)
             case RequestRefused(tid=tid, error=error):
-                self._settle(tid, error=_refused(error))
+                words = f"{MessageType(error.request).name} was refused: {error}"
+                self._settle(tid, error=Refused(words, error.code, error.detail))
             case ReplyUnusable(tid=tid, error=error):
                 self._settle(tid, error=error)
             case RequestTimedOut(tid=tid, node=node, type=kind, tries=tries):
                 text = f"node {node} on {self.link.name} did not answer {kind.name} in {tries} tries"
                 self._settle(tid, error=NoReply(text))
             case Connected(hello=hello):
-                self._connected(hello, now)
+                self.hello = hello
+                if self.health.down_since is not None:
+                    self.health.downtime += now - self.health.down_since
+                    self.health.down_since = None
+                    self.note("the drive is back", "WARN")
             case Rebooted(node=node):
                 self.health.reboots += 1
-                self._note(f"node {node} has rebooted", "WARN")
+                self.note(f"node {node} has rebooted", "WARN")
                 self._end(node, self.heartbeats.pop(node, None))  # the last one of the boot before
                 if self.on_reboot:
                     self.on_reboot(node)
@@ -365,17 +362,11 @@ class Client:
             else:
                 sink.edges(chunk)
 
-    def _connected(self, hello: HelloReply, now: float) -> None:
-        self.hello = hello
-        if self.health.down_since is not None:
-            self.health.downtime += now - self.health.down_since
-            self.health.down_since = None
-            self._note("the drive is back", "WARN")
-
     def _seen(self, node: int, now: float) -> None:
         self._watches.setdefault(node, _Watch()).last_seen = now
 
-    def _note(self, text: str, level: str = "INFO") -> None:
+    def note(self, text: str, level: str = "INFO") -> None:
+        """Tell every sink."""
         for sink in self.sinks:
             sink.note(text, level)
 
@@ -385,7 +376,8 @@ class Client:
         """Decode a stream from now on, as it was just configured."""
         decoder = self.session.decoder(config)
         streams = self._streams.setdefault(config.node, _Streams())
-        self._retire(config.node, streams.decoders.pop(config.stream, None))
+        if config.stream in streams.decoders:
+            self._retired.setdefault(config.node, []).append(streams.decoders[config.stream])
         streams.decoders[config.stream] = decoder
 
     def streams_started(self, node: int) -> None:
@@ -414,10 +406,10 @@ class Client:
 
     def losses(self, node: int) -> Losses:
         """Account of all that was streamed from `node`; what its last frames were is known when they have ended."""
-        account = self._closed.get(node, Losses(LossCounters(), LossCounters()))
-        for decoder in self._streams.get(node, _NO_STREAMS).decoders.values():
-            account = _added(account, decoder)
-        return account
+        decoders = [*self._retired.get(node, ()), *self._streams.get(node, _NO_STREAMS).decoders.values()]
+        edges = [decoder.counters for decoder in decoders if decoder.config.event == StreamEvent.EDGES]
+        samples = [decoder.counters for decoder in decoders if decoder.config.event != StreamEvent.EDGES]
+        return Losses(_sum(samples), _sum(edges))
 
     def _end(self, node: int, last: Heartbeat | None) -> None:
         """Nothing more comes of these streams: what they lack up to `last` is lost."""
@@ -432,17 +424,12 @@ class Client:
                 edges += n
             else:
                 samples += n
-        for decoder in streams.decoders.values():
-            self._retire(node, decoder)
+        self._retired.setdefault(node, []).extend(streams.decoders.values())
         if samples or edges:
             what = " and ".join(counted(n, noun) for n, noun in ((samples, "sample"), (edges, "edge")) if n)
-            self._note(f"lost at the end of the streams of node {node}: {what}", "WARN")
+            self.note(f"lost at the end of the streams of node {node}: {what}", "WARN")
             for sink in self.sinks:
                 sink.missing(node, samples, edges)
-
-    def _retire(self, node: int, decoder: Decoder | None) -> None:
-        if decoder is not None:
-            self._closed[node] = _added(self._closed.get(node, Losses(LossCounters(), LossCounters())), decoder)
 
     # -- watchdog -----------------------------------------------------------------------------------------------
 
@@ -498,10 +485,6 @@ class Client:
         assert isinstance(pending.reply, reply)  # the session unpacks by the type of the request
         return pending.reply
 
-    def setpoint(self, message: Setpoint, node: int) -> None:
-        """Send a setpoint; it has no reply, the heartbeat tells its fate."""
-        self.session.send(message, node)
-
     def _settle(self, tid: int, reply: Payload | None = None, error: Exception | None = None) -> None:
         if self._pending and self._pending.tid == tid:
             self._pending.reply, self._pending.error = reply, error
@@ -511,19 +494,9 @@ _NO_STREAMS = _Streams()
 _LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
 
 
-def _refused(error: ErrorReply) -> Refused:
-    return Refused(f"{MessageType(error.request).name} was refused: {error}", error.code, error.detail)
-
-
 def _beat(heartbeat: Heartbeat) -> Beat:
     return Beat(heartbeat.tick, heartbeat.edges)
 
 
-def _added(losses: Losses, decoder: Decoder) -> Losses:
-    if decoder.config.event == StreamEvent.EDGES:
-        return Losses(losses.samples, _sum(losses.edges, decoder.counters))
-    return Losses(_sum(losses.samples, decoder.counters), losses.edges)
-
-
-def _sum(a: LossCounters, b: LossCounters) -> LossCounters:
-    return LossCounters(*(x + y for x, y in zip(astuple(a), astuple(b), strict=True)))
+def _sum(counters: Iterable[LossCounters]) -> LossCounters:
+    return LossCounters(*map(sum, zip(*map(astuple, counters), strict=True)))

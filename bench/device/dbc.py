@@ -35,7 +35,6 @@ from protocol.streams import StreamConfig
 ENCODING = "cp1252"
 """Of a DBC file."""
 
-LATENCY_MS = 20  # max_latency with which the bench configures streams
 
 _NAME = 32  # characters that every tool allows a name
 _NODE_NAME = _NAME - len("_samples_15")

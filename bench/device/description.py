@@ -47,8 +47,7 @@ def inspect_link(target: str) -> dict[str, Any]:
                     raise
                 unread[number] = str(error)
         bus = inspect_bus(client, first)
-        found = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
-        assert isinstance(found, dict)
+        found: dict[str, Any] = finite({"target": target, "nodes": nodes, "unread": unread, "bus": bus})
         return found
     finally:
         link.close()

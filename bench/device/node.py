@@ -61,6 +61,7 @@ from protocol.validity import check_parameter
 DRIVE, LOAD = 1, 2
 SAMPLES, EDGES = 0, 1  # stream numbers that the bench uses
 ALL_STREAMS = 0xFFFFFFFF
+MAX_LATENCY_MS = 20  # with which the bench configures streams
 _BLOB_PART = 512
 
 
@@ -284,7 +285,7 @@ class Node:
             counter = (heartbeat.setpoint_counter if heartbeat else 0) % 0xFFFF + 1  # not an earlier host's
             rejected = heartbeat.setpoints_rejected if heartbeat else 0
             self.client.rejections.pop(self.number, None)
-            self.client.setpoint(Setpoint(mode, counter, value, value2), self.number)
+            self.client.session.send(Setpoint(mode, counter, value, value2), self.number)  # a heartbeat tells its fate
 
             def answered(counter: int = counter, rejected: int = rejected) -> bool:
                 now = self.client.heartbeats.get(self.number)
@@ -347,14 +348,14 @@ class Node:
             self._streams.clear()
             self.client.end_streams(self.number, last)
 
-    def set_samples(self, channels: tuple[Channel, ...], decimation: int, max_latency_ms: int = 20) -> StreamConfig:
+    def set_samples(self, channels: tuple[Channel, ...], decimation: int) -> StreamConfig:
         """Configure the sample stream. Raises DoesNotFit, with what would fit, when the link cannot carry it."""
         ids = tuple(channel.id for channel in channels)
-        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, max_latency_ms, ids))
+        return self._configure(StreamSet(SAMPLES, StreamEvent.PWM, decimation, MAX_LATENCY_MS, ids))
 
-    def set_edges(self, max_latency_ms: int = 20) -> StreamConfig:
+    def set_edges(self) -> StreamConfig:
         """Configure the stream of Hall edges."""
-        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, max_latency_ms))
+        return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, MAX_LATENCY_MS))
 
     def active_streams(self) -> list[StreamConfig]:
         """The streams that are configured in it now, by whomever."""

@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from bench.errors import BenchError
@@ -47,14 +46,19 @@ class EmbeddedDrive:
         try:
             self.target = self._await_target()
         except BaseException:
-            self._end()
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._end()
+    def __exit__(self, *exception: object) -> None:
+        if self._process.stdin:
+            self._process.stdin.close()
+        self._process.terminate()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _await_target(self) -> str:
         assert self._process.stdout is not None
@@ -67,13 +71,3 @@ class EmbeddedDrive:
                 if not words.startswith("error: "):
                     self._note(words)
         raise BenchError(words.removeprefix("error: "))
-
-    def _end(self) -> None:
-        if self._process.stdin:
-            self._process.stdin.close()
-        self._process.terminate()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()

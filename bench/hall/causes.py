@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.analysis.position import wrap
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
-from bench.hall.edges import OPENS, Measured
+from bench.hall.edges import NUMERALS, OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
 from bench.hall.trace import INPUTS, SLOW, Floats, Trace
@@ -279,11 +279,11 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
         common = 0.0
     for number, name in enumerate(INPUTS):
         rise, fall = pairs[number]
-        numbers = " and ".join(_roman(s) for s in sorted((rise, fall)))
-        evidence = (
-            f"edges that open {numbers} lie {_deg(-deltas[min(rise, fall)])} and {_deg(-deltas[max(rise, fall)])} from "
-            f"their places (95 % to {_deg(_widest(measured, (rise, fall)), 2)})",
-        )
+        both = sorted((rise, fall))
+        numbers = " and ".join(NUMERALS[s] for s in both)
+        lie = " and ".join(_deg(-deltas[s]) for s in both)
+        widest = edges.largest(p.half_width for s in both for p in (measured.edges[s].up, measured.edges[s].down))
+        evidence = (f"edges that open {numbers} lie {lie} from their places (95 % to {_deg(widest, 2)})",)
         if abs(off[number] - common) > DISPLACED:
             found.append(
                 Finding(
@@ -376,18 +376,9 @@ def _deltas(measured: Measured, emf: BackEmf | None) -> list[float]:
     return deltas
 
 
-def _widest(measured: Measured, sectors: tuple[int, int]) -> float:
-    passages = [p for s in sectors for p in (measured.edges[s].up, measured.edges[s].down)]
-    return max((p.half_width for p in passages if not math.isnan(p.half_width)), default=math.nan)
-
-
 def _scatter(length: float) -> str:
     """Scatter of angles whose mean unit vector is so long: Mardia and Jupp, Directional Statistics, 2000, (2.3.11)."""
     return f"{math.degrees(math.sqrt(max(0.0, -2.0 * math.log(max(length, 1e-12))))):.1f} deg"
-
-
-def _roman(sector: int) -> str:
-    return ("I", "II", "III", "IV", "V", "VI")[sector]
 
 
 def _deg(angle: float, places: int = 1) -> str:

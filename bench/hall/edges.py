@@ -12,6 +12,7 @@ Student's t with the scatter of the passages. Nothing here knows what is right.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ LEAST_FAR = math.radians(1.0)  # but at least so far from the median, lies a pas
 
 OPENS = ((2, False), (1, True), (0, False), (2, True), (1, False), (0, True))
 """By sector: the input (0..2) that changes where it opens, and whether it rises, to a shaft that turns up."""
+NUMERALS = ("I", "II", "III", "IV", "V", "VI")
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Measured:
     """Of its 95 % confidence interval, s."""
     outliers: int
     """Passages left out because they lay far from all others of their edge."""
-    duty: tuple[float, float, float]
+    duty: tuple[float, ...]
     """Share of an electrical turn in which the input a, b, c is 1; NaN unless both its edges were met."""
     widths: tuple[float, ...]
     """Of sectors I to VI, rad; NaN unless both edges were met."""
@@ -133,20 +135,21 @@ def measure(edges: Edges) -> Measured:
     )
     places = [edge.ideal - edge.mean_delta for edge in found]
     widths = tuple((places[(s + 1) % SECTORS] - places[s]) % math.tau for s in range(SECTORS))
-    return Measured(found, delay, spread * _t(10**6), outliers, _duty(places), widths)
+    duty = tuple(
+        (places[OPENS.index((k, False))] - places[OPENS.index((k, True))]) % math.tau / math.tau
+        for k in range(len(INPUTS))
+    )
+    return Measured(found, delay, spread * _t(10**6), outliers, duty, widths)
+
+
+def largest(values: Iterable[float]) -> float:
+    """The largest of those that are known; NaN for none."""
+    return max((value for value in values if not math.isnan(value)), default=math.nan)
 
 
 def mean_angle(angles: Floats) -> float:
     """Circular mean in [-pi, pi) of angles (n,) in rad; NaN for none."""
     return _wrapped(float(np.angle(np.exp(1j * angles).mean()))) if len(angles) else math.nan
-
-
-def _duty(places: list[float]) -> tuple[float, float, float]:
-    share = {}
-    for number in range(len(INPUTS)):
-        rise, fall = (places[OPENS.index((number, rises))] for rises in (True, False))
-        share[number] = (fall - rise) % math.tau / math.tau
-    return share[0], share[1], share[2]
 
 
 def _passages(off: Floats, omega: Floats, centre: float, delay: float, spread: float) -> Passages:

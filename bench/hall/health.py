@@ -22,7 +22,7 @@ from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import SLOW, Floats, Trace
+from bench.hall.trace import SLOW, Trace
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
@@ -80,9 +80,11 @@ def examine(trace: Trace, further: str = "") -> Health:
     else:
         emf = reference.back_emf(trace)
         findings += causes.encoder(emf)
-        theta = _by_flux(trace.theta, emf)
+        # that of the rotor flux, where the back-EMF says that the encoder's is another
+        theta = emf.zero - trace.theta if emf is not None and emf.reversed else trace.theta - causes.ahead(emf)
+        moving = np.abs(np.asarray(trace.omega)) >= SLOW
         try:
-            wiring = _wiring(trace, theta)
+            wiring = diagnose(theta[moving], trace.hall[moving])
         except ValueError as error:
             missing.append(f"the wiring is not known: {error}")
         else:
@@ -111,20 +113,6 @@ def _codes(trace: Trace) -> Codes:
         int(np.count_nonzero(~illegal & ~neighbours)),
         len(leaves),
     )
-
-
-def _by_flux(theta: Floats, emf: BackEmf | None) -> Floats:
-    """The angle of the rotor flux, where the back-EMF says that the encoder's is another."""
-    if emf is None:
-        return theta
-    if emf.reversed:
-        return emf.zero - theta
-    return theta - causes.ahead(emf)
-
-
-def _wiring(trace: Trace, theta: Floats) -> Diagnosis:
-    moving = np.abs(np.asarray(trace.omega)) >= SLOW
-    return diagnose(theta[moving], trace.hall[moving])
 
 
 def _thin(turns: Turns, measured: Measured) -> list[str]:

@@ -36,7 +36,7 @@ class Pulses:
     n: int
     rate: float
     """1/s over all of the recorded time."""
-    by_input: tuple[int, int, int]
+    by_input: tuple[int, ...]
     widest: float
     """s; NaN for none."""
     bins: tuple[CurrentBin, ...]
@@ -54,7 +54,6 @@ def count(trace: Trace) -> Pulses:
     """Count the false pulses."""
     pulses = trace.pulses
     n = len(pulses.input)
-    by_input = np.bincount(pulses.input, minlength=3)
     bins: list[CurrentBin] = []
     excess = math.nan
     if np.isfinite(trace.current).all():
@@ -73,7 +72,7 @@ def count(trace: Trace) -> Pulses:
     return Pulses(
         n,
         n / trace.seconds,
-        (int(by_input[0]), int(by_input[1]), int(by_input[2])),
+        tuple(np.bincount(pulses.input, minlength=3).tolist()),
         float(pulses.width.max()) if n else math.nan,
         tuple(bins),
         excess,

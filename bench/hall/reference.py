@@ -25,7 +25,6 @@ LEAST_SAMPLES = 200
 LEAST_EMF = 0.15
 """V, mean size of the back-EMF from which on it is believed: dead time and drops cost some tenths of a volt."""
 EMF_CHANNELS = ("u_alpha", "u_beta", "i_a", "i_b")
-EMF_PARAMETERS = ("R_s_hat", "L_s_hat")
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class BackEmf:
 
 def turns(trace: Trace) -> Turns:
     """How far the shaft turned."""
-    n_p = trace.parameter("n_p")
+    n_p = trace.capture.parameters.get("n_p")
     pole_pairs = None if n_p is None else round(n_p)
     by_hall = _hall_turns(trace.edges)
     if trace.omega is None:
@@ -107,11 +106,10 @@ def repeats(edges: Edges, factor: float) -> float:
 def back_emf(trace: Trace) -> BackEmf | None:
     """Where the back-EMF stands; None where the outputs were off, too little is known, or it has no clear angle."""
     capture = trace.capture
-    parameters = [trace.parameter(name) for name in EMF_PARAMETERS]
-    if trace.theta is None or trace.omega is None or any(name not in capture for name in EMF_CHANNELS):
+    resistance, inductance = (capture.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
+    if trace.theta is None or trace.omega is None or resistance is None or inductance is None:
         return None
-    resistance, inductance = parameters
-    if resistance is None or inductance is None:
+    if any(name not in capture for name in EMF_CHANNELS):
         return None
     i_a, i_b = capture["i_a"], capture["i_b"]
     i = i_a + 1j * (i_a + 2.0 * i_b) / math.sqrt(3.0)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED
-from bench.hall.edges import Edge, Passages
+from bench.hall.edges import NUMERALS, Edge, Passages, largest
 from bench.hall.health import Health, Outcome
 from bench.hall.trace import INPUTS, Trace
 from bench.hall.turning import Turned
 
 WIDTH = 79
-NUMERALS = ("I", "II", "III", "IV", "V", "VI")
 EDGE_HEADERS = ("edge", "up", "down", "+-95 %", "passed", "hyst.", "jitter", "width")
 SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
 CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
@@ -35,10 +35,10 @@ def edge_rows(health: Health) -> list[list[str]]:
             f"{NUMERALS[edge.sector]:<3} {edge.name}",
             _number(_angle(edge.up), 2),
             _number(_angle(edge.down), 2),
-            _number(_widest(edge), 2),
+            _number(math.degrees(largest(passages.half_width for passages in (edge.up, edge.down))), 2),
             f"{edge.up.n}/{edge.down.n}",
             _number(math.degrees(edge.hysteresis), 2),
-            _number(math.degrees(_jitter(edge)), 2),
+            _number(math.degrees(largest(passages.jitter for passages in (edge.up, edge.down))), 2),
             _number(math.degrees(width), 1),
         ]
         for edge, width in zip(measured.edges, _widths(health), strict=True)
@@ -118,10 +118,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "source": source,
         "outcome": health.outcome.name.lower(),
         "exit_code": int(health.outcome),
-        "findings": [
-            {"code": f.code, "cause": f.cause, "evidence": list(f.evidence), "advice": f.advice}
-            for f in health.findings
-        ],
+        "findings": [asdict(finding) for finding in health.findings],
         "missing": list(health.missing),
         "turned": turned.how,
         "remarks": list(turned.remarks),
@@ -190,17 +187,6 @@ def _widths(health: Health) -> tuple[float, ...]:
 def _angle(passages: Passages) -> float:
     """deg from -30 to 330, so that what belongs at 0 is not found near 360."""
     return (math.degrees(passages.angle) + 30.0) % 360.0 - 30.0
-
-
-def _widest(edge: Edge) -> float:
-    """deg."""
-    known = [p.half_width for p in (edge.up, edge.down) if not math.isnan(p.half_width)]
-    return math.degrees(max(known, default=math.nan))
-
-
-def _jitter(edge: Edge) -> float:
-    """The larger of both directions, rad."""
-    return max((p.jitter for p in (edge.up, edge.down) if not math.isnan(p.jitter)), default=math.nan)
 
 
 def _number(value: float, places: int) -> str:

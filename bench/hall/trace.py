@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
+from bench.analysis.channels import reference_angle
 from bench.analysis.position import states
 from bench.errors import BenchError
 from protocol.codes import DriveState
@@ -90,10 +91,6 @@ class Trace:
         """Time covered by samples."""
         return len(self.hall) * self.sample_time
 
-    def parameter(self, name: str) -> float | None:
-        """A parameter of the drive, None if it has none of that name."""
-        return self.capture.parameters.get(name)
-
 
 def recorded(run: Run) -> Capture:
     """The whole of a recording. BenchError where it holds no samples with Hall codes, or no Hall edges."""
@@ -112,7 +109,7 @@ def trace(capture: Capture) -> Trace:
         raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
     period = float(np.median(np.diff(capture.samples.tick))) if len(hall) > 1 else 1.0
     theta = omega = None
-    if _has_reference(capture):
+    if reference_angle(capture.samples.config.channels):
         theta = capture.theta
         omega = _slope(theta, capture.samples.tick / capture.tick_hz, max(1, round(SLOPE * capture.tick_hz / period)))
     current = _current(capture)
@@ -131,13 +128,6 @@ def trace(capture: Capture) -> Trace:
     if (told := states(capture.samples)) is not None:
         on = told == DriveState.RUNNING
     return Trace(hall, theta, omega, current, on, period / capture.tick_hz, edges, pulses, unplaced, slow, capture)
-
-
-def _has_reference(capture: Capture) -> bool:
-    try:
-        return bool(capture.reference)
-    except BenchError:
-        return False
 
 
 def _slope(theta: Floats, t: Floats, reach: int) -> Floats:

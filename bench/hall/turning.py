@@ -96,18 +96,16 @@ class Turner:
                 except _NotFollowing as error:
                     self._remarks.append(f"{how}: {error}")
                 finally:
-                    self._stop()
+                    self._running = False
+                    self._rig.drive.stop()
                 tried.append(how)
                 self._coast()
-                if self._far_enough():
+                if min(electrical_turns(self._rig.recorder, self._first, self._rig.drive.parameters)) >= ENOUGH:
                     break
             self._leave_clear()
-        return self._turned(", then ".join(tried))
-
-    def _turned(self, how: str) -> Turned:
         trips = [f"{what} at {', '.join(speeds)} r/min" for what, speeds in self._trips.items()]
         capture = self._rig.capture(self._first, self._rig.recorder.newest)
-        return Turned(capture, how, (*trips, *self._remarks), FURTHER)
+        return Turned(capture, ", then ".join(tried), (*trips, *self._remarks), FURTHER)
 
     # -- ways ---------------------------------------------------------------------------------------------------
 
@@ -205,10 +203,6 @@ class Turner:
     def _coast(self) -> None:
         self._rig.until(lambda: abs(self._speed()) < STANDS, COAST)
 
-    def _stop(self) -> None:
-        self._running = False
-        self._rig.drive.stop()
-
     def _leave_clear(self) -> None:
         """Clear what the drive has latched; one that sees an illegal code where the shaft stands keeps its fault."""
         drive = self._rig.drive
@@ -230,9 +224,6 @@ class Turner:
                 f"told to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min it turned "
                 f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
             )
-
-    def _far_enough(self) -> bool:
-        return min(electrical_turns(self._rig.recorder, self._first, self._rig.drive.parameters)) >= ENOUGH
 
 
 def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> tuple[float, float]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bench.analysis.sources import source_number, source_short
 from bench.analysis.units import RPM, pole_pairs
@@ -41,9 +41,6 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
 from protocol.links import Link, open_link
 from protocol.streams import StreamConfig
-
-if TYPE_CHECKING:
-    from bench.rerunio.viewer import LiveView
 
 RECONNECT = 30.0  # s that a lost link is waited for
 CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
@@ -172,24 +169,20 @@ class LiveRun:
         return (Act(title, math.inf, options.speed_rpm or 0.0, options.load_a or 0.0, source),)
 
     def check(self, acts: tuple[Act, ...], confirm: Callable[[str], bool] | None) -> None:
-        """Limits and consent: raises before anything is energised."""
+        """What the drive lacks (NodeError), limits and consent: raises before anything is energised."""
+        options = self.options
         if acts:
-            self._require()
+            if options.show:
+                require(self.drive, "the show", NEEDS["the show"])
+            if options.load_a is not None:
+                require(self.drive, "--load", NEEDS["--load"])
+            if options.observer:
+                require(self.drive, "--observer", [f"observer:{options.observer}"])
             envelope = self.rig.drive.envelope
             check_limits(self.drive, envelope)
-            require_consent(self.drive, self.target, envelope, self.options.yes, confirm)
-        if self.options.clear_faults:
+            require_consent(self.drive, self.target, envelope, options.yes, confirm)
+        if options.clear_faults:
             self.drive.clear_faults()
-
-    def _require(self) -> None:
-        """What was asked for must be possible with this drive: NodeError names what it lacks."""
-        options = self.options
-        if options.show:
-            require(self.drive, "the show", NEEDS["the show"])
-        if options.load_a is not None:
-            require(self.drive, "--load", NEEDS["--load"])
-        if options.observer:
-            require(self.drive, "--observer", [f"observer:{options.observer}"])
 
     # -- streaming ----------------------------------------------------------------------------------------------
 
@@ -199,13 +192,13 @@ class LiveRun:
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
+        on_host = "--host-observers" if options.host_observers else "--estimate"  # the option that runs observers here
         if options.host_observers or options.estimate:
             needed = self._inputs(channels)
             missing = [name for name in needed if name not in {channel.name for channel in channels}]
             if missing or decimation != 1:
                 raise BenchError(
-                    f"{self._on_host} needs every PWM period"
-                    + (f" and the channels {', '.join(missing)}" if missing else "")
+                    f"{on_host} needs every PWM period" + (f" and the channels {', '.join(missing)}" if missing else "")
                 )
         if not self.drive.offers_edges:
             self.screen.note("no Hall edges: the drive does not offer them (feature EDGES)")
@@ -214,7 +207,7 @@ class LiveRun:
         except DoesNotFit as error:
             if needed:
                 few = ",".join(needed)
-                raise BenchError(f"{error}; {self._on_host} needs every PWM period: --channels {few}") from None
+                raise BenchError(f"{error}; {on_host} needs every PWM period: --channels {few}") from None
             raise
         assert self.rig.samples is not None
         if self.rig.samples.decimation != decimation:
@@ -233,11 +226,6 @@ class LiveRun:
         on = self.drive.has_parameter(switch) and self.drive.parameter(switch).value != 0.0
         return compared_inputs(names, on)
 
-    @property
-    def _on_host(self) -> str:
-        """The option that runs observers here."""
-        return "--host-observers" if self.options.host_observers else "--estimate"
-
     def _channel_names(self) -> tuple[str, ...] | None:
         """The channels that were asked for; without a list of its own a run also gets what its control works with."""
         names = self.options.channels
@@ -254,8 +242,7 @@ class LiveRun:
         self._pole_pairs = pole_pairs(parameters)
         self._watchdog = parameters.get("watchdog", WATCHDOG)
         if acts:
-            offers = self.drive.offers_edges
-            self._judge = Plausibility(stream, offers, parameters)
+            self._judge = Plausibility(stream, self.drive.offers_edges, parameters)
         observers = None
         if options.host_observers:
             from bench.observers.estimators import HostObservers
@@ -264,10 +251,8 @@ class LiveRun:
         augmenter = None
         if options.estimate:
             from bench.observers.augment import Augmenter
-            from bench.observers.estimators import Estimators
 
-            estimators = Estimators(options.estimate, parameters, stream)
-            augmenter = Augmenter(estimators, stream)
+            augmenter = Augmenter(options.estimate, parameters, stream)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
         info = run_info(self.drive, self.target, streamed, parameters, options.settings)
@@ -292,14 +277,18 @@ class LiveRun:
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result, ended = self._with_recording(result, exit_code)
             summary.live_view = outputs.viewed()
-            if self._interrupted(lambda: self._finish(outputs, as_markdown(summary))):
+            with self._uninterrupted(), suppress(RecordingError):  # `outputs.failure` tells
+                outputs.end_recording(as_markdown(summary))
+            if self._signal:
                 ended = ended or 128 + self._signal
             if outputs.failure is not None:  # at the latest now
                 summary.result, ended = self._with_recording(result, exit_code)
             summary.recording = outputs.recorded()
             report(summary)
             if hold and ended == 0 and outputs.view is not None:
-                self._hold(outputs.view)
+                self.screen.note(f"the dashboard stays at {outputs.view.url} until Ctrl-C")
+                with suppress(KeyboardInterrupt, Interrupted):
+                    outputs.view.process.wait()
             return Ended(summary, ended)
         finally:
             with undisturbed():
@@ -315,7 +304,8 @@ class LiveRun:
         try:
             self.drive.start_streams()
             if acts:
-                self.energise()
+                for machine in reversed(self.rig.machines):  # the load machine first, so that it holds the shaft
+                    machine.energise()
             end = self.client.now()
             for act in timed(acts or (WATCHING,), options.duration):
                 end += act.seconds
@@ -327,12 +317,14 @@ class LiveRun:
         except DriveFailed as error:
             self._trip(str(error))
         except RecordingError as error:
-            self.note(str(error), "ERROR")  # the result: see `_with_recording`
+            self.client.note(str(error), "ERROR")  # the result: see `_with_recording`
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
-            self._interrupted(self.make_safe)
-        self._interrupted(self._stop_streams)
+            with self._uninterrupted():
+                self.make_safe()
+        with self._uninterrupted(), suppress(HbpError):
+            self.drive.stop_streams()
         self._gathered.flush()
         if acts and stats.faults and not self.tripped:  # in the last moment
             why = self.rig.drive.starved(self._watchdog)
@@ -364,10 +356,6 @@ class LiveRun:
         unseen = self._judge.unverified()
         return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
 
-    def _stop_streams(self) -> None:
-        with suppress(HbpError):
-            self.drive.stop_streams()
-
     def _with_recording(self, result: str, exit_code: int) -> tuple[str, int]:
         """Result and exit code of the run, or those of a recording that failed; a run that failed itself says both."""
         failure = None if self._outputs is None else self._outputs.failure
@@ -376,61 +364,38 @@ class LiveRun:
         words = f"recording failed: {str(failure).removeprefix('recording ')}"
         return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
 
-    @staticmethod
-    def _finish(outputs: Outputs, summary: str) -> None:
-        with suppress(RecordingError):  # `outputs.failure` tells
-            outputs.end_recording(summary)
-
-    def _interrupted(self, action: Callable[[], None]) -> bool:
-        """Do it undisturbed. A signal that came meanwhile is remembered, and True returned."""
+    @contextmanager
+    def _uninterrupted(self) -> Iterator[None]:
+        """Undisturbed inside. A signal that came meanwhile is remembered."""
         try:
             with undisturbed():
-                action()
+                yield
         except (KeyboardInterrupt, Interrupted) as interrupt:
             self._remember(interrupt)
-            return True
-        return False
 
     def _remember(self, interrupt: BaseException) -> None:
         self._signal = self._signal or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
 
-    def _hold(self, view: LiveView) -> None:
-        self.screen.note(f"the dashboard stays at {view.url} until Ctrl-C")
-        with suppress(KeyboardInterrupt, Interrupted):
-            view.process.wait()
-
     # -- the motor ----------------------------------------------------------------------------------------------
-
-    def energise(self) -> None:
-        """Arm and start what the acts need: the load machine first, so that it holds the shaft."""
-        for machine in reversed(self.rig.machines):
-            machine.energise()
 
     def perform(self, act: Act, end: float, stats: RunStatistics) -> None:
         """One act: angle source, load and speed, then watch until the client's clock says `end`."""
         self._gathered.flush()
         stats.segment = act.title
         if not self.tripped:
-            self.note(act.title)
+            self.client.note(act.title)
             try:
                 if act.source is not None:
                     self.drive.set("observer", act.source)
                 if self.rig.load.abilities:
-                    self.rig.load.torque(self._torque_constant() * act.load_a)
+                    n_p, psi_f = (self.drive.parameter(name).value for name in ("n_p", "psi_f_hat"))
+                    self.rig.load.torque(1.5 * n_p * psi_f * act.load_a)  # N·m per A of q current, peak-valued
                 if self.rig.drive.on:
                     self.drive.speed(act.speed_rpm * RPM)
                     if self._judge is not None:
                         self._judge.ask(act.speed_rpm)
             except (HbpError, BenchError) as error:
                 self._trip(str(error))
-        self.watch(end, stats)
-
-    def _torque_constant(self) -> float:
-        """N·m per A of q current, peak-valued: 1.5 n_p psi_f."""
-        return 1.5 * self.drive.parameter("n_p").value * self.drive.parameter("psi_f_hat").value
-
-    def watch(self, end: float, stats: RunStatistics) -> None:
-        """Let the run go on until `end`, keeping an eye on clock, freshness and faults."""
         while (left := end - self.client.now()) > 0:
             self.client.poll(min(POLL, left))
             self._look(stats)
@@ -445,10 +410,10 @@ class LiveRun:
             match error:
                 case OutputsMayBeOn():
                     self.unsafe = self.unsafe or str(error)
-                    self.note(str(error), "CRITICAL")
+                    self.client.note(str(error), "CRITICAL")
                 case DriveFailed():
                     self.tripped = self.tripped or str(error)
-                    self.note(str(error), "ERROR")
+                    self.client.note(str(error), "ERROR")
                 case _:  # of a sink: the outputs were seen to be off all the same
                     failure, self.client.sinks = failure or error, [self._notes]
         if failure is not None:
@@ -479,7 +444,7 @@ class LiveRun:
                 try:
                     self._clock = self.drive.clock_fit(tries=1)
                 except HbpError as error:
-                    self.note(f"no clock: {error}", "WARN")
+                    self.client.note(f"no clock: {error}", "WARN")
         if now >= self._next_progress:
             self._next_progress = now + PROGRESS_PERIOD
             self.screen.progress(self._status(stats))
@@ -491,7 +456,7 @@ class LiveRun:
             self._silent = False
         elif now - since > SILENCE and not self._silent:
             self._silent = True
-            self.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
+            self.client.note(f"no DATA for {now - since:.2f} s on {self.client.link.name}", "ERROR")
 
     def _status(self, stats: RunStatistics) -> str:
         if self.client.health.down_since is not None:
@@ -510,13 +475,8 @@ class LiveRun:
 
     def _trip(self, why: str) -> None:
         self.tripped = why
-        self.note(why, "ERROR")
+        self.client.note(why, "ERROR")
         self.make_safe()
-
-    def note(self, text: str, level: str = "INFO") -> None:
-        """Tell the screen and every sink."""
-        for sink in self.client.sinks:
-            sink.note(text, level)
 
 
 def run(

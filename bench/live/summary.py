@@ -134,8 +134,7 @@ class Summary:
 
     def as_json(self) -> dict[str, Any]:
         """Plain data; numbers that do not exist are null."""
-        plain = finite(asdict(self))
-        assert isinstance(plain, dict)
+        plain: dict[str, Any] = finite(asdict(self))
         return plain
 
 

@@ -7,7 +7,7 @@ initialised anew after a loss (see `bench.observers.estimators`). Nothing that t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,11 +40,11 @@ def _like(channels: Sequence[Channel | Signal], unit: Unit, otherwise: Channel) 
 
 
 class Augmenter:
-    """Runs `estimators` over the chunks of a drive that streams `stream`, and adds what they find."""
+    """Runs the `observers` over the chunks of a drive that streams `stream`, and adds what they find."""
 
-    def __init__(self, estimators: Estimators, stream: StreamConfig) -> None:
-        self.estimators = estimators
-        self.channels = host_channels([entry.short for entry in estimators.entries], stream.channels)
+    def __init__(self, observers: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        self.estimators = Estimators(observers, parameters, stream)
+        self.channels = host_channels([entry.short for entry in self.estimators.entries], stream.channels)
         self._node = stream.node
         self._configs: dict[int, tuple[StreamConfig, StreamConfig]] = {}  # by id: as it came, which keeps it alive
 

@@ -37,48 +37,6 @@ Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 
-class _Seen(NamedTuple):
-    """What the front end takes."""
-
-    measured: Records  # MEASURED, shape (n,)
-    edges: Records  # EDGE, those up to the last of them
-    reset: Flags
-
-
-class _Inputs:
-    """Chunks in, what the front end takes out: edges wait here for the samples that cover them."""
-
-    def __init__(self) -> None:
-        self._i_q = 0.0  # of the last sample, A
-        self._edges: Records = np.empty(0, EDGE)
-
-    def edges(self, chunk: EdgeChunk) -> bool:
-        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use.
-
-        Whether such older edges were dropped.
-        """
-        anew = bool(len(chunk) and len(self._edges) and chunk.tick[0] < self._edges["tick"][-1])
-        new = np.empty(len(chunk), EDGE)
-        new["tick"], new["code"] = chunk.tick, chunk.hall_new
-        self._edges = new if anew else np.concatenate([self._edges, new])
-        return anew
-
-    def take(self, chunk: SampleChunk, reset: Flags) -> _Seen:
-        """What was measured, the edges up to it, resets."""
-        names = chunk.raw.dtype.names or ()
-        measured = np.empty(len(chunk), MEASURED)
-        measured["tick"], measured["hall"], measured["i_q_err"] = chunk.tick, chunk.raw["hall"], 0.0
-        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
-            measured[name] = chunk.physical(name)
-        if "i_q" in names and "i_q_ref" in names:
-            i_q = chunk.physical("i_q")
-            measured["i_q_err"] = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
-            self._i_q = float(i_q[-1])
-        used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
-        due, self._edges = self._edges[:used], self._edges[used:]
-        return _Seen(measured, due, reset)
-
-
 def _drive_resets(chunk: SampleChunk) -> Flags:
     """Where the drive says that it initialised its observers, shape (n,)."""
     if "status" not in (chunk.raw.dtype.names or ()):
@@ -100,13 +58,12 @@ class HostObservers:
         names = dict.fromkeys(observer for observer, _ in self.checked.values())
         self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, stream)
         self._synchronised = False
-        self._inputs = _Inputs()
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
         if chunk.gaps:
             self._synchronised = False
-        self._inputs.edges(chunk)
+        self._kernels.edges(chunk)
 
     def samples(self, chunk: SampleChunk) -> tuple[dict[str, F64], Flags]:
         """The estimates at the samples of `chunk` by channel, and where they are valid; arrays of shape (n,).
@@ -121,7 +78,7 @@ class HostObservers:
             last_gap[gap.position :] = gap.position
         valid: Flags = last_reset >= last_gap
         self._synchronised = bool(valid[-1])
-        found = self._kernels.run(self._inputs.take(chunk, reset))
+        found = self._kernels.run(chunk, reset)
         return {name: found[observer][field] for name, (observer, field) in self.checked.items()}, valid
 
     def compare(self, chunk: SampleChunk) -> tuple[int, int]:
@@ -136,6 +93,8 @@ class HostObservers:
 class _Kernels:
     """Observers behind one front end: their constants, their states, and the time that each of them took.
 
+    Chunks go in: edges wait here for the samples that cover them.
+
     `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end
     took, which is all that the average-speed approach needs.
     """
@@ -146,21 +105,45 @@ class _Kernels:
             _require(entry.name, entry.missing(parameters))
         self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
         self._observers = {entry.name: entry.start(entry.make_params(stream.pwm_hz, parameters)) for entry in entries}
+        self._i_q = 0.0  # of the last sample, A
+        self._edges: Records = np.empty(0, EDGE)
         self.seconds = dict.fromkeys(self._observers, 0.0)
         self.front_seconds = 0.0
         self.steps = 0
 
-    def run(self, seen: _Seen) -> dict[str, Records]:
-        """The observers' estimates by name."""
+    def edges(self, chunk: EdgeChunk) -> bool:
+        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use.
+
+        Whether such older edges were dropped.
+        """
+        anew = bool(len(chunk) and len(self._edges) and chunk.tick[0] < self._edges["tick"][-1])
+        new = np.empty(len(chunk), EDGE)
+        new["tick"], new["code"] = chunk.tick, chunk.hall_new
+        self._edges = new if anew else np.concatenate([self._edges, new])
+        return anew
+
+    def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
+        """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
+        names = chunk.raw.dtype.names or ()
+        measured = np.empty(len(chunk), MEASURED)
+        measured["tick"], measured["hall"], measured["i_q_err"] = chunk.tick, chunk.raw["hall"], 0.0
+        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
+            measured[name] = chunk.physical(name)
+        if "i_q" in names and "i_q_ref" in names:
+            i_q = chunk.physical("i_q")
+            measured["i_q_err"] = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
+            self._i_q = float(i_q[-1])
+        used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
+        due, self._edges = self._edges[:used], self._edges[used:]
         found = {}
         begun = time.thread_time()
-        samples = self._front.run(*seen)
+        samples = self._front.run(measured, due, reset)
         self.front_seconds += time.thread_time() - begun
         for name, observing in self._observers.items():
             begun = time.thread_time()
-            found[name] = observing.run(samples, seen.reset)
+            found[name] = observing.run(samples, reset)
             self.seconds[name] += time.thread_time() - begun
-        self.steps += len(seen.reset)
+        self.steps += len(reset)
         return found
 
 
@@ -176,7 +159,7 @@ class Estimators:
 
     All of them share one front end. They are initialised anew with the first sample, where the drive initialises its
     own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
-    lost edges. `restarts` counts these.
+    lost edges. `restarts` counts these; `kernels` knows what the observers took.
 
     Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
     without.
@@ -184,32 +167,16 @@ class Estimators:
 
     def __init__(self, names: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig) -> None:
         self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
-        self._kernels = _Kernels(self.entries, parameters, stream)
-        self._inputs = _Inputs()
+        self.kernels = _Kernels(self.entries, parameters, stream)
         self._next_index: int | None = None
         self._next_edge: int | None = None
         self._edges_lost = np.empty(0, np.int64)  # ticks of the edges that follow a loss
         self.restarts = {"start": 0, "drive": 0, "lost_samples": 0, "lost_edges": 0}
 
-    @property
-    def seconds(self) -> dict[str, float]:
-        """What each observer took, by name, for all `steps` together."""
-        return self._kernels.seconds
-
-    @property
-    def front_seconds(self) -> float:
-        """What the front end took: all that the average-speed approach needs."""
-        return self._kernels.front_seconds
-
-    @property
-    def steps(self) -> int:
-        """Samples so far."""
-        return self._kernels.steps
-
     def edges(self, chunk: EdgeChunk) -> None:
         """Take edges; they wait for the samples that cover them."""
         if len(chunk):
-            if self._inputs.edges(chunk):
+            if self.kernels.edges(chunk):
                 self._edges_lost = self._edges_lost[:0]
             self._edges_lost = np.concatenate(
                 [self._edges_lost, chunk.tick[breaks(chunk.index, expected=self._next_edge)]]
@@ -231,7 +198,7 @@ class Estimators:
         self.restarts["lost_samples"] += len(lost)
         self.restarts["lost_edges"] += len(after)
         reset[lost] = reset[after] = True
-        found = self._kernels.run(self._inputs.take(chunk, reset))
+        found = self.kernels.run(chunk, reset)
         return {name: Estimate(estimates["theta"], estimates["omega"]) for name, estimates in found.items()}
 
 

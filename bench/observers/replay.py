@@ -21,7 +21,7 @@ from bench.analysis.chunks import part, streams_none
 from bench.errors import BenchError
 from bench.files import check_output, part_of
 from bench.observers.augment import Augmenter
-from bench.observers.estimators import INPUTS, Estimators, all_for, entry_of, unfit
+from bench.observers.estimators import INPUTS, all_for, entry_of, unfit
 from bench.rerunio import markdown, schema
 from bench.rerunio.recording import Run, capture_of, read_run
 from bench.rerunio.salvage import ends_early
@@ -93,8 +93,7 @@ def replay(
         names, left_out = all_for(parameters)
         if not names:
             raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
-    estimators = Estimators(names, parameters, run.samples.config)
-    augmenter = Augmenter(estimators, run.samples.config)
+    augmenter = Augmenter(names, parameters, run.samples.config)
     taken = {channel.name for channel in run.samples.config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
         raise BenchError(f"{path} has {double[0]} already: replay the recording that it was made from")
@@ -116,7 +115,7 @@ def replay(
             seconds=len(run.samples) / run.info.pwm_hz,
             lost_samples=sum(gap.lost_samples for gap in run.samples.gaps),
             lost_edges=sum(gap.lost_samples for gap in run.edges.gaps),
-            restarts=estimators.restarts,
+            restarts=augmenter.estimators.restarts,
             left_out=left_out,
             unknown=_unknown(run),
         )
@@ -137,7 +136,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     if why := not_replayable(capture):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
-    augmenter = Augmenter(Estimators([name], parameters, capture.samples.config), capture.samples.config)
+    augmenter = Augmenter([name], parameters, capture.samples.config)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
         raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
     augmenter.estimators.edges(capture.edges)

@@ -25,20 +25,17 @@ FLOAT32 = 1e-7  # to which a drive rounds its parameters, as a share
 
 def check_limits(drive: Node, envelope: Envelope) -> None:
     """Raise BenchError, naming value and limit, if the envelope exceeds what the drive allows."""
-    _check(drive, "current", envelope.current, "i_max", 1.0, "A")
-    _check(drive, "speed", envelope.speed_rpm, "omega_m_max", RPM, "r/min")
-    _check(drive, "load", envelope.load, "i_max", 1.0, "A")
-
-
-def _check(drive: Node, what: str, value: float, parameter: str, unit: float, symbol: str) -> None:
-    """`unit`: what one `symbol` is in the parameter's own unit. A drive without the parameter sets no limit here."""
-    if math.isinf(value) or not drive.has_parameter(parameter):
-        return
-    limit = drive.parameter(parameter).value / unit
-    if not abs(value) <= limit * (1.0 + FLOAT32):
-        raise BenchError(
-            f"{what} {value:g} {symbol} is beyond the drive's limit of {limit:.4g} {symbol} (its parameter {parameter})"
-        )
+    for what, value, parameter, unit, symbol in (  # `unit`: what one `symbol` is in the parameter's own unit
+        ("current", envelope.current, "i_max", 1.0, "A"),
+        ("speed", envelope.speed_rpm, "omega_m_max", RPM, "r/min"),
+        ("load", envelope.load, "i_max", 1.0, "A"),
+    ):
+        if math.isinf(value) or not drive.has_parameter(parameter):  # without it the drive sets no limit here
+            continue
+        limit = drive.parameter(parameter).value / unit
+        if not abs(value) <= limit * (1.0 + FLOAT32):
+            words = f"{what} {value:g} {symbol} is beyond the drive's limit of {limit:.4g} {symbol}"
+            raise BenchError(f"{words} (its parameter {parameter})")
 
 
 def require_consent(

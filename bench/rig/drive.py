@@ -173,7 +173,9 @@ class Drive(Machine):
         """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
         if self._faults & ~self._expected and not self._may_trip:
             self._told |= self._faults
-            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{self._starved()}")
+            starved = self.starved(self.parameters.get("watchdog", WATCHDOG))  # if the reason is here
+            advice = "; compute after drive.stop(), not while the drive runs" if starved else ""
+            raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{starved}{advice}")
         if why := self.node.astray():
             raise DriveTripped(f"the drive: {why}")
 
@@ -181,11 +183,6 @@ class Drive(Machine):
         """Raise DriveTripped for a trip against expectation that none was raised for yet."""
         if self._faults & ~self._told:
             self.look()
-
-    def _starved(self) -> str:
-        """Why the watchdog may have run out, if it was starved from here."""
-        why = self.starved(self.parameters.get("watchdog", WATCHDOG))
-        return f"{why}; compute after drive.stop(), not while the drive runs" if why else ""
 
     def restore(self, clear_faults: bool = True) -> None:
         """Of a stopped drive: faults of this test cleared, every parameter as it was before.

@@ -23,12 +23,11 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
-from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced_speed
-from bench.rig.restore import not_put_back, try_all
+from bench.rig.restore import try_all
 from protocol.errors import HbpError
 from protocol.messages import DriveState
 
@@ -72,17 +71,13 @@ class NodeLoad(Machine):
     """A load machine that speaks HBP: node 2 on the drive's link, or a device on a link of its own."""
 
     title = "the load machine"
+    place = " in the load machine"
     abilities = frozenset((TORQUE, SPEED))
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
         super().__init__(node, envelope)
         self._armed = False
         self._told = False  # that it has tripped since it is on
-
-    @property
-    def client(self) -> Client:
-        """Whose link it is on."""
-        return self.node.client
 
     def torque(self, tau: float) -> None:
         """See `Load`."""
@@ -113,10 +108,6 @@ class NodeLoad(Machine):
         """STOP, and every parameter as it was before; BenchError if it has tripped and nobody was told."""
         try_all([self._stop, self.put_back])
 
-    def not_put_back(self) -> str:
-        """See `Machine.not_put_back`."""
-        return not_put_back(self._before, " in the load machine")
-
     def look(self) -> None:
         """Raise BenchError if it has tripped while it was on, or does not run as it should."""
         if self.on and self.node.state == DriveState.FAULT:
@@ -138,7 +129,7 @@ class NodeLoad(Machine):
                 raise tripped
 
     def _tripped(self) -> BenchError:
-        where = f"node {self.node.number} on {self.client.link.name}"
+        where = f"node {self.node.number} on {self.node.client.link.name}"
         return BenchError(f"the load machine, {where}, tripped: {self.node.fault_text()}")
 
 

@@ -21,28 +21,20 @@ def alone_on(*targets: str) -> Iterator[None]:
     """
     with ExitStack() as stack:
         for target in targets:
-            if target not in (SIM, ""):
-                stack.enter_context(_held(target))
+            if target in (SIM, ""):
+                continue
+            from filelock import FileLock, Timeout
+
+            name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"
+            lock = FileLock(Path(tempfile.gettempdir()) / name, timeout=0)
+            try:
+                stack.enter_context(lock)
+            except Timeout:
+                raise BenchError(f"{target} is in use by another run: wait for its end, or close its rig") from None
+            except OSError as error:  # a symbolic link in its place is not followed
+                words = f"cannot lock {target} for this run: {lock.lock_file}: {error.strerror or error}"
+                raise BenchError(f"{words}; remove that file") from None
         yield
-
-
-@contextmanager
-def _held(target: str) -> Iterator[None]:
-    from filelock import FileLock, Timeout
-
-    name = f"hallbench-{getpass.getuser()}-{hashlib.sha256(_resolved(target).encode()).hexdigest()[:16]}.lock"
-    lock = FileLock(Path(tempfile.gettempdir()) / name)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise BenchError(f"{target} is in use by another run: wait for its end, or close its rig") from None
-    except OSError as error:  # a symbolic link in its place is not followed
-        why = error.strerror or error
-        raise BenchError(f"cannot lock {target} for this run: {lock.lock_file}: {why}; remove that file") from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def _resolved(target: str) -> str:

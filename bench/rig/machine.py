@@ -18,6 +18,8 @@ class Machine:
     """Node `node`, within `envelope`."""
 
     title = "the machine"
+    place = ""
+    """Where its parameters are, after "not put back", if it is not the drive."""
     agreed: Callable[[], None] = staticmethod(lambda: None)
     """Called before it is energised; raises where nobody agrees to that."""
 
@@ -76,7 +78,7 @@ class Machine:
 
     def not_put_back(self) -> str:
         """Parameters that are not as they were before, as a part of a sentence; empty where all are."""
-        return not_put_back(self._before)
+        return not_put_back(self._before, self.place)
 
 
 def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:

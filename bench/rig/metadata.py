@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from bench.analysis.versions import PROGRAM, versions
 from bench.device.description import describe
 from bench.device.node import Node
+from bench.files import leaves
 from bench.rerunio.schema import AnyChannel, RunInfo
 from bench.rig.settings import Settings
 from protocol import __version__
@@ -51,14 +52,6 @@ def about_bench(settings: Settings) -> dict[str, Any]:
 def changed_keys(path: Path) -> dict[str, Any]:
     """What a configuration of the simulated drive puts in the place of defaults, by dotted key; empty if unreadable."""
     try:
-        return dict(_leaves(tomllib.loads(path.read_text())))
+        return dict(leaves(tomllib.loads(path.read_text())))
     except (OSError, ValueError):  # whoever opens the drive says what is wrong with it
         return {}
-
-
-def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value

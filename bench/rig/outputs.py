@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
-from bench.analysis.verdict import Verdict
 from bench.errors import BenchError, RecordingError
 from bench.files import check_output
 from bench.rerunio.schema import RunInfo
@@ -21,11 +20,6 @@ from bench.rerunio.schema import RunInfo
 if TYPE_CHECKING:
     from bench.rerunio.sinks import FileSink, LiveSink
     from bench.rerunio.viewer import LiveView
-
-
-def has_display() -> bool:
-    """Whether a window can be opened on this machine."""
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class Outputs:
@@ -48,7 +42,8 @@ class Outputs:
         self.file: FileSink | None = None
         self.view: LiveView | None = None
         if viewer == "auto":
-            viewer = "native" if has_display() else "web"
+            display = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+            viewer = "native" if display else "web"
         if save is not None:
             check_output(save, str(save), overwrite, recording=True)
             from bench.rerunio.sinks import FileSink
@@ -81,11 +76,6 @@ class Outputs:
         if self.file is not None:
             self.file.check()
 
-    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict) -> None:
-        """See `FileSink.mark`; nothing without a recording."""
-        if self.file is not None:
-            self.file.mark(name, first_tick, last_tick, verdict)
-
     def summary(self, markdown: str) -> None:
         """The text that a reader of recording and view sees first."""
         if self.view is not None:
@@ -100,8 +90,7 @@ class Outputs:
     @property
     def latency(self) -> Percentiles | None:
         """Sample-to-sink latency, of the recording if there is one, else of the live view."""
-        sinks = self.sinks
-        return sinks[0].latency if sinks else None
+        return next((sink.latency for sink in self.sinks), None)
 
     def end_recording(self, summary: str) -> None:
         """Put `summary` (markdown) into recording and view, and finish the file. Raises RecordingError, once."""

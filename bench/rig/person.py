@@ -36,7 +36,11 @@ def asked(words: str) -> Iterator[Answered]:
     def answered(timeout: float) -> bool:
         if not select.select([terminal], [], [], timeout)[0]:
             return False
-        if not _line(terminal):
+        try:
+            line = os.read(terminal, 1024)
+        except OSError:  # it was hung up
+            line = b""
+        if not line:
             raise BenchError(f"nobody is there any more to be asked: {words}")
         return True
 
@@ -47,10 +51,3 @@ def asked(words: str) -> Iterator[Answered]:
     except BaseException:
         click.echo(err=True)  # what comes next has a line of its own
         raise
-
-
-def _line(terminal: int) -> bytes:
-    try:
-        return os.read(terminal, 1024)
-    except OSError:  # it was hung up
-        return b""

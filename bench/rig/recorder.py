@@ -57,7 +57,7 @@ class Recorder(Sink):
         """Remember what was lost at the end of the streams."""
         for n, noun, since in ((samples, "sample", self.newest), (edges, "Hall edge", self._last_edge)):
             if node == self._drive and n:
-                self.lost(since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost")
+                self.dropped.append((since, MAX_TICK, f"{counted(n, noun)} after {self._at(since)} were lost"))
 
     # -- for the rig --------------------------------------------------------------------------------------------
 
@@ -79,10 +79,6 @@ class Recorder(Sink):
         if channel not in (chunk.raw.dtype.names or ()):
             raise BenchError(f"channel '{channel}' is not in the stream")
         return float(chunk.physical(channel)[-1])
-
-    def lost(self, first: int, last: int, words: str) -> None:
-        """Count a stretch of ticks as unfit."""
-        self.dropped.append((first, last, words))
 
     def capture(self, first: int, last: int, parameters: Mapping[str, float]) -> Capture:
         """What lies between the ticks `first` and `last`, both included. BenchError if that is nothing."""

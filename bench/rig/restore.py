@@ -8,16 +8,21 @@ from functools import partial
 from bench.device.node import Node
 
 
-def try_all(steps: Iterable[Callable[[], object]]) -> None:
-    """Take every step, whatever one of them raises; raise the first of that at the end."""
-    first: Exception | None = None
+def failures_of(steps: Iterable[Callable[[], object]]) -> list[Exception]:
+    """Take every step, whatever one of them raises; return what was raised, in that order."""
+    failures: list[Exception] = []
     for step in steps:
         try:
             step()
         except Exception as error:
-            first = first or error
-    if first is not None:
-        raise first
+            failures.append(error)
+    return failures
+
+
+def try_all(steps: Iterable[Callable[[], object]]) -> None:
+    """The same, but raise the first of that at the end."""
+    for failure in failures_of(steps):
+        raise failure
 
 
 def put_back(node: Node, before: dict[str, float]) -> None:

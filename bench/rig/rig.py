@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -17,8 +18,7 @@ from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle, speed_channel
 from bench.analysis.chunks import no_edge_stream
 from bench.analysis.verdict import Verdict
-from bench.device.client import POLL, Client, Sink
-from bench.device.node import Node
+from bench.device.client import POLL, Client
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, Interrupted, OutputsMayBeOn
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
@@ -33,6 +33,7 @@ from bench.rig.outputs import Outputs
 from bench.rig.person import Ask
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
+from bench.rig.restore import failures_of
 from bench.rig.settings import Settings
 from bench.rig.streams import configure
 from protocol.descriptor import Channel
@@ -129,7 +130,8 @@ class Rig:
             if not self.plan.passive:
                 self.require_rest()
             node.stop_streams()
-            self.before = tuple(_parameters(node))
+            told = [(record, node.parameter(record.name)) for record in node.descriptor.parameters]
+            self.before = tuple(ParameterValue(r.name, v.value, v.default, r.unit.symbol) for r, v in told)
             self.drive.learn({p.name: p.value for p in self.before})
             if not self.plan.passive:
                 self.load = self._find_load()
@@ -220,17 +222,10 @@ class Rig:
         parameters = self.drive.parameters
         info = run_info(self.drive.node, plan.target, self.channels, parameters, plan.settings, **recording.about)
         self.outputs = Outputs(info, recording.path, recording.overwrite, recording.viewer, wait=plan.virtual)
-        self._stack.callback(self._close_outputs, self.outputs)
-        sinks: list[Sink] = [self.recorder, *self.outputs.sinks]
-        self.client.sinks = sinks
-
-    @staticmethod
-    def _close_outputs(outputs: Outputs) -> None:
-        try:
-            if outputs.file is not None:
-                outputs.file.close()
-        finally:
-            outputs.close()
+        self._stack.callback(self.outputs.close)
+        if self.outputs.file is not None:
+            self._stack.callback(self.outputs.file.close)
+        self.client.sinks = [self.recorder, *self.outputs.sinks]
 
     # -- the end ------------------------------------------------------------------------------------------------
 
@@ -241,21 +236,12 @@ class Rig:
 
     def off(self) -> list[Exception]:
         """Outputs off, and seen to be off, of all that is on; what could not be done, in that order."""
-        failures: list[Exception] = []
-        for machine in self.machines:
-            if machine.on:
-                try:
-                    machine.stop()
-                except Exception as error:
-                    failures.append(error)
-        return failures
+        return failures_of(machine.stop for machine in self.machines if machine.on)
 
     def rest(self) -> None:
         """Off at once what has a watchdog. What cannot be done is told by `close`, which tries again."""
         with undisturbed():
-            for off in (self.drive.stop, *([self.load.off] if isinstance(self.load, NodeLoad) else [])):
-                with suppress(Exception):
-                    off()
+            failures_of([self.drive.stop, *([self.load.off] if isinstance(self.load, NodeLoad) else [])])
 
     def close(self) -> None:
         """Everything off and put back. Raises the first thing that could not be done, when all was tried.
@@ -275,30 +261,24 @@ class Rig:
     def _put_back(self) -> BenchError | None:
         """Try all of it; returns the first thing that could not be done."""
         failures: list[Exception] = []
-
-        def attempt(step: Callable[[], object]) -> bool:
-            try:
-                step()
-            except Exception as error:
-                failures.append(error)
-                return False
-            return True
-
         trip: DriveTripped | None = None
         prepared, self._prepared = self._prepared, False
         if not prepared:
-            failures += self.off()
+            failures = self.off()
         elif not self.plan.passive:
-            stopped = attempt(self.drive.stop)
-            trip = self._late_trip() if stopped else None
-            for step in self.at_end:
-                attempt(step)
-            attempt(lambda: self.drive.restore(clear_faults=stopped))
-            attempt(self.drive.node.stop_streams)
+            failures = failures_of([self.drive.stop])
+            stopped = not failures
+            if stopped:
+                try:
+                    self.drive.look_at_the_end()
+                except DriveTripped as late:  # seen only when STOP was answered
+                    trip = late
+            restore = partial(self.drive.restore, clear_faults=stopped)
+            failures += failures_of([*self.at_end, restore, self.drive.node.stop_streams])
         else:
             with suppress(HbpError):
                 self.drive.node.stop_streams()
-        attempt(self._stack.close)
+        failures += failures_of([self._stack.close])
         if not failures:
             return trip
         left = "".join(machine.not_put_back() for machine in self.machines)
@@ -308,14 +288,6 @@ class Rig:
         failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure
-
-    def _late_trip(self) -> DriveTripped | None:
-        """A trip that was seen only when STOP was answered."""
-        try:
-            self.drive.look_at_the_end()
-        except DriveTripped as trip:
-            return trip
-        return None
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -329,13 +301,7 @@ class Rig:
 
     def until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Go on until `condition()` holds; False when it does not within `timeout` s. Raises DriveTripped."""
-        end = self.client.now() + timeout
-        while not condition():
-            left = end - self.client.now()
-            if left <= 0:
-                return False
-            self._poll(min(POLL, left))
-        return True
+        return self.client.wait(condition, timeout, self._poll)
 
     def record(self, seconds: float) -> Capture:
         """The next `seconds` of device time. Raises DriveTripped, and BenchError when no samples come."""
@@ -471,14 +437,13 @@ class Rig:
 
     def mark(self, name: str, span: tuple[float, float], verdict: Verdict) -> None:
         """Show in the recording that `name` was measured in `span`, device time in s, and how that ended."""
-        if self.outputs is not None:
+        if self.outputs is not None and self.outputs.file is not None:
             first, last = (round(t * self.recorder.tick_hz) for t in span)
-            self.outputs.mark(name, first, last, verdict)
+            self.outputs.file.mark(name, first, last, verdict)
 
     def note(self, text: str, level: str = "INFO") -> None:
         """A line in the log of recording and dashboard."""
-        for sink in self.client.sinks:
-            sink.note(text, level)
+        self.client.note(text, level)
 
     def summary(self, markdown: str) -> None:
         """The text that a viewer of the recording reads first."""
@@ -498,9 +463,3 @@ class Stretch:
     def capture(self) -> Capture:
         """What came in it. BenchError if nothing did."""
         return self.rig.capture(self.first, self.last)
-
-
-def _parameters(node: Node) -> Iterator[ParameterValue]:
-    for record in node.descriptor.parameters:
-        now = node.parameter(record.name)
-        yield ParameterValue(record.name, now.value, now.default, record.unit.symbol)

@@ -24,6 +24,7 @@ from bench.analysis.position import position_error
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
+from bench.files import leaves
 from bench.observers.estimators import did_you_mean, entry_of
 from bench.scoring import phases
 from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
@@ -148,13 +149,9 @@ def _observer(name: str) -> str:
         ) from None
 
 
-def flat(figures: Figures, prefix: str = "") -> Iterator[tuple[str, float | None]]:
+def flat(figures: Figures) -> Iterator[tuple[str, float | None]]:
     """Every number under its dotted name, as `error.std`; words are left out."""
-    for key, value in figures.items():
-        if isinstance(value, dict):
-            yield from flat(value, f"{prefix}{key}.")
-        elif not isinstance(value, str):
-            yield prefix + key, value
+    return ((name, value) for name, value in leaves(figures) if not isinstance(value, str))
 
 
 def _ranked(names: Sequence[str], tracks: Sequence[Track]) -> dict[str, Figures]:
@@ -186,19 +183,18 @@ class _Pool:
         self._theta = self._join(lambda track, stretch: stretch.theta)
         self._omega = self._join(lambda track, stretch: stretch.omega)
         self._rpm_by = self._join(lambda track, stretch: np.full(len(stretch.t), 1.0 / (RPM * track.pole_pairs)))
-        masks = {name: self._mask(name) for name in ("moving", "steady", "transient", "start_up", "reversal")}
-        steady = np.flatnonzero(masks["steady"])
+        self._where = {}
+        for name in ("moving", "steady", "transient", "start_up", "reversal"):
+            masks = [getattr(stretch.phases, name) for _, stretch in self._parts]
+            self._where[name] = np.flatnonzero(np.concatenate([np.empty(0, bool), *masks]))
+        steady = self._where["steady"]
         sector = sector_of_angle(self._theta[steady])
-        self._where = {name: np.flatnonzero(mask) for name, mask in masks.items()}
         self._by_sector = {str(k + 1): steady[sector == k] for k in range(6)}
         rpm = (self._omega * self._rpm_by)[steady]
         self._by_speed = {name: steady[at] for name, at in speed_bins(rpm).items()}
 
     def _join(self, of: Callable[[Track, Stretch], F64]) -> F64:
         return np.concatenate([np.empty(0), *(of(track, stretch) for track, stretch in self._parts)])
-
-    def _mask(self, name: str) -> NDArray[np.bool_]:
-        return np.concatenate([np.empty(0, bool), *(getattr(stretch.phases, name) for _, stretch in self._parts)])
 
     def figures(self, name: str) -> Figures:
         """All figures of one observer."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bench.errors import BenchError
+from bench.files import leaves
 from bench.observers.estimators import did_you_mean
 from bench.scoring.board import PHASES, Scoreboard, flat
 
@@ -49,7 +49,7 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
     if not isinstance(data, dict):
         raise BenchError(f"--expect {path}: it must be a table of name = [lo, hi]")
     bounds: dict[str, tuple[float, float]] = {}
-    for name, value in _leaves(data):
+    for name, value in leaves(data):
         numbers = isinstance(value, list) and all(type(x) in (int, float) and not math.isnan(x) for x in value)
         if not numbers or len(value) != 2 or value[0] > value[1]:
             raise BenchError(f"--expect {path}: {name} must be [lo, hi] with lo <= hi, got {value}")
@@ -94,11 +94,3 @@ def as_toml(board: Scoreboard, margin: float) -> str:
                 spread = margin * max(abs(value), least)
                 lines.append(f"{group}.{key} = [{value - spread:.6g}, {value + spread:.6g}]")
     return "\n".join(lines) + "\n"
-
-
-def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in data.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value

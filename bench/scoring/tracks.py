@@ -122,6 +122,7 @@ def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list
             notes.append("the drive was never RUNNING: all samples count")
     if n_p is None:
         notes.append("the pole pairs are not known: r/min are electrical")
+    kernels = None if estimators is None else estimators.kernels
     stretches, dropped = _stretches(capture, capture[reference], usable, found, n_p or 1)
     return Track(
         path=path,
@@ -129,8 +130,8 @@ def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list
         pole_pairs=n_p or 1,
         stretches=stretches,
         kinds=kinds,
-        step_ns={} if estimators is None else {n: 1e9 * s / estimators.steps for n, s in estimators.seconds.items()},
-        front_ns=None if estimators is None else 1e9 * estimators.front_seconds / estimators.steps,
+        step_ns={} if kernels is None else {name: 1e9 * s / kernels.steps for name, s in kernels.seconds.items()},
+        front_ns=None if kernels is None else 1e9 * kernels.front_seconds / kernels.steps,
         dropped=dropped,
         lost=sum(gap.lost_samples for gap in samples.gaps),
         restarts={} if estimators is None else estimators.restarts,

@@ -10,7 +10,6 @@ from collect import Bench
 from virtual_run import WatchedLink, run, simulated
 
 from bench.observers.augment import Augmenter, host_channels
-from bench.observers.estimators import Estimators
 from bench.rerunio.recording import read_run
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
@@ -38,8 +37,7 @@ def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
 def test_all_else_is_handed_on_as_it_came() -> None:
     bench = Bench(WatchedLink(simulated()))
     stream = bench.drive.set_samples(bench.drive.channels(None), 1)
-    estimators = Estimators(["average_speed"], bench.drive.parameters(), stream)
-    augmenter = Augmenter(estimators, stream)
+    augmenter = Augmenter(["average_speed"], bench.drive.parameters(), stream)
     plain = []
 
     def change(chunk: SampleChunk | EdgeChunk) -> SampleChunk | EdgeChunk:

@@ -71,7 +71,7 @@ def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run
         if len(piece):
             pieces.append(estimators.samples(piece))
     assert valid.sum() > 30_000
-    assert estimators.steps == len(samples)
+    assert estimators.kernels.steps == len(samples)
     for name, entry in CATALOGUE.items():
         for what in ("theta", "omega"):
             bits = expected[f"{what}_{entry.short}"]

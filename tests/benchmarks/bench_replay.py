@@ -56,7 +56,7 @@ def alone(run: Run, repeat: int) -> dict[str, float]:
         n = len(run.samples)
         for k in range(0, n, PIECE):
             estimators.samples(part(run.samples, k, min(k + PIECE, n)))
-        for name, seconds in {"front end": estimators.front_seconds, **estimators.seconds}.items():
+        for name, seconds in {"front end": estimators.kernels.front_seconds, **estimators.kernels.seconds}.items():
             best[name] = min(best.get(name, seconds), seconds)
     return {name: seconds for name, seconds in best.items() if name != "average_speed"}  # the front end is all of it
 

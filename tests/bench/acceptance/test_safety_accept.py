@@ -52,7 +52,7 @@ def test_may_trip(turning, drive):
     with drive.may_trip():
         trip(turning)
 def test_load_trips(turning, load):
-    load.client.feed(2, on=False)
+    load.node.client.feed(2, on=False)
     turning.wait(0.5)
 def test_overspeed(turning, load):
     load.speed(500 * RPM)
