@@ -35,6 +35,8 @@ class VirtualLink:
             its time-out. Small steps bring bytes sooner in virtual time, large ones save computing time.
     """
 
+    name = "virtual:"
+
     def __init__(self, device: SimulatedDevice, step: float = STEP) -> None:
         self.device = device
         self._step = max(1, round(step * device.pwm_hz))
@@ -44,11 +46,6 @@ class VirtualLink:
     def of(cls, params: BenchParams, seed: int = 0, step: float = STEP) -> VirtualLink:
         """A link to a new bench."""
         return cls(SimulatedDevice(params, seed), step)
-
-    @property
-    def name(self) -> str:
-        """See `Link.name`."""
-        return "virtual:"
 
     def clock(self) -> float:
         """Virtual seconds since boot."""
