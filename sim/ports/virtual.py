@@ -60,12 +60,12 @@ class VirtualLink:
         self._require_open()
         device = self.device
         left, settling = self._periods(timeout), self._periods(settle)
-        while left > 0 and not device.has_data:
+        while left > 0 and not device.network.waiting:
             n = min(left, self._step)
             device.advance(n)
             left -= n
             settling = max(0, self._periods(settle) - n)  # bytes may have come at the start of the step
-        if settling > 0 and device.has_data:
+        if settling > 0 and device.network.waiting:
             device.advance(settling)
         return device.data_to_send(MAX_READ)
 
