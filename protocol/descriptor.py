@@ -86,8 +86,8 @@ class Descriptor:
                 channels.append(Channel(number, name, Unit(unit), RawType(raw_type), scale, flags, offset))
             if flags & Flag.PARAMETER:
                 parameters.append(Channel(number, name, Unit(unit), RawType.F32, 1.0, flags))
-        check_names("channel", channels, whose)
-        check_names("parameter", parameters, whose)
+        for kind, records in (("channel", channels), ("parameter", parameters)):
+            check_names(kind, ((record.id, record.name) for record in records), whose)
         return cls(tuple(channels), tuple(parameters))
 
     @cached_property

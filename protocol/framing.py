@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 from zlib import crc32
 
 from cobs import cobs
@@ -86,6 +86,18 @@ def parse_frame(raw: bytes) -> Frame:
     """Return the frame in header + payload as they come from `Deframer.feed`."""
     type_, flags, tid, _, node, _ = _HEADER.unpack_from(raw)
     return Frame(type_, flags, tid, node, raw[HEADER_BYTES:])
+
+
+class ReceiverCounters(Protocol):
+    """What the receiver at either end of any link counts."""
+
+    @property
+    def frames(self) -> int:
+        """Intact frames."""
+
+    @property
+    def bad(self) -> int:
+        """Damaged ones, of every kind."""
 
 
 @dataclass(slots=True)

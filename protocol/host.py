@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from protocol.errors import DeviceDefect, HbpError, LocalProtocolError
-from protocol.framing import MAJOR, Frame, parse_frame
+from protocol.framing import MAJOR, Frame, ReceiverCounters, parse_frame
 from protocol.messages import (
     REPLIES,
     UNACKNOWLEDGED,
@@ -32,7 +32,7 @@ from protocol.messages import (
 )
 from protocol.streams import StreamConfig, TickReference
 from protocol.validity import check_reply
-from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames, WireCounters
+from protocol.wire import ByteWire, Decoder, HostWire, StreamFrames
 
 TRIES = 3
 BASE_TIMEOUT = 0.1  # s, to which two round trips are added
@@ -137,7 +137,7 @@ Event = (
 class HostCounters:
     """Frames that were intact but dropped, and requests that were repeated."""
 
-    framing: WireCounters
+    framing: ReceiverCounters
     unexpected_replies: int = 0  # to no outstanding request, or to another nonce
     malformed: int = 0  # payload that its message does not allow
     unknown_types: int = 0

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import astuple, dataclass
-from typing import Self
+from typing import Annotated, Self
 
 from protocol.codes import (
     Command,
@@ -26,7 +26,7 @@ from protocol.codes import (
     StreamEvent,
 )
 from protocol.errors import LocalProtocolError
-from protocol.payload import Message, Payload, PayloadError, Request, text_from_wire, text_to_wire, whole_from_wire
+from protocol.payload import Message, Payload, PayloadError, Request, text_to_wire, whole_from_wire
 from protocol.text import printable
 
 __all__ = [
@@ -50,6 +50,10 @@ def _tick(value: int) -> int:
 
 def _load(value: float) -> float:
     return value if 0.0 <= value < math.inf else 0.0  # unknown
+
+
+Tick = Annotated[int, _tick]
+Load = Annotated[float, _load]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,15 +99,6 @@ class HelloReply(Message):
     firmware: str
     serial: str
     build: str
-    _CONVERT = {  # noqa: RUF012
-        "features": Feature,
-        "state": DriveState,
-        "role": Role,
-        "name": text_from_wire,
-        "firmware": text_from_wire,
-        "serial": text_from_wire,
-        "build": text_from_wire,
-    }
 
     @property
     def ticks_per_period(self) -> int:
@@ -124,9 +119,8 @@ class TimeSyncReply(Message):
 
     TYPE = MessageType.TIME_SYNC
     _LAYOUT = struct.Struct("<QQ")
-    rx_tick: int
-    tx_tick: int
-    _CONVERT = {"rx_tick": _tick, "tx_tick": _tick}  # noqa: RUF012
+    rx_tick: Tick
+    tx_tick: Tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +129,7 @@ class Heartbeat(Message):
 
     TYPE = MessageType.HEARTBEAT
     _LAYOUT = struct.Struct("<QIIIIIHHHHBB2xI")
-    tick: int  # below 2**62
+    tick: Tick  # below 2**62
     boot_id: int
     faults: Fault
     first_fault: Fault
@@ -148,13 +142,6 @@ class Heartbeat(Message):
     state: DriveState
     outputs_on: bool
     edges: int = 0
-    _CONVERT = {  # noqa: RUF012
-        "tick": _tick,
-        "faults": Fault,
-        "first_fault": Fault,
-        "state": DriveState,
-        "outputs_on": bool,
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +248,6 @@ class StateCommand(Request):
     _LAYOUT = struct.Struct("<B3xI")
     command: Command
     argument: int = 0
-    _CONVERT = {"command": Command}  # noqa: RUF012
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +257,6 @@ class StateReply(Message):
     TYPE = MessageType.STATE_CMD
     _LAYOUT = struct.Struct("<B3x")
     state: DriveState
-    _CONVERT = {"state": DriveState}  # noqa: RUF012
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,11 +269,36 @@ class Setpoint(Request):
     counter: int
     value: float
     value2: float = 0.0
-    _CONVERT = {"mode": SetpointMode}  # noqa: RUF012
+
+
+class _WithChannels(Payload):
+    """A payload that ends with the ids of channels; its fixed part ends with their number."""
+
+    __slots__ = ()
+    channels: tuple[int, ...]
+
+    def pack(self) -> bytes:
+        """Return the payload."""
+        n = len(self.channels)
+        fixed = self._pack_fixed([*astuple(self)[:-1], n])  # type: ignore[call-overload]
+        try:
+            return fixed + struct.pack(f"<{n}H", *self.channels)
+        except struct.error as error:
+            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message; PayloadError if the number of channels disagrees with the length."""
+        values = cls._unpack_fixed(payload)
+        n = values["channels"]
+        ids = payload[cls._LAYOUT.size :][: 2 * n if cls._GROWS else None]
+        if len(ids) != 2 * n:
+            raise PayloadError(f"{cls.__name__} with {len(ids)} bytes of ids for {n} channels", bad_length=True)
+        return cls(**{**values, "channels": struct.unpack(f"<{n}H", ids)})
 
 
 @dataclass(frozen=True, slots=True)
-class StreamSet(Request):
+class StreamSet(_WithChannels, Request):
     """Configures a stopped stream: which channels, how often, how late at most."""
 
     TYPE = MessageType.STREAM_SET
@@ -299,26 +309,6 @@ class StreamSet(Request):
     decimation: int
     max_latency_ms: int
     channels: tuple[int, ...] = ()
-    _CONVERT = {"event": StreamEvent}  # noqa: RUF012
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        n = len(self.channels)
-        fixed = self._pack_fixed([self.stream, self.event, self.decimation, self.max_latency_ms, n])
-        try:
-            return fixed + struct.pack(f"<{n}H", *self.channels)
-        except struct.error as error:
-            raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """Return the message; PayloadError if the number of channels disagrees with the length."""
-        values = cls._unpack_fixed(payload)
-        n = values.pop("channels")
-        ids = payload[cls._LAYOUT.size :]
-        if len(ids) != 2 * n:
-            raise PayloadError(f"StreamSet with {len(ids)} bytes of ids for {n} channels", bad_length=True)
-        return cls(**values, channels=struct.unpack(f"<{n}H", ids))
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,10 +324,9 @@ class StreamReply(Message):
     cfg_id: int
     sample_bytes: int
     block: int
-    load: float
+    load: Load
     slot: int = 0
-    tick0: int = 0
-    _CONVERT = {"load": _load, "tick0": _tick}  # noqa: RUF012
+    tick0: Tick = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +357,7 @@ class StreamGet(Request):
 
 
 @dataclass(frozen=True, slots=True)
-class StreamInfo(Message):
+class StreamInfo(_WithChannels, Message):
     """A configured stream: what STREAM_SET asked for, and what its reply said."""
 
     TYPE = MessageType.STREAM_GET
@@ -382,24 +371,8 @@ class StreamInfo(Message):
     cfg_id: int
     sample_bytes: int
     block: int
-    tick0: int
+    tick0: Tick
     channels: tuple[int, ...] = ()
-    _CONVERT = {"running": bool, "event": StreamEvent, "tick0": _tick}  # noqa: RUF012
-
-    def pack(self) -> bytes:
-        """Return the payload."""
-        n = len(self.channels)
-        return self._pack_fixed([*astuple(self)[:-1], n]) + struct.pack(f"<{n}H", *self.channels)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """Return the message."""
-        values = cls._unpack_fixed(payload)
-        n = values.pop("channels")
-        ids = payload[cls._LAYOUT.size :][: 2 * n]
-        if len(ids) != 2 * n:
-            raise PayloadError(f"StreamInfo with {len(ids)} bytes of ids for {n} channels", bad_length=True)
-        return cls(**values, channels=struct.unpack(f"<{n}H", ids))
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,12 +400,11 @@ class DeviceEvent(Message):
 
     TYPE = MessageType.EVENT
     _LAYOUT = struct.Struct("<QHBxff")
-    tick: int
+    tick: Tick
     code: int
     node: int
     arg: float
     detail: float = 0.0
-    _CONVERT = {"tick": _tick}  # noqa: RUF012
 
     @property
     def number(self) -> int | None:

@@ -6,9 +6,9 @@ This module knows no message.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, ClassVar, Self
+from functools import cache
+from typing import Any, ClassVar, Self, get_type_hints
 
 from protocol.codes import MessageType
 from protocol.errors import LocalProtocolError, RemoteProtocolError
@@ -24,15 +24,14 @@ class PayloadError(RemoteProtocolError, ValueError):
         self.value = value
 
 
-Converter = Callable[[Any], Any]
-
-
 class Payload:
-    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`."""
+    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`.
+
+    What is made of a number or of text on the wire is the field's annotation; of `Annotated` the function in it.
+    """
 
     __slots__ = ()
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
-    _CONVERT: ClassVar[dict[str, Converter]] = {}
     _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
 
     def pack(self) -> bytes:
@@ -58,13 +57,21 @@ class Payload:
         if len(payload) < cls._LAYOUT.size:
             raise cls._length_error(payload)
         values: dict[str, Any] = {}
-        for field, value in zip(fields(cls), cls._LAYOUT.unpack_from(payload), strict=False):  # type: ignore[arg-type]
-            convert = cls._CONVERT.get(field.name)
+        for (name, convert), value in zip(cls._converters(), cls._LAYOUT.unpack_from(payload), strict=False):
             try:
-                values[field.name] = value if convert is None else convert(value)
+                values[name] = convert(value)
             except ValueError as error:
-                raise PayloadError(f"{cls.__name__}.{field.name}: {error}", value=value) from None
+                raise PayloadError(f"{cls.__name__}.{name}: {error}", value=value) from None
         return values
+
+    @classmethod
+    @cache
+    def _converters(cls) -> list[tuple[str, Any]]:
+        """Each field's name, and what makes its value of what the wire has; of a tuple that is the length."""
+        hints = get_type_hints(cls, include_extras=True)
+        others = {str: text_from_wire, tuple[int, ...]: int}
+        kinds = {field.name: hints[field.name] for field in fields(cls)}  # type: ignore[arg-type]
+        return [(name, getattr(kind, "__metadata__", [others.get(kind, kind)])[0]) for name, kind in kinds.items()]
 
     @classmethod
     def _length_error(cls, payload: bytes) -> PayloadError:

@@ -13,6 +13,7 @@ import math
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import Self
 
 from protocol.codes import OpenEnum
 
@@ -20,85 +21,61 @@ from protocol.codes import OpenEnum
 class RawType(IntEnum):
     """Type of a value on the wire, little-endian."""
 
-    U8 = 1
-    I8 = 2
-    U16 = 3
-    I16 = 4
-    U32 = 5
-    I32 = 6
-    F32 = 7
+    dtype: str
+    """Numpy's name of the type, for example `<i2`."""
 
-    @property
-    def dtype(self) -> str:
-        """Numpy's name of the type, for example `<i2`."""
-        return _DTYPES[self]
+    def __new__(cls, number: int, dtype: str = "") -> Self:
+        """A type and numpy's name of it."""
+        made = int.__new__(cls, number)
+        made._value_, made.dtype = number, dtype
+        return made
 
-
-_DTYPES = {
-    RawType.U8: "|u1",
-    RawType.I8: "|i1",
-    RawType.U16: "<u2",
-    RawType.I16: "<i2",
-    RawType.U32: "<u4",
-    RawType.I32: "<i4",
-    RawType.F32: "<f4",
-}
+    U8 = 1, "|u1"
+    I8 = 2, "|i1"
+    U16 = 3, "<u2"
+    I16 = 4, "<i2"
+    U32 = 5, "<u4"
+    I32 = 6, "<i4"
+    F32 = 7, "<f4"
 
 
 class Unit(OpenEnum, word="unit"):
     """SI units, by their number on the wire."""
 
+    _symbol: str
+
+    def __new__(cls, number: int, symbol: str = "") -> Self:
+        """A unit and how it is written."""
+        made = int.__new__(cls, number)
+        made._value_, made._symbol = number, symbol
+        return made
+
     NONE = 0
-    RAD = 1
-    RAD_PER_S = 2
-    A = 3
-    V = 4
-    NM = 5
-    S = 6
-    HZ = 7
-    OHM = 8
-    H = 9
-    VS = 10
-    KGM2 = 11
-    COUNT = 12
-    PER_S = 13
-    RAD_PER_S2 = 14
-    RAD_PER_A = 15
-    RAD_PER_AS = 16
-    A_S_PER_RAD = 17
-    A_PER_RAD = 18
-    DEG_C = 19
-    W = 20
+    RAD = 1, "rad"
+    RAD_PER_S = 2, "rad/s"
+    A = 3, "A"
+    V = 4, "V"
+    NM = 5, "N·m"
+    S = 6, "s"
+    HZ = 7, "Hz"
+    OHM = 8, "Ω"
+    H = 9, "H"
+    VS = 10, "V·s"
+    KGM2 = 11, "kg·m²"
+    COUNT = 12, "counts"
+    PER_S = 13, "1/s"
+    RAD_PER_S2 = 14, "rad/s²"
+    RAD_PER_A = 15, "rad/A"
+    RAD_PER_AS = 16, "rad/(A·s)"
+    A_S_PER_RAD = 17, "A·s/rad"
+    A_PER_RAD = 18, "A/rad"
+    DEG_C = 19, "°C"
+    W = 20, "W"
 
     @property
     def symbol(self) -> str:
         """How the unit is written for people; empty for a pure number, `unit 40` for one that is not known here."""
-        return _SYMBOLS.get(self, self.name)
-
-
-_SYMBOLS = {
-    Unit.NONE: "",
-    Unit.RAD: "rad",
-    Unit.RAD_PER_S: "rad/s",
-    Unit.A: "A",
-    Unit.V: "V",
-    Unit.NM: "N·m",
-    Unit.S: "s",
-    Unit.HZ: "Hz",
-    Unit.OHM: "Ω",
-    Unit.H: "H",
-    Unit.VS: "V·s",
-    Unit.KGM2: "kg·m²",
-    Unit.COUNT: "counts",
-    Unit.PER_S: "1/s",
-    Unit.RAD_PER_S2: "rad/s²",
-    Unit.RAD_PER_A: "rad/A",
-    Unit.RAD_PER_AS: "rad/(A·s)",
-    Unit.A_S_PER_RAD: "A·s/rad",
-    Unit.A_PER_RAD: "A/rad",
-    Unit.DEG_C: "°C",
-    Unit.W: "W",
-}
+        return getattr(self, "_symbol", self.name)
 
 
 class Flag(IntFlag):

@@ -229,25 +229,21 @@ class _Accepted:
 
 
 class _Sequence:
-    """Checks that the frames of one stream follow each other; shared by both decoders.
+    """Checks that the frames of one stream follow each other: what both decoders have in common.
 
     `step`, `ticks`: what index and tick grow by from record to record; `ticks` None where records have their own.
     """
 
-    def __init__(self, config: StreamConfig, step: int, ticks: int | None) -> None:
+    def __init__(self, config: StreamConfig, reference: TickReference, step: int, ticks: int | None) -> None:
         self.config = config
         self.counters = LossCounters()
+        self._reference = reference
         self._step = step
         self._ticks = ticks
-        self._next_index: int | None = None
+        self._next_index: int | None = None  # unwrapped, of the record that comes next; None before the first frame
         self._next_seq = 0
 
-    @property
-    def next_index(self) -> int | None:
-        """Unwrapped index of the record that comes next, None before the first frame."""
-        return self._next_index
-
-    def accept(self, frames: Sequence[bytes]) -> _Accepted | None:
+    def _accept(self, frames: Sequence[bytes]) -> _Accepted | None:
         """Return what is delivered of `frames` (header + payload each), or None."""
         config, counters, step, ticks = self.config, self.counters, self._step, self._ticks
         size, stream, cfg_id = config.dtype.itemsize, config.stream, config.cfg_id
@@ -318,20 +314,13 @@ class _Sequence:
         return index
 
 
-class SampleDecoder:
+class SampleDecoder(_Sequence):
     """Decodes the DATA frames of one configured stream."""
 
     def __init__(self, config: StreamConfig, reference: TickReference) -> None:
-        self.config = config
         self._ticks_per_sample = config.period_ticks * config.decimation
-        self._sequence = _Sequence(config, config.decimation, self._ticks_per_sample)
-        self._reference = reference
+        super().__init__(config, reference, config.decimation, self._ticks_per_sample)
         self._next_tick: int | None = None
-
-    @property
-    def counters(self) -> LossCounters:
-        """The stream's account."""
-        return self._sequence.counters
 
     def missing(self, first: Beat | None, last: Beat) -> int:
         """See `Decoder.missing`: a sample is taken at its tick."""
@@ -341,7 +330,7 @@ class SampleDecoder:
 
     def decode(self, frames: Sequence[bytes]) -> SampleChunk | None:
         """Return the samples of `frames` (header + payload each, in order), or None if there are none."""
-        accepted = self._sequence.accept(frames)
+        accepted = self._accept(frames)
         if accepted is None:
             return None
         starts = [(self._reference.unwrap_one(tick), n) for _, tick, n in accepted.runs]
@@ -352,26 +341,19 @@ class SampleDecoder:
         return SampleChunk(self.config, index, tick, accepted.records, accepted.gaps)
 
 
-class EdgeDecoder:
-    """Decodes the EDGES frames of one configured stream."""
+class EdgeDecoder(_Sequence):
+    """Decodes the EDGES frames of one configured stream. What its counters call samples are edges."""
 
     def __init__(self, config: StreamConfig, reference: TickReference) -> None:
-        self.config = config
-        self._sequence = _Sequence(config, 1, None)
-        self._reference = reference
-
-    @property
-    def counters(self) -> LossCounters:
-        """The stream's account; its samples are edges."""
-        return self._sequence.counters
+        super().__init__(config, reference, 1, None)
 
     def missing(self, first: Beat | None, last: Beat) -> int:
         """See `Decoder.missing`."""
-        return missing_edges(self._sequence.next_index, first, last)
+        return missing_edges(self._next_index, first, last)
 
     def decode(self, frames: Sequence[bytes]) -> EdgeChunk | None:
         """Return the edges of `frames` (header + payload each, in order), or None if there are none."""
-        accepted = self._sequence.accept(frames)
+        accepted = self._accept(frames)
         if accepted is None:
             return None
         tick = self._reference.unwrap(accepted.records["tick"])

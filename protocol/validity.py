@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Protocol
 
 from protocol.errors import DeviceDefect, VersionError
 from protocol.framing import MAJOR
@@ -19,16 +18,6 @@ RECORD_BYTES = 32
 MAX_RECORDS = 4096
 MAX_DESCRIPTOR = MAX_RECORDS * RECORD_BYTES
 MIN_RX_MAX = 128  # payload bytes that either side takes at least
-
-
-class _Record(Protocol):
-    """A record of a descriptor."""
-
-    @property
-    def id(self) -> int: ...
-
-    @property
-    def name(self) -> str: ...
 
 
 def check_reply(message: Payload, node: int) -> None:
@@ -74,13 +63,13 @@ def check_channel(raw_type: int, scale: float, offset: float, name: str, whose: 
         )
 
 
-def check_names(kind: str, records: Iterable[_Record], whose: str) -> None:
-    """Check that no `kind` (channel, parameter) is without a name and none has the id or the name of another."""
+def check_names(kind: str, records: Iterable[tuple[int, str]], whose: str) -> None:
+    """Check ids and names of a `kind` (channel, parameter): none lacks a name, or has the id or name of another."""
     seen: set[int | str] = set()
-    for record in records:
-        if not record.name:
-            raise DeviceDefect(f"the descriptor of {whose}: {kind} {record.id} has an empty name")
-        for key in (record.id, record.name):
+    for number, name in records:
+        if not name:
+            raise DeviceDefect(f"the descriptor of {whose}: {kind} {number} has an empty name")
+        for key in (number, name):
             if key in seen:
                 raise DeviceDefect(f"the descriptor of {whose}: {kind} {key!r} comes twice")
             seen.add(key)

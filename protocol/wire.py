@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, FramingCounters, encode_frame
+from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, ReceiverCounters, encode_frame
 from protocol.messages import MessageType, StreamEvent
 from protocol.streams import (
     STREAM_OFFSET,
@@ -42,10 +42,8 @@ class Decoder(Protocol):
     """Decodes what comes of one configured stream."""
 
     config: StreamConfig
-
-    @property
-    def counters(self) -> LossCounters:
-        """The stream's account; its records are samples or edges."""
+    counters: LossCounters
+    """The stream's account; its records are samples or edges."""
 
     def decode(self, frames: Any) -> SampleChunk | EdgeChunk | None:
         """Return the records in `StreamFrames.frames`, or None if there are none."""
@@ -58,25 +56,13 @@ class Decoder(Protocol):
         """
 
 
-class WireCounters(Protocol):
-    """What every wire counts."""
-
-    @property
-    def frames(self) -> int:
-        """Intact frames."""
-
-    @property
-    def bad(self) -> int:
-        """Damaged ones, of every kind."""
-
-
 class HostWire(Protocol):
     """A link's language, at the host's end. `shared`: other hosts may use the link at the same time."""
 
     shared: bool
 
     @property
-    def counters(self) -> WireCounters:
+    def counters(self) -> ReceiverCounters:
         """What was heard."""
 
     def preamble(self) -> bytes:
@@ -108,11 +94,7 @@ class ByteWire:
 
     def __init__(self) -> None:
         self._deframer = Deframer()
-
-    @property
-    def counters(self) -> FramingCounters:
-        """See `HostWire.counters`."""
-        return self._deframer.counters
+        self.counters = self._deframer.counters
 
     def preamble(self) -> bytes:
         """See `HostWire.preamble`."""
@@ -130,11 +112,7 @@ class ByteWire:
         for raw in self._deframer.feed(data):
             kind = raw[0]
             if (kind == 0x40 or kind == 0x41) and raw[1] & 0x3F == MAJOR and len(raw) >= STREAM_OFFSET:
-                key = (kind, raw[6], raw[8])
-                if key in groups:
-                    groups[key].append(raw)
-                else:
-                    groups[key] = [raw]
+                groups.setdefault((kind, raw[6], raw[8]), []).append(raw)
             else:
                 out += _batches(groups)
                 groups.clear()

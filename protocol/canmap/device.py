@@ -25,7 +25,7 @@ from protocol.canmap.ids import (
 )
 from protocol.canmap.layout import MAX_GROUPS, StreamLayout, edge_load, sample_layout
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
-from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, in_time
+from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, in_time, packed
 from protocol.device.session import DeviceApp, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
@@ -69,8 +69,7 @@ class _Samples(_Stream):
         self._layout = layout
         self._runs = runs
         self._decimation = decimation
-        self._size = layout.groups[-1][1]
-        self._pending = np.empty((0, self._size), np.uint8)
+        self._pending = np.empty((0, layout.groups[-1][1]), np.uint8)
         self._next: int | None = None  # index of the sample after the pending ones
 
     def fills_block(self, index0: int, n: int) -> bool:
@@ -83,19 +82,17 @@ class _Samples(_Stream):
         chosen = rows[offset :: self._decimation]
         if not len(chosen):
             return
-        packed = np.empty((len(chosen), self._size), np.uint8)
-        for to, start, width in self._runs:
-            packed[:, to : to + width] = chosen[:, start : start + width]
+        samples = packed(chosen, self._runs)
         first = index0 + offset
         if first == self._next:
             first -= len(self._pending) * self._decimation
-            packed = np.concatenate([self._pending, packed])
-        self._next = first + len(packed) * self._decimation
-        frames = len(packed) // self._layout.samples
+            samples = np.concatenate([self._pending, samples])
+        self._next = first + len(samples) * self._decimation
+        frames = len(samples) // self._layout.samples
         whole = frames * self._layout.samples
         if frames:
-            self._send(first, packed[:whole].reshape(frames, -1))
-        self._pending = packed[whole:]
+            self._send(first, samples[:whole].reshape(frames, -1))
+        self._pending = samples[whole:]
 
     def _send(self, first: int, shares: NDArray[np.uint8]) -> None:
         """Send frames with the samples of `shares`, a row each, the first of which is the PWM period `first`."""

@@ -23,18 +23,31 @@ from protocol.framing import MAJOR, Frame, encode_frame, encoded_length
 from protocol.messages import ErrorCode, MessageType, StreamSet
 from protocol.streams import DISCONTINUITY, EDGE_RECORD, OVERRUN, STREAM_HEADER
 
-Run = tuple[int, int, int]
-"""Bytes of neighbouring channels: position in the packed sample, position in the full sample, length."""
+Run = slice
+"""Bytes of neighbouring channels in a full sample."""
 
 _FULL_HEADER = struct.Struct("<BBHHBBBBHHHII")  # frame header and stream header
 
 
-class SampleStream(Protocol):
-    """A configured stream of samples. `dropped` counts frames that found no room, `slot` is the first one on CAN."""
+class Stream(Protocol):
+    """A configured stream. `dropped` counts frames that found no room, `slot` is the first one on CAN."""
 
     running: bool
     dropped: int
     slot: int
+
+    def flush(self) -> None:
+        """Send what waits; of samples only if a frame may hold less than a block."""
+
+    def waits_since(self) -> int | None:
+        """Return the tick of the oldest sample that waits, or at which the oldest edge that waits was pushed.
+
+        None if there is none that `flush` would send.
+        """
+
+
+class SampleStream(Stream, Protocol):
+    """A stream of samples."""
 
     def fills_block(self, index0: int, n: int) -> bool:
         """Return whether n more periods complete a frame, or break the row of indices."""
@@ -42,28 +55,12 @@ class SampleStream(Protocol):
     def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
         """Take n periods: rows[n, bytes of a full sample]."""
 
-    def flush(self) -> None:
-        """Send what waits, if a frame may hold less than a block."""
 
-    def waits_since(self) -> int | None:
-        """Return the tick of the oldest sample that waits, None if there is none that `flush` would send."""
-
-
-class EdgeStream(Protocol):
-    """A configured stream of edges; fields as in `SampleStream`."""
-
-    running: bool
-    dropped: int
-    slot: int
+class EdgeStream(Stream, Protocol):
+    """A stream of edges."""
 
     def push(self, index0: int, data: bytes, tick: int) -> None:
         """Take edges (EDGE_RECORDs) from number `index0` on; `tick` is now."""
-
-    def flush(self) -> None:
-        """Send all edges that wait."""
-
-    def waits_since(self) -> int | None:
-        """Return the tick at which the oldest edge that waits was pushed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +156,7 @@ class _ByteSamples(_Stream):
         self._step = (request.decimation, request.decimation * ticks_per_period)
         self._first = (0, 0)  # index and tick of the first pending sample
         self._next: int | None = None
-        super().__init__(node, stream, cfg_id, sum(width for _, _, width in runs), block, tx)
+        super().__init__(node, stream, cfg_id, sum(run.stop - run.start for run in runs), block, tx)
 
     def _selected(self, index0: int, n: int) -> tuple[int, int]:
         """Return where the first sample of this stream lies among n periods, and how many there are."""
@@ -183,13 +180,9 @@ class _ByteSamples(_Stream):
             self.flush()
             self._flags |= DISCONTINUITY
         self._next = first + count * self._step[0]
-        chosen = rows[offset :: self._decimation]
-        packed = np.empty((count, self._record_bytes), np.uint8)
-        for to, start, width in self._runs:
-            packed[:, to : to + width] = chosen[:, start : start + width]
         if not self._pending:
             self._first = (first, tick0 + offset * (self._step[1] // self._step[0]))
-        data = self._pending + packed.tobytes()
+        data = self._pending + packed(rows[offset :: self._decimation], self._runs).tobytes()
         waiting = len(data) // self._record_bytes
         whole = waiting - waiting % self.block
         self._emit(data, 0, whole, self.block, self._first, self._step)
@@ -279,3 +272,8 @@ class ByteCarrier:
 def in_time(request: StreamSet, pwm_hz: int, decimation: int) -> int:
     """Return how many samples a stream takes in its max_latency."""
     return request.max_latency_ms * pwm_hz // (1000 * decimation)
+
+
+def packed(rows: NDArray[np.uint8], runs: Sequence[Run]) -> NDArray[np.uint8]:
+    """Return the samples of a stream in rows[n, bytes of a full sample], shape (n, bytes of its own)."""
+    return np.concatenate([rows[:, run] for run in runs], axis=1)

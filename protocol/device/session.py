@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,7 @@ from protocol.device.state import StateMachine
 from protocol.device.streams import StreamTable
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
-from protocol.framing import (
-    ERROR,
-    MAJOR,
-    MINOR,
-    REPLY,
-    Deframer,
-    Frame,
-    parse_frame,
-)
+from protocol.framing import ERROR, MAJOR, MINOR, REPLY, Deframer, Frame, ReceiverCounters, parse_frame
 from protocol.messages import (
     REQUESTS,
     UNACKNOWLEDGED,
@@ -64,7 +56,6 @@ from protocol.messages import (
     StateCommand,
     StateReply,
     StreamGet,
-    StreamInfo,
     StreamSet,
     StreamStart,
     StreamStop,
@@ -89,18 +80,10 @@ class _Peer:
     replies: deque[tuple[bytes, bytes]] = field(default_factory=lambda: deque(maxlen=REPLIES_KEPT))
 
 
-class LinkCounters(Protocol):
-    """What a link's receiver counts."""
-
-    @property
-    def bad(self) -> int:
-        """Damaged frames of every kind."""
-
-
 class DeviceSession:
     """One device on a link. `link_counters` are those of the link's receiver, for the heartbeat."""
 
-    def __init__(self, app: DeviceApp, identity: Identity, carrier: Carrier, link_counters: LinkCounters) -> None:
+    def __init__(self, app: DeviceApp, identity: Identity, carrier: Carrier, link_counters: ReceiverCounters) -> None:
         if identity.tick_hz % identity.pwm_hz:
             raise ValueError(f"tick_hz {identity.tick_hz} is no multiple of pwm_hz {identity.pwm_hz}")
         self.app = app
@@ -124,18 +107,18 @@ class DeviceSession:
         self._peer = self._peer_of(0)
         self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
             Hello: self._hello,
-            TimeSync: self._time_sync,
-            Alive: self._alive,
+            TimeSync: lambda _: TimeSyncReply(self._tick, self._tick),
+            Alive: lambda _: self.machine.feed(self._tick),
             BlobRead: self._blob_read,
             ParamGet: self._param_get,
             ParamSet: self._param_set,
             ParamCommit: self._param_commit,
-            StateCommand: self._state_command,
+            StateCommand: lambda asked: StateReply(self.machine.command(asked.command, asked.argument, self._tick)),
             Setpoint: self._setpoint,
-            StreamSet: self._stream_set,
+            StreamSet: lambda asked: self.streams.configure(asked, self._peer.tx_max),
             StreamStart: self._stream_start,
             StreamStop: self._stream_stop,
-            StreamGet: self._stream_get,
+            StreamGet: lambda asked: self.streams.describe(asked.stream),
         }
 
     @property
@@ -290,12 +273,6 @@ class DeviceSession:
             build=identity.build,
         )
 
-    def _time_sync(self, request: TimeSync) -> TimeSyncReply:
-        return TimeSyncReply(self._tick, self._tick)
-
-    def _alive(self, request: Alive) -> None:
-        self.machine.feed(self._tick)
-
     def _setpoint(self, request: Setpoint) -> None:
         try:
             if self.state is not DriveState.RUNNING:
@@ -313,9 +290,6 @@ class DeviceSession:
     def _reject_setpoint(self, code: ErrorCode, detail: float) -> None:
         self.setpoints_rejected += 1
         self.event(EventCode.SETPOINT_REJECTED, float(code), detail)
-
-    def _state_command(self, request: StateCommand) -> StateReply:
-        return StateReply(self.machine.command(request.command, request.argument, self._tick))
 
     def _blob_read(self, request: BlobRead) -> BlobReply:
         if request.id:
@@ -357,12 +331,6 @@ class DeviceSession:
             raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
         self.app.commit()
         return Empty()
-
-    def _stream_set(self, request: StreamSet) -> Payload:
-        return self.streams.configure(request, self._peer.tx_max)
-
-    def _stream_get(self, request: StreamGet) -> StreamInfo:
-        return self.streams.describe(request.stream)
 
     def _stream_start(self, request: StreamStart) -> Empty:
         self.streams.start(request.mask)

@@ -36,8 +36,6 @@ class StreamTable:
         self._samples: dict[int, SampleStream] = {}
         self._edges: dict[int, EdgeStream] = {}
         self._configured: dict[int, tuple[StreamSet, StreamReply]] = {}
-        self._wanted: frozenset[int] = frozenset()
-        self._latency: dict[int, int] = {}
         self._cfg_id = identity.boot_id & 0xFFFF
         self._dropped = 0
         self.edges = 0
@@ -62,7 +60,7 @@ class StreamTable:
     @property
     def channels(self) -> frozenset[int]:
         """Ids of the channels that streams are configured with."""
-        return self._wanted
+        return frozenset(number for request, _ in self._configured.values() for number in request.channels)
 
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
@@ -91,11 +89,9 @@ class StreamTable:
             self._forget(request.stream)
             self._samples[request.stream] = samples
         self._cfg_id = cfg_id
-        self._latency[request.stream] = request.max_latency_ms * self._identity.tick_hz // 1000
         self._tx.rates[node, request.stream] = shape.rate
         reply = StreamReply(request.stream, cfg_id, size, shape.block, load, stream.slot, self._identity.tick0)
         self._configured[request.stream] = request, reply
-        self._look_at_channels()
         return reply
 
     def describe(self, number: int) -> StreamInfo:
@@ -121,10 +117,11 @@ class StreamTable:
     def start(self, mask: int) -> None:
         """Carry out STREAM_START; Refused, nothing started, if a stream is not configured."""
         streams = self._all
-        for number in _bits(mask):
+        chosen = [number for number in range(32) if mask >> number & 1]
+        for number in chosen:
             if number not in streams:
                 raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
-        for number in _bits(mask):
+        for number in chosen:
             streams[number].running = True
 
     def stop(self, mask: int) -> None:
@@ -163,10 +160,10 @@ class StreamTable:
         late = []
         for number, stream in self._all.items():
             since = stream.waits_since()
-            if since is not None and tick - since >= self._latency[number]:
+            latency_ms = self._configured[number][0].max_latency_ms
+            if since is not None and tick - since >= latency_ms * self._identity.tick_hz // 1000:
                 late.append(number)
-        if late:
-            self.flush(late)
+        self.flush(late)
 
     def flush(self, numbers: Sequence[int]) -> None:
         """Send what waits in these streams, edges first."""
@@ -185,11 +182,7 @@ class StreamTable:
         if stream is not None:
             self._dropped += stream.dropped
             del self._configured[number]
-            self._look_at_channels()
             del self._tx.rates[self._identity.node, number]
-
-    def _look_at_channels(self) -> None:
-        self._wanted = frozenset(number for request, _ in self._configured.values() for number in request.channels)
 
     def _check(self, request: StreamSet) -> None:
         """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""
@@ -217,16 +210,15 @@ class StreamTable:
                 raise Refused(f"channel {number} comes twice", ErrorCode.BAD_VALUE, number)
 
     def _runs(self, ids: Sequence[int]) -> list[Run]:
-        """Return (position in the packed sample, position in the full sample, bytes), neighbours joined."""
+        """Return where the channels lie in a full sample, in the order of the packed one, neighbours joined."""
         runs: list[Run] = []
-        to = 0
         for number in ids:
             dtype, start = self._dtype.fields[self._channels[number].name][:2]  # type: ignore[index]
-            if runs and runs[-1][1] + runs[-1][2] == start:
-                runs[-1] = (runs[-1][0], runs[-1][1], runs[-1][2] + dtype.itemsize)
+            end = start + dtype.itemsize
+            if runs and runs[-1].stop == start:
+                runs[-1] = slice(runs[-1].start, end)
             else:
-                runs.append((to, start, dtype.itemsize))
-            to += dtype.itemsize
+                runs.append(slice(start, end))
         return runs
 
     def _load(self, request: StreamSet, rate: float) -> float:
@@ -249,7 +241,3 @@ class StreamTable:
 def _check_number(stream: int) -> None:
     if stream >= MAX_STREAMS:
         raise Refused(f"stream {stream}", ErrorCode.OUT_OF_RANGE, MAX_STREAMS - 1)
-
-
-def _bits(mask: int) -> list[int]:
-    return [number for number in range(32) if mask >> number & 1]

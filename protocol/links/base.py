@@ -33,7 +33,6 @@ class Link(Protocol):
     @property
     def name(self) -> str:
         """The link as errors show it, for example `/dev/ttyACM0`."""
-        ...
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """Bytes that have arrived, at most `MAX_READ`; b"" when none came within `timeout` seconds.
@@ -44,7 +43,6 @@ class Link(Protocol):
         Raises:
             LinkClosed: the link is gone. Bytes that came before are returned first.
         """
-        ...
 
     def write(self, data: bytes) -> None:
         """Hand all of `data` to the link, within `WRITE_TIMEOUT`.
@@ -53,11 +51,9 @@ class Link(Protocol):
             LinkClosed: the link is gone.
             LinkError: the link took only a part of it in time.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the link. Closing a closed link does nothing."""
-        ...
 
     def reopen(self) -> None:
         """Close, then open the same target again, once: after an unplug the caller tries until it is back.
@@ -66,27 +62,20 @@ class Link(Protocol):
             LinkNotFound: it is not there (yet).
             LinkBusy: another program holds it.
         """
-        ...
 
     def clock(self) -> float:
         """Seconds of a monotonic clock: real time, or virtual time on a link to a simulation."""
-        ...
 
     def wire(self) -> HostWire:
         """A new host's end of the language that this kind of link speaks."""
-        ...
 
 
 class DescriptorLink(ABC):
     """Read and write of a link over a non-blocking file descriptor: select, then take what is there."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
-
-    @property
-    def name(self) -> str:
+        self.name = name
         """The link as errors show it."""
-        return self._name
 
     def clock(self) -> float:
         """Seconds of the machine's monotonic clock."""
@@ -95,6 +84,15 @@ class DescriptorLink(ABC):
     def wire(self) -> HostWire:
         """See `Link.wire`."""
         return ByteWire()
+
+    def reopen(self) -> None:
+        """See `Link.reopen`."""
+        self.close()
+        self._open()
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open the target."""
 
     @abstractmethod
     def _fileno(self) -> int:

@@ -88,14 +88,10 @@ class CanLink:
         self.node = target.node
         self.extended = target.extended
         self.health = CanHealth()
-        self._name = str(CanTarget(target.interface, target.channel))
+        self.name = str(CanTarget(target.interface, target.channel))
+        """The link as errors show it, for example `can:socketcan/can0`."""
         self._reader: _Reader | None = None
         self._open()
-
-    @property
-    def name(self) -> str:
-        """The link as errors show it, for example `can:socketcan/can0`."""
-        return self._name
 
     def clock(self) -> float:
         """Seconds of the machine's monotonic clock, which is also that of the records."""
@@ -108,18 +104,18 @@ class CanLink:
     def _open(self) -> None:
         arguments = bus_arguments(self.target)
         interface, channel = arguments["interface"], arguments["channel"]
-        self._name = str(CanTarget(interface, None if channel is None else str(channel)))
+        self.name = str(CanTarget(interface, None if channel is None else str(channel)))
         self.rates = bus_rates(arguments)
         bus = None
         try:
-            bus = open_bus(self._name, arguments)
-            self._reader = _Reader(bus, self._name, self.health, interface)
+            bus = open_bus(self.name, arguments)
+            self._reader = _Reader(bus, self.name, self.health, interface)
         except BaseException as error:  # a driver raises what it likes, and a user may interrupt
             if bus is not None:
                 shut_down(bus)
             if isinstance(error, HbpError) or not isinstance(error, Exception):
                 raise
-            raise cannot_open(self._name, interface, error) from None
+            raise cannot_open(self.name, interface, error) from None
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`; whole records."""
@@ -141,7 +137,7 @@ class CanLink:
                     self.health.sent += 1
         except Exception as error:
             sent = self.health.sent - before
-            text = f"{self._name} took {sent} of {len(data) // RECORD_BYTES} frames: {one_line(error)}"
+            text = f"{self.name} took {sent} of {len(data) // RECORD_BYTES} frames: {one_line(error)}"
             if is_gone(error):
                 reader.end(text)
                 raise LinkClosed(text) from None
@@ -163,7 +159,7 @@ class CanLink:
     @property
     def _opened(self) -> _Reader:
         if self._reader is None:
-            raise LinkClosed(f"{self._name} is closed")
+            raise LinkClosed(f"{self.name} is closed")
         return self._reader
 
 

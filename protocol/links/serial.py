@@ -90,11 +90,6 @@ class SerialLink(DescriptorLink):
             return LinkError(f"{port} is not a serial port")
         return LinkError(f"cannot open {port}: {error}")
 
-    def reopen(self) -> None:
-        """See `Link.reopen`."""
-        self.close()
-        self._open()
-
     def close(self) -> None:
         """See `Link.close`."""
         if self._port is not None:

@@ -48,11 +48,6 @@ class TcpLink(DescriptorLink):
         self._socket = connection
         self._heard = False
 
-    def reopen(self) -> None:
-        """See `Link.reopen`."""
-        self.close()
-        self._open()
-
     def close(self) -> None:
         """See `Link.close`."""
         if self._socket is not None:

@@ -25,7 +25,6 @@ from protocol.signals import (
     AngleSource,
     Flag,
     Parameter,
-    Signal,
     estimate_channels,
 )
 from sim.config.params import ConfigError
@@ -62,24 +61,16 @@ class DriveApp:
         self._defaults = dict(bench.parameters)
         self._store = store
         encoder = bool(bench.params.encoder.present)
-        self._channels = tuple(c for c in CHANNELS if encoder or c.name not in ENCODER_CHANNELS)
+        self.channels = tuple(c for c in CHANNELS if encoder or c.name not in ENCODER_CHANNELS)
+        """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
-        self._parameters = tuple(
+        self.parameters = tuple(
             replace(p, lo=sources[0], hi=sources[1]) if p.name == "observer" else p for p in DRIVE_PARAMETERS
         )
+        """See `DeviceApp`."""
         if store is not None:
-            for name, value in _read_store(store, self._parameters).items():
+            for name, value in _read_store(store, self.parameters).items():
                 bench.set_param(name, value)
-
-    @property
-    def channels(self) -> Sequence[Signal]:
-        """See `DeviceApp`."""
-        return self._channels
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """See `DeviceApp`."""
-        return self._parameters
 
     @property
     def outputs_on(self) -> bool:
@@ -109,7 +100,7 @@ class DriveApp:
 
     def get_param(self, name: str) -> float:
         """See `DeviceApp`."""
-        return self._bench.get_param(name)
+        return self._bench.parameters[name]
 
     def default_param(self, name: str) -> float:
         """See `DeviceApp`."""
@@ -125,7 +116,7 @@ class DriveApp:
             raise Refused("this drive has no store", ErrorCode.NOT_SUPPORTED)
         new = self._store.with_name(self._store.name + ".new")
         try:
-            settable = {p.name for p in self._parameters if not p.flags & Flag.READ_ONLY}
+            settable = {p.name for p in self.parameters if not p.flags & Flag.READ_ONLY}
             values = {name: value for name, value in self._bench.parameters.items() if name in settable}
             new.write_text(json.dumps(values, indent=1) + "\n")
             os.replace(new, self._store)
@@ -136,29 +127,20 @@ class DriveApp:
 class LoadApp:
     """The load machine on the drive's shaft (a `protocol.device.app.DeviceApp`)."""
 
+    channels = LOAD_CHANNELS
+    """See `DeviceApp`."""
+    parameters = LOAD_PARAMETERS
+    """See `DeviceApp`."""
+
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench
         self._defaults = dict(bench.load_parameters)
-        self._running = False
-
-    @property
-    def channels(self) -> Sequence[Signal]:
+        self.outputs_on = False
         """See `DeviceApp`."""
-        return LOAD_CHANNELS
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """See `DeviceApp`."""
-        return LOAD_PARAMETERS
-
-    @property
-    def outputs_on(self) -> bool:
-        """See `DeviceApp`."""
-        return self._running
 
     def enter_state(self, state: DriveState) -> None:
         """See `DeviceApp`."""
-        self._running = state is DriveState.RUNNING
+        self.outputs_on = state is DriveState.RUNNING
         self._bench.load_enter_state(state)
 
     def clear_faults(self, faults: Fault) -> Fault:

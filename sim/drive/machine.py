@@ -67,6 +67,7 @@ class SimulatedBench:
     def __init__(self, params: BenchParams, seed: int = 0) -> None:
         self.params = params
         self.parameters = {name: _f32(value) for name, value in params.drive_parameters().items()}
+        """The firmware's, as they are used."""
         self.load_parameters = {name: _f32(value) for name, value in params.load_parameters().items()}
         self.n = 0
         """Samples taken: the index of the next one."""
@@ -231,10 +232,6 @@ class SimulatedBench:
             self.load_parameters = before
             raise
 
-    def get_param(self, name: str) -> float:
-        """A firmware parameter as it is used."""
-        return self.parameters[name]
-
     def advance(self, n: int) -> Recorded:
         """Run `n` control periods."""
         sections, index, first_tick = self._sections, self.n, self.tick
@@ -305,30 +302,17 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     shaft_encoder = encoder.make_params(
         p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
     )
-    motor = pmsm.make_params(p.motor.R_s, p.motor.L_d, p.motor.L_q, p.motor.psi_f, p.motor.n_p)
+    motor = pmsm.make_params(**dict(p.motor))
     return tick.Params(
         integrator.Params(
             motor,
-            inverter.make_params(
-                p.inverter.u_dc,
-                p.inverter.dead_time,
-                p.inverter.u_device,
-                p.inverter.i_smooth,
-                p.inverter.u_diode,
-                period,
-            ),
+            inverter.make_params(**dict(p.inverter), T_s=period),
             mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
             integrator.make_decay(motor, period / p.clock.substeps),
         ),
-        hall_sensor.make_params(hall.delta_deg, hall.hysteresis_deg, hall.jitter_deg),
+        hall_sensor.make_params(**dict(hall)),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
-        current_sensor.make_params(
-            p.current_sensor.noise_rms,
-            p.current_sensor.offset,
-            p.current_sensor.gain_error,
-            p.current_sensor.range,
-            p.current_sensor.bits,
-        ),
+        current_sensor.make_params(**dict(p.current_sensor)),
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
         back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),
         shaft_encoder,

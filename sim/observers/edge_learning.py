@@ -78,29 +78,13 @@ class Edges(NamedTuple):
 
 
 @kernel
-def _visits(given: float) -> float:
-    return GIVEN if given != 0.0 else 0.0
-
-
-@kernel
 def start(given: Twelve) -> Edges:
     """Nothing learned yet: the places given, as r (rad), 0 meaning that one is not known."""
-    g = given
-    visits = (
-        _visits(g[0]),
-        _visits(g[1]),
-        _visits(g[2]),
-        _visits(g[3]),
-        _visits(g[4]),
-        _visits(g[5]),
-        _visits(g[6]),
-        _visits(g[7]),
-        _visits(g[8]),
-        _visits(g[9]),
-        _visits(g[10]),
-        _visits(g[11]),
-    )
     zeros = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    visits = zeros
+    for k in range(12):
+        if given[k] != 0.0:
+            visits = _with(visits, k, GIVEN)
     return Edges(given, zeros, visits, 0.0, 0.0, 0.0, (0, 0, 0), (0, 0, 0), 0, _learned(visits))
 
 

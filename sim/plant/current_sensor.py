@@ -29,22 +29,14 @@ class Params(NamedTuple):
 
 
 def make_params(
-    noise_rms: float, offset: Sequence[float], gain_error: Sequence[float], full_scale: float, bits: int
+    noise_rms: float, offset: Sequence[float], gain_error: Sequence[float], range: float, bits: int
 ) -> Params:
     """Constants from A, A, relative errors, A (plus and minus) and the converter's bits over both signs."""
     codes = float(2 ** (bits - 1))
-    return Params(
-        1.0 + gain_error[0],
-        1.0 + gain_error[1],
-        1.0 + gain_error[2],
-        float(offset[0]),
-        float(offset[1]),
-        float(offset[2]),
-        float(noise_rms),
-        full_scale / codes,
-        codes / full_scale,
-        codes - 1.0,
-    )
+    a, b, c = (1.0 + error for error in gain_error)
+    offset_a, offset_b, offset_c = (float(each) for each in offset)
+    steps = range / codes, codes / range, codes - 1.0
+    return Params(a, b, c, offset_a, offset_b, offset_c, float(noise_rms), *steps)
 
 
 @kernel

@@ -31,12 +31,7 @@ TWO_PI = 2.0 * math.pi
 class Params(NamedTuple):
     """The sensors' constants, electrical rad."""
 
-    edge_0: float  # where sector 0 opens, and so on
-    edge_1: float
-    edge_2: float
-    edge_3: float
-    edge_4: float
-    edge_5: float
+    edges: tuple[float, float, float, float, float, float]  # where the sectors 0..5 open
     half_hysteresis: float
     jitter: float  # rms
 
@@ -51,28 +46,15 @@ class State(NamedTuple):
 
 def make_params(delta_deg: Sequence[float], hysteresis_deg: float, jitter_deg: float) -> Params:
     """The sensors' constants from six delta_s and two widths in electrical degrees."""
-    edges = [math.radians(60.0 * s - delta) for s, delta in enumerate(delta_deg)]
-    e0, e1, e2, e3, e4, e5 = edges
-    return Params(e0, e1, e2, e3, e4, e5, math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg))
+    e0, e1, e2, e3, e4, e5 = (math.radians(60.0 * s - delta) for s, delta in enumerate(delta_deg))
+    return Params((e0, e1, e2, e3, e4, e5), math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg))
 
 
 @kernel
 def edge_angle(params: Params, number: int) -> float:
     """Unwrapped angle (rad) of the edge that opens the sector `number`."""
     sector = number % 6
-    if sector == 0:
-        edge = params.edge_0
-    elif sector == 1:
-        edge = params.edge_1
-    elif sector == 2:
-        edge = params.edge_2
-    elif sector == 3:
-        edge = params.edge_3
-    elif sector == 4:
-        edge = params.edge_4
-    else:
-        edge = params.edge_5
-    return edge + TWO_PI * ((number - sector) // 6)
+    return params.edges[sector] + TWO_PI * ((number - sector) // 6)
 
 
 @kernel

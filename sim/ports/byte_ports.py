@@ -33,35 +33,24 @@ class Port(Protocol):
     @property
     def target(self) -> str:
         """The target string by which a host reaches it."""
-        ...
 
     def read_fds(self) -> list[int]:
         """Descriptors whose readiness means that `read` has something to do."""
-        ...
 
     def read(self) -> bytes:
         """What has arrived; b"" when nothing has."""
-        ...
 
     def write(self, data: bytes) -> int:
         """How many bytes of `data` were taken; all of them when nobody is there to miss them."""
-        ...
 
     def unplug(self) -> None:
-        """Vanish, as when the cable is pulled."""
-        ...
+        """Vanish, as when the cable is pulled; at the end too."""
 
     def account(self) -> str:
         """What there is to say at the end."""
-        ...
 
     def plug(self) -> None:
         """Come back after `unplug`."""
-        ...
-
-    def close(self) -> None:
-        """Vanish for good."""
-        ...
 
 
 class PtyPort:
@@ -127,10 +116,6 @@ class PtyPort:
             with contextlib.suppress(OSError):
                 if os.readlink(self._link) == self._name:
                     self._link.unlink()
-
-    def close(self) -> None:
-        """See `Port.close`."""
-        self.unplug()
 
     def account(self) -> str:
         """See `Port.account`."""
@@ -223,10 +208,6 @@ class TcpPort:
         if self._listener is not None:
             self._listener.close()
             self._listener = None
-
-    def close(self) -> None:
-        """See `Port.close`."""
-        self.unplug()
 
     def account(self) -> str:
         """See `Port.account`."""

@@ -73,8 +73,6 @@ class SimulatedDevice:
         drive = DriveApp(self.bench, store)
         self._channels = tuple(drive.channels)
         self._names = {channel.id: channel.name for channel in drive.channels}
-        self._watched: frozenset[int] = frozenset()
-        self._watched_names: frozenset[str] = frozenset()
         self.drive: DeviceSession = self.network.add(
             drive,
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
@@ -82,14 +80,9 @@ class SimulatedDevice:
         self.load: DeviceSession = self.network.add(
             LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
         )
-        self._sessions = (self.drive, self.load)
+        self.sessions = (self.drive, self.load)
         self._were_on = [False, False]
         self.network.advance(self.bench.tick)
-
-    @property
-    def sessions(self) -> tuple[DeviceSession, DeviceSession]:
-        """Drive and load machine."""
-        return self._sessions
 
     @property
     def tick(self) -> int:
@@ -113,14 +106,15 @@ class SimulatedDevice:
             left = self._watchdogs()
             # the outputs go off on time however long the portions
             n = min(periods, self._portion, math.ceil((min(left) + 1) * self.pwm_hz / 1000))
-            self._watch(self.drive.streams.channels)
+            watched = frozenset(self._names[channel] for channel in self.drive.streams.channels)
+            self.bench.watch(watched)
             recorded = self.bench.advance(n)
             self.periods += n
             periods -= n
             self.network.carry(self.periods / self.pwm_hz)
             self.drive.push_edges(recorded.edges)
             if self.drive.streams.running:
-                raw = recorded.raw(self._channels, self._watched_names)
+                raw = recorded.raw(self._channels, watched)
                 self.drive.push_samples(recorded.index, recorded.tick, raw)
             if self.load.streams.running:
                 self.load.push_samples(recorded.index, recorded.tick, recorded.load_samples)
@@ -130,29 +124,17 @@ class SimulatedDevice:
             if self._notice:
                 self._report(left, n, self._notice)
 
-    @property
-    def has_data(self) -> bool:
-        """Whether anything waits for the link."""
-        return self.network.waiting > 0
-
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
         return self.network.data_to_send(limit)
 
-    def _watch(self, channels: frozenset[int]) -> None:
-        """Let the bench run what these channels (ids) of the drive need."""
-        if channels != self._watched:
-            self._watched = channels
-            self._watched_names = frozenset(self._names[channel] for channel in channels)
-            self.bench.watch(self._watched_names)
-
     def _watchdogs(self) -> list[int]:
         """ms until each session's watchdog runs out, WATCHDOG_OFF where it is not at work."""
-        return [session.machine.watchdog_ms(self.tick) for session in self._sessions]
+        return [session.machine.watchdog_ms(self.tick) for session in self.sessions]
 
     def _report(self, left: list[int], periods: int, notice: Callable[[str], None]) -> None:
         """Say what outputs went on or off in the last `periods`, before which `left` was what `_watchdogs` says."""
-        for n, session in enumerate(self._sessions):
+        for n, session in enumerate(self.sessions):
             on = session.app.outputs_on
             if on == self._were_on[n]:
                 continue

@@ -6,7 +6,6 @@ A network moves bytes in virtual time: those of a byte link, or whole CAN_RECORD
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
 
 import numpy as np
 
@@ -24,41 +23,8 @@ _OVERFLOW["id"], _OVERFLOW["length"] = ERROR | ERROR_CONTROLLER, 8
 _OVERFLOW["data"][0, 1] = ERROR_OVERFLOW
 
 
-class Network(Protocol):
-    """What a `SimulatedDevice` needs of its wiring."""
-
-    @property
-    def frames_sent(self) -> int:
-        """Frames handed to the host's side."""
-
-    def add(self, app: DeviceApp, identity: Identity) -> DeviceSession:
-        """Return the session of one more device."""
-
-    def receive(self, data: bytes) -> None:
-        """Take bytes from the host."""
-
-    def carry(self, now: float) -> None:
-        """Let time pass on the wire up to `now`, in s since boot, before the devices make anything new."""
-
-    def advance(self, tick: int) -> None:
-        """Let time pass up to the 64-bit `tick` in every device."""
-
-    @property
-    def waiting(self) -> int:
-        """Bytes that wait for the host."""
-
-    def data_to_send(self, limit: int | None = None) -> bytes:
-        """Return and forget bytes that wait for the host, at most `limit`."""
-
-    def wire(self) -> HostWire:
-        """Return a new host's end of the language spoken here."""
-
-    def account(self) -> str:
-        """Return what there is to say at the end."""
-
-
 class ByteNetwork(DeviceLink):
-    """A serial cable or a TCP connection; it takes no time of its own."""
+    """A serial cable or a TCP connection; it takes no time of its own. It has the methods of `CanNetwork`."""
 
     def __init__(self, tx: TxQueue) -> None:
         super().__init__(tx)
@@ -66,30 +32,30 @@ class ByteNetwork(DeviceLink):
 
     @property
     def frames_sent(self) -> int:
-        """See `Network`: each frame lies between two zero bytes, and there are no others."""
+        """See `CanNetwork`: each frame lies between two zero bytes, and there are no others."""
         return self._delimiters // 2
 
     def carry(self, now: float) -> None:
-        """See `Network`: nothing happens."""
+        """See `CanNetwork`: nothing happens."""
 
     @property
     def waiting(self) -> int:
-        """See `Network`."""
+        """See `CanNetwork`."""
         return len(self.tx)
 
     def data_to_send(self, limit: int | None = None) -> bytes:
-        """See `Network`."""
+        """See `CanNetwork`."""
         fits = limit is None or len(self.tx) <= limit
         data = super().data_to_send(None if fits else limit)  # all at once is quicker than frame by frame
         self._delimiters += data.count(0)
         return data
 
     def wire(self) -> HostWire:
-        """See `Network`."""
+        """See `CanNetwork`."""
         return ByteWire()
 
     def account(self) -> str:
-        """See `Network`."""
+        """See `CanNetwork`."""
         return ""
 
 
@@ -112,13 +78,14 @@ class CanNetwork:
         """Frames for which the adapter had no room."""
         self._overflowing = False
         self.frames_sent = 0
+        """Frames handed to the host's side."""
         self._extended = extended
         self._tx_bytes = tx_frames * RECORD_BYTES
         self._from_host: deque[bytes] = deque()
         self._for_host: deque[bytes] = deque()
 
     def add(self, app: DeviceApp, identity: Identity) -> DeviceSession:
-        """See `Network`."""
+        """Return the session of one more device."""
         tx = TxQueue(self._tx_bytes, control_limit=1 << 16)
         device = CanDevice(app, identity, self.bus.rates, self._extended, tx)
         controller = self.bus.attach(lambda: tx.take(RECORD_BYTES), device.receive, identity.name, device.receive)
@@ -129,38 +96,38 @@ class CanNetwork:
         return device.session
 
     def receive(self, data: bytes) -> None:
-        """See `Network`."""
+        """Take bytes from the host: whole records."""
         self._from_host += [data[at : at + RECORD_BYTES] for at in range(0, len(data), RECORD_BYTES)]
 
     def carry(self, now: float) -> None:
-        """See `Network`."""
+        """Let time pass on the wire up to `now`, in s since boot, before the devices make anything new."""
         self.bus.advance(now)
         for node, controller in self._controllers.items():
             if controller.waits > MAX_AGE and controller.abort():
                 self.devices[node].session.streams.expired += 1
 
     def advance(self, tick: int) -> None:
-        """See `Network`."""
+        """Let time pass up to the 64-bit `tick` in every device."""
         for device in self.devices.values():
             device.advance(tick)
 
     @property
     def waiting(self) -> int:
-        """See `Network`."""
+        """Bytes that wait for the host."""
         return len(self._for_host) * RECORD_BYTES
 
     def data_to_send(self, limit: int | None = None) -> bytes:
-        """See `Network`: whole records."""
+        """Return and forget bytes that wait for the host, at most `limit`: whole records."""
         n = len(self._for_host) if limit is None else min(len(self._for_host), limit // RECORD_BYTES)
         self.frames_sent += n
         return b"".join(self._for_host.popleft() for _ in range(n))
 
     def wire(self) -> HostWire:
-        """See `Network`."""
+        """Return a new host's end of the language spoken here."""
         return CanWire(self.bus.rates, 1, self._extended)
 
     def account(self) -> str:
-        """See `Network`."""
+        """Return what there is to say at the end."""
         bus = self.bus
         load = bus.busy_seconds / bus.time if bus.time else 0.0
         lost = f", {self.overflows} lost in the adapter" if self.overflows else ""
@@ -178,3 +145,7 @@ class CanNetwork:
             self._for_host.append(_OVERFLOW.tobytes())
         self._overflowing = True
         self.overflows += 1
+
+
+Network = ByteNetwork | CanNetwork
+"""How the devices of a `SimulatedDevice` are wired."""

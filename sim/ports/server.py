@@ -236,7 +236,7 @@ def serve(options: ServeOptions, tell: Say) -> None:
             _run(server, received, tell)
         tell(server.summary())
     finally:
-        port.close()
+        port.unplug()
 
 
 def _say_nothing(line: str) -> None:
@@ -265,7 +265,7 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
 def _stop_at_once(port: Port, tell: Say) -> None:
     """End while it compiles: an exception out of the compiler's callbacks would end in a traceback."""
     try:
-        port.close()
+        port.unplug()
         tell("stopped")
     finally:
         os._exit(0)

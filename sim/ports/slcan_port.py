@@ -153,10 +153,6 @@ class SlcanPort:
         """See `Port.plug`."""
         self._pty.plug()
 
-    def close(self) -> None:
-        """See `Port.close`."""
-        self._pty.close()
-
     def _understood(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
         """Return which of these frames pass between the host's bit rates and the bus's."""
         if not _same(self._bitrate, self._rates.bitrate):

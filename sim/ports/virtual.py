@@ -35,6 +35,8 @@ class VirtualLink:
             its time-out. Small steps bring bytes sooner in virtual time, large ones save computing time.
     """
 
+    name = "virtual:"
+
     def __init__(self, device: SimulatedDevice, step: float = STEP) -> None:
         self.device = device
         self._step = max(1, round(step * device.pwm_hz))
@@ -44,11 +46,6 @@ class VirtualLink:
     def of(cls, params: BenchParams, seed: int = 0, step: float = STEP) -> VirtualLink:
         """A link to a new bench."""
         return cls(SimulatedDevice(params, seed), step)
-
-    @property
-    def name(self) -> str:
-        """See `Link.name`."""
-        return "virtual:"
 
     def clock(self) -> float:
         """Virtual seconds since boot."""
@@ -63,12 +60,12 @@ class VirtualLink:
         self._require_open()
         device = self.device
         left, settling = self._periods(timeout), self._periods(settle)
-        while left > 0 and not device.has_data:
+        while left > 0 and not device.network.waiting:
             n = min(left, self._step)
             device.advance(n)
             left -= n
             settling = max(0, self._periods(settle) - n)  # bytes may have come at the start of the step
-        if settling > 0 and device.has_data:
+        if settling > 0 and device.network.waiting:
             device.advance(settling)
         return device.data_to_send(MAX_READ)
 

@@ -35,7 +35,7 @@ class PhysicalDrive:
         self.port = PtyPort()
         self.states: set[DriveState] = set()
         with ExitStack() as stack:
-            stack.enter_context(closing(self.port))
+            stack.callback(self.port.unplug)
             stack.enter_context(in_real_time(self.device, self.port, lambda: self.states.add(self.device.drive.state)))
             self.close = stack.pop_all().close
 

@@ -83,7 +83,7 @@ def be_adapter(results: Connection, seconds: float) -> None:
         written = due
     results.send(total)
     results.recv()  # the reader has finished
-    port.close()
+    port.unplug()
 
 
 def read_records(path: str) -> tuple[can.BusABC, Receive]:

@@ -539,7 +539,7 @@ def test_an_adapter_left_at_other_rates_gets_the_usual_ones(
         port.write(frame)
         assert read(link, 1)["id"].tolist() == [0x123]
         assert (port.mismatched, port.refused) == (1, 0)
-    port.close()
+    port.unplug()
 
 
 # What is not here, and python-can's configuration

@@ -23,7 +23,7 @@ def port(tmp_path: Path) -> Iterator[PtyPort]:
     """A port that can be pulled out."""
     port = PtyPort(tmp_path / "ttyBENCH")
     yield port
-    port.close()
+    port.unplug()
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ def opened(path: Path, rates: BusRates, **keywords: object) -> Iterator[tuple[Sl
     assert port.refused == 0
     yield port, bus
     bus.shutdown()
-    port.close()
+    port.unplug()
 
 
 @pytest.fixture

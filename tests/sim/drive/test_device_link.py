@@ -90,7 +90,7 @@ def test_parameters_are_those_of_the_configuration_as_float32() -> None:
     host, device = make(load_params(None, {"firmware.vector_tracking.k_p_vt": 1000.1}))
     reply = host.get("k_p_vt")
     assert reply.value == reply.default == float(np.float32(1000.1))
-    assert host.set("k_p_vt", 900.1) == float(np.float32(900.1)) == device.bench.get_param("k_p_vt")
+    assert host.set("k_p_vt", 900.1) == float(np.float32(900.1)) == device.bench.parameters["k_p_vt"]
     assert host.get("k_p_vt").default == reply.value
     assert host.set("tau_max", 0.5, node=2) == 0.5
     assert host.get("tau_max", node=2).value == 0.5

@@ -27,7 +27,7 @@ class Motor(Rig):
         super().__init__(seed, **{} if delta_deg is None else {"hall.delta_deg": delta_deg.tolist()})
         self.set_param("observer", AngleSource.LEARNED_EDGES)
         for name, factor in (wrong or {}).items():
-            self.set_param(name, factor * self.get_param(name))
+            self.set_param(name, factor * self.parameters[name])
         self.load_enter_state(DriveState.RUNNING)
         self.enable()
         for lesson in LESSONS:

@@ -28,7 +28,7 @@ def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Port]:
     }
     yield made[request.param]
     for each in made.values():
-        each.close()
+        each.unplug()
 
 
 def test_a_host_comes_by_the_target_string_goes_and_comes_back(port: Port) -> None:
@@ -89,7 +89,7 @@ def test_link_replaces_a_link_that_an_earlier_run_left_and_nothing_else(tmp_path
     path.symlink_to("/dev/pts/987654")
     port = PtyPort(path)
     assert os.readlink(path).startswith("/dev/")
-    port.close()
+    port.unplug()
     assert not path.is_symlink()
     path.write_text("precious")
     with pytest.raises(LinkError, match="cannot make the link"):
@@ -105,9 +105,9 @@ def test_link_replaces_a_link_that_an_earlier_run_left_and_nothing_else(tmp_path
 def test_link_of_another_drive_is_left_alone(tmp_path: Path) -> None:
     first = PtyPort(tmp_path / "ttySIM")
     second = PtyPort(tmp_path / "ttySIM")
-    first.close()
+    first.unplug()
     assert (tmp_path / "ttySIM").is_symlink()
-    second.close()
+    second.unplug()
     assert not (tmp_path / "ttySIM").is_symlink()
 
 
@@ -121,14 +121,14 @@ def test_wrong_rate_is_rubbish_both_ways() -> None:
     wait(port)
     assert port.read() not in (b"", text)
     link.close()
-    port.close()
+    port.unplug()
 
 
 @pytest.fixture
 def tcp() -> Iterator[TcpPort]:
     port = TcpPort("127.0.0.1", 0)
     yield port
-    port.close()
+    port.unplug()
 
 
 def test_second_tcp_client_is_closed_and_the_next_takes_over(tcp: TcpPort) -> None:
@@ -180,4 +180,4 @@ def test_only_a_loopback_address_is_for_this_machine_alone(host: str, exposed: b
     except LinkError:
         pytest.skip(f"no address {host} here")
     assert port.exposed == exposed
-    port.close()
+    port.unplug()

@@ -68,7 +68,7 @@ class Bench:
     def close(self) -> None:
         for host in self.hosts:
             host.link.close()
-        self.port.close()
+        self.port.unplug()
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ class Host:
 
     def close(self) -> None:
         os.close(self.fd)
-        self.port.close()
+        self.port.unplug()
 
 
 @pytest.fixture
@@ -219,11 +219,11 @@ def test_answers_to_a_host_that_does_not_read_are_bounded(classic: Host) -> None
 def test_target_names_port_and_rates(tmp_path: Path) -> None:
     port = SlcanPort(tmp_path / "ttyCAN", FD)
     assert port.target == f"can:slcan/{tmp_path}/ttyCAN?bitrate=1000000&fd=1&data_bitrate=5000000"
-    port.close()
+    port.unplug()
     port = SlcanPort(None, BusRates(500_000))
     assert port.target.startswith("can:slcan//dev/")
     assert port.target.endswith("?bitrate=500000")
-    port.close()
+    port.unplug()
 
 
 def test_unplugged_it_vanishes_and_comes_back_closed(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ class Server:
     def stop(self) -> None:
         self._stop = True
         self._thread.join()
-        self.port.close()
+        self.port.unplug()
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ class Client:
 def port() -> Iterator[StoppedPort]:
     made = StoppedPort()
     yield made
-    made.close()
+    made.unplug()
 
 
 @pytest.fixture
@@ -250,7 +250,7 @@ def test_frames_without_a_form_are_counted(port: StoppedPort, client: Client) ->
 def test_extended_identifiers_are_in_the_target() -> None:
     port = SocketcandPort("127.0.0.1", 0, BusRates(500_000), extended=True)
     assert port.target.endswith("&bitrate=500000&ext=1")
-    port.close()
+    port.unplug()
 
 
 # The ends of a connection
