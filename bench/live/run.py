@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -277,8 +277,8 @@ class LiveRun:
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result, ended = self._with_recording(result, exit_code)
             summary.live_view = outputs.viewed()
-            with self._uninterrupted(), suppress(RecordingError):  # `outputs.failure` tells
-                outputs.end_recording(as_markdown(summary))
+            with suppress(RecordingError):  # `outputs.failure` tells
+                self._uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))
             if self._signal:
                 ended = ended or 128 + self._signal
             if outputs.failure is not None:  # at the latest now
@@ -321,10 +321,9 @@ class LiveRun:
         finally:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
-            with self._uninterrupted():
-                self.make_safe()
-        with self._uninterrupted(), suppress(HbpError):
-            self.drive.stop_streams()
+            self._uninterrupted(self.make_safe)
+        with suppress(HbpError):
+            self._uninterrupted(self.drive.stop_streams)
         self._gathered.flush()
         if acts and stats.faults and not self.tripped:  # in the last moment
             why = self.rig.drive.starved(self._watchdog)
@@ -364,14 +363,16 @@ class LiveRun:
         words = f"recording failed: {str(failure).removeprefix('recording ')}"
         return (f"{result}; {words}", exit_code) if exit_code else (words, failure.exit_code)
 
-    @contextmanager
-    def _uninterrupted(self) -> Iterator[None]:
-        """Undisturbed inside. A signal that came meanwhile is remembered."""
-        try:
-            with undisturbed():
-                yield
-        except (KeyboardInterrupt, Interrupted) as interrupt:
-            self._remember(interrupt)
+    def _uninterrupted(self, action: Callable[[], object]) -> None:
+        """Do it undisturbed, once. A signal that comes before, meanwhile or after is remembered."""
+        begun = False
+        while not begun:
+            try:
+                with undisturbed():
+                    begun = True
+                    action()
+            except (KeyboardInterrupt, Interrupted) as interrupt:
+                self._remember(interrupt)
 
     def _remember(self, interrupt: BaseException) -> None:
         self._signal = self._signal or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
