@@ -75,7 +75,7 @@ class SmallHost(Client):
         assert self.command(Command.START, 0, node) is DriveState.RUNNING
 
     def setpoint(self, mode: SetpointMode, value: float, value2: float = 0.0, node: int = DRIVE) -> None:
-        super().setpoint(Setpoint(mode, 1, value, value2), node)
+        self.session.send(Setpoint(mode, 1, value, value2), node)
 
     def alive(self) -> None:
         self._alive += 1
