@@ -38,6 +38,8 @@ class StreamTable:
         self._configured: dict[int, tuple[StreamSet, StreamReply]] = {}
         self._cfg_id = identity.boot_id & 0xFFFF
         self._dropped = 0
+        self.channels: frozenset[str] = frozenset()
+        """Names of the channels that streams are configured with."""
         self.edges = 0
         """Hall edges since boot."""
         self.expired = 0
@@ -56,11 +58,6 @@ class StreamTable:
     def running(self) -> frozenset[int]:
         """Numbers of the running streams."""
         return frozenset(number for number, stream in self._all.items() if stream.running)
-
-    @property
-    def channels(self) -> frozenset[int]:
-        """Ids of the channels that streams are configured with."""
-        return frozenset(number for request, _ in self._configured.values() for number in request.channels)
 
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
@@ -92,6 +89,7 @@ class StreamTable:
         self._tx.rates[node, request.stream] = shape.rate
         reply = StreamReply(request.stream, cfg_id, size, shape.block, load, stream.slot, self._identity.tick0)
         self._configured[request.stream] = request, reply
+        self._look_at_channels()
         return reply
 
     def describe(self, number: int) -> StreamInfo:
@@ -182,7 +180,12 @@ class StreamTable:
         if stream is not None:
             self._dropped += stream.dropped
             del self._configured[number]
+            self._look_at_channels()
             del self._tx.rates[self._identity.node, number]
+
+    def _look_at_channels(self) -> None:
+        ids = (number for request, _ in self._configured.values() for number in request.channels)
+        self.channels = frozenset(self._channels[number].name for number in ids)
 
     def _check(self, request: StreamSet) -> None:
         """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""

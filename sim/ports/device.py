@@ -72,7 +72,6 @@ class SimulatedDevice:
         commit = Feature.COMMIT if store is not None else Feature(0)
         drive = DriveApp(self.bench, store)
         self._channels = tuple(drive.channels)
-        self._names = {channel.id: channel.name for channel in drive.channels}
         self.drive: DeviceSession = self.network.add(
             drive,
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
@@ -106,7 +105,7 @@ class SimulatedDevice:
             left = self._watchdogs()
             # the outputs go off on time however long the portions
             n = min(periods, self._portion, math.ceil((min(left) + 1) * self.pwm_hz / 1000))
-            watched = frozenset(self._names[channel] for channel in self.drive.streams.channels)
+            watched = self.drive.streams.channels
             self.bench.watch(watched)
             recorded = self.bench.advance(n)
             self.periods += n
