@@ -22,7 +22,7 @@ class Gathered(Sink):
         self._sinks = sinks
         self._edges: list[EdgeChunk] = []
         self._samples: list[SampleChunk] = []
-        self._began: int | None = None  # tick of the first that is held back
+        self._began: int | None = -(1 << 62)  # tick of the first that is held back; the very first is not
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Hold them back."""
