@@ -31,7 +31,7 @@ from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
-from bench.rig.outputs import Outputs
+from bench.rig.outputs import Outputs, load_beside
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings
@@ -504,6 +504,8 @@ def run(
         stack.enter_context(signals_as_exceptions())
         target = "sim" if options.target is None else options.target
         if options.embedded:
+            if options.save is not None or options.viewer != "none":
+                load_beside()
             target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,21 @@ from bench.rerunio.schema import RunInfo
 if TYPE_CHECKING:
     from bench.rerunio.sinks import FileSink, LiveSink
     from bench.rerunio.viewer import LiveView
+
+
+def load_beside() -> None:
+    """Import what recording and view need in a thread of its own, while something else is waited for.
+
+    Not a daemon: an interpreter that ends within the import of an extension may abort.
+    """
+
+    def load() -> None:
+        with suppress(ImportError):  # who needs it is told
+            import bench.rerunio.dashboard
+            import bench.rerunio.log
+            import bench.rerunio.sinks  # noqa: F401
+
+    threading.Thread(target=load, name="import").start()
 
 
 class Outputs:
