@@ -30,7 +30,7 @@ def load_beside() -> None:
     """
 
     def load() -> None:
-        with suppress(ImportError):  # who needs it is told
+        with suppress(Exception):  # who needs it is told; an interpreter that ends refuses some
             import bench.rerunio.dashboard
             import bench.rerunio.log
             import bench.rerunio.sinks  # noqa: F401
