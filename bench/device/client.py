@@ -168,7 +168,7 @@ class Client:
         """Of other links of the same bench."""
         self.on_reboot: Callable[[int], None] | None = None  # argument: the node that has rebooted
         self._streams: dict[int, _Streams] = {}
-        self._retired: dict[int, list[Decoder]] = {}  # of streams that have ended
+        self._closed: dict[int, Losses] = {}  # of streams that have ended
         self._watches: dict[int, _Watch] = {}
         self._pending: _Pending | None = None
         self._must_open = False  # the link must be opened again
@@ -377,7 +377,7 @@ class Client:
         decoder = self.session.decoder(config)
         streams = self._streams.setdefault(config.node, _Streams())
         if config.stream in streams.decoders:
-            self._retired.setdefault(config.node, []).append(streams.decoders[config.stream])
+            self._closed[config.node] = _added(self._closed.get(config.node), [streams.decoders[config.stream]])
         streams.decoders[config.stream] = decoder
 
     def streams_started(self, node: int) -> None:
@@ -406,10 +406,7 @@ class Client:
 
     def losses(self, node: int) -> Losses:
         """Account of all that was streamed from `node`; what its last frames were is known when they have ended."""
-        decoders = [*self._retired.get(node, ()), *self._streams.get(node, _NO_STREAMS).decoders.values()]
-        edges = [decoder.counters for decoder in decoders if decoder.config.event == StreamEvent.EDGES]
-        samples = [decoder.counters for decoder in decoders if decoder.config.event != StreamEvent.EDGES]
-        return Losses(_sum(samples), _sum(edges))
+        return _added(self._closed.get(node), self._streams.get(node, _NO_STREAMS).decoders.values())
 
     def _end(self, node: int, last: Heartbeat | None) -> None:
         """Nothing more comes of these streams: what they lack up to `last` is lost."""
@@ -424,7 +421,7 @@ class Client:
                 edges += n
             else:
                 samples += n
-        self._retired.setdefault(node, []).extend(streams.decoders.values())
+        self._closed[node] = _added(self._closed.get(node), streams.decoders.values())
         if samples or edges:
             what = " and ".join(counted(n, noun) for n, noun in ((samples, "sample"), (edges, "edge")) if n)
             self.note(f"lost at the end of the streams of node {node}: {what}", "WARN")
@@ -496,6 +493,14 @@ _LOG_LEVELS = {3: "ERROR", 4: "WARN", 6: "INFO", 7: "DEBUG"}
 
 def _beat(heartbeat: Heartbeat) -> Beat:
     return Beat(heartbeat.tick, heartbeat.edges)
+
+
+def _added(account: Losses | None, decoders: Iterable[Decoder]) -> Losses:
+    """An account, with what these decoders count."""
+    samples, edges = ([account.samples], [account.edges]) if account else ([], [])
+    for decoder in decoders:
+        (edges if decoder.config.event == StreamEvent.EDGES else samples).append(decoder.counters)
+    return Losses(_sum(samples), _sum(edges))
 
 
 def _sum(counters: Iterable[LossCounters]) -> LossCounters:

@@ -22,7 +22,7 @@ class Gathered(Sink):
         self._sinks = sinks
         self._edges: list[EdgeChunk] = []
         self._samples: list[SampleChunk] = []
-        self._began: int | None = -(1 << 62)  # tick of the first that is held back; the very first is not
+        self._due: tuple[int, int] = (0, 0)  # ticks between which more is held back
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Hold them back."""
@@ -30,21 +30,23 @@ class Gathered(Sink):
         self._look(chunk)
 
     def samples(self, chunk: SampleChunk) -> None:
-        """Hold them back."""
+        """Hold them back; the very first are handed on at once."""
         self._samples.append(chunk)
         self._look(chunk)
 
     def _look(self, chunk: SampleChunk | EdgeChunk) -> None:
-        if self._began is None:
-            self._began = int(chunk.tick[0])
-        if not 0 <= chunk.tick[-1] - self._began < PERIOD * chunk.config.tick_hz:  # due, or the drive has rebooted
+        """Hand on what is due, and when the drive's time has gone back: it has rebooted."""
+        if not len(chunk):
+            return
+        newest = int(chunk.tick[-1])
+        if not self._due[0] <= newest < self._due[1]:
+            self._due = newest, newest + round(PERIOD * chunk.config.tick_hz)
             self.flush()
 
     def flush(self) -> None:
         """Hand on what is held back."""
         edges, self._edges = self._edges, []
         samples, self._samples = self._samples, []
-        self._began = None
         for sink in self._sinks:
             for some_edges in _by_stream(edges):
                 sink.edges(some_edges)

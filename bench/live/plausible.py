@@ -208,9 +208,15 @@ class Plausibility(Sink):
         elif self._by == "its own estimate":
             unseen.append("speed, but for the drive's own estimate")
         else:
-            short = [asked for asked in self._asked if asked.seconds < LONG_ENOUGH or self._on_its_way(asked)]
             slow = [
-                asked for asked in self._asked if asked not in short and 0 < abs(asked.speed_rpm) <= self._off(asked)
+                asked
+                for asked in self._asked  # whether such a speed still changes is noise
+                if asked.seconds >= LONG_ENOUGH and 0 < abs(asked.speed_rpm) <= self._off(asked)
+            ]
+            short = [
+                asked
+                for asked in self._asked
+                if asked not in slow and (asked.seconds < LONG_ENOUGH or self._on_its_way(asked))
             ]
             for which, why in ((short, "too short a time"), (slow, "too slow to tell")):
                 if speeds := ", ".join(f"{asked.speed_rpm:g}" for asked in which):

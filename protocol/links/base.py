@@ -76,6 +76,7 @@ class DescriptorLink(ABC):
     def __init__(self, name: str) -> None:
         self.name = name
         """The link as errors show it."""
+        self._held: list[bytes] = []  # received, and not returned yet: an exception of a signal may end a read
 
     def clock(self) -> float:
         """Seconds of the machine's monotonic clock."""
@@ -88,6 +89,7 @@ class DescriptorLink(ABC):
     def reopen(self) -> None:
         """See `Link.reopen`."""
         self.close()
+        self._held.clear()
         self._open()
 
     @abstractmethod
@@ -123,21 +125,21 @@ class DescriptorLink(ABC):
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         """See `Link.read`."""
         fd = self._require_open()
-        if not select.select([fd], [], [], max(0.0, timeout))[0]:
+        if not self._held and not select.select([fd], [], [], max(0.0, timeout))[0]:
             return b""
-        parts: list[bytes] = []
         left = max(0.0, settle)
         while True:
             pause = min(left, SLICE)
             if pause:
                 time.sleep(pause)
             left -= pause
-            if not self._drain(fd, parts, settle > 0.0) or left <= 0.0:
+            if not self._drain(fd, settle > 0.0) or left <= 0.0:
+                parts, self._held = self._held, []
                 return parts[0] if len(parts) == 1 else b"".join(parts)
 
-    def _drain(self, fd: int, parts: list[bytes], settled: bool) -> bool:
-        """Add to `parts` what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
-        while (free := MAX_READ - sum(map(len, parts))) > 0:
+    def _drain(self, fd: int, settled: bool) -> bool:
+        """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
+        while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
                 part = self._receive(free)
             except BlockingIOError:
@@ -146,14 +148,14 @@ class DescriptorLink(ABC):
                     continue
                 return True
             except OSError as error:
-                if parts:  # the caller gets the tail now and the error at the next read
+                if self._held:  # the caller gets the tail now and the error at the next read
                     return False
                 raise self._gone(error) from None
             if not part:
-                if parts:
+                if self._held:
                     return False
                 raise self._gone(None)
-            parts.append(part)
+            self._held.append(part)
         return False
 
     def write(self, data: bytes) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ import pytest
 
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links import open_link
-from protocol.links.base import MAX_READ
+from protocol.links.base import MAX_READ, SLICE
 from protocol.links.serial import SerialLink, line_rate
 from sim.ports.byte_ports import PtyPort
 
@@ -39,6 +40,24 @@ def test_read_takes_all_that_has_come(port: PtyPort, link: SerialLink) -> None:
     written = port.write(sent)
     assert link.read(2.0, settle=0.001)[:4000] == sent[:4000]
     assert written <= MAX_READ
+
+
+def test_an_interrupted_read_loses_nothing(port: PtyPort, link: SerialLink) -> None:
+    """A signal's exception within a read that collects: what it had taken comes with the next one."""
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        port.write(b"taken before, ")
+        signal.setitimer(signal.ITIMER_REAL, 5 * SLICE)
+        with pytest.raises(KeyboardInterrupt):
+            link.read(2.0, settle=60.0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    port.write(b"and after")
+    got = link.read(2.0)
+    while len(got) < 23 and (more := link.read(2.0)):
+        got += more
+    assert got == b"taken before, and after"
 
 
 def test_bytes_stolen_by_another_reader_are_no_unplug(port: PtyPort, link: SerialLink) -> None:
