@@ -1,0 +1,192 @@
+"""A switched inverter on a machine at constant speed: an oracle for what dead time does, from first principles.
+
+Between two events (a switch turns, a diode's current ends) the legs' voltages are constant, and each phase is a
+resistance and an inductance in series with a sinusoidal voltage: its current has a closed form. So nothing here is
+integrated in steps, and nothing is averaged. Upper and lower switch of a leg conduct both ways; in the dead time a
+leg's current flows through a diode, up to where it is zero: then the leg floats until a switch turns on or the floating
+voltage reaches a rail.
+
+A PI controller of the currents in the rotor's frame, with one period of delay and the true angle, closes the loop. It
+drives this inverter or a model of one, so that both are compared within the same loop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+LOW, HIGH, DEAD = 0, 1, 2
+SIGMA = 2.0 * math.pi / 3.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Motor, inverter and operating point: ohm, H, V s, V, s, Hz; speed in electrical rad/s, q current in A."""
+
+    R: float
+    L: float
+    psi: float
+    u_dc: float
+    dead_time: float
+    pwm_hz: float
+    omega: float
+    i_q: float
+    u_diode: float = 0.0
+
+
+@numba.njit(error_model="numpy")
+def _current(i0, u, a, b, w, R, L, t0, t1):
+    """Current at t1 of a phase with i0 at t0 and the voltage u - a cos(w t) - b sin(w t) in between."""
+    z = R * R + (w * L) ** 2
+    A, B = (R * a - w * L * b) / z, (R * b + w * L * a) / z
+    rest = i0 - u / R + A * math.cos(w * t0) + B * math.sin(w * t0)
+    return u / R - A * math.cos(w * t1) - B * math.sin(w * t1) + rest * math.exp(-R * (t1 - t0) / L)
+
+
+@numba.njit(error_model="numpy")
+def _mode(gate, i, e, u_dc, u_diode, v, conducts):
+    """Leg voltages `v` and whether each leg conducts, for gate states, currents and induced voltages at a moment."""
+    driven = 0
+    for k in range(3):
+        conducts[k] = True
+        if gate[k] == LOW:
+            v[k] = 0.0
+        elif gate[k] == HIGH:
+            v[k] = u_dc
+        elif i[k] > 0.0:
+            v[k] = -u_diode
+        elif i[k] < 0.0:
+            v[k] = u_dc + u_diode
+        else:
+            conducts[k] = False
+        driven += conducts[k]
+    for _ in range(3):  # a floating leg follows the star point until it reaches a rail
+        star = 0.5 * u_dc
+        if driven:
+            star = 0.0
+            for k in range(3):
+                if conducts[k]:
+                    star += (v[k] - e[k]) / driven
+        changed = False
+        for k in range(3):
+            if not conducts[k]:
+                v[k] = star + e[k]
+                rail = -u_diode if v[k] < -u_diode else u_dc + u_diode
+                if driven and not -u_diode <= v[k] <= u_dc + u_diode and not changed:
+                    v[k], conducts[k], changed = rail, True, True
+                    driven += 1
+        if not changed:
+            return
+
+
+@numba.njit(error_model="numpy")
+def switching(i, t0, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean):
+    """One centre-aligned period from t0 on, angle w t: changes the currents `i`; `mean`: the legs' mean voltages, V."""
+    a, b = np.empty(3), np.empty(3)
+    for k in range(3):  # e_k = -w psi sin(w t - k sigma) = a cos + b sin
+        a[k], b[k] = w * psi * math.sin(k * SIGMA), -w * psi * math.cos(k * SIGMA)
+    times, legs, states = np.empty(12), np.empty(12, np.int64), np.empty(12, np.int64)
+    gate = np.zeros(3, np.int64)
+    for k in range(3):
+        rise, fall = 0.5 * T * (1.0 - duty[k]), 0.5 * T * (1.0 + duty[k])
+        at = (rise, min(rise + dead_time, fall), fall, min(fall + dead_time, T))
+        what = (DEAD, HIGH, DEAD, LOW)
+        for j in range(4):
+            times[4 * k + j], legs[4 * k + j], states[4 * k + j] = at[j], k, what[j]
+    order = np.argsort(times, kind="mergesort")
+    e, v, conducts, after = np.empty(3), np.empty(3), np.empty(3, np.bool_), np.empty(3)
+    mean[:] = 0.0
+    now = 0.0
+    for n in range(13):
+        end = times[order[n]] if n < 12 else T
+        while now < end:
+            here = t0 + now
+            for k in range(3):
+                e[k] = a[k] * math.cos(w * here) + b[k] * math.sin(w * here)
+            _mode(gate, i, e, u_dc, u_diode, v, conducts)
+            count, u_star, a_star, b_star = 0, 0.0, 0.0, 0.0
+            for k in range(3):
+                if conducts[k]:
+                    count += 1
+                    u_star, a_star, b_star = u_star + v[k], a_star + a[k], b_star + b[k]
+            if count:
+                u_star, a_star, b_star = u_star / count, a_star / count, b_star / count
+            until, zero = end, -1
+            for _ in range(2):  # to the end, or to the first current that reaches zero on its diode
+                for k in range(3):
+                    after[k] = 0.0
+                    if conducts[k] and count > 1:
+                        after[k] = _current(
+                            i[k], v[k] - u_star, a[k] - a_star, b[k] - b_star, w, R, L, here, t0 + until
+                        )
+                first = -1
+                for k in range(3):
+                    if gate[k] == DEAD and conducts[k] and i[k] * after[k] < 0.0 and k != zero:
+                        lo, hi = now, until
+                        for _ in range(60):
+                            mid = 0.5 * (lo + hi)
+                            x = _current(i[k], v[k] - u_star, a[k] - a_star, b[k] - b_star, w, R, L, here, t0 + mid)
+                            if x * i[k] > 0.0:
+                                lo = mid
+                            else:
+                                hi = mid
+                        until, first = hi, k
+                if first < 0:
+                    break
+                zero = first
+            for k in range(3):
+                mean[k] += v[k] * (until - now) / T
+                i[k] = after[k]
+            if zero >= 0:
+                i[zero] = 0.0
+            now = until
+        if n < 12:
+            k = legs[order[n]]
+            gate[k] = states[order[n]]
+
+
+@numba.njit(error_model="numpy")
+def run(lost_by, n, R, L, psi, u_dc, dead_time, u_diode, T, w, i_q, bandwidth, lost, where, currents):
+    """n periods under current control, from rest; into `lost` the legs' voltages lost, V, shape (n, 3).
+
+    `lost_by`: `switching`, or a model with its arguments. `where`: the angle (rad) in the middle of each period, (n,);
+    `currents`: (n, 3), at its beginning, A.
+    """
+    i, mean, duty, wanted = np.zeros(3), np.zeros(3), np.full(3, 0.5), np.empty(3)
+    u_alpha = u_beta = sum_d = sum_q = 0.0
+    k_p, k_i = 2.0 * math.pi * bandwidth * L, 2.0 * math.pi * bandwidth * R * T
+    for m in range(n):
+        t = m * T
+        currents[m] = i
+        theta = w * t
+        c, s = math.cos(theta), math.sin(theta)
+        i_alpha, i_beta = i[0], (i[1] - i[2]) / math.sqrt(3.0)
+        error_d, error_q = -(c * i_alpha + s * i_beta), i_q - (c * i_beta - s * i_alpha)
+        for k in range(3):
+            wanted[k] = u_alpha * math.cos(k * SIGMA) + u_beta * math.sin(k * SIGMA)
+        middle = 0.5 * (max(wanted) + min(wanted))
+        for k in range(3):
+            duty[k] = 0.5 + (wanted[k] - middle) / u_dc
+        lost_by(i, t, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean)
+        shift = np.sum(mean - duty * u_dc) / 3.0
+        lost[m] = mean - duty * u_dc - shift
+        where[m] = w * (t + 0.5 * T)
+        u_d = k_p * error_d + sum_d - w * L * i_q
+        u_q = k_p * error_q + sum_q + w * psi
+        size, most = math.hypot(u_d, u_q), 0.97 * u_dc / math.sqrt(3.0)
+        if size > most:
+            u_d, u_q = u_d * most / size, u_q * most / size
+        else:
+            sum_d, sum_q = sum_d + k_i * error_d, sum_q + k_i * error_q
+        c, s = math.cos(theta + 1.5 * w * T), math.sin(theta + 1.5 * w * T)
+        u_alpha, u_beta = c * u_d - s * u_q, s * u_d + c * u_q
+
+
+def harmonics(values: np.ndarray, theta: np.ndarray, orders: tuple[int, ...]) -> dict[int, complex]:
+    """Amplitudes and phases of `values` (n,) at angles (n,): x = Re(h e^{j order theta}), by least squares."""
+    columns = [f(k * theta) for k in orders for f in (np.cos, np.sin)]
+    found, *_ = np.linalg.lstsq(np.stack([*columns, np.ones(len(theta))], axis=1), values, rcond=None)
+    return {k: complex(found[2 * j], -found[2 * j + 1]) for j, k in enumerate(orders)}
