@@ -148,6 +148,7 @@ class Inverter(Section):
     u_device: float = _number("V", ge=0, le=5)
     i_smooth: float = _number("A", ge=1e-3, le=10)
     u_diode: float = _number("V", ge=0, le=5)
+    dead_time_by_edges: Whole = _number(ge=0, le=1)
 
 
 class CurrentSensor(Section):

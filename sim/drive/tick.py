@@ -244,11 +244,11 @@ def _move(
     quantiles: Pointer[float],
 ) -> tuple[integrator.State, float, hall_sensor.State, hall_wiring.State, int, np.uint64]:
     """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
+    plant = state.plant
     if out.on == 1:
-        applied = inverter.apply(params.plant.inverter, out.d_a, out.d_b, out.d_c)
+        applied = integrator.apply(params.plant, plant, out.d_a, out.d_b, out.d_c)
     else:
         applied = inverter.off()
-    plant = state.plant
     hall = state.hall
     rng = state.rng
     alpha = 0.0

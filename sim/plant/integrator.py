@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
-from sim.plant import inverter, mechanics, pmsm
+from sim.plant import dead_time, inverter, mechanics, pmsm
 
 C_3, C_4, C_5, C_6, C_7, C_8, C_9, C_10 = (1.0 / math.factorial(k) for k in range(3, 11))
 ONE_SIXTH, ONE_TWELFTH, ONE_THIRTIETH, ONE_SIXTIETH = 1.0 / 6.0, 1.0 / 12.0, 1.0 / 30.0, 1.0 / 60.0
@@ -85,6 +85,28 @@ def refresh(state: State) -> State:
         math.cos(state.theta_e),
         math.sin(state.theta_e),
     )
+
+
+@kernel
+def apply(params: Params, state: State, d_a: float, d_b: float, d_c: float) -> inverter.Applied:
+    """What the inverter does over a PWM period with duties 0..1, that begins in `state`."""
+    applied = inverter.apply(params.inverter, d_a, d_b, d_c)
+    if params.inverter.legs.dead == 0.0:
+        return applied
+    i_alpha, i_beta = pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
+    u_alpha, u_beta = dead_time.mean_voltage(
+        params.inverter.legs,
+        params.motor,
+        min(max(d_a, 0.0), 1.0),
+        min(max(d_b, 0.0), 1.0),
+        min(max(d_c, 0.0), 1.0),
+        i_alpha,
+        i_beta,
+        state.cos,
+        state.sin,
+        params.motor.n_p * state.omega_m,
+    )
+    return inverter.Applied(True, u_alpha, u_beta, applied.e_a, applied.e_b, applied.e_c)
 
 
 @kernel
@@ -229,7 +251,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
         psi_alpha -= bend_alpha
         psi_beta -= bend_beta
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
-    if not inverter.settled(params.inverter, i0_alpha, i0_beta, i_alpha, i_beta):
+    if inverter.loses(applied) and not inverter.settled(params.inverter, i0_alpha, i0_beta, i_alpha, i_beta):
         bent = 0.125 * h * motor.g_mean
         bow_alpha = mid_alpha - 0.5 * (i0_alpha + i_alpha)
         bow_beta = mid_beta - 0.5 * (i0_beta + i_beta)
@@ -297,10 +319,12 @@ def torque(params: Params, state: State) -> float:
 
 
 @kernel
-def _bends(params: Params, state: State, h: float) -> bool:
-    """Whether a step is better taken as two: a phase is near zero, or L_d and L_q differ."""
+def _bends(params: Params, state: State, applied: inverter.Applied, h: float) -> bool:
+    """Whether a step is better taken as two: a phase that loses voltage is near zero, or L_d and L_q differ."""
     if params.motor.g_diff != 0.0:
         return True
+    if not inverter.loses(applied):
+        return False
     i_alpha, i_beta = pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
     turned = params.motor.n_p * abs(state.omega_m) * h
     return inverter.near_zero(params.inverter, i_alpha, i_beta, turned)
@@ -313,7 +337,7 @@ def step(
     """The state after `h` seconds, and the forced acceleration (rad/s2) of the load machine, 0 where it forces none."""
     left = h
     alpha = 0.0
-    part = 0.5 * h if applied.on and _bends(params, state, h) else h
+    part = 0.5 * h if applied.on and _bends(params, state, applied, h) else h
     cut = False
     for _ in range(10):  # zero speed is passed once or twice in a step; more often never
         part = min(part, left)

@@ -4,7 +4,8 @@
 
 A leg's current flows through a diode during the dead time, so the voltage lost opposes the current. Near zero current
 the PWM ripple reverses the current within a period and the loss shrinks: here in proportion to the current, below
-`i_smooth`. A leg that does not switch (duty 0 or 1) loses no dead time.
+`i_smooth`. A leg that does not switch (duty 0 or 1) loses no dead time. Instead, `dead_time` can say what each period
+loses by the currents at its edges; then only u_device is lost as above.
 
 With the outputs off the phases float: the currents run down through the diodes against the DC link and then stay
 zero. Rectification by a back-EMF above the DC link voltage is not modelled.
@@ -22,6 +23,7 @@ from typing import NamedTuple
 
 from sim.numba_cache import kernel
 from sim.plant import pmsm
+from sim.plant.dead_time import Params as Legs
 
 NEAR = 1e-6  # of i_smooth: closer currents are one
 TWO_THIRDS = 2.0 / 3.0
@@ -36,6 +38,7 @@ class Params(NamedTuple):
     e_device: float  # V
     g_smooth: float  # 1 / i_smooth, 1/A
     u_freewheel: float  # voltage against the current vector while the outputs are off, V
+    legs: Legs  # without a dead time where `e_dead` stands for it
 
 
 class Applied(NamedTuple):
@@ -49,14 +52,24 @@ class Applied(NamedTuple):
     e_c: float
 
 
-def make_params(u_dc: float, dead_time: float, u_device: float, i_smooth: float, u_diode: float, T_s: float) -> Params:
-    """The inverter's constants from V, s, V, A, V and the PWM period in s."""
+def make_params(
+    u_dc: float,
+    dead_time: float,
+    u_device: float,
+    i_smooth: float,
+    u_diode: float,
+    T_s: float,
+    dead_time_by_edges: int = 0,
+) -> Params:
+    """The inverter's constants from V, s, V, A, V, the PWM period in s, and 1 to let `sim.plant.dead_time` tell."""
+    by_edges = dead_time if dead_time_by_edges else 0.0
     return Params(
         float(u_dc),
-        u_dc * dead_time / T_s,
+        u_dc * (dead_time - by_edges) / T_s,
         float(u_device),
         1.0 / i_smooth,
         0.5 * u_dc + u_diode,
+        Legs(float(T_s), float(by_edges), float(u_dc), float(u_diode)),
     )
 
 
@@ -77,6 +90,12 @@ def apply(params: Params, d_a: float, d_b: float, d_c: float) -> Applied:
     e_b = params.e_device + (params.e_dead if 0.0 < b < 1.0 else 0.0)
     e_c = params.e_device + (params.e_dead if 0.0 < c < 1.0 else 0.0)
     return Applied(True, u_alpha, u_beta, e_a, e_b, e_c)
+
+
+@kernel
+def loses(applied: Applied) -> bool:
+    """Whether any current makes a leg lose voltage."""
+    return applied.e_a + applied.e_b + applied.e_c > 0.0
 
 
 @kernel

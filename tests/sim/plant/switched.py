@@ -1,4 +1,4 @@
-"""A switched inverter on a machine at constant speed: an oracle for what dead time does, from first principles.
+"""A switched inverter on a machine at constant speed: an oracle of what dead time does, from first principles.
 
 Between two events (a switch turns, a diode's current ends) the legs' voltages are constant, and each phase is a
 resistance and an inductance in series with a sinusoidal voltage: its current has a closed form. So nothing here is
@@ -13,28 +13,13 @@ drives this inverter or a model of one, so that both are compared within the sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 LOW, HIGH, DEAD = 0, 1, 2
 SIGMA = 2.0 * math.pi / 3.0
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Motor, inverter and operating point: ohm, H, V s, V, s, Hz; speed in electrical rad/s, q current in A."""
-
-    R: float
-    L: float
-    psi: float
-    u_dc: float
-    dead_time: float
-    pwm_hz: float
-    omega: float
-    i_q: float
-    u_diode: float = 0.0
+BANDWIDTH = 2.0 * math.pi * 500.0  # of the current loop, rad/s
 
 
 @numba.njit(error_model="numpy")
@@ -149,20 +134,35 @@ def switching(i, t0, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean):
 
 
 @numba.njit(error_model="numpy")
-def run(lost_by, n, R, L, psi, u_dc, dead_time, u_diode, T, w, i_q, bandwidth, lost, where, currents):
-    """n periods under current control, from rest; into `lost` the legs' voltages lost, V, shape (n, 3).
+def advance(i, mean, t0, T, w, R, L, psi):
+    """The currents `i` after a period of the legs' mean voltages."""
+    star = np.sum(mean) / 3.0
+    for k in range(3):
+        a, b = w * psi * math.sin(k * SIGMA), -w * psi * math.cos(k * SIGMA)
+        i[k] = _current(i[k], mean[k] - star, a, b, w, R, L, t0, t0 + T)
 
-    `lost_by`: `switching`, or a model with its arguments. `where`: the angle (rad) in the middle of each period, (n,);
-    `currents`: (n, 3), at its beginning, A.
+
+@numba.njit(error_model="numpy")
+def run(lost_by, n, motor, inverter, w, i_q, lost, where, currents):
+    """n periods under current control at the electrical speed w (rad/s), from rest, at i_d = 0.
+
+    Args:
+        lost_by: what makes a period: `switching`, or a model with its arguments.
+        motor: R, L, psi in ohm, H, V s.
+        inverter: u_dc, dead time, a diode's drop, PWM period in V and s.
+        lost: room for the legs' voltages lost, V, shape (n, 3), what they have in common taken off.
+        where: for the angle in the middle of each period, rad, (n,).
+        currents: at its beginning, A, (n, 3).
     """
+    R, L, psi = motor
+    u_dc, dead_time, u_diode, T = inverter
     i, mean, duty, wanted = np.zeros(3), np.zeros(3), np.full(3, 0.5), np.empty(3)
     u_alpha = u_beta = sum_d = sum_q = 0.0
-    k_p, k_i = 2.0 * math.pi * bandwidth * L, 2.0 * math.pi * bandwidth * R * T
+    k_p, k_i = BANDWIDTH * L, BANDWIDTH * R * T
     for m in range(n):
         t = m * T
         currents[m] = i
-        theta = w * t
-        c, s = math.cos(theta), math.sin(theta)
+        c, s = math.cos(w * t), math.sin(w * t)
         i_alpha, i_beta = i[0], (i[1] - i[2]) / math.sqrt(3.0)
         error_d, error_q = -(c * i_alpha + s * i_beta), i_q - (c * i_beta - s * i_alpha)
         for k in range(3):
@@ -171,17 +171,16 @@ def run(lost_by, n, R, L, psi, u_dc, dead_time, u_diode, T, w, i_q, bandwidth, l
         for k in range(3):
             duty[k] = 0.5 + (wanted[k] - middle) / u_dc
         lost_by(i, t, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean)
-        shift = np.sum(mean - duty * u_dc) / 3.0
-        lost[m] = mean - duty * u_dc - shift
+        error = mean - duty * u_dc
+        lost[m] = error - np.sum(error) / 3.0
         where[m] = w * (t + 0.5 * T)
-        u_d = k_p * error_d + sum_d - w * L * i_q
-        u_q = k_p * error_q + sum_q + w * psi
+        u_d, u_q = k_p * error_d + sum_d - w * L * i_q, k_p * error_q + sum_q + w * psi
         size, most = math.hypot(u_d, u_q), 0.97 * u_dc / math.sqrt(3.0)
         if size > most:
             u_d, u_q = u_d * most / size, u_q * most / size
         else:
             sum_d, sum_q = sum_d + k_i * error_d, sum_q + k_i * error_q
-        c, s = math.cos(theta + 1.5 * w * T), math.sin(theta + 1.5 * w * T)
+        c, s = math.cos(w * (t + 1.5 * T)), math.sin(w * (t + 1.5 * T))
         u_alpha, u_beta = c * u_d - s * u_q, s * u_d + c * u_q
 
 
