@@ -17,7 +17,9 @@ from protocol.signals import DRIVE_PARAMETERS, LOAD_PARAMETERS, AngleSource, Fla
 from sim.config.errors import explain
 
 T = TypeVar("T")
+Two = Annotated[tuple[T, ...], Field(strict=False, min_length=2, max_length=2, description="a list of 2 numbers")]
 Three = Annotated[tuple[T, ...], Field(strict=False, min_length=3, max_length=3, description="a list of 3 numbers")]
+Four = Annotated[tuple[T, ...], Field(strict=False, min_length=4, max_length=4, description="a list of 4 numbers")]
 Six = Annotated[tuple[T, ...], Field(strict=False, min_length=6, max_length=6, description="a list of 6 numbers")]
 Whole = Annotated[int, BeforeValidator(lambda x: int(x) if isinstance(x, float) and x.is_integer() else x)]
 
@@ -80,6 +82,8 @@ class Motor(Section):
     L_q: float = _number("H", gt=0)
     psi_f: float = _number("V s", gt=0)
     n_p: Whole = _number(ge=1, le=64)
+    emf_harmonics: Four[Annotated[float, _number(ge=-0.5, le=0.5)]]
+    cogging: Two[Annotated[float, _number("N m", ge=-10, le=10)]]
 
 
 class Mechanics(Section):

@@ -126,7 +126,7 @@ class SimulatedBench:
             plant.omega_m,
             plant.cos * i_alpha + plant.sin * i_beta,
             plant.cos * i_beta - plant.sin * i_alpha,
-            pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta),
+            pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta, plant.cos, plant.sin),
         )
 
     def watch(self, channels: frozenset[str]) -> None:

@@ -395,7 +395,7 @@ def advance(
         status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
         if reset[j] != 0:
             status |= RESET
-        tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta)
+        tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta, plant.cos, plant.sin)
         rows[j] = Row(
             wiring.pins,
             status,

@@ -151,7 +151,7 @@ def _nudge(cos: float, sin: float, angle: float) -> tuple[float, float]:
 
 @kernel
 def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
-    """The voltage on R_s of the currents that are there because L_d and L_q differ."""
+    """The voltage on R_s of the currents that are there because L_d and L_q differ, or the magnet has harmonics."""
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     return (
         motor.R_s * (i_alpha - motor.g_mean * (psi_alpha - motor.psi_f * cos)),
@@ -161,11 +161,11 @@ def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, 
 
 @kernel
 def _torque(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> float:
-    """Torque (N m); where L_d = L_q it is the magnet's part alone, which is found without the currents."""
-    if motor.g_diff == 0.0:
+    """Torque (N m), cogging too; where L_d = L_q it is the magnet's part alone, which is found without the currents."""
+    if motor.round == 1:
         return motor.k_tau * motor.g_mean * motor.psi_f * (cos * psi_beta - sin * psi_alpha)
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
-    return pmsm.torque(motor, psi_alpha, psi_beta, i_alpha, i_beta)
+    return pmsm.torque(motor, psi_alpha, psi_beta, i_alpha, i_beta, cos, sin) + pmsm.cogging(motor, cos, sin)
 
 
 @kernel
@@ -173,9 +173,9 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     """One step with the outputs on.
 
     The winding's flux answers a constant voltage exactly. What else acts on it is slow: the magnet as it turns, and
-    what L_d and L_q differ by, both by Simpson's rule; and the inverter's loss, in the mean over the step as the
-    currents go from its begin to its end, which is found by iteration where a phase comes near zero. Torque and speed
-    go by Simpson's rule too.
+    what harmonics and a difference of L_d and L_q do, both by Simpson's rule; and the inverter's loss, in the mean over
+    the step as the currents go from its begin to its end, which is found by iteration where a phase comes near zero.
+    Torque and speed go by Simpson's rule too.
     """
     motor = params.motor
     n_p = motor.n_p
@@ -215,10 +215,10 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
     psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
     bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
-    if motor.g_diff != 0.0:
+    if motor.round == 0:
         bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
         bend_alpha, bend_beta = bend0_alpha, bend0_beta
-        for _ in range(2):
+        for _ in range(2 if motor.g_diff != 0.0 else 1):  # what harmonics do is known at once
             mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
             mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
             bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
@@ -239,7 +239,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     free_beta += magnet * sin
     psi_alpha = free_alpha + decay.gain * u_alpha
     psi_beta = free_beta + decay.gain * u_beta
-    if motor.g_diff != 0.0:
+    if motor.round == 0:
         end_alpha = psi_alpha - decay.gain * bend_alpha
         end_beta = psi_beta - decay.gain * bend_beta
         bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
@@ -273,7 +273,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     tau1 = _torque(motor, psi_alpha, psi_beta, cos, sin) - motor.k_tau * motor.g_mean * motor.psi_f * along * late
     alpha1 = gain * (tau1 - b * (omega_m + h * alpha) - push.tau_dry) + push.alpha
     faster = ONE_SIXTH * (alpha0 + 4.0 * alpha + alpha1)
-    if motor.g_diff == 0.0:  # the slopes are known: Simpson's rule with them is better by two orders
+    if motor.round == 1:  # the slopes are known: Simpson's rule with them is better by two orders
         omega_e += n_p * h * alpha
         rate_alpha += motor.R_s * (i0_alpha - i_alpha)
         rate_beta += motor.R_s * (i0_beta - i_beta)
@@ -290,11 +290,12 @@ def _coasting(params: Params, state: State, push: mechanics.Push, h: float) -> S
     """One step with the outputs off: the current runs down, the shaft sees the mean torque of the step."""
     motor = params.motor
     i_alpha, i_beta = pmsm.currents(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
-    tau = pmsm.torque(motor, state.psi_alpha, state.psi_beta, i_alpha, i_beta)
+    tau = pmsm.torque(motor, state.psi_alpha, state.psi_beta, i_alpha, i_beta, state.cos, state.sin)
     left_alpha, left_beta = inverter.freewheel(params.inverter, motor, i_alpha, i_beta, h)
     size = math.hypot(i_alpha, i_beta)
     if size > 0.0:
         tau *= 0.5 * (1.0 + math.hypot(left_alpha, left_beta) / size)
+    tau += pmsm.cogging(motor, state.cos, state.sin)
     # constant torque and viscous friction: the exact solution's series in x = b h / J
     alpha = push.gain * (tau - params.shaft.b * state.omega_m - push.tau_dry) + push.alpha
     x = push.gain * params.shaft.b * h
@@ -314,7 +315,7 @@ def _step(params: Params, state: State, applied: inverter.Applied, push: mechani
 
 @kernel
 def torque(params: Params, state: State) -> float:
-    """Electromagnetic torque now, N m."""
+    """Electromagnetic torque now and cogging, N m."""
     return _torque(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
 
 

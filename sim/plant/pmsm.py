@@ -7,9 +7,21 @@
 With the flux as the state, the rotor's motion enters only through cos and sin of its angle: no rotational voltage has
 to be integrated, and the voltages stay constant over a PWM period. It is the model of (3) for L_d = L_q = L_s.
 
-Amplitude-invariant quantities; currents are positive into the motor. No saturation, no iron losses, no cogging.
+The magnet's flux may have harmonics:
 
-Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+    psi_m = psi_f e^{j theta} + psi_5 e^{-5 j theta} + psi_7 e^{7 j theta}
+          + psi_11 e^{-11 j theta} + psi_13 e^{13 j theta}
+
+A phase's back-EMF then has harmonics of h psi_h / psi_f of its fundamental, and since i . d psi_m / d theta is the
+torque, each psi_h counts -+h times in it, where psi x i counts it once:
+
+    tau_e = 3/2 n_p (psi + sum of (-+h - 1) psi_h e^{-+h j theta}) x i
+
+Cogging is a torque of the angle alone, with 6 and 12 periods in an electrical revolution.
+
+Amplitude-invariant quantities; currents are positive into the motor. No saturation, no iron losses.
+
+Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; the torque of harmonics by co-energy.
 """
 
 from __future__ import annotations
@@ -33,18 +45,86 @@ class Params(NamedTuple):
     psi_f: float  # V s
     n_p: float
     k_tau: float  # 3/2 n_p
+    psi_5: float  # V s
+    psi_7: float
+    psi_11: float
+    psi_13: float
+    cog_6: float  # N m
+    cog_12: float
+    round: int  # 1: L_d = L_q, and neither harmonics nor cogging
 
 
-def make_params(R_s: float, L_d: float, L_q: float, psi_f: float, n_p: int) -> Params:
-    """The motor's constants from ohm, H, H, V s and the number of pole pairs."""
+def make_params(
+    R_s: float,
+    L_d: float,
+    L_q: float,
+    psi_f: float,
+    n_p: int,
+    emf: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    cogging: tuple[float, float] = (0.0, 0.0),
+) -> Params:
+    """The motor's constants from ohm, H, H, V s and the number of pole pairs.
+
+    `emf`: the back-EMF's harmonics 5, 7, 11, 13 over its fundamental, with signs; `cogging`: amplitudes with 6 and 12
+    periods in an electrical revolution, N m.
+    """
+    g_diff = 0.5 * (1.0 / L_d - 1.0 / L_q)
     return Params(
         float(R_s),
         0.5 * (1.0 / L_d + 1.0 / L_q),
-        0.5 * (1.0 / L_d - 1.0 / L_q),
+        g_diff,
         float(psi_f),
         float(n_p),
         1.5 * n_p,
+        *(psi_f * share / order for share, order in zip(emf, (5, 7, 11, 13), strict=True)),
+        *map(float, cogging),
+        int(g_diff == 0.0 and not any(emf) and not any(cogging)),
     )
+
+
+@kernel
+def _times(a_re: float, a_im: float, b_re: float, b_im: float) -> tuple[float, float]:
+    """Product of two complex numbers."""
+    return a_re * b_re - a_im * b_im, a_re * b_im + a_im * b_re
+
+
+@kernel
+def harmonics(params: Params, cos: float, sin: float) -> tuple[float, float, float, float]:
+    """Of the magnet's flux, alpha and beta (V s); and what they add to psi where it makes torque."""
+    c_6, s_6 = _sixth(cos, sin)
+    c_12, s_12 = c_6 * c_6 - s_6 * s_6, 2.0 * c_6 * s_6
+    # e^{-5 j theta} = e^{j theta} e^{-6 j theta}, and so on
+    c_5, s_5 = _times(cos, sin, c_6, -s_6)
+    c_7, s_7 = _times(cos, sin, c_6, s_6)
+    c_11, s_11 = _times(cos, sin, c_12, -s_12)
+    c_13, s_13 = _times(cos, sin, c_12, s_12)
+    five_alpha, five_beta = params.psi_5 * c_5, params.psi_5 * s_5
+    seven_alpha, seven_beta = params.psi_7 * c_7, params.psi_7 * s_7
+    eleven_alpha, eleven_beta = params.psi_11 * c_11, params.psi_11 * s_11
+    thirteen_alpha, thirteen_beta = params.psi_13 * c_13, params.psi_13 * s_13
+    return (
+        five_alpha + seven_alpha + eleven_alpha + thirteen_alpha,
+        five_beta + seven_beta + eleven_beta + thirteen_beta,
+        6.0 * (seven_alpha - five_alpha) + 12.0 * (thirteen_alpha - eleven_alpha),
+        6.0 * (seven_beta - five_beta) + 12.0 * (thirteen_beta - eleven_beta),
+    )
+
+
+@kernel
+def _sixth(cos: float, sin: float) -> tuple[float, float]:
+    """cos and sin of six times an angle."""
+    c_2, s_2 = cos * cos - sin * sin, 2.0 * cos * sin
+    c_4, s_4 = c_2 * c_2 - s_2 * s_2, 2.0 * c_2 * s_2
+    return _times(c_2, s_2, c_4, s_4)
+
+
+@kernel
+def cogging(params: Params, cos: float, sin: float) -> float:
+    """Torque of the rotor's angle alone, N m."""
+    if params.round == 1:
+        return 0.0
+    c_6, s_6 = _sixth(cos, sin)
+    return s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12)
 
 
 @kernel
@@ -63,7 +143,13 @@ def winding_currents(params: Params, v_alpha: float, v_beta: float, cos: float, 
 @kernel
 def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
     """i_alpha, i_beta (A) from the flux linkage (V s) and the rotor's angle."""
-    return winding_currents(params, psi_alpha - params.psi_f * cos, psi_beta - params.psi_f * sin, cos, sin)
+    v_alpha = psi_alpha - params.psi_f * cos
+    v_beta = psi_beta - params.psi_f * sin
+    if params.round == 0:
+        m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
+        v_alpha -= m_alpha
+        v_beta -= m_beta
+    return winding_currents(params, v_alpha, v_beta, cos, sin)
 
 
 @kernel
@@ -73,12 +159,19 @@ def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) 
     i_q = cos * i_beta - sin * i_alpha
     psi_d = i_d / (params.g_mean + params.g_diff) + params.psi_f
     psi_q = i_q / (params.g_mean - params.g_diff)
-    return cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
+    m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
+    return cos * psi_d - sin * psi_q + m_alpha, sin * psi_d + cos * psi_q + m_beta
 
 
 @kernel
-def torque(params: Params, psi_alpha: float, psi_beta: float, i_alpha: float, i_beta: float) -> float:
+def torque(
+    params: Params, psi_alpha: float, psi_beta: float, i_alpha: float, i_beta: float, cos: float, sin: float
+) -> float:
     """Electromagnetic torque, N m."""
+    if params.round == 0:
+        _, _, more_alpha, more_beta = harmonics(params, cos, sin)
+        psi_alpha += more_alpha
+        psi_beta += more_beta
     return params.k_tau * (psi_alpha * i_beta - psi_beta * i_alpha)
 
 

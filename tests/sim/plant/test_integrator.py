@@ -109,6 +109,67 @@ def test_voltage_steps_with_a_load_agree_with_solve_ivp(substeps, L_q):
     assert (state.cos, state.sin) == pytest.approx((math.cos(state.theta_e), math.sin(state.theta_e)), abs=1e-12)
 
 
+class Uneven:
+    """A motor with harmonics, cogging and L_d != L_q, for scipy: in the stator frame, by the energy in its magnet."""
+
+    def __init__(self, m, shaft, emf, cogging):
+        self.m, self.shaft, self.cogging = m, shaft, cogging
+        self.orders = np.array([1, -5, 7, -11, 13])
+        self.flux = m.psi_f * np.array([1.0, *emf]) / np.abs(self.orders)
+
+    def magnet(self, theta):
+        waves = self.flux * np.exp(1j * self.orders * theta)
+        return waves.sum(), (1j * self.orders * waves).sum()
+
+    def current(self, psi, theta):
+        own = (psi - self.magnet(theta)[0]) * np.exp(-1j * theta)
+        return (own.real / self.m.L_d + 1j * own.imag / self.m.L_q) * np.exp(1j * theta)
+
+    def torque(self, psi, theta):
+        i = self.current(psi, theta)
+        i_dq = i * np.exp(-1j * theta)
+        six, twelve = self.cogging
+        pull = (np.conj(i) * self.magnet(theta)[1]).real + (self.m.L_d - self.m.L_q) * i_dq.real * i_dq.imag
+        return 1.5 * self.m.n_p * pull + six * np.sin(6 * theta) + twelve * np.sin(12 * theta)
+
+    def rates(self, t, x, u, load):
+        psi, omega, theta = x[0] + 1j * x[1], x[2], x[3]
+        flux = u - self.m.R_s * self.current(psi, theta)
+        tau = self.torque(psi, theta) - self.shaft.b * omega - self.shaft.tau_coulomb * np.sign(omega) - load
+        return [flux.real, flux.imag, tau / self.shaft.J, self.m.n_p * omega]
+
+
+@pytest.mark.parametrize("L_q", [176e-6, 300e-6])
+@pytest.mark.parametrize("omega_m", [10.0, 150.0, 300.0])
+def test_harmonics_and_cogging_agree_with_solve_ivp(omega_m, L_q):
+    p = load_params(None, {"motor.L_q": L_q})
+    m, shaft, emf, cogging = p.motor, p.mechanics, (0.05, -0.03, 0.01, 0.008), (0.004, -0.002)
+    motor = pmsm.make_params(m.R_s, m.L_d, m.L_q, m.psi_f, m.n_p, emf, cogging)
+    params = integrator.Params(
+        motor,
+        inverter.make_params(24.0, 0.0, 0.0, 0.3, 0.8, T_S),
+        mechanics.make_params(shaft.J, shaft.b, shaft.tau_coulomb, 1000.0),
+        integrator.make_decay(motor, T_S),
+    )
+    reference = Uneven(m, shaft, emf, cogging)
+    state = state_at(params, 0.7, omega_m, i_d=-1.0, i_q=3.0)
+    x = np.array([state.psi_alpha, state.psi_beta, omega_m, 0.7])
+    assert abs(reference.current(x[0] + 1j * x[1], 0.7) - (-1.0 + 3.0j) * np.exp(0.7j)) < 1e-12
+    load = mechanics.Load(mechanics.TORQUE, 0.1, 0.0)
+    ripple = []
+    for _ in range(200):
+        u = (0.3 + 1j * (m.n_p * x[2] * m.psi_f + 0.5)) * np.exp(1j * x[3])
+        state, _ = integrator.step(params, state, applied(u.real, u.imag), load, T_S)
+        x = solve_ivp(reference.rates, (0.0, T_S), x, "DOP853", args=(u, 0.1), rtol=1e-10, atol=1e-13).y[:, -1]
+        i = reference.current(x[0] + 1j * x[1], x[3])
+        found = pmsm.currents(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
+        assert abs(complex(*found) - i) < 1e-5
+        assert abs(state.theta_e - x[3]) < 1e-6
+        ripple.append(integrator.torque(params, state))
+        assert ripple[-1] == pytest.approx(reference.torque(x[0] + 1j * x[1], x[3]), abs=1e-6)
+    assert np.ptp(ripple) > 0.005
+
+
 def test_shorted_coast_down_agrees_with_solve_ivp_and_ends_at_rest():
     params, reference = make()
     state = state_at(params, -1.0, 300.0)
