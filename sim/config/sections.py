@@ -109,18 +109,20 @@ class Hall(Section):
 
     delta_deg: Six[Annotated[float, _number("deg", ge=-29, le=29)]]
     hysteresis_deg: float = _number("deg", ge=0, le=10)
+    pole_pair_deg: float = _number("deg", ge=0, le=10)
+    latency: float = _number("s", ge=0, le=1e-3)
     jitter_deg: float = _number("deg", ge=0, le=3)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        # Neighbouring edges must stay apart by more than hysteresis and 4 sigma of jitter on both take up.
-        margin = self.hysteresis_deg + 8.0 * self.jitter_deg
+        # Neighbouring edges must stay apart by more than hysteresis, pole pairs and 4 sigma of jitter on both take up.
+        margin = self.hysteresis_deg + 2.0 * self.pole_pair_deg + 8.0 * self.jitter_deg
         for s in range(6):
             width = 60.0 - self.delta_deg[(s + 1) % 6] + self.delta_deg[s]
             if width <= margin:
                 raise ValueError(
                     f"delta_deg leaves sector {s + 1} only {width:g} deg wide; it must be wider "
-                    f"than hysteresis_deg + 8 jitter_deg = {margin:g} deg"
+                    f"than hysteresis_deg + 2 pole_pair_deg + 8 jitter_deg = {margin:g} deg"
                 )
         return self
 
@@ -142,6 +144,8 @@ class Encoder(Section):
     pulses_per_rev: Whole = _number(ge=1, le=16383)
     offset_deg: float = _number("deg", ge=-360, le=360)
     bw_speed: float = _number("Hz", ge=0.1, le=1000)
+    eccentricity_deg: float = _number("deg", ge=0, le=5)
+    unevenness: float = _number(ge=0, le=0.6)
 
 
 class Inverter(Section):
@@ -163,6 +167,7 @@ class CurrentSensor(Section):
     gain_error: Three[Annotated[float, _number(ge=-0.9, le=10)]]
     range: float = _number("A", ge=0.1, le=31.9)
     bits: Whole = _number(ge=4, le=24)
+    delay: float = _number("s", ge=0, le=2e-5)
 
 
 class Clock(Section):

@@ -300,7 +300,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        p.encoder.pulses_per_rev, p.encoder.offset_deg, p.encoder.bw_speed, p.motor.n_p, drive["n_p"], period
+        **p.encoder.model_dump(exclude={"present"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
     )
     motor = pmsm.make_params(**dict(p.motor))
     return tick.Params(
@@ -310,7 +310,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
             integrator.make_decay(motor, period / p.clock.substeps),
         ),
-        hall_sensor.make_params(**dict(hall)),
+        hall_sensor.make_params(**dict(hall), n_p=p.motor.n_p),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
         current_sensor.make_params(**dict(p.current_sensor)),
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),

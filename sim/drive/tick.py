@@ -194,22 +194,24 @@ def _edges(
     `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far, of
     at most `room`.
     """
-    n_p = params.plant.motor.n_p
+    omega_0 = params.plant.motor.n_p * before.omega_m
+    omega_1 = params.plant.motor.n_p * after.omega_m
+    theta_0 = hall_sensor.seen(params.hall, before.theta_e, omega_0)
+    theta_1 = hall_sensor.seen(params.hall, after.theta_e, omega_1)
     step_ticks = params.period_ticks / params.substeps
     while m < room:
         way = 0
-        theta = after.theta_e
+        theta = theta_1
         late = math.floor(step_ticks - offset)
-        if after.theta_e >= hall.above:
+        if theta_1 >= hall.above:
             way = 1
             theta = hall.above
-        elif after.theta_e < hall.below:
+        elif theta_1 < hall.below:
             way = -1
             theta = hall.below
+        x = 1.0
         if way != 0:
-            x = hall_sensor.time_of(
-                before.theta_e, n_p * before.omega_m, after.theta_e, n_p * after.omega_m, params.h, theta
-            )
+            x = hall_sensor.time_of(theta_0, omega_0, theta_1, omega_1, params.h, theta)
             late = math.floor(x * step_ticks - offset) + 1
         captured = tick + min(late, 0)
         if wiring.due <= captured:  # a false pulse begins or ends before
@@ -223,6 +225,7 @@ def _edges(
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
+            theta += params.hall.latency * (omega_0 + x * (omega_1 - omega_0))
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
             wiring, m = _captured(params, wiring, pins, captured, theta, edges, wire, m)
         else:
@@ -261,7 +264,8 @@ def _move(
     for j in range(params.substeps):
         before = plant
         plant, alpha = integrator.step(params.plant, before, applied, load, params.h)
-        if plant.theta_e >= hall.above or plant.theta_e < hall.below or wiring.due <= state.tick:
+        theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
+        if theta >= hall.above or theta < hall.below or wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
             hall, wiring, m, rng = _edges(
                 params, hall, wiring, before, plant, state.tick, offset, edges, wire, m, room, quantiles, rng
@@ -271,15 +275,26 @@ def _move(
 
 @kernel
 def _sense(
-    params: Params, theta_e: float, i_alpha: float, i_beta: float, quantiles: Pointer[float], rng: np.uint64
+    params: Params,
+    plant: integrator.State,
+    on: int,
+    i_alpha: float,
+    i_beta: float,
+    quantiles: Pointer[float],
+    rng: np.uint64,
 ) -> Sensed:
-    """Sample the sensors."""
+    """Sample the sensors. A converter that is late sees how the current falls while all legs are low."""
     sensor = params.current_sensor
+    if on == 1 and sensor.delay > 0.0:
+        motor = params.plant.motor
+        emf = motor.n_p * plant.omega_m * motor.psi_f
+        i_alpha -= sensor.delay * motor.g_mean * (motor.R_s * i_alpha - emf * plant.sin)
+        i_beta -= sensor.delay * motor.g_mean * (motor.R_s * i_beta + emf * plant.cos)
     i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
     i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    return Sensed(encoder.count(params.encoder, theta_e), quantised(i_a), quantised(i_b), quantised(i_c))
+    return Sensed(encoder.count(params.encoder, plant.theta_e), quantised(i_a), quantised(i_b), quantised(i_c))
 
 
 @kernel
@@ -349,7 +364,7 @@ def advance(
             rng = noise.advance(rng)
 
         i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
-        sensed = _sense(params, plant.theta_e, i_alpha, i_beta, quantiles, rng)
+        sensed = _sense(params, plant, firmware.driving.now.on, i_alpha, i_beta, quantiles, rng)
         driving = firmware.driving
         front = state.front
         emf = state.back_emf

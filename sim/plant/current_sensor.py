@@ -1,6 +1,6 @@
 """Phase current measurement: gain, offset, noise, converter range and steps.
 
-Never filters: the converter samples at the start of a PWM period, where the ripple passes its mean.
+Never filters: the converter samples at the start of a PWM period, where the ripple passes its mean, or `delay` later.
 """
 
 from __future__ import annotations
@@ -26,17 +26,23 @@ class Params(NamedTuple):
     step: float  # A a code
     steps_per_A: float
     code_max: float
+    delay: float  # s
 
 
 def make_params(
-    noise_rms: float, offset: Sequence[float], gain_error: Sequence[float], range: float, bits: int
+    noise_rms: float,
+    offset: Sequence[float],
+    gain_error: Sequence[float],
+    range: float,
+    bits: int,
+    delay: float = 0.0,
 ) -> Params:
-    """Constants from A, A, relative errors, A (plus and minus) and the converter's bits over both signs."""
+    """Constants from A, A, relative errors, A (plus and minus), the converter's bits over both signs, and s."""
     codes = float(2 ** (bits - 1))
     a, b, c = (1.0 + error for error in gain_error)
     offset_a, offset_b, offset_c = (float(each) for each in offset)
     steps = range / codes, codes / range, codes - 1.0
-    return Params(a, b, c, offset_a, offset_b, offset_c, float(noise_rms), *steps)
+    return Params(a, b, c, offset_a, offset_b, offset_c, float(noise_rms), *steps, float(delay))
 
 
 @kernel

@@ -1,7 +1,8 @@
 """The incremental encoder: counts within a turn of the shaft, and the speed by a tracking filter on them.
 
 Four counts a line; the index pulse sets the counter to zero once a turn, so the count is an absolute angle. A
-misaligned zero adds `offset` to the angle that the firmware reads.
+misaligned zero adds `offset` to the angle that the firmware reads. A disc that sits off its centre adds a sine with a
+period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal width.
 
 Never interpolates between counts.
 """
@@ -26,6 +27,9 @@ class Params(NamedTuple):
     a_position: float  # filter gains: share of the error, and
     a_speed: float  # counts/s a count of error
     T_s: float
+    turns_per_rad: float  # 2 pi turns an electrical radian
+    eccentric: float  # counts, amplitude with a period a turn
+    within: float  # counts, amplitude with a period of four counts
 
 
 class State(NamedTuple):
@@ -36,10 +40,18 @@ class State(NamedTuple):
 
 
 def make_params(
-    pulses_per_rev: int, offset_deg: float, bw_speed: float, n_p: float, n_p_hat: float, T_s: float
+    pulses_per_rev: int,
+    offset_deg: float,
+    bw_speed: float,
+    n_p: float,
+    n_p_hat: float,
+    T_s: float,
+    eccentricity_deg: float = 0.0,
+    unevenness: float = 0.0,
 ) -> Params:
     """Constants from lines a turn, electrical degrees, the filter's natural frequency in Hz, pole pairs, s.
 
+    `eccentricity_deg`: amplitude in mechanical degrees; `unevenness`: in counts, below 0.6, so that none goes back.
     `n_p`: of the motor, by which `count` goes; `n_p_hat`: those by which the firmware makes angle and speed electrical.
 
     The filter is the critically damped alpha-beta filter: both poles at exp(-2 pi bw_speed T_s). It lags no
@@ -55,13 +67,20 @@ def make_params(
         1.0 - pole * pole,
         (1.0 - pole) ** 2 / T_s,
         float(T_s),
+        1.0 / n_p,
+        eccentricity_deg / 360.0 * counts,
+        float(unevenness),
     )
 
 
 @kernel
 def count(params: Params, theta_e: float) -> int:
     """The counter, 0..counts-1, at an unwrapped electrical angle (rad)."""
-    return math.floor((theta_e + params.offset) * params.counts_per_rad) % params.counts
+    counts = (theta_e + params.offset) * params.counts_per_rad
+    if params.eccentric != 0.0 or params.within != 0.0:
+        counts += params.eccentric * math.sin((theta_e + params.offset) * params.turns_per_rad)
+        counts += params.within * math.sin(0.5 * math.pi * counts)
+    return math.floor(counts) % params.counts
 
 
 @kernel

@@ -2,7 +2,9 @@
 
 The edge that opens sector s lies at s * 60 deg - delta_s (Table I), so rising and falling edges of one sensor need
 not be 180 deg apart. Met forwards an edge lies half the hysteresis later, met backwards half of it earlier, and each
-meeting has its own jitter. Once passed, an edge is not met again before the rotor turns round.
+meeting has its own jitter. Once passed, an edge is not met again before the rotor turns round. Poles are not all alike:
+each edge of each pole pair may lie elsewhere by a constant of its own. Sensors answer late: what they show is where the
+rotor was `latency` ago, at the speed that it has.
 
 The code follows the sector: 1, 3, 2, 6, 4, 5 for sectors 0..5 (bit 0 = sensor a, 1 = b, 2 = c).
 
@@ -34,6 +36,9 @@ class Params(NamedTuple):
     edges: tuple[float, float, float, float, float, float]  # where the sectors 0..5 open
     half_hysteresis: float
     jitter: float  # rms
+    around: int  # edges in a turn of the shaft
+    spread: float  # most by which an edge of a pole pair lies elsewhere
+    latency: float  # s
 
 
 class State(NamedTuple):
@@ -44,17 +49,41 @@ class State(NamedTuple):
     above: float  # unwrapped angle from which it is left forwards
 
 
-def make_params(delta_deg: Sequence[float], hysteresis_deg: float, jitter_deg: float) -> Params:
-    """The sensors' constants from six delta_s and two widths in electrical degrees."""
+def make_params(
+    delta_deg: Sequence[float],
+    hysteresis_deg: float,
+    jitter_deg: float,
+    n_p: int = 1,
+    pole_pair_deg: float = 0.0,
+    latency: float = 0.0,
+) -> Params:
+    """The sensors' constants from six delta_s, two widths, pole pairs, a third width and s; widths in electrical deg."""
     e0, e1, e2, e3, e4, e5 = (math.radians(60.0 * s - delta) for s, delta in enumerate(delta_deg))
-    return Params((e0, e1, e2, e3, e4, e5), math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg))
+    widths = math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg)
+    return Params((e0, e1, e2, e3, e4, e5), *widths, 6 * n_p, math.radians(pole_pair_deg), float(latency))
 
 
 @kernel
 def edge_angle(params: Params, number: int) -> float:
     """Unwrapped angle (rad) of the edge that opens the sector `number`."""
     sector = number % 6
-    return params.edges[sector] + TWO_PI * ((number - sector) // 6)
+    edge = params.edges[sector] + TWO_PI * ((number - sector) // 6)
+    if params.spread > 0.0:
+        edge += params.spread * _own(number % params.around)
+    return edge
+
+
+@kernel
+def _own(number: int) -> float:
+    """A number between -1 and 1 that belongs to an edge of a turn: always the same, and like drawn at random."""
+    x = math.sin(12.9898 * (number + 1)) * 43758.5453
+    return 2.0 * (x - math.floor(x)) - 1.0
+
+
+@kernel
+def seen(params: Params, theta_e: float, omega_e: float) -> float:
+    """The unwrapped angle (rad) that the sensors show at an angle and a speed (rad/s)."""
+    return theta_e - omega_e * params.latency
 
 
 @kernel

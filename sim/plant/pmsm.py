@@ -27,6 +27,7 @@ Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; the torque of harm
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
@@ -60,8 +61,8 @@ def make_params(
     L_q: float,
     psi_f: float,
     n_p: int,
-    emf: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-    cogging: tuple[float, float] = (0.0, 0.0),
+    emf: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    cogging: Sequence[float] = (0.0, 0.0),
 ) -> Params:
     """The motor's constants from ohm, H, H, V s and the number of pole pairs.
 

@@ -112,3 +112,29 @@ def test_noise_is_normal_repeatable_and_seeded():
     assert np.mean(np.abs(one) < 1.0) == pytest.approx(0.6827, abs=0.01)
     assert np.abs(np.corrcoef(one.T) - np.eye(3)).max() < 0.03
     assert abs(np.corrcoef(one[1:, 0], one[:-1, 0])[0, 1]) < 0.03
+
+
+def test_an_eccentric_disc_errs_once_a_turn_and_uneven_marks_within_a_line():
+    params = encoder.make_params(100, 0.0, 100.0, 1, 1, 1 / 16000.0, eccentricity_deg=2.0)
+    theta = np.linspace(0.0, 2.0 * np.pi, 40_000, endpoint=False)
+    counts = np.unwrap([encoder.count(params, x) for x in theta], period=400)
+    error = np.degrees((counts + 0.5) * 2.0 * np.pi / 400 - theta)
+    assert 2.0 * np.mean(error * np.sin(theta)) == pytest.approx(2.0, rel=1e-3)
+    uneven = encoder.make_params(100, 0.0, 100.0, 1, 1, 1 / 16000.0, unevenness=0.3)
+    steps = np.flatnonzero(np.diff([encoder.count(uneven, x) for x in theta])) + 1
+    widths = np.diff(theta[steps]) * 400 / (2.0 * np.pi)
+    # c(x) = x + 0.3 sin(pi x / 2) reaches whole numbers where brentq says
+    edges = [brentq(lambda x, n=n: x + 0.3 * math.sin(0.5 * math.pi * x) - n, n - 1, n + 1) for n in range(1, 5)]
+    np.testing.assert_allclose(widths[:3], np.diff(edges), atol=0.03)
+    assert min(widths) > 0.5
+
+
+def test_pole_pairs_have_edges_of_their_own_that_stay():
+    params = hall_sensor.make_params(TABLE_I, 0.0, 0.0, n_p=4, pole_pair_deg=1.5)
+    alike = hall_sensor.make_params(TABLE_I, 0.0, 0.0)
+    own = np.degrees([hall_sensor.edge_angle(params, n) - hall_sensor.edge_angle(alike, n) for n in range(-24, 48)])
+    np.testing.assert_allclose(own[:24], own[24:48], atol=1e-9)
+    np.testing.assert_allclose(own[:24], own[48:], atol=1e-9)
+    assert np.abs(own).max() <= 1.5
+    assert 0.5 < own[:24].std() < 1.2  # 0.87 of the uniform distribution
+    assert abs(np.corrcoef(own[:23], own[1:24])[0, 1]) < 0.5

@@ -1,0 +1,48 @@
+"""Sensors that answer late: Hall edges and current samples, beside the same drive without delay."""
+
+import numpy as np
+import pytest
+
+from tests.sim.drive.rig import Rig
+
+TICK_HZ = 20_000_000
+QUIET = {"hall.jitter_deg": 0.0, "current_sensor.noise_rms": 0.0, "current_sensor.bits": 20}
+
+
+@pytest.mark.parametrize("rpm", [300.0, -1500.0])
+def test_hall_edges_come_late_by_the_latency_and_the_encoder_is_latched_then(rpm):
+    latency = 50e-6
+    prompt, late = (Rig(3, **QUIET, **{"hall.latency": t}) for t in (0.0, latency))
+    a, b = ([*rig.start(), rig.forced(rpm, 0.0, 0.6)][-1] for rig in (prompt, late))
+    n = min(len(a.edges), len(b.edges)) - 20
+    ticks = a.edge_tick[-n:] - b.edge_tick[-n:]
+    assert n > 50
+    assert len(a.edges) == len(b.edges)
+    np.testing.assert_allclose(-ticks, latency * TICK_HZ, atol=1.01)
+    turned = 14_400 * rpm / 60.0 * latency  # counts
+    moved = (b.edges["encoder"][-n:].astype(int) - a.edges["encoder"][-n:].astype(int) + 7200) % 14_400 - 7200
+    assert np.mean(moved) == pytest.approx(turned, abs=0.5)
+
+
+def test_a_late_converter_sees_the_current_fall_in_the_low_state():
+    delay, rpm, i_q = 2e-6, 1000.0, 0.0
+    prompt, late = (Rig(3, **QUIET, **{"current_sensor.delay": t}) for t in (0.0, delay))
+    records = []
+    for rig in (prompt, late):
+        rig.start()
+        records.append(rig.forced(rpm, i_q, 0.5))
+    motor = prompt.params.motor
+    tail = slice(-2000, None)
+    for record, seconds in zip(records, (0.0, delay), strict=True):
+        theta, omega = record["theta_true"][tail], record["omega_true"][tail]
+        emf = omega * motor.psi_f * np.exp(1j * (theta + 0.5 * np.pi))
+        true = record["i_alpha_true"][tail] + 1j * record["i_beta_true"][tail]
+        axes = np.exp(2j * np.pi / 3 * np.arange(3))
+        measured = (
+            2.0 / 3.0 * sum(record[name][tail] * axis for name, axis in zip(("i_a", "i_b", "i_c"), axes, strict=True))
+        )
+        gain = 1.0 + np.mean(prompt.params.current_sensor.gain_error)
+        expected = true - seconds / motor.L_d * (motor.R_s * true + emf)
+        offset = np.mean(measured - expected)
+        assert np.abs(measured - expected - offset).max() < 0.01 + abs(gain - 1.0) * np.abs(true).max(), seconds
+    assert np.abs(emf).max() * delay / motor.L_d > 0.04
