@@ -84,6 +84,7 @@ class Motor(Section):
     n_p: Whole = _number(ge=1, le=64)
     emf_harmonics: Four[Annotated[float, _number(ge=-0.5, le=0.5)]]
     cogging: Two[Annotated[float, _number("N m", ge=-10, le=10)]]
+    i_sat: float = _number("A", ge=0)
 
 
 class Mechanics(Section):

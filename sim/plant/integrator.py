@@ -151,7 +151,7 @@ def _nudge(cos: float, sin: float, angle: float) -> tuple[float, float]:
 
 @kernel
 def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
-    """The voltage on R_s of the currents that are there because L_d and L_q differ, or the magnet has harmonics."""
+    """The voltage on R_s of the currents that are there because the motor is not round."""
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     return (
         motor.R_s * (i_alpha - motor.g_mean * (psi_alpha - motor.psi_f * cos)),
@@ -162,7 +162,7 @@ def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, 
 @kernel
 def _torque(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> float:
     """Torque (N m), cogging too; where L_d = L_q it is the magnet's part alone, which is found without the currents."""
-    if motor.round == 1:
+    if motor.shape == pmsm.ROUND:
         return motor.k_tau * motor.g_mean * motor.psi_f * (cos * psi_beta - sin * psi_alpha)
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     return pmsm.torque(motor, psi_alpha, psi_beta, i_alpha, i_beta, cos, sin) + pmsm.cogging(motor, cos, sin)
@@ -173,9 +173,9 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     """One step with the outputs on.
 
     The winding's flux answers a constant voltage exactly. What else acts on it is slow: the magnet as it turns, and
-    what harmonics and a difference of L_d and L_q do, both by Simpson's rule; and the inverter's loss, in the mean over
-    the step as the currents go from its begin to its end, which is found by iteration where a phase comes near zero.
-    Torque and speed go by Simpson's rule too.
+    what harmonics, saturation and a difference of L_d and L_q do, by Simpson's rule; and the inverter's loss, in the
+    mean over the step as the currents go from its begin to its end, which is found by iteration where a phase comes
+    near zero. Torque and speed go by Simpson's rule too.
     """
     motor = params.motor
     n_p = motor.n_p
@@ -215,10 +215,10 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
     psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
     bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
-    if motor.round == 0:
+    if motor.shape != pmsm.ROUND:
         bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
         bend_alpha, bend_beta = bend0_alpha, bend0_beta
-        for _ in range(2 if motor.g_diff != 0.0 else 1):  # what harmonics do is known at once
+        for _ in range(2 if motor.shape == pmsm.BENT else 1):  # what harmonics do is known at once
             mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
             mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
             bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
@@ -239,7 +239,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     free_beta += magnet * sin
     psi_alpha = free_alpha + decay.gain * u_alpha
     psi_beta = free_beta + decay.gain * u_beta
-    if motor.round == 0:
+    if motor.shape != pmsm.ROUND:
         end_alpha = psi_alpha - decay.gain * bend_alpha
         end_beta = psi_beta - decay.gain * bend_beta
         bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
@@ -273,7 +273,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     tau1 = _torque(motor, psi_alpha, psi_beta, cos, sin) - motor.k_tau * motor.g_mean * motor.psi_f * along * late
     alpha1 = gain * (tau1 - b * (omega_m + h * alpha) - push.tau_dry) + push.alpha
     faster = ONE_SIXTH * (alpha0 + 4.0 * alpha + alpha1)
-    if motor.round == 1:  # the slopes are known: Simpson's rule with them is better by two orders
+    if motor.shape == pmsm.ROUND:  # the slopes are known: Simpson's rule with them is better by two orders
         omega_e += n_p * h * alpha
         rate_alpha += motor.R_s * (i0_alpha - i_alpha)
         rate_beta += motor.R_s * (i0_beta - i_beta)
@@ -321,8 +321,8 @@ def torque(params: Params, state: State) -> float:
 
 @kernel
 def _bends(params: Params, state: State, applied: inverter.Applied, h: float) -> bool:
-    """Whether a step is better taken as two: a phase that loses voltage is near zero, or L_d and L_q differ."""
-    if params.motor.g_diff != 0.0:
+    """Whether a step is better taken as two: a phase that loses voltage is near zero, or inductances vary."""
+    if params.motor.shape == pmsm.BENT:
         return True
     if not inverter.loses(applied):
         return False

@@ -19,7 +19,14 @@ torque, each psi_h counts -+h times in it, where psi x i counts it once:
 
 Cogging is a torque of the angle alone, with 6 and 12 periods in an electrical revolution.
 
-Amplitude-invariant quantities; currents are positive into the motor. No saturation, no iron losses.
+Iron saturates: with v the winding's own flux and i_0 what the inductances L_d, L_q make of it,
+
+    i = i_0 (1 + (v . i_0) / (L i_sat^2)),   1 / L = (1/L_d + 1/L_q) / 2
+
+so that with L_d = L_q half the inductance is left at 2 i_sat. It is the gradient of an energy, and the torque stays
+psi x i. The magnet's own flux and the crossing of d and q are left out.
+
+Amplitude-invariant quantities; currents are positive into the motor. No iron losses.
 
 Source: (3) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; the torque of harmonics by co-energy.
 """
@@ -37,6 +44,10 @@ ONE_THIRD = 1.0 / 3.0
 ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 
 
+ROUND, UNEVEN, BENT = 0, 1, 2
+"""Nothing but a sinusoidal magnet and one inductance; harmonics or cogging too; saturation or L_d != L_q too."""
+
+
 class Params(NamedTuple):
     """The motor's constants."""
 
@@ -52,7 +63,8 @@ class Params(NamedTuple):
     psi_13: float
     cog_6: float  # N m
     cog_12: float
-    round: int  # 1: L_d = L_q, and neither harmonics nor cogging
+    soft: float  # 1 / (L i_sat^2), 1/(H A2); 0: no saturation
+    shape: int  # ROUND, UNEVEN or BENT
 
 
 def make_params(
@@ -63,23 +75,34 @@ def make_params(
     n_p: int,
     emf: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     cogging: Sequence[float] = (0.0, 0.0),
+    i_sat: float = 0.0,
 ) -> Params:
     """The motor's constants from ohm, H, H, V s and the number of pole pairs.
 
     `emf`: the back-EMF's harmonics 5, 7, 11, 13 over its fundamental, with signs; `cogging`: amplitudes with 6 and 12
-    periods in an electrical revolution, N m.
+    periods in an electrical revolution, N m; `i_sat`: in A, 0: none.
     """
+    g_mean = 0.5 * (1.0 / L_d + 1.0 / L_q)
     g_diff = 0.5 * (1.0 / L_d - 1.0 / L_q)
+    soft = g_mean / i_sat**2 if i_sat > 0.0 else 0.0
+    five, seven, eleven, thirteen = (psi_f * share / order for share, order in zip(emf, (5, 7, 11, 13), strict=True))
+    six, twelve = map(float, cogging)
+    shape = BENT if soft or g_diff else UNEVEN if any(emf) or any(cogging) else ROUND
     return Params(
         float(R_s),
-        0.5 * (1.0 / L_d + 1.0 / L_q),
+        g_mean,
         g_diff,
         float(psi_f),
         float(n_p),
         1.5 * n_p,
-        *(psi_f * share / order for share, order in zip(emf, (5, 7, 11, 13), strict=True)),
-        *map(float, cogging),
-        int(g_diff == 0.0 and not any(emf) and not any(cogging)),
+        five,
+        seven,
+        eleven,
+        thirteen,
+        six,
+        twelve,
+        soft,
+        shape,
     )
 
 
@@ -122,7 +145,7 @@ def _sixth(cos: float, sin: float) -> tuple[float, float]:
 @kernel
 def cogging(params: Params, cos: float, sin: float) -> float:
     """Torque of the rotor's angle alone, N m."""
-    if params.round == 1:
+    if params.shape == ROUND:
         return 0.0
     c_6, s_6 = _sixth(cos, sin)
     return s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12)
@@ -138,6 +161,9 @@ def winding_currents(params: Params, v_alpha: float, v_beta: float, cos: float, 
         sin2 = 2.0 * cos * sin
         i_alpha += params.g_diff * (cos2 * v_alpha + sin2 * v_beta)
         i_beta += params.g_diff * (sin2 * v_alpha - cos2 * v_beta)
+    if params.soft > 0.0:
+        more = 1.0 + params.soft * (v_alpha * i_alpha + v_beta * i_beta)
+        return more * i_alpha, more * i_beta
     return i_alpha, i_beta
 
 
@@ -146,7 +172,7 @@ def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin:
     """i_alpha, i_beta (A) from the flux linkage (V s) and the rotor's angle."""
     v_alpha = psi_alpha - params.psi_f * cos
     v_beta = psi_beta - params.psi_f * sin
-    if params.round == 0:
+    if params.shape != ROUND:
         m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
         v_alpha -= m_alpha
         v_beta -= m_beta
@@ -158,8 +184,16 @@ def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) 
     """psi_alpha, psi_beta (V s) from the currents (A) and the rotor's angle: the inverse of `currents`."""
     i_d = cos * i_alpha + sin * i_beta
     i_q = cos * i_beta - sin * i_alpha
-    psi_d = i_d / (params.g_mean + params.g_diff) + params.psi_f
+    psi_d = i_d / (params.g_mean + params.g_diff)
     psi_q = i_q / (params.g_mean - params.g_diff)
+    if params.soft > 0.0:  # i = i_0 (1 + c x^2) of i_0 = i / x: Newton for the cubic x - 1 - c / x^2, c at i itself
+        c = params.soft * (psi_d * i_d + psi_q * i_q)
+        x = 1.0 + c
+        for _ in range(30):
+            x -= (x * x * x - x * x - c) / (3.0 * x * x - 2.0 * x)
+        psi_d /= x
+        psi_q /= x
+    psi_d += params.psi_f
     m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
     return cos * psi_d - sin * psi_q + m_alpha, sin * psi_d + cos * psi_q + m_beta
 
@@ -169,7 +203,7 @@ def torque(
     params: Params, psi_alpha: float, psi_beta: float, i_alpha: float, i_beta: float, cos: float, sin: float
 ) -> float:
     """Electromagnetic torque, N m."""
-    if params.round == 0:
+    if params.shape != ROUND:
         _, _, more_alpha, more_beta = harmonics(params, cos, sin)
         psi_alpha += more_alpha
         psi_beta += more_beta

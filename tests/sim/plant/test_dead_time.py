@@ -21,7 +21,7 @@ MOTORS = {  # ohm, H, V s, pole pairs
 @numba.njit(error_model="numpy")
 def modelled(i, t, period, duty, w, R, L, psi, u_dc, dead, u_diode, mean):
     """A period by the model: its mean voltages, and the currents after it."""
-    motor = pmsm.Params(R, 1.0 / L, 0.0, psi, 1.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
+    motor = pmsm.Params(R, 1.0 / L, 0.0, psi, 1.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     legs = dead_time.Params(period, dead, u_dc, u_diode)
     beta = (i[1] - i[2]) / math.sqrt(3.0)
     u_alpha, u_beta = dead_time.mean_voltage(
