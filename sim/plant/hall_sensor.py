@@ -57,7 +57,7 @@ def make_params(
     pole_pair_deg: float = 0.0,
     latency: float = 0.0,
 ) -> Params:
-    """The sensors' constants from six delta_s, two widths, pole pairs, a third width and s; widths in electrical deg."""
+    """The sensors' constants from six delta_s and widths in electrical degrees, pole pairs and s."""
     e0, e1, e2, e3, e4, e5 = (math.radians(60.0 * s - delta) for s, delta in enumerate(delta_deg))
     widths = math.radians(hysteresis_deg) / 2.0, math.radians(jitter_deg)
     return Params((e0, e1, e2, e3, e4, e5), *widths, 6 * n_p, math.radians(pole_pair_deg), float(latency))

@@ -42,7 +42,7 @@ from sim.numba_cache import kernel
 HALF_SQRT3 = 0.5 * math.sqrt(3.0)
 ONE_THIRD = 1.0 / 3.0
 ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
-
+ORDERS = (5, 7, 11, 13)  # of the harmonics
 
 ROUND, UNEVEN, BENT = 0, 1, 2
 """Nothing but a sinusoidal magnet and one inductance; harmonics or cogging too; saturation or L_d != L_q too."""
@@ -73,21 +73,21 @@ def make_params(
     L_q: float,
     psi_f: float,
     n_p: int,
-    emf: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    emf_harmonics: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     cogging: Sequence[float] = (0.0, 0.0),
     i_sat: float = 0.0,
 ) -> Params:
     """The motor's constants from ohm, H, H, V s and the number of pole pairs.
 
-    `emf`: the back-EMF's harmonics 5, 7, 11, 13 over its fundamental, with signs; `cogging`: amplitudes with 6 and 12
-    periods in an electrical revolution, N m; `i_sat`: in A, 0: none.
+    `emf_harmonics`: the 5th, 7th, 11th, 13th of the back-EMF over its fundamental, with signs; `cogging`: amplitudes
+    with 6 and 12 periods in an electrical revolution, N m; `i_sat`: in A, 0: none.
     """
     g_mean = 0.5 * (1.0 / L_d + 1.0 / L_q)
     g_diff = 0.5 * (1.0 / L_d - 1.0 / L_q)
     soft = g_mean / i_sat**2 if i_sat > 0.0 else 0.0
-    five, seven, eleven, thirteen = (psi_f * share / order for share, order in zip(emf, (5, 7, 11, 13), strict=True))
+    five, seven, eleven, thirteen = (psi_f * share / order for share, order in zip(emf_harmonics, ORDERS, strict=True))
     six, twelve = map(float, cogging)
-    shape = BENT if soft or g_diff else UNEVEN if any(emf) or any(cogging) else ROUND
+    shape = BENT if soft or g_diff else UNEVEN if any(emf_harmonics) or any(cogging) else ROUND
     return Params(
         float(R_s),
         g_mean,
