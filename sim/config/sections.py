@@ -96,6 +96,45 @@ class Mechanics(Section):
     theta_0_deg: float = _number("deg", ge=-360, le=360)
 
 
+class Thermal(Section):
+    """What gets warm: the motor, by two bodies, and the electronics of the current sensors."""
+
+    ambient: float = _number("degrees C", ge=-40, le=120)
+    R_th_winding: float = _number("K/W", ge=0, le=1e3)
+    R_th_housing: float = _number("K/W", gt=0, le=1e3)
+    tau_winding: float = _number("s", ge=0.5, le=1e5)
+    tau_housing: float = _number("s", ge=0.5, le=1e6)
+    magnet: float = _number("1/K", ge=-0.01, le=0)
+    drift_offset: Three[Annotated[float, _number("A")]]
+    drift_gain: Three[Annotated[float, _number(ge=-0.2, le=0.2)]]
+    tau_drift: float = _number("s", ge=0.1, le=1e5)
+
+    @property
+    def on(self) -> bool:
+        """Whether anything changes."""
+        return bool(self.R_th_winding or any(self.drift_offset) or any(self.drift_gain))
+
+
+class Coupling(Section):
+    """What joins the motor's shaft to the load machine's."""
+
+    stiffness: float = _number("N m/rad", ge=0, le=1e5)
+    damping: float = _number("N m s/rad", ge=0, le=10)
+    backlash_deg: float = _number("deg", ge=0, le=30)
+    load_share: float = _number(ge=0.05, le=0.95)
+    bandwidth: float = _number("Hz", ge=1, le=500)
+
+
+class DcLink(Section):
+    """What is between the source and the inverter."""
+
+    R_source: float = _number("ohm", ge=0, le=10)
+    C: float = _number("F", ge=1e-5, le=1)
+    regenerates: Whole = _number(ge=0, le=1)
+    u_brake: float = _number("V", ge=0, le=63.9)
+    R_brake: float = _number("ohm", ge=0.1, le=1e3)
+
+
 class Load(Section):
     """The load machine."""
 
@@ -142,6 +181,7 @@ class Encoder(Section):
     """The incremental encoder."""
 
     present: Whole = _number(ge=0, le=1)
+    index_search: Whole = _number(ge=0, le=1)
     pulses_per_rev: Whole = _number(ge=1, le=16383)
     offset_deg: float = _number("deg", ge=-360, le=360)
     bw_speed: float = _number("Hz", ge=0.1, le=1000)
@@ -309,11 +349,14 @@ class BenchParams(Section):
     """Everything about a simulated bench."""
 
     motor: Motor
+    thermal: Thermal
     mechanics: Mechanics
+    coupling: Coupling
     load: Load
     hall: Hall
     wiring: Wiring
     encoder: Encoder
+    dc_link: DcLink
     inverter: Inverter
     current_sensor: CurrentSensor
     clock: Clock
@@ -336,6 +379,24 @@ class BenchParams(Section):
                     f"{name} must be >= {least:.3g} {unit} for integration steps of {h:.3g} s, got {value:g}; "
                     f"take more clock.substeps"
                 )
+        coupling = self.coupling
+        if coupling.stiffness:
+            least = self.mechanics.J * min(coupling.load_share, 1.0 - coupling.load_share)
+            most = min(0.1 * least / h**2, 1e5)  # a tenth of what Verlet's method bears, with either side alone
+            if coupling.stiffness > most:
+                raise ValueError(
+                    f"coupling.stiffness must be <= {most:.3g} N m/rad for integration steps of {h:.3g} s and "
+                    f"{least:.3g} kg m2, the lesser of two inertias, got {coupling.stiffness:g}; "
+                    f"take more clock.substeps"
+                )
+            if coupling.damping > 0.1 * least / h:
+                raise ValueError(
+                    f"coupling.damping must be <= {0.1 * least / h:.3g} N m s/rad for integration steps of {h:.3g} s, "
+                    f"got {coupling.damping:g}; take more clock.substeps"
+                )
+        link = self.dc_link
+        if link.R_source and link.u_brake and link.u_brake <= inverter.u_dc:
+            raise ValueError(f"dc_link.u_brake must be > inverter.u_dc = {inverter.u_dc:g} V, got {link.u_brake:g}")
         if self.firmware.observer == AngleSource.ENCODER and not self.encoder.present:
             raise ValueError("firmware.observer must be 1 or 2 where encoder.present = 0, got 0")
         return self

@@ -30,7 +30,21 @@ from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Sample
-from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
+from sim.plant import (
+    coupling,
+    current_sensor,
+    dc_link,
+    encoder,
+    hall_sensor,
+    hall_wiring,
+    integrator,
+    inverter,
+    mechanics,
+    noise,
+    pmsm,
+    warming,
+)
+from sim.plant.warming import EVERY, Warming
 
 __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 
@@ -91,6 +105,9 @@ class SimulatedBench:
         self._pulse_edges_per_period = 2 * math.ceil(1.0 / (hall_wiring.PULSE_MIN * params.clock.pwm_hz))
         self._edges, self._wire, self._flags = Cells(Edge, 0), Cells(tick.WireEdge, 0), Cells(np.uint8, 0)
         self._count = Cells(int)
+        thermal = warming.Params(**dict(params.thermal))
+        self._warming = Warming(thermal, EVERY / params.clock.pwm_hz) if params.thermal.on else None
+        self._squares: list[NDArray[np.float64]] = []  # of the current since the last stretch of warming, A2
         self._samples = Cells(Sample, PORTION)
         firmware = self._state.array["firmware"]
         self._faults, self._causes = firmware["faults"], firmware["protection"]["causes"]
@@ -154,10 +171,24 @@ class SimulatedBench:
         """Use the parameters as they are now."""
         self._constants = _make(self.params, self.parameters, self.load_parameters)
         self._params.first = self._constants
+        self._warm()
         pwm_hz = self.params.clock.pwm_hz
         for source, observing in self._observers.items():
             observing.params = SOURCES[source].make_params(pwm_hz, self.parameters)
         self._choose()
+
+    def _warm(self) -> None:
+        """Use motor and current sensors as warm as they are now."""
+        if not self._warming:
+            return
+        p, now = self.params, self._warming.factors
+        motor = pmsm.make_params(**(dict(p.motor) | {"R_s": now.R_s * p.motor.R_s, "psi_f": now.psi_f * p.motor.psi_f}))
+        plant = self._constants.plant
+        plant = plant._replace(motor=motor, decay=integrator.make_decay(motor, plant.decay.h))
+        drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
+        sensor = current_sensor.make_params(**(dict(p.current_sensor) | drifted))
+        self._constants = self._constants._replace(plant=plant, current_sensor=sensor)
+        self._params.first = self._constants
 
     def _observe(self, source: int) -> None:
         """Let the control use another angle: at once, or, where that is not known yet, when it has warmed up."""
@@ -249,6 +280,8 @@ class SimulatedBench:
             while begin < n:
                 source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
                 end = min(upto, begin + PORTION)
+                if self._warming:
+                    end = min(end, begin + EVERY - self.n % EVERY)
                 self._run(source, n, block, begin, end)
                 begin = end
         m = count[0]
@@ -284,6 +317,13 @@ class SimulatedBench:
                 observing.step_over(self._samples.at, reset, end - begin, found[other])
         self.n += end - begin
         self.tick += (end - begin) * self.params.clock.period_ticks
+        if self._warming and end > begin:
+            rows = block[begin * ROW : end * ROW].view(layout(tick.Row))
+            self._squares.append(rows["i_alpha_true"] ** 2 + rows["i_beta_true"] ** 2)
+            if self.n % EVERY == 0:
+                self._warming.heat(self._constants.plant.motor, float(np.concatenate(self._squares).mean()))
+                self._squares.clear()
+                self._warm()
 
     def _room(self, n: int) -> None:
         """Room for the edges of n periods, and their flags."""
@@ -303,13 +343,16 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         **p.encoder.model_dump(exclude={"present"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
     )
     motor = pmsm.make_params(**dict(p.motor))
+    J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
     return tick.Params(
         integrator.Params(
             motor,
             inverter.make_params(**dict(p.inverter), T_s=period),
-            mechanics.make_params(p.mechanics.J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
+            mechanics.make_params(J, p.mechanics.b, p.mechanics.tau_coulomb, p.load.alpha_m_max),
             integrator.make_decay(motor, period / p.clock.substeps),
         ),
+        dc_link.make_params(p.inverter.u_dc, **dict(p.dc_link), T_s=period),
+        coupling.make_params(**dict(p.coupling), J=p.mechanics.J, **_some(dict(p.load), "tau_max", "alpha_m_max")),
         hall_sensor.make_params(**dict(hall), n_p=p.motor.n_p),
         hall_wiring.make_params(p.clock.tick_hz, **_some(load, *hall_wiring.PARAMETERS)),
         current_sensor.make_params(**dict(p.current_sensor)),

@@ -29,7 +29,19 @@ from sim.numba_cache import kernel
 from sim.observers import back_emf, hall_speed, sample
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Measured, Sample
-from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integrator, inverter, mechanics, noise, pmsm
+from sim.plant import (
+    coupling,
+    current_sensor,
+    dc_link,
+    encoder,
+    hall_sensor,
+    hall_wiring,
+    integrator,
+    inverter,
+    mechanics,
+    noise,
+    pmsm,
+)
 
 ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
 RESET = int(Status.OBSERVERS_RESET)
@@ -43,6 +55,8 @@ class Params(NamedTuple):
     """Constants of the bench."""
 
     plant: integrator.Params
+    link: dc_link.Params
+    coupling: coupling.Params
     hall: hall_sensor.Params
     wiring: hall_wiring.Params
     current_sensor: current_sensor.Params
@@ -63,12 +77,15 @@ class State(NamedTuple):
     tick: int  # of the next sample
     rng: np.uint64
     plant: integrator.State
+    link: dc_link.State
+    beyond: coupling.State  # the load's side of the shaft
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
     wiring: hall_wiring.State
     front: sample.State
     back_emf: back_emf.State
     encoder: encoder.State
+    counter: encoder.Index
     firmware: tick_firmware.State
 
 
@@ -140,12 +157,15 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
         state.tick,
         rng,
         integrator.init(params.plant, theta_e),
+        dc_link.init(params.link),
+        coupling.init(),
         0.0,
         hall,
         hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
         sample.init(),
         back_emf.init(),
         encoder.init(encoder.count(params.encoder, theta_e)),
+        encoder.booted(params.encoder, encoder.count(params.encoder, theta_e)),
         tick_firmware.init(),
     )
 
@@ -154,6 +174,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
 def _captured(
     params: Params,
     wiring: hall_wiring.State,
+    index: encoder.Index,
     new: int,
     tick: int,
     theta: float,
@@ -166,7 +187,9 @@ def _captured(
     if new == old:
         return wiring, m
     edges[m] = Edge(tick, new)
-    count = encoder.count(params.encoder, theta) if params.has_encoder == 1 else 0
+    count = 0
+    if params.has_encoder == 1:
+        count = encoder.shown(params.encoder, index, encoder.count(params.encoder, theta))
     wire[m] = WireEdge(
         np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
@@ -178,6 +201,7 @@ def _edges(
     params: Params,
     hall: hall_sensor.State,
     wiring: hall_wiring.State,
+    index: encoder.Index,
     before: integrator.State,
     after: integrator.State,
     tick: int,
@@ -221,13 +245,13 @@ def _edges(
             due = wiring.due
             wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, due, theta, edges, wire, m)
+            wiring, m = _captured(params, wiring, index, pins, due, theta, edges, wire, m)
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
             theta += params.hall.latency * (omega_0 + x * (omega_1 - omega_0))
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, captured, theta, edges, wire, m)
+            wiring, m = _captured(params, wiring, index, pins, captured, theta, edges, wire, m)
         else:
             break
     return hall, wiring, m, rng
@@ -245,11 +269,18 @@ def _move(
     m: int,
     room: int,
     quantiles: Pointer[float],
-) -> tuple[integrator.State, float, hall_sensor.State, hall_wiring.State, int, np.uint64]:
+) -> tuple[
+    integrator.State, dc_link.State, coupling.State, float, hall_sensor.State, hall_wiring.State, int, np.uint64
+]:
     """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
     plant = state.plant
+    link = state.link
+    beyond = state.beyond
+    constants = params.plant
+    if params.link.R_source > 0.0:
+        constants = integrator.fed(constants, link.u)
     if out.on == 1:
-        applied = integrator.apply(params.plant, plant, out.d_a, out.d_b, out.d_c)
+        applied = integrator.apply(constants, plant, out.d_a, out.d_b, out.d_c)
     else:
         applied = inverter.off()
     hall = state.hall
@@ -263,14 +294,43 @@ def _move(
     step_ticks = params.period_ticks / params.substeps
     for j in range(params.substeps):
         before = plant
-        plant, alpha = integrator.step(params.plant, before, applied, load, params.h)
+        if params.coupling.stiffness > 0.0:
+            plant, beyond = coupling.step(constants, params.coupling, before, beyond, applied, load, params.h)
+        else:
+            plant, alpha = integrator.step(constants, before, applied, load, params.h)
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
         if theta >= hall.above or theta < hall.below or wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
             hall, wiring, m, rng = _edges(
-                params, hall, wiring, before, plant, state.tick, offset, edges, wire, m, room, quantiles, rng
+                params,
+                hall,
+                wiring,
+                state.counter,
+                before,
+                plant,
+                state.tick,
+                offset,
+                edges,
+                wire,
+                m,
+                room,
+                quantiles,
+                rng,
             )
-    return plant, alpha, hall, wiring, m, noise.advance(rng)
+    if params.link.R_source > 0.0:
+        link = dc_link.step(params.link, link, _taken(constants, state.plant, plant, applied))
+    return plant, link, beyond, alpha, hall, wiring, m, noise.advance(rng)
+
+
+@kernel
+def _taken(
+    params: integrator.Params, first: integrator.State, last: integrator.State, applied: inverter.Applied
+) -> float:
+    """The mean current (A) that the inverter takes from the DC link between two plant states."""
+    motor = params.motor
+    i0_alpha, i0_beta = pmsm.currents(motor, first.psi_alpha, first.psi_beta, first.cos, first.sin)
+    i1_alpha, i1_beta = pmsm.currents(motor, last.psi_alpha, last.psi_beta, last.cos, last.sin)
+    return inverter.taken(params.inverter, applied, 0.5 * (i0_alpha + i1_alpha), 0.5 * (i0_beta + i1_beta))
 
 
 @kernel
@@ -348,6 +408,8 @@ def advance(
         first = m
         k = state.k
         plant = state.plant
+        link = state.link
+        beyond = state.beyond
         alpha = state.alpha_m
         hall = state.hall
         wiring = state.wiring
@@ -356,10 +418,12 @@ def advance(
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
-                wiring, m = _captured(params, wiring, pins, begin, plant.theta_e, edges, wire, m)
-            plant, alpha, hall, wiring, m, rng = _move(
+                wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, edges, wire, m)
+            plant, link, beyond, alpha, hall, wiring, m, rng = _move(
                 params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
             )
+            if params.link.R_source > 0.0:
+                u_dc = quantised_u16(link.u)
         else:
             rng = noise.advance(rng)
 
@@ -386,7 +450,8 @@ def advance(
         samples[j] = seen
         emf, e_alpha, e_beta = back_emf.step(params.back_emf, emf, seen)
         tracker, omega_enc = encoder.track(params.encoder, state.encoder, sensed.counter)
-        theta_enc = encoder.angle(params.encoder, sensed.counter)
+        index = encoder.sought(params.encoder, state.counter, sensed.counter)
+        theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, sensed.counter))
         angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
         if observer != 0:
             invoke(observer, observer_params, observer_state, samples, reset, found_at, found_size, j)
@@ -411,6 +476,9 @@ def advance(
         if reset[j] != 0:
             status |= RESET
         tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta, plant.cos, plant.sin)
+        load_torque = beyond.tau
+        if params.coupling.stiffness == 0.0:
+            load_torque = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, alpha)
         rows[j] = Row(
             wiring.pins,
             status,
@@ -434,12 +502,12 @@ def advance(
             plant.theta_e,
             motor.n_p * plant.omega_m,
             tau_e,
-            mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, alpha),
+            load_torque,
             plant.omega_m,
             i_alpha,
             i_beta,
         )
         tick = state.tick + params.period_ticks
-        state = State(k + 1, tick, rng, plant, alpha, hall, wiring, front, emf, tracker, firmware)
+        state = State(k + 1, tick, rng, plant, link, beyond, alpha, hall, wiring, front, emf, tracker, index, firmware)
     state_[0] = state
     count[0] = m

@@ -1,8 +1,10 @@
 """The incremental encoder: counts within a turn of the shaft, and the speed by a tracking filter on them.
 
 Four counts a line; the index pulse sets the counter to zero once a turn, so the count is an absolute angle. A
-misaligned zero adds `offset` to the angle that the firmware reads. A disc that sits off its centre adds a sine with a
-period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal width.
+misaligned zero adds `offset` to the angle that the firmware reads. With an index search the counter begins at zero
+wherever the rotor is, and is an absolute angle from the first index pulse on. A disc that sits off its centre adds a
+sine with a period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal
+width.
 
 Never interpolates between counts.
 """
@@ -30,6 +32,14 @@ class Params(NamedTuple):
     turns_per_rad: float  # 2 pi turns an electrical radian
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
+    index_search: int  # 1: the counter begins at zero
+
+
+class Index(NamedTuple):
+    """What the firmware's counter lacks of the absolute count: something until the index pulse has come by."""
+
+    lacks: int  # counts
+    last: int  # absolute count at the last sample
 
 
 class State(NamedTuple):
@@ -48,6 +58,7 @@ def make_params(
     T_s: float,
     eccentricity_deg: float = 0.0,
     unevenness: float = 0.0,
+    index_search: int = 0,
 ) -> Params:
     """Constants from lines a turn, electrical degrees, the filter's natural frequency in Hz, pole pairs, s.
 
@@ -70,6 +81,7 @@ def make_params(
         1.0 / n_p,
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
+        int(index_search),
     )
 
 
@@ -81,6 +93,27 @@ def count(params: Params, theta_e: float) -> int:
         counts += params.eccentric * math.sin((theta_e + params.offset) * params.turns_per_rad)
         counts += params.within * math.sin(0.5 * math.pi * counts)
     return math.floor(counts) % params.counts
+
+
+@kernel
+def booted(params: Params, counter: int) -> Index:
+    """At boot, at an absolute count."""
+    return Index(counter if params.index_search == 1 else 0, counter)
+
+
+@kernel
+def sought(params: Params, index: Index, counter: int) -> Index:
+    """At the next sample, at an absolute count: the index pulse lies between its largest and zero."""
+    passed = abs(counter - index.last) > params.counts // 2
+    return Index(0 if passed else index.lacks, counter)
+
+
+@kernel
+def shown(params: Params, index: Index, counter: int) -> int:
+    """The firmware's counter at an absolute count."""
+    if index.lacks == 0:
+        return counter
+    return (counter - index.lacks) % params.counts
 
 
 @kernel

@@ -88,6 +88,12 @@ def refresh(state: State) -> State:
 
 
 @kernel
+def fed(params: Params, u_dc: float) -> Params:
+    """The same plant on another DC link voltage (V)."""
+    return Params(params.motor, inverter.fed(params.inverter, u_dc), params.shaft, params.decay)
+
+
+@kernel
 def apply(params: Params, state: State, d_a: float, d_b: float, d_c: float) -> inverter.Applied:
     """What the inverter does over a PWM period with duties 0..1, that begins in `state`."""
     applied = inverter.apply(params.inverter, d_a, d_b, d_c)

@@ -74,6 +74,28 @@ def make_params(
 
 
 @kernel
+def fed(params: Params, u_dc: float) -> Params:
+    """The same inverter on another DC link voltage (V)."""
+    legs = Legs(params.legs.T, params.legs.dead, u_dc, params.legs.u_diode)
+    more = u_dc - params.u_dc
+    e_dead = params.e_dead * (u_dc / params.u_dc)
+    return Params(u_dc, e_dead, params.e_device, params.g_smooth, params.u_freewheel + 0.5 * more, legs)
+
+
+@kernel
+def taken(params: Params, applied: Applied, i_alpha: float, i_beta: float) -> float:
+    """The mean current (A) that is taken from the DC link over a period with these mean currents (A)."""
+    if not applied.on:  # what is left of the current runs into the link through the diodes
+        return -0.75 * math.sqrt(i_alpha * i_alpha + i_beta * i_beta)
+    device = Applied(True, 0.0, 0.0, params.e_device, params.e_device, params.e_device)
+    loss_alpha, loss_beta = loss(params, applied, i_alpha, i_beta)
+    kept_alpha, kept_beta = loss(params, device, i_alpha, i_beta)  # a drop turns into heat, and costs no current less
+    u_alpha = applied.u_alpha - loss_alpha + kept_alpha
+    u_beta = applied.u_beta - loss_beta + kept_beta
+    return 1.5 * (u_alpha * i_alpha + u_beta * i_beta) / params.u_dc
+
+
+@kernel
 def off() -> Applied:
     """Outputs off."""
     return Applied(False, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -10,7 +10,8 @@ The load machine
 - is off: no torque;
 - brakes (TORQUE): a constant torque against one direction. It looks passive: it holds the shaft at rest, and adds
   nothing to a motion the other way, so that a drive that gives up is not driven backwards by its load;
-- forces the speed (SPEED): a stiff servo, exactly on its ramp whatever the drive does.
+- forces the speed (SPEED): a stiff servo, exactly on its ramp whatever the drive does;
+- is beyond a coupling (COUPLED): see `coupling`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import NamedTuple
 from sim.numba_cache import kernel
 
 OFF, SPEED, TORQUE = 0, 1, 3  # the load machine's modes, SPEED and TORQUE as on the wire
+COUPLED = 16  # it is beyond a coupling: what acts on this shaft is the coupling's torque, either way
 
 
 class Params(NamedTuple):
@@ -35,7 +37,7 @@ class Load(NamedTuple):
     """What the load machine is told."""
 
     mode: int
-    tau: float  # N m, TORQUE: positive brakes the positive direction
+    tau: float  # N m, TORQUE: positive brakes the positive direction; COUPLED: against the positive direction
     omega_m: float  # rad/s, SPEED: where the ramp ends
 
 
@@ -74,10 +76,14 @@ def push(params: Params, load: Load, omega_m: float, tau_e: float, h: float) -> 
             alpha = min(max(alpha, -params.alpha_m_max), params.alpha_m_max)
         return Push(0.0, 0.0, alpha)
     forward, backward = brakes(params, load)
+    alpha = 0.0
+    if load.mode == COUPLED:
+        tau_e -= load.tau
+        alpha = -load.tau / params.J
     if omega_m > 0.0 or (omega_m == 0.0 and tau_e > forward):
-        return Push(1.0 / params.J, forward, 0.0)
+        return Push(1.0 / params.J, forward, alpha)
     if omega_m < 0.0 or tau_e < -backward:
-        return Push(1.0 / params.J, -backward, 0.0)
+        return Push(1.0 / params.J, -backward, alpha)
     return Push(0.0, 0.0, 0.0)
 
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from sim.plant import current_sensor, encoder, hall_sensor, noise
+from tests.sim.drive.rig import Rig, error_deg
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)
 QUANTILES = noise.table()
@@ -138,3 +139,20 @@ def test_pole_pairs_have_edges_of_their_own_that_stay():
     assert np.abs(own).max() <= 1.5
     assert 0.5 < own[:24].std() < 1.2  # 0.87 of the uniform distribution
     assert abs(np.corrcoef(own[:23], own[1:24])[0, 1]) < 0.5
+
+
+@pytest.mark.parametrize("rpm", [200.0, -200.0])
+def test_until_the_index_has_come_by_the_encoder_counts_from_where_it_booted(rpm):
+    rig = Rig(0, **{"encoder.index_search": 1, "mechanics.theta_0_deg": 60.0})
+    rig.start()
+    run = rig.forced(rpm, 0.0, 0.6)
+    turned = run["theta_true"] / (2 * np.pi * 6)  # mechanical turns; the index is at whole ones
+    searching = np.floor(turned) == 0
+    off = error_deg(run, "theta_enc")
+    assert 100 < searching.sum() < len(off) - 2000
+    np.testing.assert_allclose(off[searching][:-1], 60.0, atol=0.31)
+    np.testing.assert_allclose(off[~searching][1:], 0.0, atol=0.16)
+    assert abs(run["omega_enc"][-1] - run["omega_true"][-1]) < 0.5
+    assert np.ptp(run["omega_enc"][4800:]) < 1.0  # the jump of the count is none of the speed
+    at_edges = run.edges["encoder"].astype(float) / 14_400
+    assert np.all(at_edges < 1.0)
