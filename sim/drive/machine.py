@@ -340,7 +340,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        **p.encoder.model_dump(exclude={"present"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
+        **p.encoder.model_dump(exclude={"present", "index_search"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
     )
     motor = pmsm.make_params(**dict(p.motor))
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
@@ -359,7 +359,8 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         sample.make_params(p.clock.tick_hz, chosen(sample.Settings, drive)),
         back_emf.make_params(p.clock.pwm_hz, *_some(drive, "R_s_hat", "L_s_hat", "tau_max").values()),
         shaft_encoder,
-        int(p.encoder.present),
+        p.encoder.present,
+        p.encoder.index_search,
         tick_firmware.Params(
             current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),

@@ -64,6 +64,7 @@ class Params(NamedTuple):
     back_emf: back_emf.Params
     encoder: encoder.Params
     has_encoder: int  # 1: there is one
+    index_search: int  # 1: it begins at zero, wherever the rotor is
     firmware: tick_firmware.Params
     period_ticks: int
     substeps: int
@@ -165,7 +166,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
         sample.init(),
         back_emf.init(),
         encoder.init(encoder.count(params.encoder, theta_e)),
-        encoder.booted(params.encoder, encoder.count(params.encoder, theta_e)),
+        encoder.booted(encoder.count(params.encoder, theta_e), params.index_search),
         tick_firmware.init(),
     )
 

@@ -32,7 +32,6 @@ class Params(NamedTuple):
     turns_per_rad: float  # 2 pi turns an electrical radian
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
-    index_search: int  # 1: the counter begins at zero
 
 
 class Index(NamedTuple):
@@ -58,7 +57,6 @@ def make_params(
     T_s: float,
     eccentricity_deg: float = 0.0,
     unevenness: float = 0.0,
-    index_search: int = 0,
 ) -> Params:
     """Constants from lines a turn, electrical degrees, the filter's natural frequency in Hz, pole pairs, s.
 
@@ -81,7 +79,6 @@ def make_params(
         1.0 / n_p,
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
-        int(index_search),
     )
 
 
@@ -96,9 +93,9 @@ def count(params: Params, theta_e: float) -> int:
 
 
 @kernel
-def booted(params: Params, counter: int) -> Index:
-    """At boot, at an absolute count."""
-    return Index(counter if params.index_search == 1 else 0, counter)
+def booted(counter: int, search: int) -> Index:
+    """At boot, at an absolute count; with `search` 1 the counter begins at zero."""
+    return Index(counter if search == 1 else 0, counter)
 
 
 @kernel
