@@ -136,14 +136,14 @@ class SimulatedBench:
     def truth(self) -> Truth:
         """The plant's state at the last sample."""
         plant, motor = value(integrator.State, self._state.array["plant"][0]), self._constants.plant.motor
-        i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
+        electric = value(tick.Electric, self._state.array["electric"][0])
         return Truth(
             plant.theta_e,
             motor.n_p * plant.omega_m,
             plant.omega_m,
-            plant.cos * i_alpha + plant.sin * i_beta,
-            plant.cos * i_beta - plant.sin * i_alpha,
-            pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta, plant.cos, plant.sin),
+            plant.cos * electric.i_alpha + plant.sin * electric.i_beta,
+            plant.cos * electric.i_beta - plant.sin * electric.i_alpha,
+            electric.tau,
         )
 
     def watch(self, channels: frozenset[str]) -> None:

@@ -71,6 +71,14 @@ class Params(NamedTuple):
     h: float  # integration step, s
 
 
+class Electric(NamedTuple):
+    """What follows from the plant's state at a sample."""
+
+    i_alpha: float  # A
+    i_beta: float
+    tau: float  # N m
+
+
 class State(NamedTuple):
     """Everything that changes, but what observers remember. To boot: `NOT_BOOTED`, tick, rng and the plant's angle."""
 
@@ -78,6 +86,7 @@ class State(NamedTuple):
     tick: int  # of the next sample
     rng: np.uint64
     plant: integrator.State
+    electric: Electric
     link: dc_link.State
     beyond: coupling.State  # the load's side of the shaft
     alpha_m: float  # acceleration that the load machine forces, rad/s2
@@ -158,6 +167,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
         state.tick,
         rng,
         integrator.init(params.plant, theta_e),
+        Electric(0.0, 0.0, 0.0),
         dc_link.init(params.link),
         coupling.init(),
         0.0,
@@ -271,17 +281,26 @@ def _move(
     room: int,
     quantiles: Pointer[float],
 ) -> tuple[
-    integrator.State, dc_link.State, coupling.State, float, hall_sensor.State, hall_wiring.State, int, np.uint64
+    integrator.State,
+    Electric,
+    dc_link.State,
+    coupling.State,
+    float,
+    hall_sensor.State,
+    hall_wiring.State,
+    int,
+    np.uint64,
 ]:
     """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
     plant = state.plant
+    first = state.electric
     link = state.link
     beyond = state.beyond
     constants = params.plant
     if params.link.R_source > 0.0:
         constants = integrator.fed(constants, link.u)
     if out.on == 1:
-        applied = integrator.apply(constants, plant, out.d_a, out.d_b, out.d_c)
+        applied = integrator.apply(constants, plant, first.i_alpha, first.i_beta, out.d_a, out.d_b, out.d_c)
     else:
         applied = inverter.off()
     hall = state.hall
@@ -318,34 +337,34 @@ def _move(
                 quantiles,
                 rng,
             )
+    last = _electric(constants.motor, plant)
     if params.link.R_source > 0.0:
-        link = dc_link.step(params.link, link, _taken(constants, state.plant, plant, applied))
-    return plant, link, beyond, alpha, hall, wiring, m, noise.advance(rng)
+        i_alpha = 0.5 * (first.i_alpha + last.i_alpha)
+        i_beta = 0.5 * (first.i_beta + last.i_beta)
+        link = dc_link.step(params.link, link, inverter.taken(constants.inverter, applied, i_alpha, i_beta))
+    return plant, last, link, beyond, alpha, hall, wiring, m, noise.advance(rng)
 
 
 @kernel
-def _taken(
-    params: integrator.Params, first: integrator.State, last: integrator.State, applied: inverter.Applied
-) -> float:
-    """The mean current (A) that the inverter takes from the DC link between two plant states."""
-    motor = params.motor
-    i0_alpha, i0_beta = pmsm.currents(motor, first.psi_alpha, first.psi_beta, first.cos, first.sin)
-    i1_alpha, i1_beta = pmsm.currents(motor, last.psi_alpha, last.psi_beta, last.cos, last.sin)
-    return inverter.taken(params.inverter, applied, 0.5 * (i0_alpha + i1_alpha), 0.5 * (i0_beta + i1_beta))
+def _electric(motor: pmsm.Params, plant: integrator.State) -> Electric:
+    """What follows from the plant's state."""
+    i_alpha, i_beta, tau = pmsm.currents_and_torque(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
+    return Electric(i_alpha, i_beta, tau)
 
 
 @kernel
 def _sense(
     params: Params,
     plant: integrator.State,
+    electric: Electric,
     on: int,
-    i_alpha: float,
-    i_beta: float,
     quantiles: Pointer[float],
     rng: np.uint64,
 ) -> Sensed:
     """Sample the sensors. A converter that is late sees how the current falls while all legs are low."""
     sensor = params.current_sensor
+    i_alpha = electric.i_alpha
+    i_beta = electric.i_beta
     if on == 1 and sensor.delay > 0.0:
         motor = params.plant.motor
         emf = motor.n_p * plant.omega_m * motor.psi_f
@@ -409,6 +428,7 @@ def advance(
         first = m
         k = state.k
         plant = state.plant
+        electric = state.electric
         link = state.link
         beyond = state.beyond
         alpha = state.alpha_m
@@ -420,7 +440,7 @@ def advance(
                 pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
                 wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, edges, wire, m)
-            plant, link, beyond, alpha, hall, wiring, m, rng = _move(
+            plant, electric, link, beyond, alpha, hall, wiring, m, rng = _move(
                 params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
             )
             if params.link.R_source > 0.0:
@@ -428,8 +448,7 @@ def advance(
         else:
             rng = noise.advance(rng)
 
-        i_alpha, i_beta = pmsm.currents(motor, plant.psi_alpha, plant.psi_beta, plant.cos, plant.sin)
-        sensed = _sense(params, plant, firmware.driving.now.on, i_alpha, i_beta, quantiles, rng)
+        sensed = _sense(params, plant, electric, firmware.driving.now.on, quantiles, rng)
         driving = firmware.driving
         front = state.front
         emf = state.back_emf
@@ -476,10 +495,9 @@ def advance(
         status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
         if reset[j] != 0:
             status |= RESET
-        tau_e = pmsm.torque(motor, plant.psi_alpha, plant.psi_beta, i_alpha, i_beta, plant.cos, plant.sin)
         load_torque = beyond.tau
         if params.coupling.stiffness == 0.0:
-            load_torque = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, tau_e, alpha)
+            load_torque = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, alpha)
         rows[j] = Row(
             wiring.pins,
             status,
@@ -502,13 +520,15 @@ def advance(
             e_beta,
             plant.theta_e,
             motor.n_p * plant.omega_m,
-            tau_e,
+            electric.tau,
             load_torque,
             plant.omega_m,
-            i_alpha,
-            i_beta,
+            electric.i_alpha,
+            electric.i_beta,
         )
         tick = state.tick + params.period_ticks
-        state = State(k + 1, tick, rng, plant, link, beyond, alpha, hall, wiring, front, emf, tracker, index, firmware)
+        state = State(
+            k + 1, tick, rng, plant, electric, link, beyond, alpha, hall, wiring, front, emf, tracker, index, firmware
+        )
     state_[0] = state
     count[0] = m

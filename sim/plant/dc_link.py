@@ -30,6 +30,7 @@ class Params(NamedTuple):
     u_brake: float  # V from which on the brake is on; 0: there is none
     g_brake: float  # 1/ohm
     T_s: float
+    whole: float  # how much of a deviation is left after a period, fed and without the brake
 
 
 class State(NamedTuple):
@@ -43,7 +44,8 @@ def make_params(
     u_dc: float, R_source: float, C: float, regenerates: int, u_brake: float, R_brake: float, T_s: float
 ) -> Params:
     """The link's constants from V, ohm, F, 0 or 1, V, ohm and the PWM period in s."""
-    return Params(float(u_dc), float(R_source), float(C), int(regenerates), float(u_brake), 1.0 / R_brake, float(T_s))
+    whole = math.exp(-T_s / (R_source * C)) if R_source else 0.0
+    return Params(float(u_dc), float(R_source), float(C), int(regenerates), float(u_brake), 1.0 / R_brake, T_s, whole)
 
 
 @kernel
@@ -71,6 +73,9 @@ def step(params: Params, state: State, current: float) -> State:
             braking = 1
         elif u < params.u_brake - BRAKE_HYSTERESIS:
             braking = 0
+    end = params.u_source - params.R_source * current
+    if braking == 0 and u < params.u_source and end <= params.u_source:  # as it mostly is
+        return State(end + (u - end) * params.whole, 0)
     g = params.g_brake if braking == 1 else 0.0
     left = params.T_s
     rises = current + g * u < 0.0  # while the source is cut off

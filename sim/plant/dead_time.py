@@ -7,7 +7,8 @@ that reaches zero meanwhile stays there: the leg floats until a switch turns on,
 The period is walked through from event to event, with the currents as straight lines in between, for the mean
 inductance and the back-EMF as it changes. That agrees with the exact solution (`tests/sim/plant/switched.py`) to
 1.2 % of the dead time's voltage in the fundamental. Where every phase keeps away from zero, all of that is the sign of
-its current.
+its current. Where one alone comes near, and no other leg switches in its dead times, what its current is at its edges
+follows from the legs' voltages until then, and nothing is walked through.
 
 Centre-aligned PWM: a leg rises at T/2 (1 - d) and falls at T/2 (1 + d). Both switches conduct both ways without a drop
 of their own: that is `u_device`'s.
@@ -115,6 +116,84 @@ def _ripple(d: float, d_1: float, d_2: float, mean: float) -> float:
 
 
 @kernel
+def _area(u_dc: float, on: float, off: float, now: float) -> float:
+    """V s of a leg that is high from `on` to `off` (s), until `now`."""
+    return u_dc * (min(max(now, on), off) - on)
+
+
+@kernel
+def _window(params: Params, i: float, pull: float, others: float, e: float) -> tuple[float, bool]:
+    """V s of a leg in a dead time that begins with the current `i` (A), and whether that is so.
+
+    `pull` (A/s): of the current per volt; `others`: mean of the other legs' voltages; `e`: what is behind the phase.
+    It is not so where the leg takes up a current the other way.
+    """
+    v = -params.u_diode if i > 0.0 else params.u_dc + params.u_diode
+    floating = others + 1.5 * e  # the leg's voltage without a current
+    rate = pull * (v - floating)
+    if (i + rate * params.dead) * i > 0.0:
+        return v * params.dead, True
+    if floating < -params.u_diode or floating > params.u_dc + params.u_diode:
+        return 0.0, False
+    t = -i / rate
+    return v * t + floating * (params.dead - t), True
+
+
+@kernel
+def _alone(
+    params: Params,
+    pull: float,
+    duty: float,
+    i: float,
+    e: float,
+    rise_e: float,
+    y: tuple[float, float],
+    z: tuple[float, float],
+) -> tuple[float, bool]:
+    """V s of the one leg near zero, and whether that is so; `y`, `z`: when the others are high (s).
+
+    `pull`: 2/3 of 1/L; `e`, `rise_e`: voltage behind the phase and its slope (V, V/s). It is not so where an edge of
+    another leg falls into a dead time of this one.
+    """
+    dead = params.dead
+    u_dc = params.u_dc
+    rise = 0.5 * params.T * (1.0 - duty)
+    fall = params.T - rise
+    if rise <= dead or rise + dead >= fall or y[1] > params.T or z[1] > params.T:
+        return 0.0, False
+    area = 0.0
+    for k in range(2):
+        begin = rise if k == 0 else fall
+        end = begin + dead
+        for edge in (y[0], y[1], z[0], z[1]):
+            if begin < edge < end:
+                return 0.0, False
+        others = 0.5 * (_area(u_dc, y[0], y[1], begin) + _area(u_dc, z[0], z[1], begin))
+        after = 0.5 * (_area(u_dc, y[0], y[1], end) + _area(u_dc, z[0], z[1], end))
+        i_begin = i + pull * (area - others - 1.5 * begin * (e + 0.5 * rise_e * begin))
+        gained, so = _window(params, i_begin, pull, (after - others) / dead, e + rise_e * (begin + 0.5 * dead))
+        if not so:
+            return 0.0, False
+        area += gained
+        if k == 0:
+            area += u_dc * (fall - end)
+    return area, True
+
+
+@kernel
+def _high(params: Params, duty: float, i: float) -> tuple[float, float]:
+    """When a leg whose current keeps its sign is high (s)."""
+    if duty <= 0.0:
+        return params.T, params.T
+    if duty >= 1.0:
+        return 0.0, params.T
+    rise = 0.5 * params.T * (1.0 - duty)
+    if i > 0.0:
+        return min(rise + params.dead, params.T - rise), params.T - rise
+    return rise, params.T - rise + params.dead
+
+
+@kernel
 def mean_voltage(
     params: Params,
     motor: pmsm.Params,
@@ -132,18 +211,36 @@ def mean_voltage(
     i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
     ripple = params.u_dc * T * motor.g_mean
     mean = ONE_THIRD * (d_a + d_b + d_c)
-    most = max(abs(i_a), abs(i_b), abs(i_c))
-    away = min(
-        abs(i_a) - ripple * abs(_ripple(d_a, d_b, d_c, mean)),
-        abs(i_b) - ripple * abs(_ripple(d_b, d_a, d_c, mean)),
-        abs(i_c) - ripple * abs(_ripple(d_c, d_a, d_b, mean)),
-    )
-    if away > abs(omega_e) * T * most + params.u_dc * params.dead * motor.g_mean:
-        lost = (params.u_dc + 2.0 * params.u_diode) * params.dead / T  # late at one edge, a diode at both
-        v_a = d_a * params.u_dc - (0.0 if d_a <= 0.0 or d_a >= 1.0 else lost if i_a > 0.0 else -lost)
-        v_b = d_b * params.u_dc - (0.0 if d_b <= 0.0 or d_b >= 1.0 else lost if i_b > 0.0 else -lost)
-        v_c = d_c * params.u_dc - (0.0 if d_c <= 0.0 or d_c >= 1.0 else lost if i_c > 0.0 else -lost)
+    least = abs(omega_e) * T * max(abs(i_a), abs(i_b), abs(i_c)) + params.u_dc * params.dead * motor.g_mean
+    near_a = abs(i_a) <= least + ripple * abs(_ripple(d_a, d_b, d_c, mean))
+    near_b = abs(i_b) <= least + ripple * abs(_ripple(d_b, d_a, d_c, mean))
+    near_c = abs(i_c) <= least + ripple * abs(_ripple(d_c, d_a, d_b, mean))
+    lost = (params.u_dc + 2.0 * params.u_diode) * params.dead / T  # late at one edge, a diode at both
+    v_a = d_a * params.u_dc - (0.0 if d_a <= 0.0 or d_a >= 1.0 else lost if i_a > 0.0 else -lost)
+    v_b = d_b * params.u_dc - (0.0 if d_b <= 0.0 or d_b >= 1.0 else lost if i_b > 0.0 else -lost)
+    v_c = d_c * params.u_dc - (0.0 if d_c <= 0.0 or d_c >= 1.0 else lost if i_c > 0.0 else -lost)
+    near = int(near_a) + int(near_b) + int(near_c)
+    if near == 0:
         return pmsm.vector(v_a, v_b, v_c)
+    if near == 1:
+        emf = omega_e * motor.psi_f
+        e_a, e_b, e_c = pmsm.phases(-emf * sin, emf * cos)
+        s_a, s_b, s_c = pmsm.phases(-emf * omega_e * cos, -emf * omega_e * sin)
+        high_a = _high(params, d_a, i_a)
+        high_b = _high(params, d_b, i_b)
+        high_c = _high(params, d_c, i_c)
+        pull = 2.0 * ONE_THIRD * motor.g_mean
+        if near_a:
+            area, so = _alone(params, pull, d_a, i_a, e_a + motor.R_s * i_a, s_a, high_b, high_c)
+            v_a = area / T
+        elif near_b:
+            area, so = _alone(params, pull, d_b, i_b, e_b + motor.R_s * i_b, s_b, high_a, high_c)
+            v_b = area / T
+        else:
+            area, so = _alone(params, pull, d_c, i_c, e_c + motor.R_s * i_c, s_c, high_a, high_b)
+            v_c = area / T
+        if so:
+            return pmsm.vector(v_a, v_b, v_c)
     return _walked(params, motor, d_a, d_b, d_c, i_a, i_b, i_c, cos, sin, omega_e)
 
 

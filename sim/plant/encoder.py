@@ -29,7 +29,6 @@ class Params(NamedTuple):
     a_position: float  # filter gains: share of the error, and
     a_speed: float  # counts/s a count of error
     T_s: float
-    turns_per_rad: float  # 2 pi turns an electrical radian
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
 
@@ -76,10 +75,20 @@ def make_params(
         1.0 - pole * pole,
         (1.0 - pole) ** 2 / T_s,
         float(T_s),
-        1.0 / n_p,
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
     )
+
+
+@kernel
+def _sine(turns: float) -> float:
+    """sin of so many turns, to 2e-4: of errors that nobody knows better."""
+    x = turns - math.floor(turns) - 0.5  # of the turn's half, so the sign is the other
+    y = 0.5 - abs(x) if abs(x) > 0.25 else abs(x)
+    z = TWO_PI * y
+    w = z * z
+    size = z * (1.0 - w * (0.16605 - w * 0.00761))
+    return -size if x > 0.0 else size
 
 
 @kernel
@@ -87,8 +96,8 @@ def count(params: Params, theta_e: float) -> int:
     """The counter, 0..counts-1, at an unwrapped electrical angle (rad)."""
     counts = (theta_e + params.offset) * params.counts_per_rad
     if params.eccentric != 0.0 or params.within != 0.0:
-        counts += params.eccentric * math.sin((theta_e + params.offset) * params.turns_per_rad)
-        counts += params.within * math.sin(0.5 * math.pi * counts)
+        counts += params.eccentric * _sine(counts / params.counts)
+        counts += params.within * _sine(0.25 * counts)
     return math.floor(counts) % params.counts
 
 

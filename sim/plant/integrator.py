@@ -71,7 +71,8 @@ def init(params: Params, theta_e: float) -> State:
     """At rest without current at the electrical angle `theta_e` (rad)."""
     cos = math.cos(theta_e)
     sin = math.sin(theta_e)
-    return State(params.motor.psi_f * cos, params.motor.psi_f * sin, 0.0, theta_e, cos, sin)
+    psi_alpha, psi_beta = pmsm.flux(params.motor, 0.0, 0.0, cos, sin)
+    return State(psi_alpha, psi_beta, 0.0, theta_e, cos, sin)
 
 
 @kernel
@@ -94,12 +95,13 @@ def fed(params: Params, u_dc: float) -> Params:
 
 
 @kernel
-def apply(params: Params, state: State, d_a: float, d_b: float, d_c: float) -> inverter.Applied:
-    """What the inverter does over a PWM period with duties 0..1, that begins in `state`."""
+def apply(
+    params: Params, state: State, i_alpha: float, i_beta: float, d_a: float, d_b: float, d_c: float
+) -> inverter.Applied:
+    """What the inverter does over a PWM period with duties 0..1, that begins in `state` with these currents (A)."""
     applied = inverter.apply(params.inverter, d_a, d_b, d_c)
     if params.inverter.legs.dead == 0.0:
         return applied
-    i_alpha, i_beta = pmsm.currents(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
     u_alpha, u_beta = dead_time.mean_voltage(
         params.inverter.legs,
         params.motor,
@@ -157,7 +159,7 @@ def _nudge(cos: float, sin: float, angle: float) -> tuple[float, float]:
 
 @kernel
 def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
-    """The voltage on R_s of the currents that are there because the motor is not round."""
+    """The voltage on R_s of the currents that are there because L_d and L_q differ."""
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
     return (
         motor.R_s * (i_alpha - motor.g_mean * (psi_alpha - motor.psi_f * cos)),
@@ -167,11 +169,11 @@ def _salient(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, 
 
 @kernel
 def _torque(motor: pmsm.Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> float:
-    """Torque (N m), cogging too; where L_d = L_q it is the magnet's part alone, which is found without the currents."""
-    if motor.shape == pmsm.ROUND:
+    """Torque (N m); where L_d = L_q it is the magnet's part alone, which is found without the currents."""
+    if motor.g_diff == 0.0:
         return motor.k_tau * motor.g_mean * motor.psi_f * (cos * psi_beta - sin * psi_alpha)
     i_alpha, i_beta = pmsm.currents(motor, psi_alpha, psi_beta, cos, sin)
-    return pmsm.torque(motor, psi_alpha, psi_beta, i_alpha, i_beta, cos, sin) + pmsm.cogging(motor, cos, sin)
+    return motor.k_tau * (psi_alpha * i_beta - psi_beta * i_alpha)
 
 
 @kernel
@@ -179,9 +181,9 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     """One step with the outputs on.
 
     The winding's flux answers a constant voltage exactly. What else acts on it is slow: the magnet as it turns, and
-    what harmonics, saturation and a difference of L_d and L_q do, by Simpson's rule; and the inverter's loss, in the
-    mean over the step as the currents go from its begin to its end, which is found by iteration where a phase comes
-    near zero. Torque and speed go by Simpson's rule too.
+    what L_d and L_q differ by, both by Simpson's rule; and the inverter's loss, in the mean over the step as the
+    currents go from its begin to its end, which is found by iteration where a phase comes near zero. Torque and speed
+    go by Simpson's rule too.
     """
     motor = params.motor
     n_p = motor.n_p
@@ -221,10 +223,10 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     psi_alpha += share * (x_cos + 2.0 * cos + tilt * (a * x_cos - omega_e * x_sin + faster * sin))
     psi_beta += share * (x_sin + 2.0 * sin + tilt * (a * x_sin + omega_e * x_cos - faster * cos))
     bend0_alpha = bend0_beta = bend_alpha = bend_beta = 0.0
-    if motor.shape != pmsm.ROUND:
+    if motor.g_diff != 0.0:
         bend0_alpha, bend0_beta = _salient(motor, state.psi_alpha, state.psi_beta, cos0, sin0)
         bend_alpha, bend_beta = bend0_alpha, bend0_beta
-        for _ in range(2 if motor.shape == pmsm.BENT else 1):  # what harmonics do is known at once
+        for _ in range(2):
             mean_alpha = decay.half_gain * 0.5 * (bend0_alpha + bend_alpha)
             mean_beta = decay.half_gain * 0.5 * (bend0_beta + bend_beta)
             bend_alpha, bend_beta = _salient(motor, psi_alpha - mean_alpha, psi_beta - mean_beta, cos, sin)
@@ -245,7 +247,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     free_beta += magnet * sin
     psi_alpha = free_alpha + decay.gain * u_alpha
     psi_beta = free_beta + decay.gain * u_beta
-    if motor.shape != pmsm.ROUND:
+    if motor.g_diff != 0.0:
         end_alpha = psi_alpha - decay.gain * bend_alpha
         end_beta = psi_beta - decay.gain * bend_beta
         bend1_alpha, bend1_beta = _salient(motor, end_alpha, end_beta, cos, sin)
@@ -279,7 +281,7 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
     tau1 = _torque(motor, psi_alpha, psi_beta, cos, sin) - motor.k_tau * motor.g_mean * motor.psi_f * along * late
     alpha1 = gain * (tau1 - b * (omega_m + h * alpha) - push.tau_dry) + push.alpha
     faster = ONE_SIXTH * (alpha0 + 4.0 * alpha + alpha1)
-    if motor.shape == pmsm.ROUND:  # the slopes are known: Simpson's rule with them is better by two orders
+    if motor.g_diff == 0.0:  # the slopes are known: Simpson's rule with them is better by two orders
         omega_e += n_p * h * alpha
         rate_alpha += motor.R_s * (i0_alpha - i_alpha)
         rate_beta += motor.R_s * (i0_beta - i_beta)
@@ -292,16 +294,68 @@ def _driven(params: Params, state: State, applied: inverter.Applied, push: mecha
 
 
 @kernel
+def _rates(
+    params: Params,
+    applied: inverter.Applied,
+    push: mechanics.Push,
+    magnet: pmsm.Magnet,
+    psi_alpha: float,
+    psi_beta: float,
+    omega_m: float,
+) -> tuple[float, float, float]:
+    """How the flux (V) and the speed (rad/s2) of an uneven motor change at a moment."""
+    motor = params.motor
+    i_alpha, i_beta = pmsm.uneven_currents(motor, magnet, psi_alpha, psi_beta)
+    loss_alpha, loss_beta = inverter.loss(params.inverter, applied, i_alpha, i_beta)
+    tau = pmsm.uneven_torque(motor, magnet, psi_alpha, psi_beta, i_alpha, i_beta)
+    return (
+        applied.u_alpha - loss_alpha - motor.R_s * i_alpha,
+        applied.u_beta - loss_beta - motor.R_s * i_beta,
+        push.gain * (tau - params.shaft.b * omega_m - push.tau_dry) + push.alpha,
+    )
+
+
+@kernel
+def _uneven(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
+    """One step of an uneven motor with the outputs on, by the Runge-Kutta method of fourth order.
+
+    Its two middle stages share an angle, which the slopes of the begin tell well enough.
+    """
+    n_p = params.motor.n_p
+    half = 0.5 * h
+    psi_alpha, psi_beta, omega_m = state.psi_alpha, state.psi_beta, state.omega_m
+    magnet = pmsm.magnet(params.motor, state.cos, state.sin)
+    a1, b1, w1 = _rates(params, applied, push, magnet, psi_alpha, psi_beta, omega_m)
+    cos, sin = turn(state.cos, state.sin, n_p * half * (omega_m + 0.5 * half * w1))
+    magnet = pmsm.magnet(params.motor, cos, sin)
+    a2, b2, w2 = _rates(params, applied, push, magnet, psi_alpha + half * a1, psi_beta + half * b1, omega_m + half * w1)
+    a3, b3, w3 = _rates(params, applied, push, magnet, psi_alpha + half * a2, psi_beta + half * b2, omega_m + half * w2)
+    angle = n_p * h * (omega_m + h * ONE_SIXTH * (w1 + w2 + w3))
+    cos, sin = turn(state.cos, state.sin, angle)
+    magnet = pmsm.magnet(params.motor, cos, sin)
+    a4, b4, w4 = _rates(params, applied, push, magnet, psi_alpha + h * a3, psi_beta + h * b3, omega_m + h * w3)
+    sixth = h * ONE_SIXTH
+    return State(
+        psi_alpha + sixth * (a1 + 2.0 * (a2 + a3) + a4),
+        psi_beta + sixth * (b1 + 2.0 * (b2 + b3) + b4),
+        omega_m + sixth * (w1 + 2.0 * (w2 + w3) + w4),
+        state.theta_e + angle,
+        cos,
+        sin,
+    )
+
+
+@kernel
 def _coasting(params: Params, state: State, push: mechanics.Push, h: float) -> State:
     """One step with the outputs off: the current runs down, the shaft sees the mean torque of the step."""
     motor = params.motor
-    i_alpha, i_beta = pmsm.currents(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
-    tau = pmsm.torque(motor, state.psi_alpha, state.psi_beta, i_alpha, i_beta, state.cos, state.sin)
+    i_alpha, i_beta, tau = pmsm.currents_and_torque(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
     left_alpha, left_beta = inverter.freewheel(params.inverter, motor, i_alpha, i_beta, h)
     size = math.hypot(i_alpha, i_beta)
     if size > 0.0:
         tau *= 0.5 * (1.0 + math.hypot(left_alpha, left_beta) / size)
-    tau += pmsm.cogging(motor, state.cos, state.sin)
+    if motor.uneven == 1:
+        tau += pmsm.magnet(motor, state.cos, state.sin).cogging
     # constant torque and viscous friction: the exact solution's series in x = b h / J
     alpha = push.gain * (tau - params.shaft.b * state.omega_m - push.tau_dry) + push.alpha
     x = push.gain * params.shaft.b * h
@@ -314,21 +368,30 @@ def _coasting(params: Params, state: State, push: mechanics.Push, h: float) -> S
 
 @kernel
 def _step(params: Params, state: State, applied: inverter.Applied, push: mechanics.Push, h: float) -> State:
-    if applied.on:
-        return _driven(params, state, applied, push, h)
-    return _coasting(params, state, push, h)
+    if not applied.on:
+        return _coasting(params, state, push, h)
+    if params.motor.uneven == 1:
+        return _uneven(params, state, applied, push, h)
+    return _driven(params, state, applied, push, h)
 
 
 @kernel
 def torque(params: Params, state: State) -> float:
     """Electromagnetic torque now and cogging, N m."""
-    return _torque(params.motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
+    motor = params.motor
+    if motor.uneven == 1:
+        magnet = pmsm.magnet(motor, state.cos, state.sin)
+        i_alpha, i_beta = pmsm.uneven_currents(motor, magnet, state.psi_alpha, state.psi_beta)
+        return pmsm.uneven_torque(motor, magnet, state.psi_alpha, state.psi_beta, i_alpha, i_beta)
+    return _torque(motor, state.psi_alpha, state.psi_beta, state.cos, state.sin)
 
 
 @kernel
 def _bends(params: Params, state: State, applied: inverter.Applied, h: float) -> bool:
-    """Whether a step is better taken as two: a phase that loses voltage is near zero, or inductances vary."""
-    if params.motor.shape == pmsm.BENT:
+    """Whether a step is better taken as two: a phase that loses voltage is near zero, or L_d and L_q differ."""
+    if params.motor.uneven == 1:
+        return False
+    if params.motor.g_diff != 0.0:
         return True
     if not inverter.loses(applied):
         return False

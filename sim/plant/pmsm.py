@@ -44,9 +44,6 @@ ONE_THIRD = 1.0 / 3.0
 ONE_BY_SQRT3 = 1.0 / math.sqrt(3.0)
 ORDERS = (5, 7, 11, 13)  # of the harmonics
 
-ROUND, UNEVEN, BENT = 0, 1, 2
-"""Nothing but a sinusoidal magnet and one inductance; harmonics or cogging too; saturation or L_d != L_q too."""
-
 
 class Params(NamedTuple):
     """The motor's constants."""
@@ -64,7 +61,7 @@ class Params(NamedTuple):
     cog_6: float  # N m
     cog_12: float
     soft: float  # 1 / (L i_sat^2), 1/(H A2); 0: no saturation
-    shape: int  # ROUND, UNEVEN or BENT
+    uneven: int  # 1: harmonics, cogging or saturation
 
 
 def make_params(
@@ -87,7 +84,6 @@ def make_params(
     soft = g_mean / i_sat**2 if i_sat > 0.0 else 0.0
     five, seven, eleven, thirteen = (psi_f * share / order for share, order in zip(emf_harmonics, ORDERS, strict=True))
     six, twelve = map(float, cogging)
-    shape = BENT if soft or g_diff else UNEVEN if any(emf_harmonics) or any(cogging) else ROUND
     return Params(
         float(R_s),
         g_mean,
@@ -102,7 +98,7 @@ def make_params(
         six,
         twelve,
         soft,
-        shape,
+        int(soft > 0.0 or any(emf_harmonics) or any(cogging)),
     )
 
 
@@ -112,48 +108,62 @@ def _times(a_re: float, a_im: float, b_re: float, b_im: float) -> tuple[float, f
     return a_re * b_re - a_im * b_im, a_re * b_im + a_im * b_re
 
 
-@kernel
-def harmonics(params: Params, cos: float, sin: float) -> tuple[float, float, float, float]:
-    """Of the magnet's flux, alpha and beta (V s); and what they add to psi where it makes torque."""
-    c_6, s_6 = _sixth(cos, sin)
-    c_12, s_12 = c_6 * c_6 - s_6 * s_6, 2.0 * c_6 * s_6
-    # e^{-5 j theta} = e^{j theta} e^{-6 j theta}, and so on
-    c_5, s_5 = _times(cos, sin, c_6, -s_6)
-    c_7, s_7 = _times(cos, sin, c_6, s_6)
-    c_11, s_11 = _times(cos, sin, c_12, -s_12)
-    c_13, s_13 = _times(cos, sin, c_12, s_12)
-    five_alpha, five_beta = params.psi_5 * c_5, params.psi_5 * s_5
-    seven_alpha, seven_beta = params.psi_7 * c_7, params.psi_7 * s_7
-    eleven_alpha, eleven_beta = params.psi_11 * c_11, params.psi_11 * s_11
-    thirteen_alpha, thirteen_beta = params.psi_13 * c_13, params.psi_13 * s_13
-    return (
-        five_alpha + seven_alpha + eleven_alpha + thirteen_alpha,
-        five_beta + seven_beta + eleven_beta + thirteen_beta,
-        6.0 * (seven_alpha - five_alpha) + 12.0 * (thirteen_alpha - eleven_alpha),
-        6.0 * (seven_beta - five_beta) + 12.0 * (thirteen_beta - eleven_beta),
-    )
+class Magnet(NamedTuple):
+    """What the magnet does at an angle."""
+
+    alpha: float  # its flux, V s
+    beta: float
+    more_alpha: float  # what its harmonics add to the flux where that makes torque, V s
+    more_beta: float
+    cogging: float  # N m
+    cos_2: float  # of twice the angle
+    sin_2: float
 
 
 @kernel
-def _sixth(cos: float, sin: float) -> tuple[float, float]:
-    """cos and sin of six times an angle."""
+def magnet(params: Params, cos: float, sin: float) -> Magnet:
+    """What the magnet of an uneven motor does at an angle."""
     c_2, s_2 = cos * cos - sin * sin, 2.0 * cos * sin
     c_4, s_4 = c_2 * c_2 - s_2 * s_2, 2.0 * c_2 * s_2
-    return _times(c_2, s_2, c_4, s_4)
+    c_6, s_6 = _times(c_2, s_2, c_4, s_4)
+    c_12, s_12 = c_6 * c_6 - s_6 * s_6, 2.0 * c_6 * s_6
+    # psi_5 e^{-5 j theta} + psi_7 e^{7 j theta} = e^{j theta} (psi_5 e^{-6 j theta} + psi_7 e^{6 j theta}), and so on
+    sum_re = (params.psi_5 + params.psi_7) * c_6 + (params.psi_11 + params.psi_13) * c_12
+    sum_im = (params.psi_7 - params.psi_5) * s_6 + (params.psi_13 - params.psi_11) * s_12
+    more_re = 6.0 * (params.psi_7 - params.psi_5) * c_6 + 12.0 * (params.psi_13 - params.psi_11) * c_12
+    more_im = 6.0 * (params.psi_7 + params.psi_5) * s_6 + 12.0 * (params.psi_13 + params.psi_11) * s_12
+    alpha, beta = _times(cos, sin, params.psi_f + sum_re, sum_im)
+    more_alpha, more_beta = _times(cos, sin, more_re, more_im)
+    return Magnet(alpha, beta, more_alpha, more_beta, s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12), c_2, s_2)
 
 
 @kernel
-def cogging(params: Params, cos: float, sin: float) -> float:
-    """Torque of the rotor's angle alone, N m."""
-    if params.shape == ROUND:
-        return 0.0
-    c_6, s_6 = _sixth(cos, sin)
-    return s_6 * (params.cog_6 + 2.0 * c_6 * params.cog_12)
+def uneven_currents(params: Params, magnet: Magnet, psi_alpha: float, psi_beta: float) -> tuple[float, float]:
+    """i_alpha, i_beta (A) of an uneven motor from the flux linkage (V s)."""
+    v_alpha = psi_alpha - magnet.alpha
+    v_beta = psi_beta - magnet.beta
+    i_alpha = params.g_mean * v_alpha + params.g_diff * (magnet.cos_2 * v_alpha + magnet.sin_2 * v_beta)
+    i_beta = params.g_mean * v_beta + params.g_diff * (magnet.sin_2 * v_alpha - magnet.cos_2 * v_beta)
+    more = 1.0 + params.soft * (v_alpha * i_alpha + v_beta * i_beta)
+    return more * i_alpha, more * i_beta
 
 
 @kernel
-def winding_currents(params: Params, v_alpha: float, v_beta: float, cos: float, sin: float) -> tuple[float, float]:
-    """i_alpha, i_beta (A) from the windings' own flux linkage v = psi - psi_f exp(j theta) (V s)."""
+def uneven_torque(
+    params: Params, magnet: Magnet, psi_alpha: float, psi_beta: float, i_alpha: float, i_beta: float
+) -> float:
+    """Torque of an uneven motor, cogging too, N m."""
+    by_flux = (psi_alpha + magnet.more_alpha) * i_beta - (psi_beta + magnet.more_beta) * i_alpha
+    return params.k_tau * by_flux + magnet.cogging
+
+
+@kernel
+def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
+    """i_alpha, i_beta (A) from the flux linkage (V s) and the rotor's angle."""
+    if params.uneven == 1:
+        return uneven_currents(params, magnet(params, cos, sin), psi_alpha, psi_beta)
+    v_alpha = psi_alpha - params.psi_f * cos
+    v_beta = psi_beta - params.psi_f * sin
     i_alpha = params.g_mean * v_alpha
     i_beta = params.g_mean * v_beta
     if params.g_diff != 0.0:
@@ -161,22 +171,7 @@ def winding_currents(params: Params, v_alpha: float, v_beta: float, cos: float, 
         sin2 = 2.0 * cos * sin
         i_alpha += params.g_diff * (cos2 * v_alpha + sin2 * v_beta)
         i_beta += params.g_diff * (sin2 * v_alpha - cos2 * v_beta)
-    if params.soft > 0.0:
-        more = 1.0 + params.soft * (v_alpha * i_alpha + v_beta * i_beta)
-        return more * i_alpha, more * i_beta
     return i_alpha, i_beta
-
-
-@kernel
-def currents(params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float) -> tuple[float, float]:
-    """i_alpha, i_beta (A) from the flux linkage (V s) and the rotor's angle."""
-    v_alpha = psi_alpha - params.psi_f * cos
-    v_beta = psi_beta - params.psi_f * sin
-    if params.shape != ROUND:
-        m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
-        v_alpha -= m_alpha
-        v_beta -= m_beta
-    return winding_currents(params, v_alpha, v_beta, cos, sin)
 
 
 @kernel
@@ -186,6 +181,9 @@ def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) 
     i_q = cos * i_beta - sin * i_alpha
     psi_d = i_d / (params.g_mean + params.g_diff)
     psi_q = i_q / (params.g_mean - params.g_diff)
+    if params.uneven == 0:
+        psi_d += params.psi_f
+        return cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
     if params.soft > 0.0:  # i = i_0 (1 + c x^2) of i_0 = i / x: Newton for the cubic x - 1 - c / x^2, c at i itself
         c = params.soft * (psi_d * i_d + psi_q * i_q)
         x = 1.0 + c
@@ -193,21 +191,21 @@ def flux(params: Params, i_alpha: float, i_beta: float, cos: float, sin: float) 
             x -= (x * x * x - x * x - c) / (3.0 * x * x - 2.0 * x)
         psi_d /= x
         psi_q /= x
-    psi_d += params.psi_f
-    m_alpha, m_beta, _, _ = harmonics(params, cos, sin)
-    return cos * psi_d - sin * psi_q + m_alpha, sin * psi_d + cos * psi_q + m_beta
+    m = magnet(params, cos, sin)
+    return cos * psi_d - sin * psi_q + m.alpha, sin * psi_d + cos * psi_q + m.beta
 
 
 @kernel
-def torque(
-    params: Params, psi_alpha: float, psi_beta: float, i_alpha: float, i_beta: float, cos: float, sin: float
-) -> float:
-    """Electromagnetic torque, N m."""
-    if params.shape != ROUND:
-        _, _, more_alpha, more_beta = harmonics(params, cos, sin)
-        psi_alpha += more_alpha
-        psi_beta += more_beta
-    return params.k_tau * (psi_alpha * i_beta - psi_beta * i_alpha)
+def currents_and_torque(
+    params: Params, psi_alpha: float, psi_beta: float, cos: float, sin: float
+) -> tuple[float, float, float]:
+    """`currents`, and the electromagnetic torque, N m, without cogging."""
+    if params.uneven == 1:
+        m = magnet(params, cos, sin)
+        i_alpha, i_beta = uneven_currents(params, m, psi_alpha, psi_beta)
+        return i_alpha, i_beta, uneven_torque(params, m, psi_alpha, psi_beta, i_alpha, i_beta) - m.cogging
+    i_alpha, i_beta = currents(params, psi_alpha, psi_beta, cos, sin)
+    return i_alpha, i_beta, params.k_tau * (psi_alpha * i_beta - psi_beta * i_alpha)
 
 
 @kernel

@@ -23,7 +23,7 @@ import numpy as np
 
 from sim.plant import pmsm
 
-EVERY = 1024
+EVERY = 4096
 COPPER = 1.0 / 255.0  # 1/K, of the resistance at 20 degrees C: 1 / (235 + 20), IEC 60034-1
 
 
