@@ -14,7 +14,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.cli import fail
-from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
@@ -55,8 +55,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
         click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd."),
         overwrite_option,
-        click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-                     help="Figures of the simulated drive (TOML)."),
+        config_option,
         click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording."),
         json_option("everything"),
     )):  # fmt: skip
