@@ -82,6 +82,7 @@ class Motor(Section):
     L_q: float = _number("H", gt=0)
     psi_f: float = _number("V s", gt=0)
     n_p: Whole = _number(ge=1, le=64)
+    i_max: float = _number("A", gt=0, le=30)
     emf_harmonics: Four[Annotated[float, _number(ge=-0.5, le=0.5)]]
     cogging: Two[Annotated[float, _number("N m", ge=-10, le=10)]]
     i_sat: float = _number("A", ge=0)
@@ -206,7 +207,7 @@ class CurrentSensor(Section):
     noise_rms: float = _number("A", ge=0)
     offset: Three[Annotated[float, _number("A")]]
     gain_error: Three[Annotated[float, _number(ge=-0.9, le=10)]]
-    range: float = _number("A", ge=0.1, le=31.9)
+    range: float = _number("A", ge=0.1, le=1000)
     bits: Whole = _number(ge=4, le=24)
     delay: float = _number("s", ge=0, le=2e-5)
 

@@ -22,11 +22,11 @@ from sim.config.params import BenchParams, ConfigError
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
+from sim.drive.channels import SOURCES, ampere
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
 from sim.native import Cells, address, layout, value
 from sim.observers import average_speed, back_emf, sample
-from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Sample
@@ -48,8 +48,6 @@ from sim.plant.warming import EVERY, Warming
 
 __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 
-SOURCES = dict(enumerate(CATALOGUE.values(), 1))
-"""The observers by the value of the parameter `observer` that chooses them; 0 is the encoder."""
 FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
 ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
@@ -182,7 +180,7 @@ class SimulatedBench:
         if not self._warming:
             return
         p, now = self.params, self._warming.factors
-        motor = pmsm.make_params(**(dict(p.motor) | {"R_s": now.R_s * p.motor.R_s, "psi_f": now.psi_f * p.motor.psi_f}))
+        motor = _motor(p, now)
         plant = self._constants.plant
         plant = plant._replace(motor=motor, decay=integrator.make_decay(motor, plant.decay.h))
         drifted = self._warming.drifted(p.current_sensor.offset, p.current_sensor.gain_error)
@@ -342,7 +340,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     shaft_encoder = encoder.make_params(
         **p.encoder.model_dump(exclude={"present", "index_search"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
     )
-    motor = pmsm.make_params(**dict(p.motor))
+    motor = _motor(p)
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
     return tick.Params(
         integrator.Params(
@@ -368,11 +366,18 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             _protection(p, drive),
             period,
             drive["n_p"],
+            ampere(p),
         ),
         p.clock.period_ticks,
         p.clock.substeps,
         period / p.clock.substeps,
     )
+
+
+def _motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:
+    """The motor's constants, as warm as it is."""
+    warm = {"R_s": now.R_s * p.motor.R_s, "psi_f": now.psi_f * p.motor.psi_f}
+    return pmsm.make_params(**(p.motor.model_dump(exclude={"i_max"}) | warm))
 
 
 def _protection(p: BenchParams, drive: Mapping[str, float]) -> protection.Params:

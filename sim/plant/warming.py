@@ -56,6 +56,9 @@ class Factors(NamedTuple):
     psi_f: float
 
 
+COLD = Factors(1.0, 1.0)
+
+
 class Warming:
     """The temperatures of a motor and of its current sensors' electronics.
 
@@ -89,7 +92,7 @@ class Warming:
     def factors(self) -> Factors:
         """Of the motor as warm as it is now."""
         if not self._heats:
-            return Factors(1.0, 1.0)
+            return COLD
         ambient = self._params.ambient - 20.0
         return Factors(
             1.0 + COPPER * (ambient + self.state.winding),
