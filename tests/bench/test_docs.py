@@ -7,11 +7,14 @@ import json
 import re
 import shlex
 from pathlib import Path
+from types import ModuleType
 
 import click
 import pytest
 
 from bench.cli import cli
+from sim.config.params import load_params
+from sim.config.unkind import effects
 from sim.observers.catalogue import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
@@ -90,12 +93,34 @@ def test_both_ci_commands_stand_in_the_readme() -> None:
         assert "pip install" in match.group(1)
 
 
-def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numbers() -> None:
-    spec = importlib.util.spec_from_file_location("make_observers", ROOT / "docs" / "make_observers.py")
+def generator_of(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     generator = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(generator)
+    return generator
+
+
+def test_the_page_of_the_effects_is_what_its_generator_makes_and_has_all_effects_and_observers() -> None:
+    generator = generator_of("make_effects")
+    numbers = json.loads(generator.NUMBERS.read_text())
+    assert (ROOT / "docs" / "effects.md").read_text() == generator.page(numbers)  # else: python docs/make_effects.py
+    assert len(numbers) >= 3
+    for of in numbers.values():
+        assert of["kind"].keys() == CATALOGUE.keys()
+        assert of["costs"].keys() == effects(load_params()).keys() | {"all of it"}
+
+
+def test_a_run_of_the_effects_gives_the_page_its_numbers() -> None:
+    generator = generator_of("make_effects")
+    numbers = json.loads(generator.NUMBERS.read_text())[""]
+    found = generator.errors(None, {})
+    assert found == pytest.approx(numbers["kind"], abs=0.02)
+
+
+def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numbers() -> None:
+    generator = generator_of("make_observers")
     text = (ROOT / "docs" / "observers.md").read_text()
     assert text == generator.page()  # else: python docs/make_observers.py --page
     for name in CATALOGUE:  # a section for each, and no other figures than the page shows

@@ -14,9 +14,10 @@ import time
 from bench.device.node import DRIVE
 from protocol.messages import StreamEvent
 from sim.config.params import load_params
+from sim.config.unkind import unkind
 from sim.ports.virtual import VirtualLink
 from tests.bench.collect import Bench
-from tests.benchmarks.table import Row, speed
+from tests.benchmarks.table import Row, cost, speed
 from tests.sim.drive.rig import PWM_HZ, Rig
 
 RPM = 500.0
@@ -24,13 +25,14 @@ OMEGA_M = RPM * math.tau / 60  # rad/s
 TORQUE = 0.236  # N·m: 4 A
 POLL = 0.075  # s, virtual: what a batch job waits at a time; ALIVE goes out once a poll
 GOALS_ALONE = {1.0: 300.0, 0.005: 150.0}  # x real time, by the seconds of a call
+GOAL_UNKIND = 1.6  # times as long with every effect of a real bench as without
 GOAL_USUAL = 100.0  # x real time, the channels that are streamed unasked
 GOAL_ALL = 50.0
 
 
-def alone(seconds: float, call: float) -> float:
+def alone(seconds: float, call: float, **settings: object) -> float:
     """Times real time of `SimulatedBench.advance` in calls of `call` s, so many s in all."""
-    bench = Rig()
+    bench = Rig(0, **settings)
     bench.start()
     bench.spin(RPM, 1.0, TORQUE)
     calls, portion = math.ceil(seconds / call), round(call * PWM_HZ)
@@ -87,6 +89,12 @@ def rows(short: bool) -> list[Row]:
         times = max(alone(seconds, call) for _ in range(repeat))
         what = f"simulation alone, average speed and vector tracking, calls of {1000 * call:g} ms"
         out.append(speed(what, times, "x real time", goal))
+    everything_on = unkind(load_params())
+    pairs = [(alone(seconds, 1.0), alone(seconds, 1.0, **everything_on)) for _ in range(repeat)]
+    longer = max(kind for kind, _ in pairs) / max(real for _, real in pairs)
+    out.append(
+        cost("the same in calls of 1000 ms with every effect of a real bench, over none", longer, "x", GOAL_UNKIND)
+    )
     for everything, observers, goal in ((False, "", GOAL_USUAL), (True, ", all observers", GOAL_ALL)):
         times, channels = max(through_protocol(seconds, everything) for _ in range(repeat))
         what = f"through the protocol, {'all ' if everything else ''}{channels} channels{observers}, and edges"

@@ -94,7 +94,9 @@ def lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     """What is told of compiling, in an empty cache."""
     monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
     monkeypatch.setattr(numba_cache, "_prepare", lambda: str(tmp_path))
-    monkeypatch.setattr(numba_cache, "Progress", type("Fresh", (numba_cache.Progress,), {"told": -1e9, "done": 0, "of": 0}))
+    monkeypatch.setattr(
+        numba_cache, "Progress", type("Fresh", (numba_cache.Progress,), {"told": -1e9, "done": 0, "of": 0})
+    )
     monkeypatch.setattr(numba_cache, "TELL_EVERY", 0.0)
     told: list[str] = []
     tell_by(told.append)

@@ -1,0 +1,162 @@
+"""Runs every observer on benches with one effect of a real one each, and ranks what that costs; makes docs/effects.md.
+
+python docs/make_effects.py [--page]
+
+The page's words are in docs/effects/effects.md.j2, its numbers in docs/effects/numbers.json. With --page nothing is
+run. The encoder is in the control loop, so that all observers see the same; errors are against the rotor itself.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from bench.device.simulator import motors
+from protocol.messages import DriveState, SetpointMode
+from sim.config.params import BenchParams, Value, load_params
+from sim.config.unkind import effects, unkind
+from sim.drive.machine import SOURCES, SimulatedBench
+
+DOCS = Path(__file__).parent
+PARTS = DOCS / "effects"
+NUMBERS = PARTS / "numbers.json"
+MOTORS = {"": "the paper's motor", "anaheim-bly172s-24v": "Anaheim BLY172S", "maxon-ec45-flat": "maxon EC 45 flat"}
+"""By configuration."""
+SPEEDS = (0.03, 0.1, 0.33, 0.9)  # of the largest
+LOADS = (0.125, 0.5)  # of the largest current
+LESSONS = ((0.33, 0.06, 1.0), (0.33, 0.5, 0.7), (0.33, 1.0, 0.7), (0.33, 0.12, 0.6))
+"""For the learned edges: speed and current as shares, s."""
+WARM_UP = 60.0  # s at the largest current, where something gets warm
+SEEDS = (1, 2)
+SETTLING = 0.25  # s
+SEEN = 0.25  # s
+LEAST = 0.05  # deg: a cost below it is not told from noise
+
+
+def main() -> None:
+    """Run and write."""
+    if sys.argv[1:] != ["--page"]:
+        NUMBERS.write_text(json.dumps({name: run(name) for name in MOTORS}, indent=1) + "\n")
+    (DOCS / "effects.md").write_text(page(json.loads(NUMBERS.read_text())))
+
+
+def run(name: str) -> dict[str, Any]:
+    """What all observers' errors are on the kind bench of a motor, and by how much each effect changes them, deg."""
+    file = motors()[name] if name else None
+    kind = load_params(file)
+    plain = errors(file, {})
+    cases = {**effects(kind), "all of it": unkind(kind)}
+    found = {effect: errors(file, overrides) for effect, overrides in cases.items()}
+    return {
+        "kind": {observer: rounded(error) for observer, error in plain.items()},
+        "costs": {
+            effect: {observer: rounded(error - plain[observer]) for observer, error in of.items()}
+            for effect, of in found.items()
+        },
+    }
+
+
+def rounded(value: float) -> float:
+    """Three digits behind the point."""
+    return round(value, 3)
+
+
+def errors(file: Path | None, overrides: Mapping[str, Value]) -> dict[str, float]:
+    """Root of the mean square error of each observer over all points and seeds, electrical degrees."""
+    squares = [square for seed in SEEDS for square in seen(load_params(file, overrides), seed)]
+    return {name: math.sqrt(np.mean([square[name] for square in squares])) for name in squares[0]}
+
+
+def seen(params: BenchParams, seed: int) -> list[dict[str, float]]:
+    """Mean square of each observer's error at each point, deg2."""
+    bench = SimulatedBench(params, seed)
+    angles = {entry.name: next(iter(entry.channels)) for entry in SOURCES.values()}
+    bench.set_param("observer", 0)
+    for key, value in edges(params).items():
+        bench.set_param(key, value)
+    bench.watch(frozenset(angles.values()))
+    for state in (DriveState.ARMED, DriveState.RUNNING):
+        bench.enter_state(state)
+        bench.load_enter_state(state)
+        bench.advance(1)
+    found = []
+    pwm_hz = params.clock.pwm_hz
+
+    def go(speed: float, current: float, seconds: float) -> Any:
+        bench.load_setpoint(SetpointMode.SPEED, speed * params.firmware.omega_m_max)
+        bench.setpoint(SetpointMode.CURRENT, current * params.firmware.i_max)
+        return bench.advance(round(seconds * pwm_hz))
+
+    if params.thermal.on:
+        go(0.33, 1.0, WARM_UP)
+    for lesson in LESSONS:
+        go(*lesson)
+    for current in LOADS:
+        for speed in SPEEDS:
+            slow = 4.0 * math.tau / (speed * params.firmware.omega_m_max * params.motor.n_p)
+            go(speed, current, SETTLING + slow)
+            run = go(speed, current, max(SEEN, slow))
+            theta = run["theta_true"]
+            off = {name: np.degrees(theta - run[channel]) for name, channel in angles.items()}
+            found.append({name: float(np.mean(((error + 180) % 360 - 180) ** 2)) for name, error in off.items()})
+    assert not bench.faults, bench.faults
+    return found
+
+
+def edges(params: BenchParams) -> dict[str, float]:
+    """The table that commissioning would find: where the simulated sensors switch, as parameters of the drive, rad."""
+    half = 0.5 * params.hall.hysteresis_deg
+    found = {}
+    for s, delta in enumerate(params.hall.delta_deg, 1):
+        found[f"edge_up_{s}"], found[f"edge_down_{s}"] = math.radians(delta - half), math.radians(delta + half)
+    return found
+
+
+def page(numbers: Mapping[str, Any]) -> str:
+    """The page from its words and these numbers."""
+    tables = [table(MOTORS[name], of["kind"], of["costs"]) for name, of in numbers.items()]
+    ranks = ranked(numbers)
+    environment = Environment(loader=FileSystemLoader(PARTS), undefined=StrictUndefined, keep_trailing_newline=True)
+    return environment.get_template("effects.md.j2").render(
+        tables=tables, ranks=ranks, speeds=SPEEDS, loads=LOADS, seeds=len(SEEDS), least=LEAST, warm_up=WARM_UP
+    )
+
+
+def ranked(numbers: Mapping[str, Any]) -> list[tuple[str, str, float, str]]:
+    """Each effect, dearest first: the observer and the motor that it costs most, and how much, deg."""
+    worst = []
+    first = next(iter(numbers.values()))["costs"]
+    for effect in first:
+        cost, name, observer = max(
+            (of["costs"][effect][observer], name, observer) for name, of in numbers.items() for observer in of["kind"]
+        )
+        worst.append((effect, observer, cost, MOTORS[name]))
+    return sorted(worst, key=lambda one: -one[2])
+
+
+def table(title: str, kind: Mapping[str, float], costs: Mapping[str, Mapping[str, float]]) -> str:
+    """A motor's table: a row an effect, dearest first, a column an observer."""
+    short = {entry.name: entry.short for entry in SOURCES.values()}
+    order = sorted(costs, key=lambda effect: -max(costs[effect].values()))
+    lines = [f"### {title[:1].upper()}{title[1:]}", "", f"| | {' | '.join(short[name] for name in kind)} |"]
+    lines += ["|---" * (len(kind) + 1) + "|", f"| kind bench | {' | '.join(f'{x:.2f}' for x in kind.values())} |"]
+    for effect in order:
+        cells = (costs[effect][name] for name in kind)
+        lines.append(f"| {effect} | {' | '.join(cell(x) for x in cells)} |")
+    return "\n".join(lines)
+
+
+def cell(cost: float) -> str:
+    """A cost with its sign; nothing where it is not told from noise."""
+    return f"{cost:+.2f}" if abs(cost) >= LEAST else "·"
+
+
+if __name__ == "__main__":
+    main()
