@@ -39,6 +39,7 @@ SLOW = (
     "bench/rerunio/test_sinks.py", "bench/test_account.py", "bench/test_any_drive.py", "bench/test_augment.py",
     "bench/test_bad_drive.py", "bench/test_can_cli.py", "bench/test_can_faults.py", "bench/test_can_logs.py",
     "bench/test_errors.py", "bench/test_estimators.py", "bench/test_hall_check.py", "bench/test_interrupts.py",
+    "bench/test_motors.py",
     "bench/test_node.py", "bench/test_notebook_page.py", "bench/test_output.py", "bench/test_parity.py",
     "bench/test_prompt.py", "bench/test_replay.py", "bench/test_score.py", "protocol/canmap/test_can_fuzz.py",
     "protocol/canmap/test_can_streams.py", "protocol/links/test_can_link.py", "protocol/test_lying_device.py",

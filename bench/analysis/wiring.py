@@ -52,6 +52,13 @@ def diagnose(theta: ArrayLike, hall: NDArray[np.integer[Any]], margin: float = M
     Raises ValueError for unfit samples or codes, for a margin that leaves nothing, and where the rotor was not in all
     six sectors.
     """
+    counts = tally(theta, hall, margin)
+    n = int(counts.sum())
+    return Diagnosis(*explained(counts), n, np.size(theta) - n)
+
+
+def tally(theta: ArrayLike, hall: NDArray[np.integer[Any]], margin: float = MARGIN) -> NDArray[np.int64]:
+    """How many samples in each sector had each code, shape (6, 8); arguments and ValueError as for `diagnose`."""
     hall = np.asarray(hall)
     (theta,) = checked(theta=theta)
     if hall.shape != theta.shape:
@@ -62,20 +69,26 @@ def diagnose(theta: ArrayLike, hall: NDArray[np.integer[Any]], margin: float = M
         raise ValueError(f"margin must be from 0 to below 30 deg, got {math.degrees(margin):g} deg")
     clear = np.abs(wrap(theta * SECTORS)) >= margin * SECTORS
     sector = sector_of_angle(theta[clear])
-    # seen[s, c]: share of the samples in sector s that had the code c
-    counts = np.bincount(sector * 8 + hall[clear].astype(np.int64), minlength=SECTORS * 8).reshape(SECTORS, 8)
+    counts = np.bincount(sector * 8 + hall[clear].astype(np.int64), minlength=SECTORS * 8)
+    return counts.reshape(SECTORS, 8)
+
+
+def explained(counts: NDArray[np.int64]) -> tuple[str, float, str, float]:
+    """The wiring that explains most of a `tally`, and the next, each with its share: the first fields of `Diagnosis`.
+
+    ValueError where the rotor was not in all six sectors.
+    """
     samples = counts.sum(axis=1, keepdims=True)
     if not samples.all():
         missing = ", ".join(f"{60 * s}..{60 * s + 60}" for s in np.flatnonzero(samples[:, 0] == 0))
         raise ValueError(f"no samples at {missing} deg (electrical): turn the rotor through all six sectors")
-    seen = counts / samples
+    seen = counts / samples  # [s, c]: share of the samples in sector s that had the code c
     shares = {name: float(seen[range(SECTORS), codes].mean()) for name, codes in _WIRINGS.items()}
     ranked = sorted(shares, key=shares.__getitem__, reverse=True)
     if shares[ranked[0]] < LEAST_SHARE:
         ranked.insert(0, NONE_KNOWN)
     best, runner_up = ranked[:2]
-    n = int(samples.sum())
-    return Diagnosis(best, shares.get(best, shares[runner_up]), runner_up, shares[runner_up], n, int(len(theta) - n))
+    return best, shares.get(best, shares[runner_up]), runner_up, shares[runner_up]
 
 
 def _wirings() -> dict[str, list[int]]:

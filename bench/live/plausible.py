@@ -20,6 +20,7 @@ from bench.analysis.channels import flagged, reference_angle, speed_channel
 from bench.analysis.position import ErrorTable, states, wrap
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.client import Sink
+from bench.live.causes import BackEmf, Wires
 from protocol.messages import DriveState
 from protocol.signals import SECTOR_OF_CODE, Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -36,6 +37,7 @@ LAST = 10.0  # s of a stretch that are judged at most
 BLOCK = 0.25  # s over which Hall sensors and encoder are compared
 TURNS = 3.0  # electrical revolutions from which on they are
 RATIO_OFF = 0.25  # of one, by which their ratio may be off
+LATE = 0.5  # s for each pole pair, from which on half of one shows in the ratio, though edges may come 0.2 s late
 TOO_MUCH = 1.25  # of i_max that the mean current may be
 NO_SUM = 0.5  # of a phase current, rms, that the sum of the three may be
 LEAST_SUM = 0.3  # A, below which the sum is noise and offsets
@@ -93,8 +95,9 @@ class Plausibility(Sink):
         # Hall sensors against the encoder: of the block under way, electrical rad; then of all blocks
         self._last_theta: float | None = None
         self._hall = self._turned = self._since = 0.0
-        self._hall_along = self._turned_total = 0.0
+        self._hall_along = self._turned_total = self._compared = 0.0
         self._sectors = 0.0  # since the last chunk of samples
+        self._wires, self._emf = Wires(), BackEmf(parameters)
 
     def ask(self, speed_rpm: float) -> None:
         """From now on this speed is asked for."""
@@ -124,6 +127,7 @@ class Plausibility(Sink):
             return
         seconds = len(chunk) / self._rate
         self._look_at_currents(chunk)
+        self._look_for_causes(chunk, seconds)
         self._compare(chunk, sectors, seconds)
         self._look_at_speed(chunk, sectors, seconds)
 
@@ -134,6 +138,14 @@ class Plausibility(Sink):
             a, b, c = (chunk.physical(name) for name in PHASES)
             self._phase.add((a * a + b * b + c * c) / 3.0)
             self._sum.add((a + b + c) ** 2)
+
+    def _look_for_causes(self, chunk: SampleChunk, seconds: float) -> None:
+        if self._theta and "hall" in self._names:
+            self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])
+        if self._omega and self._names.issuperset(("e_alpha", "e_beta", "i_d", "i_q")) and self._by == "the encoder":
+            emf = float(np.hypot(chunk.physical("e_alpha"), chunk.physical("e_beta")).mean())
+            current = math.hypot(chunk.physical("i_d").mean(), chunk.physical("i_q").mean())
+            self._emf.add(seconds, emf, float(np.abs(chunk.physical(self._omega)).mean()), current)
 
     def _compare(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
         """Add to the block under way; a block beside a gap is left out."""
@@ -151,6 +163,7 @@ class Plausibility(Sink):
             if abs(self._turned) > SECTOR:
                 self._hall_along += math.copysign(self._hall, self._hall * self._turned)
                 self._turned_total += abs(self._turned)
+                self._compared += self._since
             self._hall = self._turned = self._since = 0.0
 
     def _look_at_speed(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
@@ -176,8 +189,10 @@ class Plausibility(Sink):
     def implausible(self, errors: ErrorTable) -> list[str]:
         """What cannot be right for a healthy drive, each with its numbers; `errors`: position errors of the run."""
         found = [f"{name} is not a finite number in {n} samples" for name, n in self._not_finite.items() if n]
+        turns = self._hall_against_encoder()
+        causes = turns or [self._wires.finding(), self._emf.finding(SEEN_FOR)]
+        found += [cause for cause in causes if cause]
         found += [words for asked in self._asked if (words := self._wrong_speed(asked))]
-        found += self._hall_against_encoder()
         rows: dict[str, tuple[int, float]] = {}
         for row in errors.segments.values():
             for name, moments in row.items():
@@ -254,8 +269,10 @@ class Plausibility(Sink):
     def _hall_against_encoder(self) -> list[str]:
         if not self._edges or self._turned_total < TURNS * math.tau:
             return []
-        ratio = self._hall_along / self._turned_total
-        if abs(ratio - 1.0) <= RATIO_OFF:
+        ratio, bound = self._hall_along / self._turned_total, RATIO_OFF
+        if self._n_p is not None and self._compared > LATE * self._n_p:
+            bound = min(bound, 0.5 / self._n_p)
+        if abs(ratio - 1.0) <= bound:
             return []
         turned, hall = self._turned_total / math.tau, self._hall_along / math.tau
         words = f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction"

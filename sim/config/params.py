@@ -11,13 +11,14 @@ The figures are those of `sim.config.sections`. This module knows no kernel and 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from sim.config import derive
+from sim.config.contradictions import contradictions
 from sim.config.errors import DEFAULTS, ConfigError, explain
 from sim.config.sections import BenchParams
 
@@ -26,12 +27,17 @@ __all__ = ["BenchParams", "ConfigError", "Value", "load_params"]
 Value = bool | int | float | str | list[Any] | tuple[float, ...]
 
 
-def load_params(path: str | Path | None = None, overrides: Mapping[str, Value] | None = None) -> BenchParams:
+def load_params(
+    path: str | Path | None = None,
+    overrides: Mapping[str, Value] | None = None,
+    note: Callable[[str], None] = lambda text: None,
+) -> BenchParams:
     """The bench of `default.toml`, with the keys of the TOML file `path` and then `overrides` in their place.
 
     What none of them gives follows from the motor.
 
-    `overrides`: dotted keys such as `motor.R_s` or `firmware.vector_tracking.k_p_vt`. Raises `ConfigError`.
+    `overrides`: dotted keys such as `motor.R_s` or `firmware.vector_tracking.k_p_vt`. `note` gets a line for each
+    contradiction. Raises `ConfigError`.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -43,12 +49,15 @@ def load_params(path: str | Path | None = None, overrides: Mapping[str, Value] |
             table = {key: table}
         _put(table, values, "overrides", sources)
     try:
-        return BenchParams.model_validate(values)
-    except ValidationError as error:
+        BenchParams.model_validate(values)
+    except ValidationError as error:  # nothing can follow from what is wrong; what is missing follows
         if any(one["type"] != "missing" for one in error.errors()):
             raise explain(error, BenchParams, sources) from None
     derive.fill(values, sources)
-    return BenchParams.of(values, sources)
+    params = BenchParams.of(values, sources)
+    for text in contradictions(params, sources):
+        note(text)
+    return params
 
 
 def _read(path: Path) -> dict[str, Any]:

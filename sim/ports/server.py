@@ -217,7 +217,7 @@ def serve(options: ServeOptions, tell: Say) -> None:
         ConfigError: the configuration or an option is wrong.
         LinkError: the port cannot be made.
     """
-    params = load_params(options.config, options.overrides)
+    params = load_params(options.config, options.overrides, _note)
     port = _make_port(options)
     try:
         numba_cache.tell_by(tell)
@@ -237,6 +237,10 @@ def serve(options: ServeOptions, tell: Say) -> None:
         tell(server.summary())
     finally:
         port.unplug()
+
+
+def _note(text: str) -> None:
+    print(f"note: {text}", file=sys.stderr, flush=True)
 
 
 def _say_nothing(line: str) -> None:
