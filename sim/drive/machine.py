@@ -324,6 +324,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             _protection(p, drive),
             period,
             drive["n_p"],
+            1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
         ),
         p.clock.period_ticks,
         p.clock.substeps,
