@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.delays import SLOW, Delays, Late, blame
 from bench.analysis.position import wrap
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
 from bench.hall.edges import NUMERALS, OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import INPUTS, SLOW, Floats, Trace
+from bench.hall.trace import INPUTS, Floats, Trace
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 STILL = 0.01
@@ -48,8 +49,8 @@ class Finding:
     """Something that is wrong."""
 
     code: str
-    """For scripts: dead, pole_pairs, encoder_zero, encoder_reversed, encoder_slips, wiring, displaced, ring, duty,
-    unsteady, pulses, implausible."""
+    """For scripts: dead, pole_pairs, encoder_zero, encoder_reversed, encoder_slips, encoder_late, wiring, displaced,
+    ring, duty, unsteady, pulses, implausible."""
     cause: str
     evidence: tuple[str, ...]
     advice: str
@@ -198,6 +199,28 @@ def ahead(emf: BackEmf | None) -> float:
         return 0.0
     within = DISPLACED if math.isnan(emf.spread) else 2.0 * emf.spread
     return emf.zero if abs(emf.zero) > within else 0.0
+
+
+def late(found: Delays, omega_max: float) -> list[Finding]:
+    """An encoder that is late, or early; `omega_max`: the largest speed that the drive allows, electrical rad/s.
+
+    Hall edges that are late are none: they are measured, and taken out. That they come before the rotor cannot be, so
+    those that seem to are found even where nothing else tells what is late.
+    """
+    what, words = blame(found)
+    if what not in (Late.ENCODER, Late.BOTH) and not (what is Late.UNCLEAR and found.edges < 0.0):
+        return []
+    cause, _, why = words.partition(": ")
+    delay = found.edges if math.isnan(found.back_emf) else found.back_emf
+    seems = f"every estimate seems to lead by omega times that, {_deg(-delay * omega_max)} at the drive's largest speed"
+    return [
+        Finding(
+            "encoder_late",
+            cause,
+            (why, seems) if math.isfinite(omega_max) else (why,),
+            "read the encoder at the instant of the currents; look for a filter or a slow interface between",
+        )
+    ]
 
 
 def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, emf: BackEmf | None) -> list[Finding]:

@@ -18,14 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from bench.analysis.delays import within_groups
 from bench.analysis.position import wrap
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.hall.trace import INPUTS, Edges, Floats
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 CONFIDENCE = 0.95
-SPREAD = 0.1
-"""Of speeds about those of their edge and direction, as a share of them, below which no delay is fitted."""
 FAR = 6.0  # times the scatter,
 LEAST_FAR = math.radians(1.0)  # but at least so far from the median, lies a passage that is left out
 
@@ -129,7 +128,7 @@ def measure(edges: Edges) -> Measured:
                 outliers += int(np.count_nonzero(~near))
                 off, omega = off[near], omega[near]
             groups[sector, upwards] = (off, omega, centre)
-    delay, spread = _delay([(off, omega) for off, omega, _ in groups.values()])
+    delay, spread = within_groups([(off, omega) for off, omega, _ in groups.values()])
     found = tuple(
         Edge(s, *(_passages(*groups[s, upwards], delay, spread) for upwards in (True, False))) for s in range(SECTORS)
     )
@@ -165,19 +164,6 @@ def _passages(off: Floats, omega: Floats, centre: float, delay: float, spread: f
     jitter = float(still.std(ddof=1))
     by_delay = 0.0 if math.isnan(delay) else spread * float(omega.mean())
     return Passages(angle, _t(n - 1) * math.hypot(jitter / math.sqrt(n), by_delay), jitter, n)
-
-
-def _delay(groups: list[tuple[Floats, Floats]]) -> tuple[float, float]:
-    """The delay common to all edges and its standard error, s; NaN where the speeds of each are too much alike."""
-    angles = np.concatenate([off - off.mean() for off, _ in groups if len(off) > 1] or [np.empty(0)])
-    speeds = np.concatenate([omega - omega.mean() for _, omega in groups if len(omega) > 1] or [np.empty(0)])
-    size = np.concatenate([omega for _, omega in groups if len(omega) > 1] or [np.empty(0)])
-    if len(speeds) < 3 * len(groups) or speeds.std() < SPREAD * math.sqrt(float(np.mean(size**2))):
-        return math.nan, math.nan
-    square = float(np.sum(speeds**2))
-    delay = float(np.sum(angles * speeds)) / square
-    rest = angles - delay * speeds
-    return delay, math.sqrt(float(np.sum(rest**2)) / (len(rest) - len(groups) - 1) / square)
 
 
 def _t(freedom: int) -> float:

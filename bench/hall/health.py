@@ -1,20 +1,22 @@
 """What is wrong with Hall sensors, their wires or the encoder they are compared with: causes in words, with evidence.
 
 A cause is named only on evidence that tells it from the others, and every one comes with its numbers. In this order:
-is there enough to go by; inputs that never change; pole pairs; the encoder's zero and direction by the back-EMF; the
-wiring (one fault of it at a time); where the sensors stand; false pulses. The encoder's zero, where no back-EMF was
-recorded, is taken to be right unless the wiring then makes no sense, and the words say what else it may be.
+is there enough to go by; inputs that never change; pole pairs; the encoder's zero, direction and delay; the wiring
+(one fault of it at a time); where the sensors stand; false pulses. The encoder's zero, where no back-EMF was recorded,
+is taken to be right unless the wiring then makes no sense, and the words say what else it may be.
 
 Nothing here talks to a drive or prints.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
+from bench.analysis.delays import AGREE, SLOW, Delays, by_back_emf
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
@@ -22,7 +24,7 @@ from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import SLOW, Trace
+from bench.hall.trace import Trace
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
@@ -51,6 +53,7 @@ class Health:
     pulses: Pulses
     codes: Codes
     emf: BackEmf | None
+    delays: Delays
     wiring: Diagnosis | None
 
 
@@ -61,6 +64,7 @@ def examine(trace: Trace, further: str = "") -> Health:
     findings: list[Finding] = []
     missing: list[str] = []
     emf: BackEmf | None = None
+    delays = Delays(measured.delay if measured.delay_half_width < AGREE else math.nan, math.nan)
     wiring: Diagnosis | None = None
     if not turns.total >= LEAST_TURNS:
         missing.append(
@@ -79,7 +83,8 @@ def examine(trace: Trace, further: str = "") -> Health:
         findings += pole_pairs
     else:
         emf = reference.back_emf(trace)
-        findings += causes.encoder(emf)
+        delays = delays._replace(back_emf=by_back_emf(trace.capture))
+        findings += causes.encoder(emf) + causes.late(delays, _fastest(trace))
         # that of the rotor flux, where the back-EMF says that the encoder's is another
         theta = emf.zero - trace.theta if emf is not None and emf.reversed else trace.theta - causes.ahead(emf)
         moving = np.abs(np.asarray(trace.omega)) >= SLOW
@@ -98,7 +103,13 @@ def examine(trace: Trace, further: str = "") -> Health:
         missing += _thin(turns, measured)
     findings += causes.false_pulses(found_pulses)
     outcome = Outcome.FAULT if findings else Outcome.CANNOT_TELL if missing else Outcome.HEALTHY
-    return Health(outcome, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, wiring)
+    return Health(outcome, tuple(findings), tuple(missing), turns, measured, found_pulses, codes, emf, delays, wiring)
+
+
+def _fastest(trace: Trace) -> float:
+    """The largest speed that the drive allows, electrical rad/s; inf where it does not tell."""
+    parameters = trace.capture.parameters
+    return parameters.get("n_p", math.inf) * parameters.get("omega_m_max", math.inf)
 
 
 def _codes(trace: Trace) -> Codes:

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.hall.trace import INPUTS, SLOW, Edges, Trace
+from bench.analysis.delays import SLOW, STATOR, driven, stator
+from bench.hall.trace import INPUTS, Edges, Trace
 
 CLEAR = 0.8
 """Share of the back-EMF that must stand still in the frame of a reference for its angle to be believed."""
 LEAST_SAMPLES = 200
 LEAST_EMF = 0.15
 """V, mean size of the back-EMF from which on it is believed: dead time and drops cost some tenths of a volt."""
-EMF_CHANNELS = ("u_alpha", "u_beta", "i_a", "i_b")
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,10 @@ def back_emf(trace: Trace) -> BackEmf | None:
     resistance, inductance = (capture.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
     if trace.theta is None or trace.omega is None or resistance is None or inductance is None:
         return None
-    if any(name not in capture for name in EMF_CHANNELS):
+    if any(name not in capture for name in STATOR):
         return None
-    i_a, i_b = capture["i_a"], capture["i_b"]
-    i = i_a + 1j * (i_a + 2.0 * i_b) / math.sqrt(3.0)
-    u = capture["u_alpha"] + 1j * capture["u_beta"]
-    settled = np.convolve(trace.on, np.ones(9), "full")[: len(trace.on)] > 8.5  # on for nine samples
+    u, i = stator(capture)
+    settled = driven(capture)
     fast = np.abs(trace.omega) > 0.5 * np.abs(trace.omega[settled]).max(initial=0.0)
     use = settled & fast & (np.abs(trace.omega) > SLOW)
     if np.count_nonzero(use) < LEAST_SAMPLES:

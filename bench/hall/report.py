@@ -71,7 +71,10 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
         rows.append(["pole pairs", f"{turns.n_p} in the drive; {turns.n_p * turns.ratio:.2f} by the Hall edges"])
     if not math.isnan(measured.delay):
         within = measured.delay_half_width * 1e6
-        rows.append(["edges seen late", f"by {measured.delay * 1e6:.1f} us +- {within:.1f} us (95 %)"])
+        seen = "early" if measured.delay < 0.0 else "late"
+        rows.append([f"edges seen {seen}", f"by {abs(measured.delay) * 1e6:.1f} us +- {within:.1f} us (95 %)"])
+    if not math.isnan(health.delays.back_emf):
+        rows.append(["back-EMF", f"{health.delays.back_emf * 1e6:+.0f} us from the encoder"])
     if emf is not None and not emf.reversed:
         zero = round(math.degrees(emf.zero), 1) + 0.0  # no -0.0
         rows.append(["encoder's zero", f"{zero:.1f} deg ahead of the back-EMF, over {emf.n} samples"])
@@ -130,6 +133,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "n_p_by_hall": None if turns.n_p is None else _plain(turns.n_p * turns.ratio),
         "edges": [_edge_json(edge, width) for edge, width in zip(measured.edges, _widths(health), strict=True)],
         "delay_s": _plain(measured.delay),
+        "back_emf_delay_s": _plain(health.delays.back_emf),
         "duty": {name: _plain(duty) for name, duty in zip(INPUTS, measured.duty, strict=True)},
         "false_pulses": {
             "n": found.n,

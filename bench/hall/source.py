@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.analysis.delays import STATOR
 from bench.device.node import Node
 from bench.files import check_output
 from bench.hall.passive import watch, watched
-from bench.hall.reference import EMF_CHANNELS
 from bench.hall.trace import recorded
 from bench.hall.turning import Turned, Turner
 from bench.rig.connection import SIM, open_target
@@ -106,7 +106,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
                 rig.prepare([watched(rig)], recording)
                 yield Source(watch(rig, options.duration, screen.progress), rig.drive.node)
                 return
-            rig.prepare(recording=recording, needed=frozenset(EMF_CHANNELS))
+            rig.prepare(recording=recording, needed=frozenset(STATOR))
             check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
             turner = Turner(rig, options.speed_rpm, screen.progress)
             yield Source(turner.spin(), rig.drive.node)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
+from bench.analysis.delays import SLOW, speed
 from bench.analysis.position import states
 from bench.errors import BenchError
 from protocol.codes import DriveState
@@ -28,10 +29,6 @@ Ints = NDArray[np.int64]
 
 PULSE = 20e-6
 """s between the two edges of a false pulse, at most: a shaft at 30 000 electrical r/min takes 330 us a sector."""
-SLOW = 5.0
-"""Electrical rad/s, below which the direction of a shaft is not sure."""
-SLOPE = 8e-3
-"""s on either side of a sample over which the speed is taken."""
 INPUTS = "abc"
 
 
@@ -111,7 +108,7 @@ def trace(capture: Capture) -> Trace:
     theta = omega = None
     if reference_angle(capture.samples.config.channels):
         theta = capture.theta
-        omega = _slope(theta, capture.samples.tick / capture.tick_hz, max(1, round(SLOPE * capture.tick_hz / period)))
+        omega = speed(theta, capture.t)
     current = _current(capture)
     raw = capture.edges
     tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
@@ -128,13 +125,6 @@ def trace(capture: Capture) -> Trace:
     if (told := states(capture.samples)) is not None:
         on = told == DriveState.RUNNING
     return Trace(hall, theta, omega, current, on, period / capture.tick_hz, edges, pulses, unplaced, slow, capture)
-
-
-def _slope(theta: Floats, t: Floats, reach: int) -> Floats:
-    """Speed at each sample from the samples `reach` before and after it."""
-    n = len(theta)
-    before, after = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
-    return (theta[after] - theta[before]) / np.maximum(t[after] - t[before], 1e-9)
 
 
 def _current(capture: Capture) -> Floats:

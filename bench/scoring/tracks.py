@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import contiguous, part
+from bench.analysis.delays import blame, delays
 from bench.analysis.position import states
 from bench.analysis.units import pole_pairs
 from bench.errors import BenchError
@@ -120,6 +121,8 @@ def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list
             usable = running
         else:
             notes.append("the drive was never RUNNING: all samples count")
+    if words := blame(delays(capture))[1]:
+        notes.append(f"angles differ in time: {words}")
     if n_p is None:
         notes.append("the pole pairs are not known: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels

@@ -338,8 +338,11 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        **p.encoder.model_dump(exclude={"present", "index_search"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
-    )
+        **p.encoder.model_dump(exclude={"present", "index_search", "latency"}),
+        n_p=p.motor.n_p,
+        n_p_hat=drive["n_p"],
+        T_s=period,
+    )._replace(latency=p.encoder.latency)
     motor = _motor(p)
     J = p.mechanics.J * (1.0 - p.coupling.load_share) if p.coupling.stiffness else p.mechanics.J
     return tick.Params(
@@ -367,6 +370,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             period,
             drive["n_p"],
             ampere(p),
+            1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
         ),
         p.clock.period_ticks,
         p.clock.substeps,

@@ -175,8 +175,8 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
         hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
         sample.init(),
         back_emf.init(),
-        encoder.init(encoder.count(params.encoder, theta_e)),
-        encoder.booted(encoder.count(params.encoder, theta_e), params.index_search),
+        encoder.init(encoder.count(params.encoder, theta_e, 0.0)),
+        encoder.booted(encoder.count(params.encoder, theta_e, 0.0), params.index_search),
         tick_firmware.init(),
     )
 
@@ -189,18 +189,19 @@ def _captured(
     new: int,
     tick: int,
     theta: float,
+    omega: float,
     edges: Pointer[Edge],
     wire: Pointer[WireEdge],
     m: int,
 ) -> tuple[hall_wiring.State, int]:
-    """Capture an edge at `tick`, at the angle `theta`, if the code `new` is another one than before."""
+    """Capture an edge at `tick`, at this angle and speed, if the code `new` is another one than before."""
     old = wiring.pins
     if new == old:
         return wiring, m
     edges[m] = Edge(tick, new)
     count = 0
     if params.has_encoder == 1:
-        count = encoder.shown(params.encoder, index, encoder.count(params.encoder, theta))
+        count = encoder.shown(params.encoder, index, encoder.count(params.encoder, theta, omega))
     wire[m] = WireEdge(
         np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
@@ -256,13 +257,15 @@ def _edges(
             due = wiring.due
             wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, index, pins, due, theta, edges, wire, m)
+            omega = omega_0 + x * (omega_1 - omega_0)
+            wiring, m = _captured(params, wiring, index, pins, due, theta, omega, edges, wire, m)
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
-            theta += params.hall.latency * (omega_0 + x * (omega_1 - omega_0))
+            omega = omega_0 + x * (omega_1 - omega_0)
+            theta += params.hall.latency * omega
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, index, pins, captured, theta, edges, wire, m)
+            wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, edges, wire, m)
         else:
             break
     return hall, wiring, m, rng
@@ -375,7 +378,7 @@ def _sense(
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
     a = params.firmware.ampere
-    count = encoder.count(params.encoder, plant.theta_e)
+    count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
     return Sensed(count, quantised(i_a, a), quantised(i_b, a), quantised(i_c, a))
 
 
@@ -441,7 +444,8 @@ def advance(
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
-                wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, edges, wire, m)
+                omega = motor.n_p * plant.omega_m
+                wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, edges, wire, m)
             plant, electric, link, beyond, alpha, hall, wiring, m, rng = _move(
                 params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
             )

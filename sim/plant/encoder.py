@@ -4,7 +4,7 @@ Four counts a line; the index pulse sets the counter to zero once a turn, so the
 misaligned zero adds `offset` to the angle that the firmware reads. With an index search the counter begins at zero
 wherever the rotor is, and is an absolute angle from the first index pulse on. A disc that sits off its centre adds a
 sine with a period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal
-width.
+width. One that is late (a filter, a serial interface) shows the angle that was `latency` ago, at the speed of now.
 
 Never interpolates between counts.
 """
@@ -31,6 +31,7 @@ class Params(NamedTuple):
     T_s: float
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
+    latency: float  # s, short beside what the speed takes to change
 
 
 class Index(NamedTuple):
@@ -77,6 +78,7 @@ def make_params(
         float(T_s),
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
+        0.0,
     )
 
 
@@ -92,9 +94,9 @@ def _sine(turns: float) -> float:
 
 
 @kernel
-def count(params: Params, theta_e: float) -> int:
-    """The counter, 0..counts-1, at an unwrapped electrical angle (rad)."""
-    counts = (theta_e + params.offset) * params.counts_per_rad
+def count(params: Params, theta_e: float, omega_e: float) -> int:
+    """The counter, 0..counts-1, at an unwrapped electrical angle (rad) and a speed (rad/s)."""
+    counts = (theta_e - params.latency * omega_e + params.offset) * params.counts_per_rad
     if params.eccentric != 0.0 or params.within != 0.0:
         counts += params.eccentric * _sine(counts / params.counts)
         counts += params.within * _sine(0.25 * counts)

@@ -41,6 +41,8 @@ class Motor:
     rewire: Callable[[Levels], Levels] = lambda levels: levels
     encoder: Callable[[NDArray[np.float64]], NDArray[np.float64]] = lambda theta: theta
     """theta_enc by the angle of the rotor flux, rad, unwrapped."""
+    late: float = 0.0
+    """s by which the encoder shows where the rotor was."""
     pulses: Sequence[tuple[float, int]] = ()
     """False pulses of 3 us: when (s), and on which input (0..2)."""
     running: bool = True
@@ -108,7 +110,7 @@ def _values(
     return {
         "hall": hall.astype(float),
         "status": np.full(len(t), float(RUNNING if on else IDLE)),
-        "theta_enc": np.clip(_wrapped(motor.encoder(theta)), -math.pi, math.pi - 1e-4),
+        "theta_enc": np.clip(_wrapped(motor.encoder(theta - motor.late * omega)), -math.pi, math.pi - 1e-4),
         "i_a": i.real,
         "i_b": (-i.real + math.sqrt(3.0) * i.imag) / 2.0,
         "i_d": 0.0 * i_q,

@@ -25,7 +25,9 @@ from bench.acceptance.suite.common import (
     whole_turns,
 )
 from bench.acceptance.suite.events import current
+from bench.analysis.delays import STATOR, Late, blame, delays
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.errors import BenchError
 from bench.rig.loads import Load
 
 PHASES = ("channel:i_a", "channel:i_b", "channel:i_c")
@@ -134,6 +136,38 @@ def test_back_emf_and_encoder(drive: Drive, record: Record, measure: Measure) ->
     measure("edges_dropped", dropped, run)
     measure("u_dc", run["u_dc"].mean(), run)
     measure("u_dc_ripple", np.ptp(run["u_dc"]), run)
+
+
+@limit("encoder", "us", hi=30, about="by which encoder and back-EMF differ: early or late, every error has it in it")
+@limit("hall", "us", hi=50, about="by which Hall edges and back-EMF differ")
+@needs(
+    *TURNS,
+    "encoder",
+    "feature:EDGES",
+    *(f"channel:{name}" for name in STATOR),
+    "parameter:R_s_hat",
+    "parameter:L_s_hat",
+)
+@energises(speed_rpm=1000, current=8)
+def test_angles_are_of_one_time(drive: Drive, record: Record, measure: Measure) -> None:
+    """Encoder, Hall edges and back-EMF at 500 and 1000 r/min both ways, near no load: which of them is late.
+
+    An encoder that is tau late makes every estimate seem to lead by omega tau. That is the bench's error, not the
+    drive's: ERROR says so, with the reason.
+    """
+    run_at(drive, record, 1000, 0.6)
+    with record.stretch() as turning:
+        for speed_rpm in (1000, 500, -500, -1000):
+            drive.speed(speed_rpm * RPM)
+            record.wait(0.5)
+    drive.stop()
+    found = delays(turning.capture)
+    late, words = blame(found)
+    if late in (Late.ENCODER, Late.BOTH):
+        raise BenchError(f"{words}; so much, times the speed, is the encoder's of every error against it")
+    measure("encoder", 1e6 * abs(found.back_emf), turning.capture)
+    measure("hall", 1e6 * abs(found.edges - found.back_emf), turning.capture)
+    assert late is not Late.UNCLEAR, words
 
 
 @limit("i_q_light", "A", lo=0.05, hi=1, about="mean with light load: friction")

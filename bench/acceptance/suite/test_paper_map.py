@@ -26,10 +26,10 @@ TYPICAL = {
         8.0: (2.7, 5.1, 7.5, 9.6, 11.3, 12.7, 13.8, 14.7, 15.4, 16.3),
     },
     AVERAGE: {
-        2.0: (16.8, 27.2, 40.4, 56.6, 75.7, 98.4, 125.5, 159.6, 197.3, 250.3),
-        4.0: (15.3, 20.7, 27.4, 35.0, 43.3, 52.1, 61.7, 72.3, 83.0, 96.1),
-        6.0: (14.8, 18.6, 23.3, 28.3, 33.8, 39.4, 45.2, 51.3, 57.6, 64.4),
-        8.0: (14.5, 17.5, 21.2, 25.2, 29.3, 33.5, 37.7, 42.3, 46.7, 51.3),
+        2.0: (16.7, 25.3, 36.1, 48.3, 61.6, 75.2, 88.2, 99.9, 109.3, 117.1),
+        4.0: (15.3, 19.7, 24.7, 30.0, 35.2, 40.6, 45.9, 50.4, 55.3, 59.2),
+        6.0: (14.8, 17.9, 21.2, 24.7, 28.1, 31.4, 34.4, 37.3, 40.1, 42.6),
+        8.0: (14.6, 17.1, 19.6, 22.2, 24.7, 27.0, 29.2, 31.1, 33.2, 35.0),
     },
 }
 """THD in % that the paper's drive has, by approach and load (A of q current), at each of SPEEDS."""
@@ -64,7 +64,7 @@ def _name(observer: str, amps: float, speed: int) -> str:
         for speed, typical in zip(SPEEDS, row, strict=True)
     )
 )
-@limit("ratio_max", "", lo=0.2, hi=0.45, about="THD of the proposed approach over that of the average speed, largest")
+@limit("ratio_max", "", lo=0.25, hi=0.55, about="THD of the proposed approach over that of the average speed, largest")
 @limit("rise", "", lo=1.4, hi=2.0, about="THD of the proposed approach at 2500 r/min over that at 1000, least")
 @needs("load.speed", "rate:16000")
 @energises(speed_rpm=2500, current=8)
@@ -72,7 +72,8 @@ def test_fig13_thd_map(drive: Drive, load: NodeLoad, record: Record, measure: Me
     """Fig. 13: THD (20) of i_a at 2 to 8 A and 250 to 2500 r/min, with both approaches.
 
     The load holds the speed and the drive keeps the q current, so that neither a speed loop's gains nor its current
-    limit are part of it: only the angle differs.
+    limit are part of it. What differs is the estimate that the current loop is given, its angle and its speed; both
+    speeds should pass the same low-pass.
     """
     grid = [(speed, amps, observer) for speed in SPEEDS for amps in LOADS for observer in APPROACHES]
     drive.start(PROPOSED)

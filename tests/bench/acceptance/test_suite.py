@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from pathlib import Path
 from unittest.mock import patch
 from zlib import crc32
 
@@ -50,3 +51,20 @@ def test_an_untouched_drive_passes_whatever_the_noise(accepting: Accepting) -> N
     assert {name: m.value for name, m in run.measured.items() if m.verdict is not Verdict.PASS} == {}
     assert run.code == 0
     assert len(set(seeds)) > len(run.tests) > 20  # one more to try whether the drive can be made
+
+
+def test_an_encoder_that_is_late_is_the_benchs_error_and_hall_sensors_that_are_late_fail(
+    accepting: Accepting, tmp_path: Path
+) -> None:
+    runs = {}
+    for name in ("encoder", "hall"):
+        config = tmp_path / f"{name}.toml"
+        config.write_text(f"[{name}]\nlatency = 1e-4\n")
+        runs[name] = accepting(keyword="angles_are_of_one_time", config=config)
+    (late,) = runs["encoder"].result.tests
+    assert late.verdict is Verdict.ERROR
+    assert "the encoder is 10" in late.why
+    assert "back-EMF" in late.why
+    measured = runs["hall"].measured
+    assert measured["angles_are_of_one_time.encoder"].verdict is Verdict.PASS
+    assert measured["angles_are_of_one_time.hall"].verdict is Verdict.FAIL
