@@ -189,9 +189,7 @@ class Plausibility(Sink):
     def implausible(self, errors: ErrorTable) -> list[str]:
         """What cannot be right for a healthy drive, each with its numbers; `errors`: position errors of the run."""
         found = [f"{name} is not a finite number in {n} samples" for name, n in self._not_finite.items() if n]
-        turns = self._hall_against_encoder()
-        causes = turns or [self._wires.finding(), self._emf.finding(SEEN_FOR)]
-        found += [cause for cause in causes if cause]
+        found += self.causes()
         found += [words for asked in self._asked if (words := self._wrong_speed(asked))]
         rows: dict[str, tuple[int, float]] = {}
         for row in errors.segments.values():
@@ -210,6 +208,12 @@ class Plausibility(Sink):
                 f"{self._phase.rms:.2g} A a phase"
             )
         return found
+
+    def causes(self) -> list[str]:
+        """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
+        return self._hall_against_encoder() or [
+            cause for cause in (self._wires.finding(), self._emf.finding(SEEN_FOR)) if cause
+        ]
 
     def unverified(self) -> list[str]:
         """What nothing in the stream could show, each with the reason."""

@@ -322,7 +322,8 @@ class LiveRun:
             why = self.rig.drive.starved(self._watchdog)
             self.tripped = f"the drive tripped: {', '.join(fault_names(stats.faults))}{why}"
         if self.tripped and exit_code == 0:
-            result, exit_code = self.tripped, 1
+            causes = self._judge.causes() if self._judge else []
+            result, exit_code = "; ".join([self.tripped, *causes]), 1
         if exit_code == 0:
             result, exit_code = self._judged(stats)
             if self._signal:
