@@ -142,6 +142,17 @@ def test_a_check_names_what_is_wrong(name: str, fault: str, cause: str, tmp_path
     assert [finding.cause for finding in health.findings] == [cause.format(n_p + 1, n_p)]
 
 
+def test_the_page_has_their_figures() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulated-drive.md").read_text()
+    for name, file in motors().items():
+        params = load_params(file)
+        m, rpm = params.motor, params.firmware.omega_m_max * 60 / math.tau
+        L = " / ".join(f"{1e3 * x:.3g}" for x in sorted({m.L_d, m.L_q}, key=lambda x: x != m.L_d))
+        torque = 1.5 * m.n_p * m.psi_f * m.i_max
+        cells = f"{m.n_p} | {m.R_s:.3g} | {L} | {1e3 * m.psi_f:.3g} | {m.i_max:g} | {torque:.2g} | {rpm:.0f}"
+        assert f"| [{name}](../sim/motors/{name}.toml) | {cells} |" in page
+
+
 def test_they_are_listed_and_a_wrong_name_is_told_the_next() -> None:
     listed = CliRunner().invoke(cli, ["sim", "--motors"])
     assert listed.exit_code == 0
