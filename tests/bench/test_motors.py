@@ -20,6 +20,7 @@ from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.live.run import Ended
+from bench.rig.settings import read_settings
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 
@@ -151,6 +152,13 @@ def test_the_page_has_their_figures() -> None:
         torque = 1.5 * m.n_p * m.psi_f * m.i_max
         cells = f"{m.n_p} | {m.R_s:.3g} | {L} | {1e3 * m.psi_f:.3g} | {m.i_max:g} | {torque:.2g} | {rpm:.0f}"
         assert f"| [{name}](../sim/motors/{name}.toml) | {cells} |" in page
+
+
+def test_a_bench_toml_may_name_one(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text('config = "maxon-ec60-flat"\n')
+    assert read_settings(tmp_path / "bench.toml").config == motors()["maxon-ec60-flat"]
+    (tmp_path / "maxon-ec60-flat").write_text("[motor]\nR_s = 1.0\n")  # a file of that name comes first
+    assert read_settings(tmp_path / "bench.toml").config == tmp_path / "maxon-ec60-flat"
 
 
 def test_they_are_listed_and_a_wrong_name_is_told_the_next() -> None:
