@@ -100,7 +100,7 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     "firmware.psi_f_hat": (0, lambda d: d["motor.psi_f"]),
     "firmware.i_max": (0, lambda d: d["motor.i_max"]),
     "firmware.omega_m_max": (0, lambda d: d.top),
-    "current_sensor.range": (2, lambda d: 2.5 * d["motor.i_max"]),
+    "current_sensor.range": (2, lambda d: max(2.5 * d["motor.i_max"], 0.1)),
     "current_sensor.noise_rms": (2, lambda d: d["current_sensor.range"] / 1000.0),
     # the shaft and its load machine, by rated torque and speed
     "mechanics.J": (2, lambda d: 0.14 * d.tau / d.top),
@@ -143,7 +143,9 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     # the inverter: its dead-time error reaches as far as the ripple
     "inverter.i_smooth": (
         2,
-        lambda d: min(0.0352 * d["inverter.u_dc"] / (min(d["motor.L_d"], d["motor.L_q"]) * d["clock.pwm_hz"]), 10.0),
+        lambda d: clip(
+            0.0352 * d["inverter.u_dc"] / (min(d["motor.L_d"], d["motor.L_q"]) * d["clock.pwm_hz"]), 1e-3, 10.0
+        ),
     ),
     "firmware.dead_time.dead_time_hat": (0, lambda d: d["inverter.dead_time"]),
 }
@@ -162,8 +164,13 @@ def fill(values: dict[str, Any], sources: dict[str, str]) -> None:
         if key not in table:
             value = rule(design)
             lo, hi = RANGES.get(dotted.partition(".")[0], {}).get(key, (-math.inf, math.inf))
-            table[key] = min(max(rounded(value, digits) if digits else value, lo), hi)
+            table[key] = clip(rounded(value, digits) if digits else value, lo, hi)
             sources[dotted] = DERIVED
+
+
+def clip(value: float, lo: float, hi: float) -> float:
+    """The value, or the limit that it is beyond."""
+    return min(max(value, lo), hi)
 
 
 def rounded(value: float, digits: int) -> float:

@@ -20,6 +20,7 @@ from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
 from bench.live.run import Ended
+from bench.rig.settings import read_settings
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 
@@ -140,6 +141,24 @@ def test_a_check_names_what_is_wrong(name: str, fault: str, cause: str, tmp_path
     file.write_text(motors()[name].read_text() + fault.format(n_p + 1))
     health = check(file)
     assert [finding.cause for finding in health.findings] == [cause.format(n_p + 1, n_p)]
+
+
+def test_the_page_has_their_figures() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulated-drive.md").read_text()
+    for name, file in motors().items():
+        params = load_params(file)
+        m, rpm = params.motor, params.firmware.omega_m_max * 60 / math.tau
+        L = " / ".join(f"{1e3 * x:.3g}" for x in sorted({m.L_d, m.L_q}, key=lambda x: x != m.L_d))
+        torque = 1.5 * m.n_p * m.psi_f * m.i_max
+        cells = f"{m.n_p} | {m.R_s:.3g} | {L} | {1e3 * m.psi_f:.3g} | {m.i_max:g} | {torque:.2g} | {rpm:.0f}"
+        assert f"| [{name}](../sim/motors/{name}.toml) | {cells} |" in page
+
+
+def test_a_bench_toml_may_name_one(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text('config = "maxon-ec60-flat"\n')
+    assert read_settings(tmp_path / "bench.toml").config == motors()["maxon-ec60-flat"]
+    (tmp_path / "maxon-ec60-flat").write_text("[motor]\nR_s = 1.0\n")  # a file of that name comes first
+    assert read_settings(tmp_path / "bench.toml").config == tmp_path / "maxon-ec60-flat"
 
 
 def test_they_are_listed_and_a_wrong_name_is_told_the_next() -> None:

@@ -36,7 +36,7 @@ from sim.observers.sample import FrontEnd, Sample
 MODULES = [name for name in CATALOGUE if name != "average_speed"]  # which is the front end's
 OBSERVERS = [import_module(f"sim.observers.{name}") for name in MODULES]
 EACH = pytest.mark.parametrize("observer", OBSERVERS, ids=MODULES)
-OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges"}
+OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges", "i_range"}
 TOLD = {"k_ic": 11.0, **table()}
 
 
