@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from bench.device.simulator import configuration, motors
+from bench.device.simulator import configuration, shipped
 from bench.files import STANDARD_OUTPUT, check_output, finite, write
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -51,7 +51,7 @@ class _Configuration(click.Path):
         """Read it, or say why not."""
         file = configuration(Path(value), str(value))
         if file.suffix != ".toml" and not file.exists():
-            near = difflib.get_close_matches(str(value), motors(), n=1, cutoff=0.3)
+            near = difflib.get_close_matches(str(value), shipped(), n=1, cutoff=0.3)
             hint = f"did you mean {near[0]}? " if near else ""
             self.fail(
                 f"no file and no motor '{value}'; {hint}bench sim --motors lists those that are shipped", param, ctx
@@ -60,7 +60,7 @@ class _Configuration(click.Path):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Names of motors, then files."""
-        names = [CompletionItem(name) for name in motors() if name.startswith(incomplete)]
+        names = [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
         return names or super().shell_complete(ctx, param, incomplete)
 
 

@@ -22,9 +22,9 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
     if not value:
         return
     from bench.cli.output import table
-    from bench.device.simulator import motors
+    from bench.device.simulator import shipped
 
-    rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in motors().items()]
+    rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in shipped().items()]
     table(("motor", "what it is"), rows)
     ctx.exit()
 

@@ -26,9 +26,14 @@ def motors() -> dict[str, Path]:
     return {file.stem: file for file in sorted(Path(str(files("sim"))).glob("motors/*.toml"))}
 
 
+def shipped() -> dict[str, Path]:
+    """All configurations that are shipped, by name: the motors, and the paper's motor on an unkind bench."""
+    return motors() | {"bench24v": Path(str(files("sim"))) / "bench24v.toml"}
+
+
 def configuration(path: Path, name: str) -> Path:
-    """The file of a configuration: `path`, or where there is none that of the motor `name`."""
-    return path if path.exists() else motors().get(name, path)
+    """The file of a configuration: `path`, or where there is none that of the shipped one `name`."""
+    return path if path.exists() else shipped().get(name, path)
 
 
 class EmbeddedDrive:

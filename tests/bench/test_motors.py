@@ -164,7 +164,7 @@ def test_a_bench_toml_may_name_one(tmp_path: Path) -> None:
 def test_they_are_listed_and_a_wrong_name_is_told_the_next() -> None:
     listed = CliRunner().invoke(cli, ["sim", "--motors"])
     assert listed.exit_code == 0
-    assert [line.split()[0] for line in listed.output.splitlines()[1:]] == sorted(NO_LOAD)
+    assert [line.split()[0] for line in listed.output.splitlines()[1:]] == [*sorted(NO_LOAD), "bench24v"]
     refused = CliRunner().invoke(cli, ["sim", "--config", "maxon-ec45"])
     assert refused.exit_code == 2
     assert "no file and no motor 'maxon-ec45'; did you mean maxon-ec45-flat?" in refused.output
