@@ -134,7 +134,10 @@ RULES: dict[str, tuple[int, Callable[[Design], float]]] = {
     ),
     # thresholds are voltages
     "firmware.vector_tracking.omega_on": (2, lambda d: d.e_on / d["motor.psi_f"]),
-    "firmware.vector_tracking.omega_off": (2, lambda d: 0.6 * d["firmware.vector_tracking.omega_on"]),
+    "firmware.vector_tracking.omega_off": (
+        2,
+        lambda d: min(0.6 * d.e_on / d["motor.psi_f"], d["firmware.vector_tracking.omega_on"]),
+    ),
     "firmware.protection.hall_emf": (2, lambda d: 2.29 * d.e_on),
     "firmware.protection.u_dc_min": (3, lambda d: 0.5 * d["inverter.u_dc"]),
     "firmware.protection.u_dc_max": (3, lambda d: 4.0 / 3.0 * d["inverter.u_dc"]),

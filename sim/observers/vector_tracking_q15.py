@@ -64,7 +64,7 @@ class Settings:
     omega_on: float  # electrical rad/s
     omega_off: float
     bw_omega_lpf: float  # Hz
-    i_range: float = BASE  # A, full scale of the current sensors
+    i_range: float  # A, full scale of the current sensors
 
 
 class Constants(NamedTuple):

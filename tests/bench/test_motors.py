@@ -30,7 +30,7 @@ NO_LOAD = {  # r/min at 24 V by the figures that the sources have
     "hurst-dmb0224c10002": 24 / 7.56e-3,  # V peak between terminals by 1000 r/min
     "linix-45zwn24-40": 4000 * 24 / math.sqrt(3) / 12.9,
     "maxon-ec45-flat": 6710,
-    "maxon-ec60-flat": 4250,  # of the catalogue
+    "maxon-ec60-flat": 60 / math.tau * 24 / (0.289 / 5.47),  # rated torque over rated current
     "mcmaster-8080-70kv": 24 * 70,
     "nanotec-db59l024035": 4500,
     "robodrive-ilm50x08": 9000 / 2,  # on 48 V
