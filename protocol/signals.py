@@ -141,7 +141,7 @@ class AngleSource(IntEnum):
     AVERAGE_SPEED = 1
     VECTOR_TRACKING = 2
     LOAD_ANGLE = 3
-    ZEROTH_ORDER = 4
+    SECTOR_CENTRE = 4
     LOOKUP_TABLE = 5
     HALL_VECTOR = 6
     HALL_VECTOR_DECOUPLED = 7
@@ -157,7 +157,7 @@ SHORT = {
     AngleSource.AVERAGE_SPEED: "avg",
     AngleSource.VECTOR_TRACKING: "vt",
     AngleSource.LOAD_ANGLE: "la",
-    AngleSource.ZEROTH_ORDER: "zero",
+    AngleSource.SECTOR_CENTRE: "sc",
     AngleSource.LOOKUP_TABLE: "lut",
     AngleSource.HALL_VECTOR: "hv",
     AngleSource.HALL_VECTOR_DECOUPLED: "hvd",
@@ -240,7 +240,7 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(25, "tau_e_true", Unit.NM, 1 / 16384, "the plant's electromagnetic torque", Flag.TRUTH),
     _channel(26, "tau_load_true", Unit.NM, 1 / 16384, "torque of the load machine on the shaft", Flag.TRUTH),
     *estimate_channels(27, "la", "vector tracking with load-angle compensation, (18)-(19)"),
-    *estimate_channels(29, "zero", "the centre of the Hall sector [14]"),
+    *estimate_channels(29, "sc", "the centre of the Hall sector"),
     *estimate_channels(31, "lut", "average speed with the table of edges [15]"),
     *estimate_channels(33, "hv", "vector tracking of the Hall vector [16]"),
     *estimate_channels(35, "hvd", "the same, harmonics decoupled [17]"),

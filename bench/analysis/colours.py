@@ -43,7 +43,7 @@ OBSERVERS = {
     "avg": Look("#f88818", "#e07808", "o"),  # orange
     "vt": Look("#88a8ff", "#0050f0", "s"),  # blue
     "la": Look("#8870ff", "#9080f8", "v", "--"),  # violet
-    "zero": Look("#f02848", "#781800", "P"),  # red
+    "sc": Look("#f02848", "#781800", "P"),  # red
     "lut": Look("#d0b070", "#987848", "^"),  # tan
     "hv": Look("#c840c8", "#682058", "<"),  # purple
     "hvd": Look("#f898c8", "#b03870", ">", "--"),  # pink

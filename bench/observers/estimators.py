@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from bench.analysis.chunks import breaks
 from bench.errors import BenchError
+from bench.observers.current_error import CurrentError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -105,7 +106,7 @@ class _Kernels:
             _require(entry.name, entry.missing(parameters))
         self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
         self._observers = {entry.name: entry.start(entry.make_params(stream.pwm_hz, parameters)) for entry in entries}
-        self._i_q = 0.0  # of the last sample, A
+        self._current_error = CurrentError(parameters, stream.pwm_hz)
         self._edges: Records = np.empty(0, EDGE)
         self.seconds = dict.fromkeys(self._observers, 0.0)
         self.front_seconds = 0.0
@@ -124,15 +125,11 @@ class _Kernels:
 
     def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
         """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
-        names = chunk.raw.dtype.names or ()
         measured = np.empty(len(chunk), MEASURED)
-        measured["tick"], measured["hall"], measured["i_q_err"] = chunk.tick, chunk.raw["hall"], 0.0
+        measured["tick"], measured["hall"] = chunk.tick, chunk.raw["hall"]
         for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
             measured[name] = chunk.physical(name)
-        if "i_q" in names and "i_q_ref" in names:
-            i_q = chunk.physical("i_q")
-            measured["i_q_err"] = chunk.physical("i_q_ref") - np.r_[self._i_q, i_q[:-1]]
-            self._i_q = float(i_q[-1])
+        measured["i_q_err"] = self._current_error.of(chunk, reset)
         used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
         due, self._edges = self._edges[:used], self._edges[used:]
         found = {}

@@ -12,7 +12,7 @@ import bench
 from bench.reports.style import axis_labels, colour, legend_above, new_figure
 
 OBSERVERS = {
-    "zeroth_order": "theta_zero",
+    "sector_centre": "theta_sc",
     "average_speed": "theta_avg",
     "vector_tracking": "theta_vt",
     "learned_edges": "theta_le",

@@ -189,7 +189,7 @@ def predicted(drive: Mapping[str, float]) -> dict[str, Any]:
         "speed_bias": float(100.0 * (turn.speed.mean() - 1.0)),
         "speed_std": float(100.0 * turn.speed.std()),
         "average_speed": figures(turn.average_speed),
-        "zeroth_order": figures(turn.zeroth_order),
+        "sector_centre": figures(turn.sector_centre),
         "lookup_table": theory.lookup_table(params.hall.jitter_deg, count),
         "after_acceleration": {key: theory.after_acceleration(a, 500 * RPM * motor.n_p) for key, a in steps.items()},
         "after_load_step": {key: theory.after_load_step(steps[key], drive["bw_hall_vector"]) for key in ("4", "7")},

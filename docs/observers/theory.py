@@ -39,7 +39,7 @@ class Turn:
         return error
 
     @property
-    def zeroth_order(self) -> F64:
+    def sector_centre(self) -> F64:
         """Error of the centre of the ideal sector."""
         error: F64 = self.theta - SECTOR * self.sector - 0.5 * SECTOR
         return error
@@ -64,7 +64,7 @@ class Turn:
         """Error of a loop with three poles at `bandwidth` Hz on the Hall vector, linear, its current constant."""
         w = 2.0 * math.pi * bandwidth
         x = np.radians(self.theta)
-        seen = -math.pi / 3.0 * np.sin(np.radians(self.zeroth_order))
+        seen = -math.pi / 3.0 * np.sin(np.radians(self.sector_centre))
         if decoupled:
             seen = seen - (1 / 5 + 1 / 7) * np.sin(6 * x) - (1 / 11 + 1 / 13) * np.sin(12 * x)
 

@@ -6,7 +6,7 @@ of that bandwidth. The cross-coupling omega L_s i and the back-EMF omega psi_f a
 
 With one period of computation and half a period of modulation, 800 Hz at 16 kHz leaves 63 deg of phase
 margin. Anti-windup is by back-calculation: the integral follows the voltage that the inverter can really
-make.
+make. What it takes back is told, for those who integrate the same error.
 
 Never turns a vector into the stator frame and knows nothing of angles.
 
@@ -65,10 +65,11 @@ def step(
     i_q: float,
     omega_e: float,
     u_max: float,
-) -> tuple[State, float, float]:
-    """One control period: (state, u_d, u_q), the voltage vector at most `u_max` V long.
+) -> tuple[State, float, float, float]:
+    """One control period: (state, u_d, u_q, i_q_back), the voltage vector at most `u_max` V long.
 
-    Currents in A in the controller's frame, `omega_e` in electrical rad/s.
+    Currents in A in the controller's frame, `omega_e` in electrical rad/s. `i_q_back`: how much of the q current's
+    error the integral has not taken in, A; 0 below the limit.
     """
     d_err = i_d_ref - i_d
     q_err = i_q_ref - i_q
@@ -76,12 +77,14 @@ def step(
     u_q_i = state.u_q_i + params.k_i_T * q_err
     u_d = params.k_p * d_err + u_d_i - omega_e * params.L_s * i_q
     u_q = params.k_p * q_err + u_q_i + omega_e * (params.L_s * i_d + params.psi_f)
+    i_q_back = 0.0
     size = math.sqrt(u_d * u_d + u_q * u_q)
     if size > u_max:
         share = u_max / size
         back = (1.0 - share) * min(params.k_i_T, params.k_p) / params.k_p
         u_d_i -= back * u_d
         u_q_i -= back * u_q
+        i_q_back = back * u_q / params.k_i_T
         u_d *= share
         u_q *= share
-    return State(u_d_i, u_q_i), u_d, u_q
+    return State(u_d_i, u_q_i), u_d, u_q, i_q_back

@@ -470,7 +470,7 @@ def advance(
             sensed.i_a,
             sensed.i_b,
             sensed.i_c,
-            driving.i_q_ref - driving.i_q,
+            driving.i_q_ref - driving.i_q - driving.i_q_back,
         )
         front, seen = sample.step(params.front, front, measured, edges, first, m)
         samples[j] = seen

@@ -73,6 +73,7 @@ class Driving(NamedTuple):
     i_d_ref: float  # in force since the last sample, A
     i_q_ref: float
     i_q: float  # at the last sample, A, in the frame that the control uses, as telemetry carries it
+    i_q_back: float  # what the current loop's integral has not taken in of the difference of the two, A
     now: Output  # in force since the last sample
     next: Output  # in force from the coming sample on
 
@@ -114,7 +115,7 @@ def output_off() -> Output:
 @kernel
 def at_rest() -> Driving:
     """Nothing is done."""
-    return Driving(0, 0.0, 0.0, 0.0, output_off(), output_off())
+    return Driving(0, 0.0, 0.0, 0.0, 0.0, output_off(), output_off())
 
 
 @kernel
@@ -197,6 +198,7 @@ def step(
     mode = 0
     i_d_ref = 0.0
     i_q_ref = 0.0
+    i_q_back = 0.0
     omega_ref = 0.0
     output = output_off()
     if command.state == RUNNING and faults == 0:
@@ -215,7 +217,7 @@ def step(
             i_q_ref = command.i_q
         i_d_ref = quantised(i_d_ref, params.ampere)
         i_q_ref = quantised(i_q_ref, params.ampere)
-        current, u_d, u_q = current_loop.step(
+        current, u_d, u_q, i_q_back = current_loop.step(
             params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
         cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
@@ -225,5 +227,5 @@ def step(
         current = current_loop.init()
         speed = speed_loop.init(0.0, 0.0)
         now = output
-    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere), now, output)
+    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere), i_q_back, now, output)
     return State(angle, omega_h, current, speed, driving, protected, faults), Result(i_d, i_q, omega_ref)

@@ -7,8 +7,8 @@ arguments, in SI units.
 
     hall_speed               Hall front end: sector, direction, average speed (1), overdue edges, sensors' faults
     sample                   what every position observer is given, made once by the front end
-    average_speed            position by (1)-(2), [13]
-    zeroth_order             the centre of the Hall sector, [14]
+    average_speed            position by (1)-(2), [13], [14]
+    sector_centre            the centre of the Hall sector, which is none of the paper's
     lookup_table             average speed with a table of the edges, [15]
     hall_vector              vector tracking of the Hall vector with the mechanical model, [16]
     hall_vector_decoupled    the same with its harmonics decoupled, [17]

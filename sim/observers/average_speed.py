@@ -1,5 +1,8 @@
 """Position by the average speed, (1)-(2): the estimate that the paper compares itself with.
 
+The paper names two of the kind, linear extrapolation [13] and the zeroth-order algorithm [14], [15]. Both are this: the
+speed is taken to be constant over a sector, of order zero, so the angle grows linearly.
+
 theta_hat = theta_s + omega_h * (time since the edge), kept inside the sector. The edge's captured time takes
 the place of (2)'s count n of sampling periods, so an edge between two samples costs no resolution.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
-from sim.observers.zeroth_order import Params, Settings, State, init, make_params
+from sim.observers.sector_centre import Params, Settings, State, init, make_params
 
 __all__ = ["Estimate", "Params", "Settings", "State", "init", "make_params", "step"]
 

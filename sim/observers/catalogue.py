@@ -16,9 +16,9 @@ from sim.observers import (
     load_angle,
     lookup_table,
     programmable_filter,
+    sector_centre,
     vector_tracking,
     vector_tracking_q15,
-    zeroth_order,
 )
 from sim.observers.entry import Entry
 
@@ -27,10 +27,10 @@ GROUP = "hallbench.observers"
 _KIM = "Kim et al. 2011, DOI 10.1109/TIE.2010.2098367"
 _VT = {"delta_hat": "delta_hat", "e_alpha": "e_alpha", "e_beta": "e_beta"}
 _ENTRIES = (
-    Entry.of(by_front_end, "avg", f"(1)-(2) of {_KIM}; [13]", "average_speed"),
+    Entry.of(by_front_end, "avg", f"(1)-(2) of {_KIM}; [13], [14]", "average_speed"),
     Entry.of(vector_tracking, "vt", f"(3)-(10) of {_KIM}", **_VT),
     Entry.of(load_angle, "la", f"(3)-(10) with (18)-(19) of {_KIM}"),
-    Entry.of(zeroth_order, "zero", "[14]: Morimoto et al. 2003"),
+    Entry.of(sector_centre, "sc", "six-step drives"),
     Entry.of(lookup_table, "lut", "[15]: Beccue et al. 2007"),
     Entry.of(hall_vector, "hv", "[16]: Giulii Capponi et al. 2006"),
     Entry.of(hall_vector_decoupled, "hvd", "[17]: Harke et al. 2008"),

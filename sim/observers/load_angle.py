@@ -3,8 +3,6 @@
 The kernels are those of `vector_tracking`, which describes them; only the parameters differ. It runs beside the
 uncompensated one, so that the two can be compared on the same signals. No test sine is ever added here.
 
-What (18) integrates while the voltage is at its limit stays: a current loop with anti-windup throws that error away.
-
 Source: (18)-(19) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 """
 

@@ -31,7 +31,7 @@ class Measured(NamedTuple):
     i_a: float  # A, at the sample
     i_b: float
     i_c: float
-    i_q_err: float  # A, reference less q current in the drive's current loop one period ago
+    i_q_err: float  # A, what the q integral of the current loop took in one period ago: below the limit i_q_ref - i_q
 
 
 class Sample(NamedTuple):
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
     u_beta: float
     i_alpha: float  # A
     i_beta: float
-    i_q_err: float  # A, reference less q current, as the drive's current loop had it one period ago
+    i_q_err: float  # A, as measured
 
 
 class State(NamedTuple):

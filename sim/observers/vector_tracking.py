@@ -21,10 +21,11 @@ What the paper leaves open, and how it is settled here:
   with omega_h inside the Hall sector, from the angle of the last edge or from the sector's centre.
 - An estimate more than 30 deg outside the Hall sector is not believed: the correction stops, and starts
   anew at the next edge. Not with `literal_sgn`, which is there to be seen failing.
-- (18) integrates only while compensation and correction are on, and stays within 30 deg. It takes the
-  current error exactly as the drive's current loop had it one period ago, whatever angle that loop works
-  with, so that its integral is the change of the loop's integrator and does not drift. Size and sign of k_pc
-  and k_ic are commissioned for a drive.
+- (18) integrates while compensation and outputs are on, the correction or not, and stays within 30 deg. It takes
+  the current error exactly as the integral of the drive's current loop took it in one period ago, whatever angle
+  that loop works with: at the voltage limit less what its anti-windup took back. So (18)'s integral is that of
+  the loop by their gains, and neither drifts nor winds up. Size and sign of k_pc and k_ic are commissioned for a
+  drive.
 
 A test sine can be added at either input of the loop, to measure its frequency response (11): the response of the
 estimate at sample k, against sin(phase of k), is then the paper's low-pass or high-pass. `inject` = 1 turns theta* by
@@ -201,6 +202,8 @@ def step(
     omega_corr_i = 0.0
     delta = 0.0
     delta_i = state.delta_i if params.load_angle_comp != 0 else 0.0
+    if params.load_angle_comp != 0 and driven:  # (18)
+        delta_i = clip(delta_i + params.k_ic_T * sample.i_q_err, DELTA_MAX)
     if on == 1:
         omega = omega_h + injected_speed
         theta_mid = theta + 0.5 * params.T_s * (omega + state.omega_corr_i) - injected_angle
@@ -217,8 +220,7 @@ def step(
         # (7), (8): sin(theta_hat - theta*) times the sign of the speed
         size = max(math.sqrt(f_alpha * f_alpha + f_beta * f_beta), params.e_min)
         cross = (f_alpha * cos + f_beta * sin) / size
-        if params.load_angle_comp != 0:  # (18)
-            delta_i = clip(delta_i + params.k_ic_T * sample.i_q_err, DELTA_MAX)
+        if params.load_angle_comp != 0:
             delta = clip(params.k_pc * sample.i_q_err + delta_i, DELTA_MAX)
         # (19), which is (9) with a load angle of zero; (4); (10)
         error = delta - cross * direction

@@ -134,7 +134,7 @@ def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numb
     ("name", "speeds", "lo", "hi"),
     [
         ("average_speed", (50, 100, 200, 500, 1000, 2000, 3000), 0.98, 1.02),
-        ("zeroth_order", (50, 100, 200, 500, 1000, 2000, 3000), 0.99, 1.01),
+        ("sector_centre", (50, 100, 200, 500, 1000, 2000, 3000), 0.99, 1.01),
         ("lookup_table", (50, 100, 200, 500, 1000, 2000, 3000), 0.8, 1.2),
         ("hall_vector", (50, 100, 200, 500, 1000), 0.95, 1.06),
         ("programmable_filter", (50, 100, 200, 500, 1000, 2000, 3000), 0.95, 1.08),
@@ -164,5 +164,5 @@ def test_the_order_of_the_observers_is_the_one_that_the_page_speaks_of() -> None
         leads = min(without_edges, key=lambda name: std[name][rpm]) == "vector_tracking"
         assert leads == (rpm <= 200), rpm
     swinging = {name for name, row in numbers["in_loop"].items() if "swings" in str(row["words"])}
-    assert swinging == {"average_speed", "zeroth_order", "lookup_table", "programmable_filter"}
+    assert swinging == {"average_speed", "sector_centre", "lookup_table", "programmable_filter"}
     assert "trips" not in str(numbers["in_loop"])

@@ -65,14 +65,14 @@ def test_load_step(numbers: dict[str, list[float]]) -> None:
 
 @pytest.mark.slow
 def test_error_by_angle(numbers: dict[str, list[float]]) -> None:
-    """The zeroth order stays in the middle of an ideal sector from one real edge to the next."""
+    """The sector's centre stays in the middle of an ideal sector from one real edge to the next."""
     late = -np.array(PARAMS.hall.delta_deg) + PARAMS.hall.hysteresis_deg / 2
     edges = 60.0 * np.arange(7) + np.append(late, late[0])
     low, high = edges[:-1] - (60.0 * np.arange(6) + 30), edges[1:] - (60.0 * np.arange(6) + 30)
     mean = np.sum(high**2 - low**2) / 720
     std = math.sqrt(np.sum(high**3 - low**3) / 1080 - mean**2)
-    assert numbers["zeroth_order"] == pytest.approx([mean, std], abs=0.25)
-    each = [numbers[name][1] for name in ("zeroth_order", "average_speed", "vector_tracking", "learned_edges")]
+    assert numbers["sector_centre"] == pytest.approx([mean, std], abs=0.25)
+    each = [numbers[name][1] for name in ("sector_centre", "average_speed", "vector_tracking", "learned_edges")]
     assert each == sorted(each, reverse=True)
 
 

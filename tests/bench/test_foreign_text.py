@@ -50,7 +50,7 @@ def hostile(simulates: bool = True) -> SimulatedDevice:
     )  # fmt: skip
     told = session.descriptor
     session.descriptor = Descriptor(
-        tuple(replace(c, name=CHANNEL) if c.name == "theta_zero" else c for c in told.channels),
+        tuple(replace(c, name=CHANNEL) if c.name == "theta_sc" else c for c in told.channels),
         tuple(replace(p, name=PARAMETER) if p.name == "k_i_vt" else p for p in told.parameters),
     )
     session._blob = session.descriptor.pack()

@@ -124,4 +124,4 @@ def test_from_the_recording_in_one_piece_each_observer_gives_the_drives_counts(t
             channel = samples.config.channel(f"{what}_{entry.short}")
             counts = samples.raw[channel.name][start:]
             assert np.array_equal(raw_counts(channel, getattr(found[name], what))[start:], counts), channel.name
-            assert len(np.unique(counts)) > (5 if channel.name == "theta_zero" else 100)
+            assert len(np.unique(counts)) > (5 if channel.name == "theta_sc" else 100)

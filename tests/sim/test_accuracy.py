@@ -11,7 +11,7 @@ import pytest
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import Status
-from tests.sim.drive.rig import PWM_HZ, RPM, Rig, column, error_deg
+from tests.sim.drive.rig import PWM_HZ, RPM, Rig, column, error_deg, physical
 
 ENCODER, AVERAGE, VECTOR = 0, 1, 2
 
@@ -147,6 +147,34 @@ def test_load_angle_its_size_its_sign_and_its_compensation(factor, k_ic):
     assert delta == pytest.approx(np.degrees(k_ic * 7.8 / (2 * math.pi * 800)), rel=0.25)
     worse, _ = shift(1, -k_ic)
     assert abs(worse) > 1.6
+
+
+@pytest.mark.parametrize("observer", [VECTOR, ENCODER])
+def test_load_angle_does_not_wind_up_at_the_voltage_limit(observer):
+    """At 3300 r/min 8 A cannot flow. The error that is left for seconds must not turn the estimate, then or after."""
+    ampere = math.degrees(11.0 / (2.0 * math.pi * 800.0))  # deg that (18) adds in steady state
+    bench = running(observer, load_angle_comp=1)
+
+    def after(rpm, i_q, seconds):
+        """Mean error and mean of (18) over the last quarter of a second, deg."""
+        recorded = bench.forced(rpm, i_q, seconds)
+        last = slice(-PWM_HZ // 4, None)
+        delta = np.degrees(column(recorded, "delta_hat")[last].mean())
+        return error_deg(recorded, "theta_vt")[last].mean(), delta, recorded
+
+    before, delta, _ = after(500, 0.0, 1.0)
+    assert abs(delta) < 0.15
+    error, delta, limited = after(3300, 8.0, 4.0)
+    size = np.hypot(physical(limited, "u_alpha"), physical(limited, "u_beta"))[-PWM_HZ:]
+    assert np.all(size > 24.0 / math.sqrt(3.0) - 0.01)
+    missing = 8.0 - physical(limited, "i_q")[-PWM_HZ:].mean()
+    assert missing > 4.0  # integrated as it is, more than 2000 deg in the last second
+    assert error == pytest.approx(before, abs=1.5)
+    at_once, delta, _ = after(500, 0.0, 0.35)
+    assert at_once == pytest.approx(before, abs=0.15)
+    assert abs(delta) < 0.15
+    _, delta, _ = after(500, 8.0, 0.5)
+    assert delta == pytest.approx(8.0 * ampere, abs=0.15)
 
 
 def test_a_coasting_rotor_is_followed_by_its_edges():

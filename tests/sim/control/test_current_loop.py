@@ -28,7 +28,7 @@ def close(reference, periods, *, omega=0.0, u_max=13.8, delay=1, firmware=FIRMWA
     currents, voltages = [], []
     for k in range(periods):
         ref = reference(k)
-        state, u_d, u_q = current_loop.step(params, state, ref.real, ref.imag, i.real, i.imag, omega, u_max)
+        state, u_d, u_q, _ = current_loop.step(params, state, ref.real, ref.imag, i.real, i.imag, omega, u_max)
         currents.append(i)
         voltages.append(complex(u_d, u_q))
         queue.append(complex(u_d, u_q))
@@ -90,3 +90,19 @@ def test_the_limited_voltage_keeps_its_direction():
 def test_no_voltage_at_all_is_allowed():
     _, u = close(lambda k: 1j, 3, u_max=0.0)
     assert np.abs(u).max() == 0
+
+
+@pytest.mark.parametrize(("u_max", "limited"), [(100.0, False), (3.0, True)])
+def test_what_anti_windup_takes_back_is_told_in_amperes(u_max, limited):
+    """The integral is that of the errors less what is told, by its gain, at the limit too."""
+    params = current_loop.make_params(16_000, **FIRMWARE)
+    state, took_in, told = current_loop.init(), 0.0, 0.0
+    rng = np.random.default_rng(1)
+    for _ in range(400):
+        i_d, i_q = rng.normal(0.0, 0.5), 2.0 + rng.normal(0.0, 0.5)
+        state, u_d, u_q, back = current_loop.step(params, state, 0.0, 4.0, i_d, i_q, 700.0, u_max)
+        assert (back != 0.0) == (math.hypot(u_d, u_q) > u_max - 1e-9)
+        took_in += 4.0 - i_q - back
+        told += abs(back)
+    assert (told > 100.0) == limited
+    assert state.u_q_i == pytest.approx(2.0 * math.pi * 800.0 * R_S / 16_000 * took_in, rel=1e-9)

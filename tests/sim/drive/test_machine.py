@@ -208,7 +208,7 @@ def test_a_change_of_the_angle_source_is_bumpless():
 @pytest.mark.parametrize("rpm", [400, 2000])
 def test_an_observer_that_was_not_running_takes_over_when_it_has_warmed_up(source, rpm):
     """To it and back, nothing of it streamed. Two of them have no better speed than the Hall speed, 20 % off here."""
-    room = 0.25 if source in (AngleSource.ZEROTH_ORDER, AngleSource.LOOKUP_TABLE) else 0.12
+    room = 0.25 if source in (AngleSource.SECTOR_CENTRE, AngleSource.LOOKUP_TABLE) else 0.12
     bench = spinning(rpm * np.pi / 30, 1.0)
     bench.load(SetpointMode.TORQUE, 0.1)
     bench.advance(16000)

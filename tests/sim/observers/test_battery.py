@@ -10,7 +10,7 @@ from sim.observers.catalogue import CATALOGUE
 from tests.sim.drive.rig import RPM
 
 LIMITS = limits("""
-                   avg        vt        la      zero       lut        hv       hvd       plf       q15        le
+                   avg        vt        la       sc       lut        hv       hvd       plf       q15        le
 steady 50     7.3/17.3   3.0/6.2   3.0/6.3 17.8/36.9   0.1/0.3 13.6/31.9 13.6/31.9   4.3/9.2   3.0/6.2   0.2/1.1
 steady 200    7.3/17.3   1.2/2.8   1.2/2.7 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.9   1.2/2.8   0.2/1.2
 steady 500    7.3/17.3   2.3/4.6   2.3/4.5 17.8/36.8   0.1/0.4   1.9/4.3   1.4/2.7   2.0/4.1   2.3/4.6   0.2/0.7

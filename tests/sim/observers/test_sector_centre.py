@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from ideal_motor import PAPER_EDGES, PWM_HZ, TICK_HZ, constant, error_deg, rpm, samples, signals, track
 
-from sim.observers import zeroth_order
+from sim.observers import sector_centre
 
-PARAMS = zeroth_order.make_params(PWM_HZ, zeroth_order.Settings())
+PARAMS = sector_centre.make_params(PWM_HZ, sector_centre.Settings())
 
 
 def expected_error(edges_deg):
@@ -22,7 +22,7 @@ def test_a_sawtooth_over_each_sector(speed, edges_deg):
     omega = rpm(speed)
     turn = 2 * np.pi / abs(omega)
     s = signals(constant(omega), 41.7 * turn, edges_deg=edges_deg)
-    out = track(zeroth_order, PARAMS, s)
+    out = track(sector_centre, PARAMS, s)
     whole = s.tick < 40 * turn * TICK_HZ
     error = error_deg(s.theta, out.theta)[whole]
     mean, std, largest = expected_error(edges_deg)
@@ -39,6 +39,6 @@ def test_no_angle_before_a_legal_code_and_none_lost_by_a_gap():
     hall[:3] = 7
     reset = np.zeros(hall.size, bool)
     reset[100] = True
-    out = track(zeroth_order, PARAMS, s._replace(hall=hall), reset)
+    out = track(sector_centre, PARAMS, s._replace(hall=hall), reset)
     assert set(out.theta[:3]) == {0.0}
     np.testing.assert_allclose(out.theta[3:], np.pi / 2, rtol=1e-12)

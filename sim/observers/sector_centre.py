@@ -1,14 +1,10 @@
 """Position held at the centre of the Hall sector: what a six-step drive knows of its rotor.
 
-A polynomial of order zero in the angle, so at constant speed and with well-placed sensors the error is a sawtooth of
-+-30 deg, 17.3 deg rms. The order counted here is that of the angle's polynomial, as it is where the paper calls (1)-(2)
-a first-order algorithm. The source counts the order of the speed instead: its zeroth-order algorithm, a speed held over
-a sector, is `average_speed` here.
+At constant speed and with well-placed sensors the error is a sawtooth of +-30 deg, 17.3 deg rms. It is none of the
+methods that the paper names: the zeroth-order algorithm of [14] and [15] holds a speed over a sector, not an angle, and
+is `average_speed` here. The paper only starts from this angle where no speed is known.
 
 Never interpolates, and remembers nothing. The speed is omega_h of (1), which the front end makes from the edges.
-
-Source: S. Morimoto, M. Sanada, Y. Takeda, "High-performance current-sensorless drive for PMSM and SynRM with only
-low-resolution position sensor", IEEE Trans. Ind. Appl., vol. 39, no. 3, pp. 792-801, 2003.
 """
 
 from __future__ import annotations
