@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bench.analysis.position import wrap
 from bench.analysis.waveforms.samples import checked
-from bench.analysis.waveforms.sectors import SECTORS, sector_of_angle
-from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
+from bench.analysis.waveforms.sectors import SECTOR_WIDTH, SECTORS, sector_of_angle
+from protocol.signals import SECTOR_OF_CODE
 
 AS_SPECIFIED = "as specified"
 NONE_KNOWN = "none of the known wirings"

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from bench.analysis.position import wrap
 from bench.analysis.waveforms.samples import Floats, checked
-from sim.observers.hall_speed import SECTOR_OF_CODE, SECTOR_WIDTH
+from protocol.signals import SECTOR_OF_CODE
 
 SECTORS = 6
+SECTOR_WIDTH = math.pi / 3.0  # electrical rad
 FORWARDS, BACKWARDS = 0, 1
 """Columns of `EdgeOffsets`."""
 
