@@ -24,11 +24,7 @@ L_d = 0.6e-3
 L_q = 0.7e-3
 psi_f = 0.0105
 n_p = 4
-[firmware]
-n_p = 4
-R_s_hat = 0.36
-L_s_hat = 0.65e-3
-psi_f_hat = 0.0105
+i_max = 6.0
 """
 
 
