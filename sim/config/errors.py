@@ -13,6 +13,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 DEFAULTS = "default.toml"
+DERIVED = "what follows from the motor and the inverter"
+"""Where a value is from that no file gives: `sim.config.derive`."""
 
 
 class ConfigError(Exception):
@@ -21,7 +23,8 @@ class ConfigError(Exception):
 
 def explain(error: ValidationError, model: type[BaseModel], sources: Mapping[str, str]) -> ConfigError:
     """What is wrong with values for `model`, unknown keys first; `sources` has the files of dotted keys, or nothing."""
-    found = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
+    order = {"extra_forbidden": 0, "missing": 2}
+    found = min(error.errors(include_url=False), key=lambda one: order.get(one["type"], 1))
     kind, given = found["type"], found["input"]
     keys = [key for key in found["loc"] if isinstance(key, str)]
     dotted = ".".join(keys)
@@ -45,7 +48,7 @@ def _blamed(section: str, sources: Mapping[str, str]) -> str:
     if not sources:
         return ""
     given = {source for key, source in sources.items() if key.startswith(f"{section}." if section else "")}
-    files = ", ".join(sorted(given - {DEFAULTS})) or DEFAULTS
+    files = ", ".join(sorted(given - {DEFAULTS, DERIVED})) or DEFAULTS
     return f" ({section} in {files})" if section else f" (in {files})"
 
 

@@ -1,6 +1,7 @@
 """The configuration of the simulated bench: read from TOML, checked, frozen.
 
-`sim/default.toml` holds every figure; a user's file and overrides replace single keys of it. A
+`sim/default.toml` describes the paper's motor; a user's file and overrides replace single keys of it. What none of
+them gives follows from the motor (`sim.config.derive`). A
 value outside its range, a key that does not exist and a file that cannot be read are a `ConfigError`: one
 line with the name, the value, what is allowed, and the file and key.
 
@@ -14,7 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sim.config.errors import DEFAULTS, ConfigError
+from pydantic import ValidationError
+
+from sim.config import derive
+from sim.config.errors import DEFAULTS, ConfigError, explain
 from sim.config.sections import BenchParams
 
 __all__ = ["BenchParams", "ConfigError", "Value", "load_params"]
@@ -24,6 +28,8 @@ Value = bool | int | float | str | list[Any] | tuple[float, ...]
 
 def load_params(path: str | Path | None = None, overrides: Mapping[str, Value] | None = None) -> BenchParams:
     """The bench of `default.toml`, with the keys of the TOML file `path` and then `overrides` in their place.
+
+    What none of them gives follows from the motor.
 
     `overrides`: dotted keys such as `motor.R_s` or `firmware.vector_tracking.k_p_vt`. Raises `ConfigError`.
     """
@@ -36,6 +42,12 @@ def load_params(path: str | Path | None = None, overrides: Mapping[str, Value] |
         for key in reversed(dotted.split(".")):
             table = {key: table}
         _put(table, values, "overrides", sources)
+    try:
+        return BenchParams.model_validate(values)
+    except ValidationError as error:
+        if any(one["type"] != "missing" for one in error.errors()):
+            raise explain(error, BenchParams, sources) from None
+    derive.fill(values, sources)
     return BenchParams.of(values, sources)
 
 

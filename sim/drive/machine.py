@@ -302,7 +302,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     shaft_encoder = encoder.make_params(
         **p.encoder.model_dump(exclude={"present"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
     )
-    motor = pmsm.make_params(**dict(p.motor))
+    motor = pmsm.make_params(**p.motor.model_dump(exclude={"i_max"}))
     return tick.Params(
         integrator.Params(
             motor,

@@ -15,11 +15,15 @@ HEALTHY = {
     "3000 r/min": ({}, {"speed_rpm": 3000.0}),
     "at rest": ({}, {"speed_rpm": 0.0}),
     "loaded": ({}, {"speed_rpm": 1000.0, "load_a": 4.0}),
-    "four pole pairs that it knows": ({"motor__n_p": 4, "firmware__n_p": 4}, {"speed_rpm": 500.0}),
+    "four pole pairs that it knows": ({"motor__n_p": 4}, {"speed_rpm": 500.0}),
     "by its Hall sensors": ({}, {"speed_rpm": 500.0, "observer": "average-speed"}),
 }
 WRONG = {
-    "four pole pairs": ({"motor__n_p": 4}, {}, "n_p = 6 is wrong, or sensors or encoder are (4.0 would fit)"),
+    "four pole pairs": (
+        {"motor__n_p": 4, "firmware__n_p": 6},
+        {},
+        "n_p = 6 is wrong, or sensors or encoder are (4.0 would fit)",
+    ),
     "wires a and b exchanged": ({"wiring__hall_swap": 1}, {}, "300 r/min were asked for, it turned at"),
     "the same, slowly": ({"wiring__hall_swap": 1}, {"speed_rpm": 50.0}, "50 r/min were asked for, it turned at"),
     "an encoder turned by 120 deg": ({"encoder__offset_deg": 120.0}, {}, "off the encoder: more than a Hall sector"),

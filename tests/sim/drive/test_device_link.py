@@ -246,7 +246,7 @@ def test_overspeed_of_the_machine_becomes_a_latched_fault() -> None:
 
 
 def test_a_fault_whose_cause_stays_is_not_cleared() -> None:
-    host, device = make(load_params(None, {"inverter.u_dc": 10.0}))
+    host, device = make(load_params(None, {"inverter.u_dc": 10.0, "firmware.protection.u_dc_min": 12.0}))
     host.start()
     host.run(0.02)
     assert device.drive.machine.faults is Fault.UNDERVOLTAGE

@@ -104,7 +104,7 @@ def test_restart_on_a_turning_shaft_draws_no_surge():
 
 @pytest.mark.parametrize(("u_dc", "fault"), [(11.0, Fault.UNDERVOLTAGE), (33.0, Fault.OVERVOLTAGE)])
 def test_voltage_faults_keep_the_outputs_off_while_the_cause_stands(u_dc, fault):
-    bench = Rig(**{"inverter.u_dc": u_dc})
+    bench = Rig(**{"inverter.u_dc": u_dc, "firmware.protection.u_dc_min": 12.0, "firmware.protection.u_dc_max": 32.0})
     bench.advance(10)
     assert bench.faults == 0  # no fault while idle, but its cause shows
     assert bench.fault_causes == fault
@@ -163,7 +163,8 @@ def test_overspeed_trips_by_the_hall_sensors_where_there_is_no_encoder():
 
 
 def test_without_an_encoder_no_speed_trips_that_the_hall_sensors_cannot_show():
-    bench = spinning(90.0, 0.5, **{"encoder.present": 0, "firmware.omega_m_max": 150.0})
+    limits = {"firmware.omega_m_max": 150.0, "firmware.protection.omega_m_trip": 400.0}
+    bench = spinning(90.0, 0.5, **{"encoder.present": 0}, **limits)
     bench.load(SetpointMode.SPEED, 200.0)
     bench.advance(4000)
     assert bench.faults == 0
