@@ -148,6 +148,7 @@ class Encoder(Section):
     bw_speed: float = _number("Hz", ge=0.1, le=1000)
     eccentricity_deg: float = _number("deg", ge=0, le=5)
     unevenness: float = _number(ge=0, le=0.6)
+    latency: float = _number("s", ge=0, le=1e-3)
 
 
 class Inverter(Section):

@@ -300,8 +300,8 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
     hall = p.hall.replace(delta_deg=_delta_deg(p.hall.delta_deg, load))
     period = 1.0 / p.clock.pwm_hz
     shaft_encoder = encoder.make_params(
-        **p.encoder.model_dump(exclude={"present"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
-    )
+        **p.encoder.model_dump(exclude={"present", "latency"}), n_p=p.motor.n_p, n_p_hat=drive["n_p"], T_s=period
+    )._replace(latency=p.encoder.latency)
     motor = pmsm.make_params(**p.motor.model_dump(exclude={"i_max"}))
     return tick.Params(
         integrator.Params(
@@ -324,6 +324,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             _protection(p, drive),
             period,
             drive["n_p"],
+            1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
         ),
         p.clock.period_ticks,
         p.clock.substeps,

@@ -145,7 +145,7 @@ def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
         hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
         sample.init(),
         back_emf.init(),
-        encoder.init(encoder.count(params.encoder, theta_e)),
+        encoder.init(encoder.count(params.encoder, theta_e, 0.0)),
         tick_firmware.init(),
     )
 
@@ -157,16 +157,17 @@ def _captured(
     new: int,
     tick: int,
     theta: float,
+    omega: float,
     edges: Pointer[Edge],
     wire: Pointer[WireEdge],
     m: int,
 ) -> tuple[hall_wiring.State, int]:
-    """Capture an edge at `tick`, at the angle `theta`, if the code `new` is another one than before."""
+    """Capture an edge at `tick`, at this angle and speed, if the code `new` is another one than before."""
     old = wiring.pins
     if new == old:
         return wiring, m
     edges[m] = Edge(tick, new)
-    count = encoder.count(params.encoder, theta) if params.has_encoder == 1 else 0
+    count = encoder.count(params.encoder, theta, omega) if params.has_encoder == 1 else 0
     wire[m] = WireEdge(
         np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
@@ -221,13 +222,15 @@ def _edges(
             due = wiring.due
             wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, due, theta, edges, wire, m)
+            omega = omega_0 + x * (omega_1 - omega_0)
+            wiring, m = _captured(params, wiring, pins, due, theta, omega, edges, wire, m)
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
-            theta += params.hall.latency * (omega_0 + x * (omega_1 - omega_0))
+            omega = omega_0 + x * (omega_1 - omega_0)
+            theta += params.hall.latency * omega
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, pins, captured, theta, edges, wire, m)
+            wiring, m = _captured(params, wiring, pins, captured, theta, omega, edges, wire, m)
         else:
             break
     return hall, wiring, m, rng
@@ -294,7 +297,8 @@ def _sense(
     i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    return Sensed(encoder.count(params.encoder, plant.theta_e), quantised(i_a), quantised(i_b), quantised(i_c))
+    omega_e = params.plant.motor.n_p * plant.omega_m
+    return Sensed(encoder.count(params.encoder, plant.theta_e, omega_e), quantised(i_a), quantised(i_b), quantised(i_c))
 
 
 @kernel
@@ -356,7 +360,8 @@ def advance(
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
                 pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
-                wiring, m = _captured(params, wiring, pins, begin, plant.theta_e, edges, wire, m)
+                omega = motor.n_p * plant.omega_m
+                wiring, m = _captured(params, wiring, pins, begin, plant.theta_e, omega, edges, wire, m)
             plant, alpha, hall, wiring, m, rng = _move(
                 params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
             )

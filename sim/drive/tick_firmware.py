@@ -5,6 +5,11 @@ of one source, and changes over to another without a bump.
 
 It sees sensors only: rounded currents, Hall codes and edges, encoder counts, the DC link voltage. Never the
 plant. It runs no observer (`tick` does): it is told angle and speed by the source.
+
+The average speed comes as omega_h of (1), which steps at every edge. To the current loop it goes through the low-pass
+that the other estimates have on their speed (Fig. 4), because there its ripple is multiplied by the flux. The speed
+loop takes it as it is: (1) is a mean over a sector already, and a filter's lag on top of that makes the shaft swing at
+50 r/min, where an edge comes every 33 ms.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from sim.plant.integrator import turn
 
 ARMED, RUNNING, FAULT = int(DriveState.ARMED), int(DriveState.RUNNING), int(DriveState.FAULT)
 MODE_SPEED = int(SetpointMode.SPEED)
-ENCODER = int(AngleSource.ENCODER)
+ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
 
 
 class Params(NamedTuple):
@@ -36,6 +41,7 @@ class Params(NamedTuple):
     protection: protection.Params
     T_s: float
     n_p: float
+    a_omega: float  # gain of the filter on omega_h
 
 
 class Command(NamedTuple):
@@ -82,6 +88,7 @@ class State(NamedTuple):
     """What the firmware remembers."""
 
     angle: Angle
+    omega_h: float  # electrical rad/s, low-pass filtered
     current: current_loop.State
     speed: speed_loop.State
     driving: Driving
@@ -113,13 +120,13 @@ def at_rest() -> Driving:
 def init() -> State:
     """The state at boot."""
     nothing = current_loop.init(), speed_loop.init(0.0, 0.0)
-    return State(Angle(ENCODER, 0.0, 0.0), *nothing, at_rest(), protection.init(), 0)
+    return State(Angle(ENCODER, 0.0, 0.0), 0.0, *nothing, at_rest(), protection.init(), 0)
 
 
 @kernel
 def silenced(state: State) -> State:
     """The state with the outputs off at once."""
-    return State(state.angle, state.current, state.speed, at_rest(), state.protection, state.faults)
+    return State(state.angle, state.omega_h, state.current, state.speed, at_rest(), state.protection, state.faults)
 
 
 @kernel
@@ -178,6 +185,8 @@ def step(
 
     theta = angle.theta
     omega = angle.omega
+    omega_h = state.omega_h + params.a_omega * (seen.hall.omega - state.omega_h)
+    smooth = omega_h if angle.source == AVERAGE_SPEED else omega
     cos = math.cos(theta)
     sin = math.sin(theta)
     i_d, i_q = park(seen.i_alpha, seen.i_beta, cos, sin)
@@ -206,9 +215,9 @@ def step(
         i_d_ref = quantised(i_d_ref)
         i_q_ref = quantised(i_q_ref)
         current, u_d, u_q = current_loop.step(
-            params.current, current, i_d_ref, i_q_ref, i_d, i_q, omega, modulation.linear_limit(sensed.u_dc)
+            params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
-        cos, sin = turn(cos, sin, 1.5 * params.T_s * omega)
+        cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
         output = _modulate(params, sensed.u_dc, u_d, u_q, i_d, i_q, cos, sin)
         now = before.next
     else:
@@ -216,4 +225,4 @@ def step(
         speed = speed_loop.init(0.0, 0.0)
         now = output
     driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q), now, output)
-    return State(angle, current, speed, driving, protected, faults), Result(i_d, i_q, omega_ref)
+    return State(angle, omega_h, current, speed, driving, protected, faults), Result(i_d, i_q, omega_ref)

@@ -2,7 +2,8 @@
 
 Four counts a line; the index pulse sets the counter to zero once a turn, so the count is an absolute angle. A
 misaligned zero adds `offset` to the angle that the firmware reads. A disc that sits off its centre adds a sine with a
-period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal width.
+period a turn, and marks that are not evenly read one with a period a line, which makes counts of unequal width. One
+that is late (a filter, a serial interface) shows the angle that was `latency` ago, at the speed of now.
 
 Never interpolates between counts.
 """
@@ -30,6 +31,7 @@ class Params(NamedTuple):
     turns_per_rad: float  # 2 pi turns an electrical radian
     eccentric: float  # counts, amplitude with a period a turn
     within: float  # counts, amplitude with a period of four counts
+    latency: float  # s, short beside what the speed takes to change
 
 
 class State(NamedTuple):
@@ -70,15 +72,17 @@ def make_params(
         1.0 / n_p,
         eccentricity_deg / 360.0 * counts,
         float(unevenness),
+        0.0,
     )
 
 
 @kernel
-def count(params: Params, theta_e: float) -> int:
-    """The counter, 0..counts-1, at an unwrapped electrical angle (rad)."""
-    counts = (theta_e + params.offset) * params.counts_per_rad
+def count(params: Params, theta_e: float, omega_e: float) -> int:
+    """The counter, 0..counts-1, at an unwrapped electrical angle (rad) and a speed (rad/s)."""
+    seen = theta_e - params.latency * omega_e + params.offset
+    counts = seen * params.counts_per_rad
     if params.eccentric != 0.0 or params.within != 0.0:
-        counts += params.eccentric * math.sin((theta_e + params.offset) * params.turns_per_rad)
+        counts += params.eccentric * math.sin(seen * params.turns_per_rad)
         counts += params.within * math.sin(0.5 * math.pi * counts)
     return math.floor(counts) % params.counts
 

@@ -62,7 +62,8 @@ def test_fig13_thd_map(
     """Fig. 13: THD (20) of i_a at 25 to 100 % of the current and 8 to 83 % of the speed, with both approaches.
 
     The load holds the speed and the drive keeps the q current, so that neither a speed loop's gains nor its current
-    limit are part of it: only the angle differs.
+    limit are part of it. What differs is the estimate that the current loop is given, its angle and its speed; both
+    speeds should pass the same low-pass.
     """
     grid = [(speed, amps, observer) for speed in SPEEDS for amps in LOADS for observer in APPROACHES]
     drive.start(PROPOSED)

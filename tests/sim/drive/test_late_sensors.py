@@ -46,3 +46,19 @@ def test_a_late_converter_sees_the_current_fall_in_the_low_state():
         offset = np.mean(measured - expected)
         assert np.abs(measured - expected - offset).max() < 0.01 + abs(gain - 1.0) * np.abs(true).max(), seconds
     assert np.abs(emf).max() * delay / motor.L_d > 0.04
+
+
+@pytest.mark.parametrize("rpm", [300.0, -1500.0])
+def test_a_late_encoder_shows_where_the_rotor_was(rpm):
+    """At samples and at edges, its speed as it is; nothing else changes in a drive that runs on its Hall sensors."""
+    latency = 200e-6
+    prompt, late = (Rig(3, **QUIET, **{"encoder.latency": t}) for t in (0.0, latency))
+    a, b = ([*rig.start(), rig.forced(rpm, 2.0, 0.6)][-1] for rig in (prompt, late))
+    turned = 14_400 * rpm / 60.0 * latency  # counts
+    lag = (a["theta_enc"] - b["theta_enc"])[-4000:] * 14_400 / (2.0 * np.pi * 6)
+    assert np.mean((lag + 7200) % 14_400 - 7200) == pytest.approx(turned, abs=0.15)
+    latched = a.edges["encoder"][-100:].astype(int) - b.edges["encoder"][-100:].astype(int)
+    assert np.mean((latched + 7200) % 14_400 - 7200) == pytest.approx(turned, abs=0.5)
+    assert b["omega_enc"][-1600:].mean() == pytest.approx(rpm / 60.0 * 2.0 * np.pi * 6, rel=1e-3)
+    for name in ("theta_true", "theta_avg", "theta_vt", "i_a"):
+        assert np.array_equal(a[name], b[name]), name

@@ -9,9 +9,10 @@ import sys
 import numpy as np
 import pytest
 from rig import Rig, physical
+from scipy.signal import lfilter
 
 from protocol.messages import DriveState, SetpointMode
-from protocol.signals import Status
+from protocol.signals import AngleSource, Status
 from sim.drive.tick_record import angle, clipped, edge_codes, quantised
 
 IDEAL = {
@@ -138,6 +139,40 @@ def test_references_are_those_that_the_recorded_voltage_answers():
     assert np.flatnonzero(u > 1.0)[0] == 2
     assert np.flatnonzero(i > 0.5)[0] == 2
     assert i[1] < 0.05
+
+
+@pytest.mark.parametrize(("source", "name"), [(AngleSource.AVERAGE_SPEED, "avg"), (AngleSource.VECTOR_TRACKING, "vt")])
+def test_the_current_loop_feeds_a_filtered_speed_forward(source, name):
+    """The voltage by the loop's equations from what was recorded, the average speed behind the filter of Fig. 4."""
+    bench = forced(Rig(**IDEAL | {"firmware.observer": int(source)}), 1000 * math.pi / 30, 4.0)
+    bench.advance(8000)
+    recorded = bench.advance(4000)
+    theta, omega = recorded[f"theta_{name}"], recorded[f"omega_{name}"]
+    assert (omega.std() > 70.0) == (name == "avg")
+    if name == "avg":
+        share = 1.0 - math.exp(-2.0 * math.pi * 50.0 / 16000.0)
+        omega = lfilter([share], [1.0, share - 1.0], omega, zi=[(1.0 - share) * omega.mean()])[0]
+    alpha, R_s, L_s, psi_f = 2.0 * math.pi * 800.0, 0.158, 0.176e-3, 6.55e-3
+    i = recorded["i_d"] + 1j * recorded["i_q"]
+    error = 4j - i
+    known = alpha * L_s * error + alpha * R_s / 16000.0 * np.cumsum(error) + 1j * omega * (L_s * i + psi_f)
+    u = (recorded["u_alpha"] + 1j * recorded["u_beta"])[2:]  # computed two samples before
+    seen = u * np.exp(-1j * (theta + 1.5 / 16000.0 * omega))[:-2]
+    left = (seen - known[:-2])[800:]  # but for what the integrator had before
+    assert np.abs(left - left.mean()).max() < 5e-3
+
+
+def test_the_speed_loop_takes_the_average_speed_as_it_is():
+    bench = Rig(**IDEAL | {"firmware.observer": int(AngleSource.AVERAGE_SPEED)})
+    bench.enable()
+    bench.setpoint(SetpointMode.SPEED, 50.0)
+    bench.advance(16000)
+    recorded = bench.advance(4000)
+    stepped = np.diff(recorded["omega_avg"])
+    asked = np.diff(recorded["i_q_ref"])[1:]  # in force a sample later
+    edges = np.flatnonzero(np.abs(stepped[:-1]) > 5.0)
+    assert len(edges) > 20
+    assert asked[edges] == pytest.approx(-0.2 * stepped[edges] / 6.0, abs=0.02)
 
 
 def test_encoder_channels_follow_the_truth():

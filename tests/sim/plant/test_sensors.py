@@ -58,19 +58,19 @@ def test_encoder_counts_and_their_angle():
     params = encoder.make_params(3600, 0.0, 100.0, 6, 6, 1 / 16000.0)
     for theta_e in (-0.001, 0.0, 0.001, 3.0, 6 * 2 * math.pi - 1e-6, 6 * 2 * math.pi, 500.0, -500.0):
         turns = (theta_e / 6) / (2 * math.pi) % 1.0
-        counter = encoder.count(params, theta_e)
+        counter = encoder.count(params, theta_e, 0.0)
         assert counter == int(turns * 14400) % 14400
         error = (encoder.angle(params, counter) - theta_e + math.pi) % (2 * math.pi) - math.pi
         assert abs(math.degrees(error)) <= 0.075 + 1e-9  # half of 0.15 deg
     ahead = encoder.make_params(3600, 10.0, 100.0, 6, 6, 1 / 16000.0)
-    assert encoder.count(ahead, 0.0) == int(10.0 / 0.15)
+    assert encoder.count(ahead, 0.0, 0.0) == int(10.0 / 0.15)
 
 
 def test_a_firmware_with_the_wrong_pole_pairs_makes_so_many_electrical_turns_of_the_same_counts():
     right, wrong = (encoder.make_params(3600, 0.0, 100.0, 6, n_p_hat, 1 / 16000.0) for n_p_hat in (6, 4))
     for theta_e in (0.0, 1.0, 30.0):
-        assert encoder.count(wrong, theta_e) == encoder.count(right, theta_e)
-        counter = encoder.count(wrong, theta_e)
+        assert encoder.count(wrong, theta_e, 0.0) == encoder.count(right, theta_e, 0.0)
+        counter = encoder.count(wrong, theta_e, 0.0)
         assert encoder.angle(wrong, counter) == pytest.approx(encoder.angle(right, counter) * 4 / 6)
 
 
@@ -81,7 +81,7 @@ def test_encoder_speed_settles_on_the_truth_over_many_turns(omega_m):
     state = encoder.init(0)
     speeds = []
     for k in range(1, 8000):
-        state, omega_e = encoder.track(params, state, encoder.count(params, 6 * omega_m * k * T_s))
+        state, omega_e = encoder.track(params, state, encoder.count(params, 6 * omega_m * k * T_s, 6 * omega_m))
         speeds.append(omega_e)
     assert np.mean(speeds[2000:]) == pytest.approx(6 * omega_m, rel=2e-3)
     assert np.std(speeds[2000:]) < 1.0
@@ -117,11 +117,11 @@ def test_noise_is_normal_repeatable_and_seeded():
 def test_an_eccentric_disc_errs_once_a_turn_and_uneven_marks_within_a_line():
     params = encoder.make_params(100, 0.0, 100.0, 1, 1, 1 / 16000.0, eccentricity_deg=2.0)
     theta = np.linspace(0.0, 2.0 * np.pi, 40_000, endpoint=False)
-    counts = np.unwrap([encoder.count(params, x) for x in theta], period=400)
+    counts = np.unwrap([encoder.count(params, x, 0.0) for x in theta], period=400)
     error = np.degrees((counts + 0.5) * 2.0 * np.pi / 400 - theta)
     assert 2.0 * np.mean(error * np.sin(theta)) == pytest.approx(2.0, rel=1e-3)
     uneven = encoder.make_params(100, 0.0, 100.0, 1, 1, 1 / 16000.0, unevenness=0.3)
-    steps = np.flatnonzero(np.diff([encoder.count(uneven, x) for x in theta])) + 1
+    steps = np.flatnonzero(np.diff([encoder.count(uneven, x, 0.0) for x in theta])) + 1
     widths = np.diff(theta[steps]) * 400 / (2.0 * np.pi)
     # c(x) = x + 0.3 sin(pi x / 2) reaches whole numbers where brentq says
     edges = [brentq(lambda x, n=n: x + 0.3 * math.sin(0.5 * math.pi * x) - n, n - 1, n + 1) for n in range(1, 5)]
