@@ -56,7 +56,7 @@ PAPER = (
 
 NEARLY_GONE = 0.025
 """Of the rated current: below it a current is called gone, several times what the sensors' noise makes."""
-OVER = 1.15
+OVER = 1.25
 """How far a current may pass the one that is allowed: the current loop's overshoot, ripple and the sensors' errors."""
 MEAN, STD, LARGEST = 2.5, 7.0, 20.0
 """Position error in deg that back-EMF and Hall sensors together reach on a healthy drive, from a few percent of the
@@ -251,6 +251,11 @@ def _wiring_as_specified(capture: Capture, record: Record) -> float:
         f"Hall wiring: {found.best} (explains {found.share:.1%}), then {found.runner_up} ({found.runner_up_share:.1%})"
     )
     return float(found.best == AS_SPECIFIED)
+
+
+def turns_for_thd(drive: Drive, speed_rpm: float) -> float:
+    """Seconds in which there are whole mechanical turns with three electrical ones, and not too few samples."""
+    return max(0.1, 1.1 * math.ceil(3.5 / drive.n_p) * 60.0 / speed_rpm)
 
 
 def thd_of_current(capture: Capture) -> float:

@@ -69,7 +69,7 @@ SLOW, MIDDLE = 1 / 10, 1 / 6  # of the rated speed
 
 @limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical turns of before")
 @limit("named", "", lo=1, hi=1, about="1: HALL is the fault, and the only one")
-@limit("current_max", "A", hi=1.2, of=RATED_CURRENT, about="largest phase current from the break on")
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the break on")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
 @limits(held("speed_again", SLOW, 0.02, "mean once the wire is whole and the fault is cleared"))
 @needs(*TURNS, "currents", "channel:hall", "hall-faults")
@@ -156,7 +156,7 @@ def test_hall_wiring_is_named(
     measure("outputs_off", 100.0 * off.mean(), *runs)
 
 
-@limit("current_max", "A", hi=1.3, of=RATED_CURRENT, about="largest phase current while the drive was to turn")
+@limit("current_max", "A", hi=1.6, of=RATED_CURRENT, about="largest phase current while the drive was to turn")
 @limit("speed_max", "r/min", hi=0.2, of=RATED_SPEED, about="largest speed, either way")
 @limit("only_hall", "", lo=1, hi=1, about="1: it tripped with HALL or not at all")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest phase current from 5 ms after STOP on")
