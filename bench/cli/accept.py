@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.acceptance.report_files import holds_report
-from bench.cli.files import DIRECTORY, FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
@@ -45,7 +45,7 @@ class _Screen(Progress):
 @overwrite_option
 @click.option("--bench", "bench_toml", metavar="FILE", type=FILE,
               help="Target, load and limits of this bench (default: ./bench.toml).")  # fmt: skip
-@click.option("--config", metavar="FILE", type=FILE, help="Figures of the simulated drive (TOML).")
+@config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
 @click.option("--jobs", metavar="N", type=click.IntRange(1, 64), default=1,
               help="Processes that share the tests; on the simulated drive only; needs pytest-xdist.")  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import re
@@ -10,7 +11,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
+from bench.device.simulator import configuration, motors
 from bench.files import STANDARD_OUTPUT, check_output, finite, write
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -41,6 +44,31 @@ def json_option(what: str) -> Callable[[Command], Command]:
     )  # fmt: skip
 
 
+class _Configuration(click.Path):
+    """A configuration of the simulated drive: a file, or the name of a motor that is shipped."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read it, or say why not."""
+        file = configuration(Path(value), str(value))
+        if file.suffix != ".toml" and not file.exists():
+            near = difflib.get_close_matches(str(value), motors(), n=1, cutoff=0.3)
+            hint = f"did you mean {near[0]}? " if near else ""
+            self.fail(
+                f"no file and no motor '{value}'; {hint}bench sim --motors lists those that are shipped", param, ctx
+            )
+        return super().convert(str(file), param, ctx)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Names of motors, then files."""
+        names = [CompletionItem(name) for name in motors() if name.startswith(incomplete)]
+        return names or super().shell_complete(ctx, param, incomplete)
+
+
+config_option = click.option(
+    "--config", metavar="FILE|MOTOR", type=_Configuration(exists=True, dir_okay=False, path_type=Path),
+    help="The simulated drive: a TOML file, or a motor of bench sim --motors.",
+)  # fmt: skip
+"""`--config`, the same for every command that may start a simulated drive."""
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace output files that exist.")
 """`--overwrite`, the same for every command that writes files."""
 

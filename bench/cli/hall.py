@@ -14,7 +14,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.cli import fail
-from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
@@ -46,8 +46,8 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.argument("source", metavar="TARGET|RUN", type=_SourceType()),
         click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=240.0, show_default=True,
                      help="Highest speed at which the shaft turns both ways, r/min."),
-        click.option("--current", "current_a", metavar="A", type=Number(above=0), default=2.0, show_default=True,
-                     help="Largest phase current, A, peak."),
+        click.option("--current", "current_a", metavar="A", type=Number(above=0),
+                     help="Largest phase current, A, peak [default: 2, or what the drive allows]."),
         click.option("--passive", "--no-spin", "passive", is_flag=True,
                      help="Energise nothing: the shaft is turned by hand."),
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
@@ -55,8 +55,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
         click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd."),
         overwrite_option,
-        click.option("--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-                     help="Figures of the simulated drive (TOML)."),
+        config_option,
         click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording."),
         json_option("everything"),
     )):  # fmt: skip

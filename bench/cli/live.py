@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from bench.analysis.sources import source_number
-from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
@@ -82,8 +82,7 @@ class Observer(click.Choice[str]):
     multiple=True,
     help="Run this observer on the host and show it beside the drive's; see bench replay --list; repeatable.",
 )
-@click.option("--config", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-              help="Figures of the simulated drive (TOML).")  # fmt: skip
+@config_option
 @click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording.")
 @json_option("the summary")
 def command(

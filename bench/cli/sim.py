@@ -12,9 +12,21 @@ from typing import Any
 
 import click
 
+from bench.cli.files import config_option
 from bench.cli.streams import OutputClosed, echo
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if not value:
+        return
+    from bench.cli.output import table
+    from bench.device.simulator import motors
+
+    rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in motors().items()]
+    table(("motor", "what it is"), rows)
+    ctx.exit()
 
 
 @click.command("sim")
@@ -28,10 +40,12 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--ext", is_flag=True, help="29-bit identifiers on the CAN bus, as beside CANopen.")
 @click.option("--link", metavar="PATH", type=_FILE, help="Symbolic link to the pty, kept across a replug.")
 @click.option("--baud", metavar="N", type=int, help="Act as a UART of this rate (default: as a USB port).")
-@click.option("--config", metavar="FILE", type=_FILE, help="TOML file with the figures that differ.")
+@config_option
 @click.option("--set", "settings", metavar="SECTION.NAME=VALUE", multiple=True, help="One such figure; repeatable.")
 @click.option("--seed", type=int, help="Seed of noise and jitter (default: another one each time).")
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
+@click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,
+              help="List the motors that are shipped, and exit.")  # fmt: skip
 @click.option("--exit-with-parent", is_flag=True, hidden=True)
 def command(
     pty: bool,
@@ -52,6 +66,7 @@ def command(
       bench sim --pty
       bench sim --tcp 127.0.0.1:7000 --set inverter.dead_time=2e-6
       bench sim --slcan --fd
+      bench sim --config maxon-ec60-flat
     """
     places = [name for name in ("tcp", "slcan", "socketcand") if given[name]] + ["pty"] * pty
     if len(places) > 1:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
@@ -18,6 +19,16 @@ from bench.errors import BenchError
 # A browser that draws the dashboard without a GPU can keep two cores busy, and this process from feeding the watchdog
 # in time. Nothing real turns, so the drive may wait for a second.
 PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")
+
+
+def motors() -> dict[str, Path]:
+    """The motors that are shipped as configurations of the simulated drive, by name."""
+    return {file.stem: file for file in sorted(Path(str(files("sim"))).glob("motors/*.toml"))}
+
+
+def configuration(path: Path, name: str) -> Path:
+    """The file of a configuration: `path`, or where there is none that of the motor `name`."""
+    return path if path.exists() else motors().get(name, path)
 
 
 class EmbeddedDrive:

@@ -6,6 +6,7 @@ and the link is closed, with every parameter as it was, on leaving. Nothing here
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings, read_settings
 
+CURRENT = 2.0  # A that the motor gets at most where nothing else is asked for
+
 
 @dataclass(frozen=True)
 class Options:
@@ -35,7 +38,8 @@ class Options:
     source: str
     """A target, or the path of a recording."""
     speed_rpm: float = 240.0
-    current_a: float = 2.0
+    current_a: float | None = None
+    """None: 2 A, or less where the drive allows less."""
     passive: bool = False
     duration: float = 60.0
     """s that the shaft is watched at most, with `passive`."""
@@ -88,7 +92,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
         lambda: open_target(options.source, settings, "hall"),
         options.source,
         settings,
-        Envelope(options.speed_rpm, options.current_a),
+        Envelope(options.speed_rpm, CURRENT if options.current_a is None else options.current_a),
         virtual=options.source == SIM,
         passive=options.passive,
     )
@@ -103,6 +107,6 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
                 yield Source(watch(rig, options.duration, screen.progress), rig.drive.node)
                 return
             rig.prepare(recording=recording, needed=frozenset(EMF_CHANNELS))
-            check_limits(rig.drive.node, plan.envelope)
+            check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
             turner = Turner(rig, options.speed_rpm, screen.progress)
             yield Source(turner.spin(), rig.drive.node)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 
+from bench.analysis.units import RPM
 from protocol.signals import AngleSource
 
 
@@ -25,14 +26,22 @@ class Act:
 
 AVERAGE, TRACKING = AngleSource.AVERAGE_SPEED, AngleSource.VECTOR_TRACKING
 
-SHOW: tuple[Act, ...] = (
-    Act("start-up to 500 r/min, average speed", 3.0, 500, 0.0, AVERAGE),
-    Act("step to 1000 r/min, average speed", 3.0, 1000, 0.0, AVERAGE),
-    Act("load step to 4 A, average speed", 3.0, 1000, 4.0, AVERAGE),
-    Act("switch to vector tracking, 4 A", 3.0, 1000, 4.0, TRACKING),
-    Act("step to 500 r/min, vector tracking", 3.0, 500, 4.0, TRACKING),
-    Act("load off, vector tracking", 3.0, 500, 0.0, TRACKING),
-)
+SLOW = 500.0 * RPM / 330.0
+"""The show's lower speed, as a share of the largest: 500 r/min of the paper's motor. The other is twice that."""
+
+
+def show(omega_m_max: float, i_max: float) -> tuple[Act, ...]:
+    """The show for a drive with these limits, rad/s and A; for the paper's at 500 and 1000 r/min, with 4 A."""
+    slow, amperes = float(f"{SLOW * omega_m_max / RPM:.2g}"), float(f"{0.5 * i_max:.2g}")
+    fast = 2.0 * slow
+    return (
+        Act(f"start-up to {slow:g} r/min, average speed", 3.0, slow, 0.0, AVERAGE),
+        Act(f"step to {fast:g} r/min, average speed", 3.0, fast, 0.0, AVERAGE),
+        Act(f"load step to {amperes:g} A, average speed", 3.0, fast, amperes, AVERAGE),
+        Act(f"switch to vector tracking, {amperes:g} A", 3.0, fast, amperes, TRACKING),
+        Act(f"step to {slow:g} r/min, vector tracking", 3.0, slow, amperes, TRACKING),
+        Act("load off, vector tracking", 3.0, slow, 0.0, TRACKING),
+    )
 
 
 def timed(acts: Sequence[Act], seconds: float | None) -> Iterator[Act]:

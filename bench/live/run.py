@@ -23,7 +23,7 @@ from bench.device.simulator import EmbeddedDrive
 from bench.errors import BenchError, DoesNotFit, DriveFailed, Interrupted, OutputsMayBeOn, RecordingError
 from bench.files import check_output
 from bench.live.gathered import Gathered
-from bench.live.manoeuvres import SHOW, Act, timed
+from bench.live.manoeuvres import Act, show, timed
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.rig.consent import check_limits, require_consent
@@ -112,7 +112,7 @@ class LiveRun:
         self.target = target
         self.screen = screen
         self._notes = _ScreenNotes(screen)
-        self.rig = Rig(Plan(lambda: link, target, envelope=self._envelope()))
+        self.rig = Rig(Plan(lambda: link, target))
         self.client, self.drive = self.rig.client, self.rig.drive.node
         self.client.reconnect = RECONNECT
         self.tripped = ""  # why the motor was let go, if it was
@@ -149,19 +149,12 @@ class LiveRun:
                 raise BenchError(f"--load needs a load machine (node {LOAD}), and {self.target} has none")
             self.rig.load = load
 
-    def _envelope(self) -> Envelope:
-        """The most that the acts ask for."""
-        acts = self.acts()
-        return Envelope(
-            max((abs(act.speed_rpm) for act in acts), default=0.0),
-            load=max((abs(act.load_a) for act in acts), default=0.0),
-        )
-
     def acts(self) -> tuple[Act, ...]:
-        """What will be done to the motor; empty when it is only watched."""
+        """What will be done to the motor; empty when it is only watched. NodeError for what a drive lacks."""
         options = self.options
         if options.show:
-            return SHOW
+            require(self.drive, "the show", NEEDS["the show"])
+            return show(*(self.drive.parameter(name).value for name in ("omega_m_max", "i_max")))
         if options.speed_rpm is None and options.load_a is None:
             return ()
         source = source_number(options.observer) if options.observer else None
@@ -172,13 +165,13 @@ class LiveRun:
         """What the drive lacks (NodeError), limits and consent: raises before anything is energised."""
         options = self.options
         if acts:
-            if options.show:
-                require(self.drive, "the show", NEEDS["the show"])
             if options.load_a is not None:
                 require(self.drive, "--load", NEEDS["--load"])
             if options.observer:
                 require(self.drive, "--observer", [f"observer:{options.observer}"])
-            envelope = self.rig.drive.envelope
+            envelope = self.rig.drive.envelope = Envelope(
+                max(abs(act.speed_rpm) for act in acts), load=max(abs(act.load_a) for act in acts)
+            )
             check_limits(self.drive, envelope)
             require_consent(self.drive, self.target, envelope, options.yes, confirm)
         if options.clear_faults:

@@ -18,7 +18,7 @@ from protocol.messages import Feature
 from protocol.signals import Flag, Unit
 
 NEEDS: dict[str, tuple[str, ...]] = {
-    "the show": ("parameter:n_p", "parameter:psi_f_hat", "parameter:observer"),
+    "the show": tuple(f"parameter:{name}" for name in ("n_p", "psi_f_hat", "observer", "omega_m_max", "i_max")),
     "--load": ("parameter:n_p", "parameter:psi_f_hat"),
     "bench hall check": ("channel:hall", "feature:EDGES", "parameter:n_p", "speed"),
     "bench hall check --passive": ("channel:hall", "feature:EDGES"),

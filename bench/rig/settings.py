@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.analysis.limits import Limits
+from bench.device.simulator import configuration
 from bench.errors import BenchError
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
@@ -132,7 +133,7 @@ def read_settings(path: Path | None) -> Settings:
         target=data.get("target", ""),
         station=data.get("station", ""),
         operator=data.get("operator", ""),
-        config=None if config is None else file.parent / config,
+        config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),
         rated={key: float(value) for key, value in rated.items()},

@@ -168,7 +168,7 @@ class CurrentSensor(Section):
     noise_rms: float = _number("A", ge=0)
     offset: Three[Annotated[float, _number("A")]]
     gain_error: Three[Annotated[float, _number(ge=-0.9, le=10)]]
-    range: float = _number("A", ge=0.1, le=31.9)
+    range: float = _number("A", ge=0.1, le=1000)
     bits: Whole = _number(ge=4, le=24)
     delay: float = _number("s", ge=0, le=2e-5)
 

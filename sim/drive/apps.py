@@ -18,32 +18,16 @@ import numpy as np
 from protocol.errors import Refused
 from protocol.messages import DriveState, ErrorCode, Fault, SetpointMode
 from protocol.signals import (
-    DRIVE_CHANNELS,
     DRIVE_PARAMETERS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
     AngleSource,
     Flag,
     Parameter,
-    estimate_channels,
 )
 from sim.config.params import ConfigError
-from sim.drive.machine import SOURCES, SimulatedBench
-
-FURTHER = 0x400  # ids of channels that are not in the protocol's table, from here on
-
-
-ENCODER_CHANNELS = ("theta_enc", "omega_enc")  # what a drive without an encoder does not have
-CHANNELS = (
-    *DRIVE_CHANNELS,
-    *(
-        signal
-        for source, entry in SOURCES.items()
-        if source > max(AngleSource)
-        for signal in estimate_channels(FURTHER + 2 * source, entry.short, entry.source)
-    ),
-)
-"""The drive's channels: those of the protocol's table, and angle and speed of observers that are not in it."""
+from sim.drive.channels import SOURCES, channels
+from sim.drive.machine import SimulatedBench
 
 
 class DriveApp:
@@ -61,7 +45,7 @@ class DriveApp:
         self._defaults = dict(bench.parameters)
         self._store = store
         encoder = bool(bench.params.encoder.present)
-        self.channels = tuple(c for c in CHANNELS if encoder or c.name not in ENCODER_CHANNELS)
+        self.channels = channels(bench.params)
         """See `DeviceApp`."""
         sources = float(AngleSource.ENCODER if encoder else AngleSource.AVERAGE_SPEED), float(max(SOURCES))
         self.parameters = tuple(

@@ -22,11 +22,11 @@ from sim.config.params import BenchParams, ConfigError
 from sim.control import current_loop, dead_time, speed_loop
 from sim.drive import tick, tick_firmware
 from sim.drive import tick_protection as protection
+from sim.drive.channels import SOURCES, ampere
 from sim.drive.recorded import Recorded, Sections
 from sim.interrupts import Held
 from sim.native import Cells, address, layout, value
 from sim.observers import average_speed, back_emf, sample
-from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import Observing, chosen
 from sim.observers.hall_speed import Edge
 from sim.observers.sample import Sample
@@ -34,8 +34,6 @@ from sim.plant import current_sensor, encoder, hall_sensor, hall_wiring, integra
 
 __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 
-SOURCES = dict(enumerate(CATALOGUE.values(), 1))
-"""The observers by the value of the parameter `observer` that chooses them; 0 is the encoder."""
 FRONT_END = AngleSource.AVERAGE_SPEED  # whose estimate the loop makes in any case
 ALWAYS = {AngleSource.VECTOR_TRACKING}  # observers that run in any case
 WARM_UP = 0.1  # s for which an observer runs before the control of a running motor takes its angle
@@ -325,6 +323,7 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
             period,
             drive["n_p"],
             1.0 - math.exp(-math.tau * drive["bw_omega_lpf"] * period),
+            ampere(p),
         ),
         p.clock.period_ticks,
         p.clock.substeps,

@@ -297,8 +297,9 @@ def _sense(
     i_a = current_sensor.measure(sensor, i_a, sensor.gain_a, sensor.offset_a, noise.first(quantiles, rng))
     i_b = current_sensor.measure(sensor, i_b, sensor.gain_b, sensor.offset_b, noise.second(quantiles, rng))
     i_c = current_sensor.measure(sensor, i_c, sensor.gain_c, sensor.offset_c, noise.third(quantiles, rng))
-    omega_e = params.plant.motor.n_p * plant.omega_m
-    return Sensed(encoder.count(params.encoder, plant.theta_e, omega_e), quantised(i_a), quantised(i_b), quantised(i_c))
+    a = params.firmware.ampere
+    count = encoder.count(params.encoder, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
+    return Sensed(count, quantised(i_a, a), quantised(i_b, a), quantised(i_c, a))
 
 
 @kernel

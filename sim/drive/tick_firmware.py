@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple
 
 from protocol.messages import DriveState, SetpointMode
-from protocol.signals import AngleSource
+from protocol.signals import MILLI, AngleSource
 from sim.control import current_loop, dead_time, modulation, speed_loop
 from sim.control.transforms import inverse_clarke, inverse_park, park
 from sim.drive import tick_protection as protection
@@ -42,6 +42,7 @@ class Params(NamedTuple):
     T_s: float
     n_p: float
     a_omega: float  # gain of the filter on omega_h
+    ampere: float  # A a count of telemetry
 
 
 class Command(NamedTuple):
@@ -160,8 +161,8 @@ def _modulate(
 ) -> Output:
     """Rotor-frame voltage and currents, turned by the angle of the period in force, to duties."""
     u_alpha, u_beta = inverse_park(u_d, u_q, cos, sin)
-    u_alpha = quantised(u_alpha)
-    u_beta = quantised(u_beta)
+    u_alpha = quantised(u_alpha, MILLI)
+    u_beta = quantised(u_beta, MILLI)
     d_a, d_b, d_c = modulation.duties(u_alpha, u_beta, u_dc)
     i_alpha, i_beta = inverse_park(i_d, i_q, cos, sin)
     i_a, i_b, i_c = inverse_clarke(i_alpha, i_beta)
@@ -212,8 +213,8 @@ def step(
         else:
             i_d_ref = command.i_d
             i_q_ref = command.i_q
-        i_d_ref = quantised(i_d_ref)
-        i_q_ref = quantised(i_q_ref)
+        i_d_ref = quantised(i_d_ref, params.ampere)
+        i_q_ref = quantised(i_q_ref, params.ampere)
         current, u_d, u_q = current_loop.step(
             params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
@@ -224,5 +225,5 @@ def step(
         current = current_loop.init()
         speed = speed_loop.init(0.0, 0.0)
         now = output
-    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q), now, output)
+    driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere), now, output)
     return State(angle, omega_h, current, speed, driving, protected, faults), Result(i_d, i_q, omega_ref)

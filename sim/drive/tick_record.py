@@ -48,14 +48,14 @@ def clipped(value: float) -> int:
 
 
 @kernel
-def quantised(value: float) -> float:
-    """A current or voltage (A, V) as telemetry carries it: a whole number of `MILLI` within an i16."""
-    return float(min(max(np.rint(value * PER_UNIT), -32768.0), 32767.0)) * MILLI
+def quantised(value: float, scale: float) -> float:
+    """A value as telemetry carries it: a whole number of `scale`, a power of two, within an i16."""
+    return float(min(max(np.rint(value / scale), -32768.0), 32767.0)) * scale
 
 
 @kernel
 def quantised_u16(value: float) -> float:
-    """The same for the DC link voltage, within a u16."""
+    """The DC link voltage (V) likewise: a whole number of `MILLI` within a u16."""
     return float(min(max(np.rint(value * PER_UNIT), 0.0), 65535.0)) * MILLI
 
 

@@ -5,7 +5,7 @@ whose direction it takes, what estimate it does not believe. The load-angle comp
 sgn() are not in it. c/vector_tracking_q15.c is the same arithmetic in C99, integer for integer, for a firmware.
 
 Formats (docs/fixed-point.md says why):
-- voltage and current: 16 bits, 2^15 is the base (`base_u` V, `base_i` A; 32 by default, telemetry's 1/1024 a count);
+- voltage and current: 16 bits, 2^15 is the base: `base_u` V, `base_i` A, 32 unless the sensors measure more;
 - angle: 2^32 is a turn, unsigned; the boundary takes 16 bits of it;
 - speed: turns of 2^-32 a control period, signed, up to an eighth of a turn a period;
 - back-EMF behind the filter of (6): 32 bits, 2^30 is base_u; scaled to 15 bits and a shift before it is turned;
@@ -37,6 +37,7 @@ TURN = 1 << 32
 MASK = TURN - 1
 TWELFTH = TURN // 12  # 30 degrees
 GUARD = TURN // 6  # from the sector's centre, beyond which the estimate is not believed
+BASE = 32.0  # V and A, full scale where nothing else is said
 ONE = 1 << 15  # of Q15
 HALF = 1 << 14  # of Q15, and one of Q14
 INT16_MAX = ONE - 1
@@ -63,6 +64,7 @@ class Settings:
     omega_on: float  # electrical rad/s
     omega_off: float
     bw_omega_lpf: float  # Hz
+    i_range: float = BASE  # A, full scale of the current sensors
 
 
 class Constants(NamedTuple):
@@ -137,12 +139,14 @@ def _gain(value: float) -> int:
     return min(max(round(ONE * value), 1), INT16_MAX)
 
 
-def make_params(pwm_hz: float, drive: Settings, base_u: float = 32.0, base_i: float = 32.0) -> Params:
+def make_params(pwm_hz: float, drive: Settings, base_u: float = BASE, base_i: float = 0.0) -> Params:
     """Constants for control periods at `pwm_hz` Hz.
 
-    `base_u` (V), `base_i` (A): full scale of the 16-bit voltages and currents, which saturate there.
+    `base_u` (V), `base_i` (A): full scale of the 16-bit voltages and currents, which saturate there; `base_i` 0: 32 A,
+    or twice that as often as it takes to hold what the sensors measure.
     A constant that does not fit into its integer is the largest that does.
     """
+    base_i = base_i or BASE * 2.0 ** max(0, math.ceil(math.log2(max(float(drive.i_range), 1.0) / BASE)))
     T_s = 1.0 / float(pwm_hz)
     step = TWO_PI / (TURN * T_s)  # rad/s, of a turn of 2^-32 a period
     volt = float(base_u) / (1 << 30)

@@ -335,6 +335,7 @@ def test_full_scale_saturates_and_a_larger_base_does_not():
     _, out = run(q15, wide, seen, reset)
     _, same = run(q15, PARAMS, samples(small), reset)
     assert np.array_equal(out.theta, same.theta)
+    assert q15.make_params(PWM_HZ, own(q15, i_range=75.0)) == q15.make_params(PWM_HZ, own(q15), base_i=128.0)
     narrow = q15.make_params(PWM_HZ, more)
     counts = np.array([q15.counts(narrow, value(Sample, seen[k]))[:4] for k in range(100)])
     assert np.abs(counts).max() == INT16
