@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 import numpy as np
 
 from bench.analysis.capture import F64, Capture
-from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, Limits
+from bench.analysis.limits import Limits
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
+from bench.analysis.waveforms.harmonics import ORDER
 from bench.analysis.wiring import AS_SPECIFIED, diagnose
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.needs import offers
@@ -64,10 +65,9 @@ rated speed on: mean (either sign), standard deviation, largest. The paper's Hal
 """
 
 
-def held(name: str, share: float, within: float, about: str, of: str = RATED_SPEED) -> Limits:
-    """Limits of what is held at a `share` of the rated speed (or current), to `within` as a share of that."""
-    unit = {RATED_SPEED: "r/min", RATED_CURRENT: "A"}[of]
-    return Limits(name, unit, share * (1.0 - within), share * (1.0 + within), about, of=of)
+def held(name: str, within: float, about: str) -> Limits:
+    """Limits of what is held at a set point, in % of it: to `within` %."""
+    return Limits(name, "%", 100.0 - within, 100.0 + within, f"{about}, of the set point")
 
 
 def errors(prefix: str, std: float = STD, largest: float = LARGEST, about: str = "") -> list[Limits]:
@@ -177,6 +177,40 @@ def from_reference(capture: Capture, speed_rpm: float, observer: str) -> Transie
     return Transient(capture, float(capture.t[int(np.argmax(reference > speed_rpm + 1.0))]), observer)
 
 
+SEEN = 3.0
+"""How many times the speed at which the drive begins to look at the back-EMF a test takes that is about more."""
+SLOW = 0.5
+"""Of the rated speed: the most that a slow test takes for being `SEEN`."""
+
+
+def speed_rpm(drive: Drive, rated: Ratings, share: float, seen: float = SEEN, most: float = SLOW) -> float:
+    """A share of the rated speed in r/min; faster, up to the share `most`, where that is not `seen` times `omega_on`.
+
+    The drive's parameter `omega_on` is the speed from which on its observer looks at the back-EMF: high for a motor of
+    much resistance.
+    """
+    omega_e = seen * drive.parameters.get("omega_on", 0.0)
+    return min(max(share * rated.speed_rpm, omega_e / drive.n_p / RPM), max(share, most) * rated.speed_rpm)
+
+
+def within_voltage(drive: Drive, u_dc: float, current: float) -> float:
+    """The speed in r/min at which a q current leaves a fifth of the linear modulation's voltage; 0 if it never does.
+
+    By the drive's own R_s_hat, L_s_hat and psi_f_hat.
+    """
+    R_s, L_s, psi_f = (drive.parameters[name] for name in ("R_s_hat", "L_s_hat", "psi_f_hat"))
+    u, drop, u_L = 0.8 * u_dc / math.sqrt(3.0), R_s * current, L_s * current
+    square = psi_f * psi_f + u_L * u_L  # (psi_f omega + drop)^2 + (u_L omega)^2 = u^2
+    root = (psi_f * drop) ** 2 + square * (u * u - drop * drop)
+    return max(math.sqrt(max(root, 0.0)) - psi_f * drop, 0.0) / square / drive.n_p / RPM
+
+
+def full_load(drive: Drive, rated: Ratings, u_dc: float, at_rpm: float) -> float:
+    """The rated current in A, or the part of it that the voltage allows at a speed, in quarters."""
+    quarters = [rated.current * k / 4.0 for k in (4, 3, 2)]
+    return next((amps for amps in quarters if within_voltage(drive, u_dc, amps) > at_rpm), rated.current / 4.0)
+
+
 def ramp(drive: Drive, speed_rpm: float) -> float:
     """Seconds that the drive's ramp takes to change its speed reference by `speed_rpm`; 0 if the drive does not say."""
     slope = drive.parameters.get("alpha_m_max", math.inf)
@@ -259,5 +293,7 @@ def turns_for_thd(drive: Drive, speed_rpm: float) -> float:
 
 
 def thd_of_current(capture: Capture) -> float:
-    """THD (20) of i_a in %, by the electrical angle; NaN if there are no three periods of it."""
-    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"]).value)
+    """THD (20) of i_a in %, by the electrical angle, of the harmonics that samples show; NaN without three periods."""
+    step = float(np.abs(np.diff(capture.theta)).max())
+    order = ORDER if step * ORDER < math.pi else max(2, math.ceil(math.pi / step) - 1)
+    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"], order).value)

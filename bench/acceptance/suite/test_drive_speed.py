@@ -10,13 +10,26 @@ import math
 import numpy as np
 import pytest
 
-from bench.acceptance import RATED_CURRENT, RATED_SPEED, RPM, Capture, Drive, Ratings, energises, limit, limits, needs
+from bench.acceptance import (
+    RATED_CURRENT,
+    RATED_SPEED,
+    RPM,
+    Capture,
+    Drive,
+    Limits,
+    Ratings,
+    energises,
+    limit,
+    limits,
+    needs,
+)
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.drive import draw_run
 from bench.acceptance.suite.common import (
     NEARLY_GONE,
     OVER,
     PROPOSED,
+    SLOW,
     TURNS,
     VECTOR,
     Figure,
@@ -25,6 +38,7 @@ from bench.acceptance.suite.common import (
     electrical_turn,
     error_deg,
     errors,
+    full_load,
     held,
     measure_error,
     or_nan,
@@ -33,6 +47,8 @@ from bench.acceptance.suite.common import (
     rpm,
     run_at,
     settle,
+    speed_rpm,
+    within_voltage,
 )
 from bench.acceptance.suite.events import current, currents_gone, first, largest, states, stepped
 from bench.analysis.waveforms import settled
@@ -41,26 +57,26 @@ from protocol.codes import DriveState
 
 
 @limit("zero_lag", "ms", hi=60, about="from the reference's zero to standstill")
-@limit("settling_time", "ms", hi=400, about="from the reference's end until the speed stays within 5 % of it")
-@limit("overshoot", "%", hi=30, about="past the new speed, of the step")
-@limit("error_max", "deg", hi=60, about="largest position error from the step on: Hall sensors alone, about zero")
+@limit("settling_time", "ms", hi=500, about="from the reference's end until the speed stays within 10 % of it")
+@limit("overshoot", "%", hi=50, about="past the new speed, of the step")
+@limit("error_max", "deg", hi=90, about="largest position error from the step on: Hall sensors alone, about zero")
 @limits(*errors("", about="once it has settled, backwards")[:2])
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:omega_ref")
-@energises(rated_speed=1 / 10, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure, figure: Figure) -> None:
-    """Reversal at a tenth of the rated speed.
+    """Reversal at a tenth of the rated speed, faster where there is too little back-EMF.
 
     The Hall speed is lost about zero and found again; the drive must not trip on the way.
     """
-    speed = rated.speed_rpm / 10
+    speed = speed_rpm(drive, rated, 1 / 10)
     run_at(drive, record, speed, 0.4)
-    run = around(record, 0.05, lambda: drive.speed(-speed * RPM), 0.5 + ramp(drive, 2.0 * speed))
+    run = around(record, 0.05, lambda: drive.speed(-speed * RPM), 0.6 + ramp(drive, 2.0 * speed))
     after = record(max(0.2, 3.0 * electrical_turn(drive, speed)))
     start, omega, reference = stepped(run, "omega_ref"), rpm(run), rpm(run, "omega_ref")
     since = run.t >= start
     zero, end = (first(run, since & (reference < to)) for to in (0.0, -0.999 * speed))
-    settling = or_nan(lambda: settled(run.t[since], omega[since], -speed, 0.05 * speed, hold=0.05).time)
+    settling = or_nan(lambda: settled(run.t[since], omega[since], -speed, 0.1 * speed, hold=0.05).time)
     error = error_deg(after, PROPOSED)
     measure("zero_lag", 1e3 * (first(run, since & (omega < 0.0)) - zero), run)
     measure("settling_time", 1e3 * (start + settling - end), run)
@@ -78,17 +94,17 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
     )
 
 
-LOWEST = 1 / 150  # of the rated speed
+LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the drive begins to look at the back-EMF
 
 
-@limits(held("speed", LOWEST, 0.5, "mean by the encoder: it turns"))
+@limits(Limits("speed", "%", 20, 250, "mean by the encoder, of the set point: it turns, and does not run away"))
 @limit("backwards", "deg", hi=360, about="farthest that the shaft swings back, electrical: not for good")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips")
 @limit("error_std", "deg", about="Hall sensors alone: 17 deg is a sector's centre held, more while the shaft slips")
 @limit("error_max", "deg", about="half a sector and its misplacement, 30 to 45 deg; beyond that the shaft has slipped")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
-@energises(rated_speed=LOWEST, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 @pytest.mark.parametrize("torque", [0, 25])
 def test_lowest_speed(
     torque: int, drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
@@ -99,7 +115,7 @@ def test_lowest_speed(
     and goes: what is left are Hall sectors, 60 deg each. The position error is for information: who needs an angle at
     such a speed needs another sensor.
     """
-    speed = LOWEST * rated.speed_rpm
+    speed = speed_rpm(drive, rated, LOWEST, BARELY)
     drive.start(PROPOSED)
     drive.speed(speed * RPM)
     if torque:
@@ -107,7 +123,7 @@ def test_lowest_speed(
     record.wait(0.8)
     run = record(max(2.0, 3.0 * electrical_turn(drive, speed)))
     omega, error, turned = rpm(run), error_deg(run, PROPOSED), np.degrees(run.theta)
-    measure("speed", omega.mean(), run)
+    measure("speed", 100.0 * omega.mean() / speed, run)
     measure("backwards", (np.maximum.accumulate(turned) - turned).max(), run)
     measure("current_max", current(run).max(), run)
     measure("speed_ripple", omega.std(), run)
@@ -120,7 +136,7 @@ def test_lowest_speed(
     )
 
 
-@limits(held("speed", 1, 0.01, "mean, counted from Hall edges of the same kind"))
+@limits(held("speed", 1, "mean, counted from Hall edges of the same kind"))
 @limit("speed_ripple", "r/min", hi=0.05, of=RATED_SPEED, about="of the drive's estimate, which has Hall ripple in it")
 @limit("current_max", "A", hi=0.75, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "currents", "feature:EDGES")
@@ -129,7 +145,7 @@ def test_full_speed(drive: Drive, rated: Ratings, record: Record, measure: Measu
     """The drive's rated speed, light load; the Hall edges tell how fast the shaft is."""
     run_at(drive, record, rated.speed_rpm, 0.7)
     run = record(0.2)
-    measure("speed", _speed_by_edges(run), run)
+    measure("speed", 100.0 * _speed_by_edges(run) / rated.speed_rpm, run)
     measure("speed_ripple", rpm(run, "omega_vt").std(), run)
     measure("current_max", current(run).max(), run)
 
@@ -143,26 +159,29 @@ def test_full_speed_error(drive: Drive, rated: Ratings, record: Record, measure:
     measure_error(measure, record(0.2))
 
 
-@limits(held("speed", 5 / 6, 0.01, "mean by the encoder"))
+@limits(held("speed", 2, "mean by the encoder"))
 @limit("i_q", "A", hi=1, of=RATED_CURRENT, about="mean: three quarters of load and the friction")
 @limits(*errors(""))
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
-@needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
+@needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "channel:u_dc", "load")
+@needs("parameter:psi_f_hat", "parameter:R_s_hat", "parameter:L_s_hat")
 @energises(rated_speed=5 / 6, rated_current=1)
 def test_high_power(drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure) -> None:
-    """Three quarters of the rated torque at five sixths of the rated speed.
+    """Three quarters of the rated torque at five sixths of the rated speed, or at what the voltage allows.
 
     The rest up to the current limit is for friction and the ripple of the estimated speed: where that reaches the
     limit, the shaft stays slower than it should be.
     """
-    speed = rated.speed_rpm * 5 / 6
+    u_dc = float(record(0.01)["u_dc"].mean())
+    full = full_load(drive, rated, u_dc, speed_rpm(drive, rated, 1 / 6))
+    speed = min(rated.speed_rpm * 5 / 6, within_voltage(drive, u_dc, full))
     run_at(drive, record, speed, 0.44)
     for share in (3 / 8, 3 / 4):  # in two steps: a single one takes the speed far down
-        load.torque(share * rated.current * drive.torque_constant)
+        load.torque(share * full * drive.torque_constant)
         record.wait(0.2)
     settle(record, speed, within=0.004, timeout=2.0)
     run = record(0.24)
-    measure("speed", rpm(run).mean(), run)
+    measure("speed", 100.0 * rpm(run).mean() / speed, run)
     measure("i_q", run["i_q"].mean(), run)
     measure_error(measure, run)
     measure("current_max", current(run).max(), run)
@@ -171,11 +190,11 @@ def test_high_power(drive: Drive, rated: Ratings, load: Load, record: Record, me
 @limit("current_held", "A", lo=0.5, hi=OVER, of=RATED_CURRENT, about="largest while the shaft is held: it pushes")
 @limit("speed_held", "r/min", hi=0.005, of=RATED_SPEED, about="largest speed while the shaft is held")
 @limit("rise_time", "ms", hi=300, about="from the first movement to 90 % of the speed")
-@limit("overshoot", "%", hi=100, about="past the speed: what the speed loop had wound up")
-@limit("settling_time", "ms", hi=600, about="from the first movement until the speed stays within 10 %")
+@limit("overshoot", "%", hi=200, about="past the speed: what the speed loop had wound up")
+@limit("settling_time", "ms", hi=600, about="from the first movement until the speed stays within 15 %")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the release on")
 @needs(*TURNS, "currents", "load.speed")
-@energises(rated_speed=1 / 10, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_stall_and_restart(
     drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure, figure: Figure
 ) -> None:
@@ -183,7 +202,7 @@ def test_stall_and_restart(
 
     The current must stay at its limit, and the drive must start by itself and come down to its speed.
     """
-    speed = rated.speed_rpm / 10
+    speed = speed_rpm(drive, rated, 1 / 10)
     load.speed(0.2 * speed * RPM)  # to some position that nobody has chosen
     record.wait(0.2)
     load.speed(0.0)
@@ -202,7 +221,7 @@ def test_stall_and_restart(
     measure("speed_held", largest(np.abs(omega), at_rest), run)
     measure("rise_time", 1e3 * (first(run, omega > 0.9 * speed) - moves), run)
     measure("overshoot", 100.0 * (largest(omega, free) / speed - 1.0), run)
-    settling = or_nan(lambda: settled(run.t[free], omega[free], speed, 0.1 * speed, hold=0.1).time)
+    settling = or_nan(lambda: settled(run.t[free], omega[free], speed, 0.15 * speed, hold=0.1).time)
     measure("settling_time", 1e3 * settling, run)
     measure("current_max", largest(current(run), free), run)
     figure(
@@ -212,21 +231,22 @@ def test_stall_and_restart(
     )
 
 
-@limits(held("speed_before", 1 / 6, 0.02, "mean before STOP: there was something to switch off"))
+@limits(held("speed_before", 2, "mean before STOP: there was something to switch off"))
 @limit("command_time", "ms", hi=100, about="from before the command was sent until the drive is not RUNNING")
 @limit("off_time", "ms", hi=5, about="from then until all currents are gone for good")
 @limit("idle_share", "%", lo=100, about="samples in IDLE of those after RUNNING")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after RUNNING on")
 @needs(*TURNS, "currents")
-@energises(rated_speed=1 / 6, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_stop(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
     """STOP at a sixth of the rated speed: outputs off at once, for good, and the drive stays IDLE."""
-    run_at(drive, record, rated.speed_rpm / 6, 0.35)
+    speed = speed_rpm(drive, rated, 1 / 6)
+    run_at(drive, record, speed, 0.35)
     before = record(0.1)
     run = around(record, 0.0, drive.stop, 0.25)
     off = first(run, states(run) != DriveState.RUNNING)
     after = run.t >= off
-    measure("speed_before", rpm(before).mean(), before)
+    measure("speed_before", 100.0 * rpm(before).mean() / speed, before)
     measure("command_time", 1e3 * (off - run.t[0]), run)
     measure("off_time", 1e3 * (currents_gone(run, NEARLY_GONE * rated.current) - off), run)
     idle = states(run)[after] == DriveState.IDLE

@@ -31,6 +31,7 @@ from bench.acceptance.suite.common import (
     OMEGA,
     PAPER,
     PROPOSED,
+    SLOW,
     STD,
     THETA,
     WORDS,
@@ -41,6 +42,7 @@ from bench.acceptance.suite.common import (
     electrical_turn,
     error_deg,
     from_reference,
+    full_load,
     held,
     or_nan,
     ramp,
@@ -49,6 +51,7 @@ from bench.acceptance.suite.common import (
     rpm,
     settle,
     speed_error,
+    speed_rpm,
     whole_turns,
 )
 from bench.analysis.waveforms import StepResponse, settled, step_response
@@ -56,7 +59,7 @@ from bench.rig.loads import SPEED, Load
 
 pytestmark = needs(*PAPER)
 
-LOW, HIGH = 1 / 6, 1 / 3  # of the rated speed
+LOW = 1 / 6  # of the rated speed; the speed step goes to twice that
 LOAD = 1 / 2  # of the rated current
 EARLY = 0.15  # s from the start that are looked at as the transient; more where the drive's ramp takes longer
 LITTLE = 3.0  # deg: a standard deviation that is no worse than another's for being above it
@@ -127,10 +130,14 @@ PHASES = {
 }
 
 
+PROPOSED_IN = {"early": (45.0, 15.0), "transient": (LARGEST, STD), "steady": (LARGEST, STD)}
+"""Largest error of the proposed observer and its standard deviation, deg: early it may see no back-EMF yet."""
+
+
 def error_limits(phase: str) -> list[Limits]:
     """Limits of `measure_errors` for both approaches."""
     declared, when = [], PHASES[phase]
-    for word, largest, std, speed in (("average", 45.0, 15.0, 0.1), ("proposed", LARGEST, STD, 0.05)):
+    for word, largest, std, speed in (("average", 45.0, 15.0, 0.15), ("proposed", *PROPOSED_IN[phase], 0.05)):
         declared += [
             Limits(f"{word}.error_max.{phase}", "deg", None, largest, f"largest position error {when}"),
             Limits(f"{word}.error_std.{phase}", "deg", None, std, f"std of the position error {when}"),
@@ -188,7 +195,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 @limit("proposed.initial_error", "deg", hi=45, about="between the rotor and the centre of its Hall sector")
 @limit("average.error_max", "deg", hi=50, about="largest position error from the start on")
 @limit("proposed.error_max", "deg", hi=50, about="largest position error from the start on")
-@limit("proposed.caught", "ms", hi=200, about=f"until the error stays below {CAUGHT_DEG:g} deg for good")
+@limit("proposed.caught", "ms", hi=300, about=f"until the error stays below {CAUGHT_DEG:g} deg for good")
 @limits(*error_limits("early"))
 @limits(*error_limits("steady"))
 @limit("average.error_mean", "deg", lo=-15, hi=15, about="position error in steady state: the Hall ring's own")
@@ -200,9 +207,9 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 @limit("ripple_d_ratio", hi=0.9, about="proposed to average speed; below 5 % of the rated current it counts as that")
 @limit("ripple_q_ratio", hi=0.9, about="the same, 10 %")
 @limits(*STEP)
-@limits(held("proposed.speed", LOW, 0.01, "in steady state"))
+@limits(held("proposed.speed", 1, "in steady state"))
 @needs("load", "parameter:psi_f_hat", "channel:omega_ref")
-@energises(rated_speed=LOW, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_fig09_start_up(
     drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
 ) -> None:
@@ -211,7 +218,7 @@ def test_fig09_start_up(
     Paper: with the average speed the error stays within about 30 degrees but jumps at the end of every sector, and so
     do i_d and i_q; the proposed observer corrects it rapidly.
     """
-    speed = LOW * rated.speed_rpm
+    speed = speed_rpm(drive, rated, LOW)
     until, turn = early(drive, speed), electrical_turn(drive, speed)
     runs = {observer: start_up(drive, load, record, observer, speed) for observer in (AVERAGE, PROPOSED)}
     ripples: dict[str, list[float]] = {}
@@ -236,7 +243,7 @@ def test_fig09_start_up(
     error = error_deg(whole, PROPOSED)
     measure("proposed.caught", 1e3 * or_nan(lambda: settled(whole.t, error, 0.0, CAUGHT_DEG, 0.3).time), whole)
     measure_step(measure, run, 0.0, speed)
-    measure("proposed.speed", rpm(steady).mean(), steady)
+    measure("proposed.speed", 100.0 * rpm(steady).mean() / speed, steady)
     figure(
         "fig09_start_up",
         f"Start-up, 0 to {speed:g} r/min. (a) With the average speed. (b) With the proposed observer.",
@@ -252,16 +259,17 @@ def test_fig09_start_up(
 @limit("proposed.error_mean", "deg", lo=-MEAN, hi=MEAN, about="position error in steady state")
 @limit("error_std_ratio", hi=0.9, about=f"in the transient, proposed to average speed; below {LITTLE:g} deg as that")
 @limits(*STEP)
-@limits(held("proposed.speed", HIGH, 0.01, "in steady state"), held("average.speed", HIGH, 0.03, "in steady state"))
+@limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 3, "in steady state"))
 @needs("channel:omega_ref")
-@energises(rated_speed=HIGH, rated_current=1)
+@energises(rated_speed=2 * SLOW, rated_current=1)
 def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure: Measure, figure: Figure) -> None:
     """Fig. 10: speed step from a sixth to a third of the rated speed near no load.
 
     Paper: with the average speed position error and estimated speed change at the end of every sector, during the
     transient and after it; the proposed observer is free of that.
     """
-    low, high = LOW * rated.speed_rpm, HIGH * rated.speed_rpm
+    low = speed_rpm(drive, rated, LOW)
+    high = 2.0 * low
     until = early(drive, high - low)
     runs = {}
     drive.start(AVERAGE)
@@ -277,7 +285,7 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
         transient, steady = run.part(0.0, until), run.part(until + 0.25)
         stds[observer] = measure_errors(measure, observer, transient, "transient")
         measure_errors(measure, observer, steady, "steady")
-        measure(f"{word}.speed", rpm(steady).mean(), steady)
+        measure(f"{word}.speed", 100.0 * rpm(steady).mean() / high, steady)
     run = runs[PROPOSED]
     steady = run.part(until + 0.25)
     measure("error_std_ratio", ratio(stds[PROPOSED], stds[AVERAGE], LITTLE), runs[AVERAGE].capture, run.capture)
@@ -300,12 +308,12 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
 @limit("proposed.error_shift", "deg", lo=-2, hi=2, about="of the mean error, from no load to half the rated torque")
 @limit("proposed.dip", "r/min", about="of the speed: a speed loop loses less than the current over k_p_speed")
 @limit("proposed.recovery", "ms", hi=500, about="until the speed stays within 5 %")
-@limits(held("proposed.speed", LOW, 0.01, "in steady state"), held("average.speed", LOW, 0.04, "in steady state"))
+@limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 4, "in steady state"))
 @limit("proposed.i_q", "A", lo=0.44, hi=0.75, of=RATED_CURRENT, about="in steady state: half the torque, and friction")
 @limit("average.ripple_q", "A", hi=0.5, of=RATED_CURRENT, about="of i_q in steady state")
-@limit("proposed.ripple_q", "A", hi=0.2, of=RATED_CURRENT, about="of i_q in steady state")
+@limit("proposed.ripple_q", "A", hi=0.3, of=RATED_CURRENT, about="of i_q in steady state")
 @needs("load", "parameter:psi_f_hat")
-@energises(rated_speed=LOW, rated_current=1)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_fig11_load_step(
     drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
 ) -> None:
@@ -315,7 +323,7 @@ def test_fig11_load_step(
     proposed observer.
     """
     runs, before = {}, 0.25
-    speed, amperes = LOW * rated.speed_rpm, LOAD * rated.current
+    speed, amperes = speed_rpm(drive, rated, LOW), LOAD * rated.current
     turn = electrical_turn(drive, speed)
     drive.start(AVERAGE)
     drive.speed(speed * RPM)
@@ -331,7 +339,7 @@ def test_fig11_load_step(
         transient, steady = run.part(0.0, EARLY), run.part(EARLY + 0.25)
         stds[observer] = measure_errors(measure, observer, transient, "transient")
         measure_errors(measure, observer, steady, "steady")
-        measure(f"{word}.speed", rpm(steady).mean(), steady)
+        measure(f"{word}.speed", 100.0 * rpm(steady).mean() / speed, steady)
         measure(f"{word}.ripple_q", or_nan(ripple, steady, "i_q", turn), steady)
     run = runs[PROPOSED]
     whole, unloaded = run.capture, whole_turns(run.part(-0.9 * before, -0.01))
@@ -372,10 +380,10 @@ def error_shift(after: Transient) -> float:
 @limit("apart", "%", lo=60, hi=140, about="shift.more_L less shift.less_L, of what 16 % of L_hat must turn")
 @limit("left", "%", hi=35, about="of that difference with (18)-(19)")
 @limit("error_std", "deg", hi=STD, about="of the error at full load: the drive's own L_hat")
-@limits(held("speed", LOW, 0.01, "as the load forces it"), held("i_q", 1, 0.02, "at full load", RATED_CURRENT))
-@needs("load.speed", "channel:i_q_ref", "parameter:load_angle_comp", "parameter:k_ic")
-@needs("parameter:L_s_hat", "parameter:psi_f_hat")
-@energises(rated_speed=LOW, rated_current=1)
+@limits(held("speed", 1, "as the load forces it"), held("i_q", 2, "at full load"))
+@needs("load.speed", "channel:i_q_ref", "channel:u_dc", "parameter:load_angle_comp", "parameter:k_ic")
+@needs("parameter:R_s_hat", "parameter:L_s_hat", "parameter:psi_f_hat")
+@energises(rated_speed=SLOW, rated_current=1)
 def test_fig12_load_angle(
     drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
 ) -> None:
@@ -386,11 +394,15 @@ def test_fig12_load_angle(
     atan(0.08 L_hat i / psi_f_hat). k_ic is commissioned: the drive's own is tried, and taken as often as it takes. The
     load forces the speed and the drive its current, so that both are the same before and after.
     """
-    speed = LOW * rated.speed_rpm
+    speed = speed_rpm(drive, rated, LOW)
     L_hat, k_ic = drive.parameters["L_s_hat"], abs(drive.parameters["k_ic"])
     load.speed(speed * RPM)
     drive.start(PROPOSED)
     settle(record, speed)
+    u_dc = float(record(0.01)["u_dc"].mean())
+    full = rated.current * max(
+        x for x in FULL if x == FULL[-1] or within_voltage(drive, u_dc, x * rated.current) > speed
+    )
     runs: dict[str, Transient] = {}
     shifts: dict[str, float] = {}
 
@@ -400,9 +412,9 @@ def test_fig12_load_angle(
         drive.set("k_ic", gain)
         drive.set("load_angle_comp", float(gain != 0.0))
         record.wait(0.1)
-        run = around(record, 0.65, lambda: drive.current(rated.current), 0.9)
+        run = around(record, 0.65, lambda: drive.current(full), 0.9)
         drive.current(0.0)
-        runs[name] = Transient(run, float(run.t[int(np.argmax(run["i_q_ref"] > 0.5 * rated.current))]))
+        runs[name] = Transient(run, float(run.t[int(np.argmax(run["i_q_ref"] > 0.5 * full))]))
         shifts[name] = error_shift(runs[name])
         measure(name, shifts[name], run)
         drive.set("load_angle_comp", 0.0)  # which forgets the integral of (18)
@@ -416,21 +428,21 @@ def test_fig12_load_angle(
     own = runs["shift"].part(0.2)
     captures = [run.capture for run in runs.values()]
     psi_f = drive.parameters["psi_f_hat"]
-    whole, part = (math.degrees(math.atan(k * L_hat * rated.current / psi_f)) for k in (1.0, MORE - LESS))
+    whole, part = (math.degrees(math.atan(k * L_hat * full / psi_f)) for k in (1.0, MORE - LESS))
     apart, left = (shifts[f"{case}.more_L"] - shifts[f"{case}.less_L"] for case in ("shift", "compensated"))
     measure("share", 100.0 * own_shift / max(whole, 5.0), runs["shift"].capture)
     measure("apart", 100.0 * apart / part, *captures)
     measure("left", 100.0 * abs(left) / max(abs(apart), LITTLE / 10.0), *captures)
     measure("error_std", error_deg(own, PROPOSED).std(), own)
-    measure("speed", rpm(own).mean(), own)
-    measure("i_q", own["i_q"].mean(), own)
+    measure("speed", 100.0 * rpm(own).mean() / speed, own)
+    measure("i_q", 100.0 * own["i_q"].mean() / full, own)
     drawn = {
         f"{share:.2f} $L_s$": (runs[f"shift.{name}"], runs[f"compensated.{name}"])
         for share, name in ((MORE, "more_L"), (LESS, "less_L"))
     }
     figure(
         "fig12_load_angle",
-        f"Load step, no load to {rated.current:g} A, at {speed:g} r/min, with 1.08 and 0.92 times the drive's own L_s. "
+        f"Load step, no load to {full:g} A, at {speed:g} r/min, with 1.08 and 0.92 times the drive's own L_s. "
         "(a) Without and (b) with the load-angle compensation.",
         lambda: draw_load_angle(drawn),
     )
