@@ -400,9 +400,7 @@ def test_fig12_load_angle(
     drive.start(PROPOSED)
     settle(record, speed)
     u_dc = float(record(0.01)["u_dc"].mean())
-    full = rated.current * max(
-        x for x in FULL if x == FULL[-1] or within_voltage(drive, u_dc, x * rated.current) > speed
-    )
+    full = full_load(drive, rated, u_dc, speed)
     runs: dict[str, Transient] = {}
     shifts: dict[str, float] = {}
 
