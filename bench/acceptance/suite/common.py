@@ -59,7 +59,7 @@ NEARLY_GONE = 0.025
 """Of the rated current: below it a current is called gone, several times what the sensors' noise makes."""
 OVER = 1.25
 """How far a current may pass the one that is allowed: the current loop's overshoot, ripple and the sensors' errors."""
-MEAN, STD, LARGEST = 2.5, 7.0, 20.0
+MEAN, STD, LARGEST = 2.5, 6.0, 20.0
 """Position error in deg that back-EMF and Hall sensors together reach on a healthy drive, from a few percent of the
 rated speed on: mean (either sign), standard deviation, largest. The paper's Hall sensors alone have 7 deg rms.
 """
