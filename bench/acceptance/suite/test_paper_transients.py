@@ -81,8 +81,8 @@ def from_dip(capture: Capture, quiet: float, observer: str) -> Transient:
 
 
 def early(drive: Drive, step_rpm: float) -> float:
-    """How long a transient is looked at, s: it is over when the ramp has been for twice its time."""
-    return max(EARLY, 3.0 * ramp(drive, step_rpm))
+    """How long a transient is looked at, s: longer where the ramp takes longer than the paper's drive's."""
+    return max(EARLY, 2.8 * ramp(drive, step_rpm))
 
 
 def second_edge(after: Transient, within: float) -> float:
