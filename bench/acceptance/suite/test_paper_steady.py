@@ -217,7 +217,8 @@ APART = 0.3  # of the turns a second, from whose multiples an injected sine keep
 ANSWER = math.radians(2.0)  # amplitude of the answer that is aimed at
 LARGEST = 0.5  # rad, of the injected sine
 SETTLING = 0.2  # s, until the observer has forgotten a change
-HARMONICS = 12  # of the electrical frequency: up to there multiples of the turns a second are fitted along
+HARMONICS = 12  # of the electrical frequency, fitted along: the Hall sensors disturb at each of them
+NEAR = 4  # of the turns a second, fitted along too: so many of the lowest, and to either side of the sine
 BEFORE = 0.025  # s from the start of a stretch, in which the sine before may still end
 TURNS_SEEN = 6  # mechanical, which tell those from the sine
 
@@ -321,7 +322,12 @@ def _answer(capture: Capture) -> complex:
     t, answer = steady.t, np.unwrap(-steady.position_error("theta_vt"))
     n_p = int(capture.parameters["n_p"])
     f_m = float(steady["omega_enc"].mean()) / math.tau / n_p
-    ripple = [k * f_m for k in range(1, HARMONICS * n_p + 1) if abs(k * f_m - f) * (t[-1] - t[0]) > 1.5]
+    lines = {
+        *range(n_p, HARMONICS * n_p + 1, n_p),
+        *range(1, NEAR),
+        *range(max(1, round(f / f_m) - NEAR), round(f / f_m) + NEAR),
+    }
+    ripple = [k * f_m for k in sorted(lines) if abs(k * f_m - f) * (t[-1] - t[0]) > 1.5]
     try:
         gain = sine_response(t, answer, f, math.tau * f * (t - start), also=ripple)
     except ValueError:

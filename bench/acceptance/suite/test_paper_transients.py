@@ -152,7 +152,7 @@ def error_limits(phase: str) -> list[Limits]:
 
 EDGE_DEG = (25.0, 31.0)  # where the rotor shall stand, ahead of the centre of its Hall sector
 TURNING = 1.0  # r/min at which it is brought there: a sector takes 1.7 s
-CAUGHT_DEG = 8.0  # the error has been corrected when it stays below this; the sensors' ripple alone reaches 6
+CAUGHT_DEG = 12.0  # the error has been corrected when it stays below this; the sensors' ripple alone reaches 9
 
 
 def place(load: Load, record: Record) -> None:
@@ -308,7 +308,7 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
 @limit("proposed.error_shift", "deg", lo=-2, hi=2, about="of the mean error, from no load to half the rated torque")
 @limit("proposed.dip", "r/min", about="of the speed: a speed loop loses less than the current over k_p_speed")
 @limit("proposed.recovery", "ms", hi=500, about="until the speed stays within 5 %")
-@limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 4, "in steady state"))
+@limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 6, "in steady state"))
 @limit("proposed.i_q", "A", lo=0.44, hi=0.75, of=RATED_CURRENT, about="in steady state: half the torque, and friction")
 @limit("average.ripple_q", "A", hi=0.5, of=RATED_CURRENT, about="of i_q in steady state")
 @limit("proposed.ripple_q", "A", hi=0.3, of=RATED_CURRENT, about="of i_q in steady state")
