@@ -311,6 +311,10 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(142, "J_hat", Unit.KGM2, 1e-8, 10.0, _P, "inertia of the whole shaft that the firmware assumes"),
     Parameter(143, "bw_hall_vector", Unit.HZ, 0.0, 1e3, _P, "bandwidth of the observers on the Hall vector"),
     Parameter(144, "learn_edges", Unit.NONE, 0, 1, _PW, "learned-edge observer: 0 hold, 1 learn"),
+    Parameter(145, "i_trip", Unit.A, 0.0, 1e3, _P, "phase current above which the outputs go off: OVERCURRENT"),
+    Parameter(146, "omega_m_trip", Unit.RAD_PER_S, 0.0, 1e4, _P, "mechanical speed above which they do: OVERSPEED"),
+    Parameter(147, "u_dc_min", Unit.V, 0.0, 1e3, _P, "DC link voltage below which they do: UNDERVOLTAGE"),
+    Parameter(148, "u_dc_max", Unit.V, 0.0, 1e3, _P, "DC link voltage above which they do: OVERVOLTAGE"),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (

@@ -23,17 +23,23 @@ if TYPE_CHECKING:
     from bench.acceptance.marks import energises, limit, limits, needs
     from bench.acceptance.results import Verdict
     from bench.analysis.capture import Capture
-    from bench.analysis.limits import Limits
+    from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, Limits
     from bench.analysis.units import RPM
     from bench.rig.drive import Drive, DriveTripped
+    from bench.rig.ratings import Ratings
 
-__all__ = ["RPM", "Capture", "Drive", "DriveTripped", "Limits", "Verdict", "energises", "limit", "limits", "needs"]
+__all__ = [
+    "RATED_CURRENT", "RATED_SPEED", "RPM", "Capture", "Drive", "DriveTripped", "Limits", "Ratings", "Verdict",
+    "energises", "limit", "limits", "needs",
+]  # fmt: skip
 
 _HOMES = {
     "RPM": "bench.rig.consent", "Capture": "bench.analysis.capture",
     **dict.fromkeys(("Drive", "DriveTripped"), "bench.rig.drive"),
     **dict.fromkeys(("energises", "limit", "limits", "needs"), "bench.acceptance.marks"),
     **dict.fromkeys(("Limits", "Verdict"), "bench.acceptance.results"),
+    **dict.fromkeys(("RATED_CURRENT", "RATED_SPEED"), "bench.analysis.limits"),
+    "Ratings": "bench.rig.ratings",
 }  # fmt: skip
 
 

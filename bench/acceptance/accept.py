@@ -89,6 +89,8 @@ class _Teller:
         self._total = len(items)
         if self._list_only and items:
             try:
+                if plugin.session_of(session.config).target == SIM:
+                    plugin.session_of(session.config).look()
                 for name, limits in plugin.session_of(session.config).declared(items):
                     self.screen.listed(name, limits)
                     self.listed = True

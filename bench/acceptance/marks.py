@@ -6,12 +6,16 @@ Loaded by every pytest of the environment: it imports nothing heavy.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 
-from bench.analysis.limits import Limits
+from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, Limits
 from bench.rig.envelope import Envelope
+
+if TYPE_CHECKING:
+    from bench.rig.ratings import Ratings
 
 LIMITS, NEEDS, ENERGISES = "bench_limits", "bench_needs", "bench_energises"
 MARKS = {
@@ -23,13 +27,14 @@ Test = TypeVar("Test", bound=Callable[..., Any])
 
 
 def limit(
-    name: str, unit: str = "", *, lo: float | None = None, hi: float | None = None, about: str = ""
+    name: str, unit: str = "", *, lo: float | None = None, hi: float | None = None, about: str = "", of: str = ""
 ) -> pytest.MarkDecorator:
     """Declare a measurement `name` in `unit` with what is allowed, both bounds included; None is no bound.
 
-    Raises ValueError for limits that are not finite or leave no room.
+    `of`: the bounds are shares of that rating of the drive, RATED_SPEED (r/min) or RATED_CURRENT (A). Raises ValueError
+    for limits that are not finite or leave no room.
     """
-    return limits(Limits(name, unit, lo, hi, about))
+    return limits(Limits(name, unit, lo, hi, about, of=of))
 
 
 def limits(*declared: Limits) -> pytest.MarkDecorator:
@@ -48,9 +53,47 @@ def needs(*what: str) -> pytest.MarkDecorator:
     return pytest.mark.bench_needs(*what)
 
 
-def energises(speed_rpm: float, current: float) -> pytest.MarkDecorator:
-    """Announce the highest speed (mechanical r/min) and current (A, peak) that the test asks for."""
-    return pytest.mark.bench_energises(Envelope(speed_rpm, current))
+@dataclass(frozen=True)
+class _Asked:
+    """How far a test goes: mechanical r/min and A, or shares of the drive's ratings."""
+
+    speed_rpm: float | None
+    current: float | None
+    rated_speed: float | None
+    rated_current: float | None
+
+    def within(self, ratings: Ratings) -> Envelope:
+        """The same for a drive with these ratings; nothing where one is needed that nobody has told."""
+        speed, current = self.speed_rpm, self.current
+        if self.rated_speed is not None:
+            speed = self.rated_speed * ratings.told.get(RATED_SPEED, 0.0)
+        if self.rated_current is not None:
+            current = self.rated_current * ratings.told.get(RATED_CURRENT, 0.0)
+        assert speed is not None
+        assert current is not None
+        return Envelope(speed, current)
+
+    def rated_by(self) -> set[str]:
+        """The ratings that are needed for that."""
+        shares = {RATED_SPEED: self.rated_speed, RATED_CURRENT: self.rated_current}
+        return {rating for rating, share in shares.items() if share is not None}
+
+
+def energises(
+    speed_rpm: float | None = None,
+    current: float | None = None,
+    *,
+    rated_speed: float | None = None,
+    rated_current: float | None = None,
+) -> pytest.MarkDecorator:
+    """Announce the highest speed and current that the test asks for.
+
+    Mechanical r/min and A (peak), or either as a share of what the drive is rated for. Raises ValueError unless each is
+    given once.
+    """
+    if (speed_rpm is None) == (rated_speed is None) or (current is None) == (rated_current is None):
+        raise ValueError("energises: give speed_rpm or rated_speed, and current or rated_current")
+    return pytest.mark.bench_energises(_Asked(speed_rpm, current, rated_speed, rated_current))
 
 
 def declared_limits(item: pytest.Item) -> list[Limits]:
@@ -72,7 +115,14 @@ def needed(item: pytest.Item) -> list[str]:
     return [what for mark in item.iter_markers(NEEDS) for what in mark.args]
 
 
-def announced(item: pytest.Item) -> Envelope:
-    """How far a test goes; as far as the drive lets it, if it does not say."""
+def announced(item: pytest.Item, ratings: Ratings) -> Envelope:
+    """How far a test goes on a drive with these ratings; as far as the drive lets it, if it does not say."""
     mark = item.get_closest_marker(ENERGISES)
-    return Envelope() if mark is None else mark.args[0]
+    return Envelope() if mark is None else mark.args[0].within(ratings)
+
+
+def rated_by(item: pytest.Item) -> list[str]:
+    """The ratings that a test's limits and set points are shares of."""
+    mark = item.get_closest_marker(ENERGISES)
+    asked = set() if mark is None else mark.args[0].rated_by()
+    return sorted(asked | {limits.of for limits in declared_limits(item) if limits.of})

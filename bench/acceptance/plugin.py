@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bench.acceptance.session import BenchSession
     from bench.rig.drive import Drive
     from bench.rig.loads import Load
+    from bench.rig.ratings import Ratings
     from bench.rig.rig import Rig
 
 SESSION: pytest.StashKey[BenchSession] = pytest.StashKey()
@@ -184,6 +185,12 @@ def record(_hallbench_rig: Rig) -> Record:
     from bench.acceptance.fixtures import Record
 
     return Record(_hallbench_rig)
+
+
+@pytest.fixture
+def rated(_hallbench_rig: Rig, pytestconfig: pytest.Config) -> Ratings:
+    """What the drive is rated for: `rated.speed_rpm` in mechanical r/min, `rated.current` in A."""
+    return session_of(pytestconfig).ratings
 
 
 @pytest.fixture

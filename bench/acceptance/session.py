@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
 from datetime import datetime
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -20,24 +21,28 @@ import pytest
 
 from bench.acceptance.collected import RESULT, RIG, RUNNING, SCREEN, long_name, names_of
 from bench.acceptance.judging import NOT_BEGUN, Phase, judge
-from bench.acceptance.marks import announced, declared_limits, needed
+from bench.acceptance.marks import announced, declared_limits, needed, rated_by
 from bench.acceptance.measuring import Running, file_name, require_apart, value_text
 from bench.acceptance.report_files import claim
 from bench.acceptance.requirements import missing
 from bench.acceptance.results import Carried, RunResult, Setup, TestResult, Verdict, to_json, worst
 from bench.analysis.limits import Limits
 from bench.analysis.versions import versions
+from bench.device.client import Client
 from bench.device.description import describe
+from bench.device.node import Node
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
 from bench.rerunio.markdown import escaped
 from bench.rig import person
-from bench.rig.connection import SIM, load_target, open_target, target_of
+from bench.rig.connection import SIM, find_drive, load_target, open_target, target_of
 from bench.rig.consent import require_agreement
+from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions
 from bench.rig.loads import OwnLoads
 from bench.rig.lock import alone_on
 from bench.rig.quality import Quality
+from bench.rig.ratings import RATING_PARAMETERS, ratings
 from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.settings import Settings, read_settings
 from protocol.errors import HbpError
@@ -59,6 +64,8 @@ class BenchSession:
         self.results: dict[str, TestResult] = {}
         """By node id."""
         self.setup = Setup()
+        self.ratings = ratings({}, self.settings.rated)
+        """Of the drive, once it has been asked."""
         self.began = datetime.now().astimezone()
         self.order: list[str] = []
         """Node ids of the tests, where they run in other processes."""
@@ -119,20 +126,17 @@ class BenchSession:
                 raise BenchError('load = "person", and nobody can be asked: it needs person = true and a terminal')
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
             if self.target == SIM:
-                open_target(self.target, self.settings, "").close()
+                self.look()
             else:
                 if self.config.option.bench_config:
                     raise BenchError(f"--config is for the simulated drive, not for {self.target}")
                 if not self._collects:
                     raise BenchError(f"{self.target} cannot be tested by several processes at once: leave out -n")
                 self._held.enter_context(alone_on(self.target, load_target(self.settings)))
-                envelope = announced(items[0])
-                for item in items[1:]:
-                    envelope = envelope.join(announced(item))
                 require_agreement(
                     self.target,
                     self.settings,
-                    envelope,
+                    self._most,
                     self.config.option.bench_yes,
                     self._confirm if person.at_terminal() else None,
                 )
@@ -141,6 +145,21 @@ class BenchSession:
             self._held.close()
             if self._collects:
                 pytest.exit(self.error, returncode=2)  # a worker says it of each of its tests
+
+    def look(self) -> None:
+        """What the simulated drive is rated for. BenchError for figures that it cannot have."""
+        with closing(open_target(self.target, self.settings, "")) as link:
+            self._know(find_drive(Client(link), self.target))
+
+    def _know(self, drive: Node) -> None:
+        told = {name: drive.parameter(name).value for name in RATING_PARAMETERS if drive.has_parameter(name)}
+        self.ratings = ratings(told, self.settings.rated)
+        list(self.declared(self._known))  # limits that leave no room on this drive
+
+    def _most(self, drive: Node) -> Envelope:
+        """The most that the tests ask of this drive."""
+        self._know(drive)
+        return reduce(Envelope.join, (announced(item, self.ratings) for item in self._items))
 
     def check_names(self) -> None:
         """Names that tell tests apart, and limits in bench.toml that fit them. BenchError if anything is amiss."""
@@ -203,7 +222,7 @@ class BenchSession:
         for item in items:
             for limits in declared_limits(item):
                 full, long = (f"{n}.{limits.name}" for n in (self._names[item.nodeid], long_name(item.nodeid)))
-                yield full, self.settings.apply({full, long}, limits)
+                yield full, self.settings.apply({full, long}, limits.resolved(self.ratings.told))
 
     # -- one test -----------------------------------------------------------------------------------------------
 
@@ -222,7 +241,7 @@ class BenchSession:
             link=lambda: open_target(self.target, self.settings, name),
             target=self.target,
             settings=self.settings,
-            envelope=announced(item),
+            envelope=announced(item, self.ratings),
             ask=self._ask(),
             virtual=self.target == SIM,
             own_loads=self._own_loads,
@@ -257,7 +276,9 @@ class BenchSession:
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""
-        if lacking := [why for what in needed(item) if (why := missing(what, rig)) is not None]:
+        lacking = [why for what in needed(item) if (why := missing(what, rig)) is not None]
+        lacking += self.ratings.missing(rated_by(item))
+        if lacking:
             pytest.skip("; ".join(dict.fromkeys(lacking)))
 
     def note_phase(self, item: pytest.Item, call: pytest.CallInfo[None], report: Any) -> None:

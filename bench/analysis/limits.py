@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from numbers import Real
+
+RATED_SPEED, RATED_CURRENT = "rated speed", "rated current"
+"""What limits can be shares of: the drive's rated speed (mechanical r/min) and current (A, peak)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a measurement may be: from `lo` to `hi`, in `unit`; None is no limit on that side.
 
-    Raises ValueError for limits that are not numbers or leave no room.
+    With `of` they are shares of that rating until `resolved`. Raises ValueError for limits that are not numbers or
+    leave no room, and for what is no rating.
     """
 
     name: str
@@ -21,6 +26,10 @@ class Limits:
     about: str = ""
     overridden: bool = False
     """The limits come from bench.toml, not from the test."""
+    of: str = ""
+    """The rating that `lo` and `hi` are shares of; empty: they are in `unit`."""
+    scaled: str = ""
+    """Where limits in `unit` come from, if they were shares."""
 
     def __post_init__(self) -> None:
         for side in ("lo", "hi"):
@@ -30,8 +39,17 @@ class Limits:
             if isinstance(limit, bool) or not isinstance(limit, Real) or not math.isfinite(limit):
                 raise ValueError(f"{self.name}: a limit must be a finite number, got {limit!r}")
             object.__setattr__(self, side, float(limit))  # JSON takes no number of numpy's
+        if self.of not in ("", RATED_SPEED, RATED_CURRENT):
+            raise ValueError(f"{self.name}: no rating '{self.of}': there are '{RATED_SPEED}' and '{RATED_CURRENT}'")
         if self.lo is not None and self.hi is not None and self.lo > self.hi:
-            raise ValueError(f"{self.name}: the lower limit {self.lo:g} is above the upper one, {self.hi:g}")
+            raise ValueError(f"{self.name}: the lower limit {self.lo:.4g} is above the upper one, {self.hi:.4g}")
+
+    def resolved(self, ratings: Mapping[str, float]) -> Limits:
+        """The limits in `unit`; as they are where they are no shares, or of what is not known."""
+        if self.of not in ratings:
+            return self
+        lo, hi = (None if share is None else share * ratings[self.of] for share in (self.lo, self.hi))
+        return replace(self, lo=lo, hi=hi, of="", scaled=replace(self, unit="")._words())
 
     def allow(self, value: float) -> bool:
         """Whether `value` is within them; NaN is not."""
@@ -47,9 +65,12 @@ class Limits:
         return min(distances, default=None)
 
     def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
+        return f"{self._words()} ({self.scaled})" if self.scaled and not self.overridden else self._words()
+
+    def _words(self) -> str:
+        unit = f" × {self.of}" if self.of else f" {self.unit}" if self.unit else ""
         if self.lo is not None and self.hi is not None:
-            return f"= {self.lo:g}{unit}" if self.lo == self.hi else f"{self.lo:g} … {self.hi:g}{unit}"
+            return f"= {self.lo:.4g}{unit}" if self.lo == self.hi else f"{self.lo:.4g} … {self.hi:.4g}{unit}"
         if self.hi is not None:
-            return f"≤ {self.hi:g}{unit}"
-        return f"≥ {self.lo:g}{unit}" if self.lo is not None else "for information"
+            return f"≤ {self.hi:.4g}{unit}"
+        return f"≥ {self.lo:.4g}{unit}" if self.lo is not None else "for information"

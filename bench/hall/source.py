@@ -99,7 +99,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     recording = Recording(options.save, {"test": "hall"})
     with signals_as_exceptions(), alone_on(options.source):
         if not options.passive:
-            require_agreement(options.source, settings, plan.envelope, options.yes, confirm, options.needs)
+            require_agreement(options.source, settings, lambda _: plan.envelope, options.yes, confirm, options.needs)
         with Rig(plan) as rig:
             rig.require(*options.needs)
             if options.passive:

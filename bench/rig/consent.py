@@ -64,14 +64,15 @@ def require_consent(
 def require_agreement(
     target: str,
     settings: Settings,
-    envelope: Envelope,
+    asked: Callable[[Node], Envelope],
     yes: bool,
     confirm: Callable[[str], bool] | None,
     needs: Collection[str] = (),
 ) -> None:
     """Raise UnsafeError unless what turns is simulated or somebody agrees to the most that the tests ask of it.
 
-    A load machine on a link of its own is a question of its own. `confirm` asks a person, None where there is nobody.
+    `asked` tells that most for the drive. A load machine on a link of its own is a question of its own. `confirm` asks
+    a person, None where there is nobody.
     `needs`: applications of `bench.rig.needs`, whose needs come first. BenchError and HbpError where there is no such
     machine.
     """
@@ -84,6 +85,7 @@ def require_agreement(
         drive = Node(client, client.connect().node)
         for what in needs:
             require(drive, what, NEEDS[what])
+        envelope = asked(drive)
         require_consent(drive, target, at_most(drive, envelope), yes, confirm)
         if machine := load_target(settings):
             load = open_load_machine(machine, stack)

@@ -9,8 +9,12 @@
     load = "node"                      # "node" (number 2 on the link), "none", "person", a target, "FILE.py:Class"
     person = true                      # somebody is there to turn knobs and pull wires when asked
 
+    [rated]
+    speed_rpm = 2000                   # what tests ask for shares of; without it what the drive's limits say
+    current = 5.0                      # A, peak
+
     [limits]
-    "fig08_steady_50_rpm.error_std_proposed" = { hi = 6.0 }     # as `bench accept --list` names it
+    "fig08_steady.error_std_proposed" = { hi = 6.0 }     # as `bench accept --list` names it
 
 Reads and checks the file; it opens no link.
 """
@@ -23,6 +27,7 @@ import re
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +38,9 @@ from protocol.errors import TargetError
 from protocol.links.target import parse_target
 
 FILE = "bench.toml"
-_TOP = {"target": str, "station": str, "operator": str, "config": str, "rig": dict, "limits": dict}
+_TOP = {"target": str, "station": str, "operator": str, "config": str, "rig": dict, "rated": dict, "limits": dict}
 _RIG = {"load": str, "person": bool}
+_RATED = {"speed_rpm": Real, "current": Real}
 LOADS = ("node", "none", "person")
 MUCH_ALIKE = 0.85  # from this ratio on (difflib) a name is taken for another that is misspelt
 
@@ -52,6 +58,8 @@ class Settings:
     config: Path | None = None
     load: str = "node"
     person: bool = False
+    rated: Mapping[str, float] = field(default_factory=dict)
+    """What the drive is rated for, where its own limits do not say it: `speed_rpm`, `current`."""
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def apply(self, names: Collection[str], limits: Limits) -> Limits:
@@ -65,6 +73,8 @@ class Settings:
         if not given:
             return limits
         own = self.limits[given[0]]
+        if limits.of:  # shares of a rating that is not known yet: the file's are none
+            limits = replace(limits, lo=None, hi=None, of="")
         try:
             return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), overridden=True)
         except ValueError as error:
@@ -106,6 +116,11 @@ def read_settings(path: Path | None) -> Settings:
     _check(data, _TOP, "", file)
     rig = data.get("rig", {})
     _check(rig, _RIG, "rig.", file)
+    rated = data.get("rated", {})
+    _check(rated, _RATED, "rated.", file)
+    for key, value in rated.items():
+        if not 0.0 < value < math.inf:
+            raise BenchError(f"rated.{key} in {file} must be more than 0, got {value!r}")
     config, load = data.get("config"), rig.get("load", "node")
     if load not in LOADS and ".py:" not in load:
         try:
@@ -121,6 +136,7 @@ def read_settings(path: Path | None) -> Settings:
         config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),
+        rated={key: float(value) for key, value in rated.items()},
         limits={name: _limits(name, value, file) for name, value in data.get("limits", {}).items()},
     )
 
@@ -135,8 +151,8 @@ def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, fil
             near = difflib.get_close_matches(key, known, 1)
             hint = f"did you mean {prefix}{near[0]}?" if near else f"there are {', '.join(prefix + k for k in known)}"
             raise BenchError(f"unknown key {prefix}{key} in {file}: {hint}")
-        if not isinstance(value, known[key]):
-            word = {str: "text", bool: "true or false", dict: "a table"}[known[key]]
+        if not isinstance(value, known[key]) or (known[key] is Real and isinstance(value, bool)):
+            word = {str: "text", bool: "true or false", dict: "a table", Real: "a number"}[known[key]]
             raise BenchError(f"{prefix}{key} in {file} must be {word}, got {value!r}")
 
 

@@ -305,10 +305,10 @@ class DeadTime(Section):
 class Protection(Section):
     """Limits at which the firmware opens the outputs."""
 
-    i_trip: float = _number("A", gt=0)
-    omega_m_trip: float = _number("rad/s", gt=0)
-    u_dc_min: float = _number("V", ge=0)
-    u_dc_max: float = _number("V", gt=0)
+    i_trip: float = _DRIVE["i_trip"]
+    omega_m_trip: float = _DRIVE["omega_m_trip"]
+    u_dc_min: float = _DRIVE["u_dc_min"]
+    u_dc_max: float = _DRIVE["u_dc_max"]
     omega_trip_time: float = _number("s", gt=0)
     hall_fault_time: float = _number("s", gt=0)
     hall_fault_count: Whole = _number(ge=2, le=1000)

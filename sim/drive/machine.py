@@ -386,7 +386,7 @@ def _motor(p: BenchParams, now: warming.Factors = warming.COLD) -> pmsm.Params:
 
 def _protection(p: BenchParams, drive: Mapping[str, float]) -> protection.Params:
     """The limits of the protection; without an encoder no speed trips that the Hall sensors cannot show."""
-    limits = protection.make_params(p.clock.pwm_hz, drive["n_p"], bool(p.encoder.present), p.firmware.protection)
+    limits = protection.make_params(p.clock.pwm_hz, drive, bool(p.encoder.present), p.firmware.protection)
     if p.encoder.present:
         return limits
     shown = SHOWN * average_speed.FASTEST * drive["omega_m_max"] * drive["n_p"]

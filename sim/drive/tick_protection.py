@@ -22,6 +22,7 @@ It never switches anything off: `tick_firmware` latches the faults.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from protocol.messages import Fault
@@ -72,15 +73,15 @@ class State(NamedTuple):
     causes: int  # Fault bits whose cause is there now
 
 
-def make_params(pwm_hz: float, n_p: float, encoder: bool, limits: Protection) -> Params:
-    """Constants for control periods at `pwm_hz` Hz; `encoder`: there is one."""
+def make_params(pwm_hz: float, drive: Mapping[str, float], encoder: bool, limits: Protection) -> Params:
+    """Constants for control periods at `pwm_hz` Hz, thresholds by the parameters `drive`; `encoder`: there is one."""
     T_s = 1.0 / pwm_hz
     return Params(
-        limits.i_trip,
-        limits.omega_m_trip * n_p,
+        drive["i_trip"],
+        drive["omega_m_trip"] * drive["n_p"],
         1 if encoder else max(1, round(limits.omega_trip_time * pwm_hz)),
-        limits.u_dc_min,
-        limits.u_dc_max,
+        drive["u_dc_min"],
+        drive["u_dc_max"],
         T_s / limits.hall_fault_time,
         1.0 / limits.hall_fault_count,
         T_s / limits.hall_fault_leak,

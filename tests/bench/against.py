@@ -17,7 +17,7 @@ WATCH = "live TARGET --duration 0.4 --viewer none"
 INFO = "info TARGET"
 HALL = "hall check TARGET --yes --speed 480"
 LOOK = "hall check TARGET --passive --duration 0.4"
-ACCEPT = "accept TARGET -k stop_500 --yes"
+ACCEPT = "accept TARGET -k test_stop --yes"
 REAL_LINKS = tuple(pytest.param(link, marks=pytest.mark.real_links) for link in ("pty", "tcp", "slcan", "virtual"))
 LINKS = ("bytes", "CAN", *REAL_LINKS)
 CAN = ("CAN", "slcan", "virtual")

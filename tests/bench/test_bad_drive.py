@@ -23,7 +23,7 @@ BYTES, ALL = ("pty", "tcp"), ("pty", "tcp", "slcan")
 SHOUT = ("OUTPUTS MAY STILL BE ON", "cut the power")
 LONGER = SPIN.replace("0.8", "2.0")
 REFUSED = SPIN.replace(" --yes", "")  # nobody can be asked
-UNFED = ACCEPT.replace("stop_500", "test_watchdog")
+UNFED = ACCEPT.replace("test_stop", "test_watchdog")
 NAMES = {
     SPIN: "spin", LONGER: "spin_longer", REFUSED: "spin_refused", WATCH: "watch", INFO: "info", LOOK: "hall_passive",
     HALL: "hall", ACCEPT: "accept", UNFED: "accept_watchdog",

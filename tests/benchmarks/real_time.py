@@ -22,7 +22,7 @@ from tests.bench.processes import Sim
 TOLERANCES = {
     "hall_wire*": 1.0,  # where the rotor was when a wire broke, or from where it started with two exchanged
     "hall_glitches*": 1.0,  # where the false pulses fell
-    "low_speed*": 1.0,  # the shaft sticks and slips
+    "lowest_speed*": 1.0,  # the shaft sticks and slips
     "fig06_frequency_response.high_pass_*": 0.7,  # the largest of ten deviations that are mostly noise
     "*": 0.35,  # noise of another seed, and when commands came
 }

@@ -1,6 +1,7 @@
 """What the tests of the suite share: names of the estimates, speeds in r/min, whole turns, transients, ripple.
 
-Nothing here knows a limit, or whether the drive is simulated.
+Set points are shares of what the drive is rated for, and names of measurements say them in percent. Nothing here knows
+whether the drive is simulated.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 import numpy as np
 
 from bench.analysis.capture import F64, Capture
+from bench.analysis.limits import Limits
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import EdgeOffsets, edge_offsets, thd_by_angle
+from bench.analysis.waveforms.harmonics import ORDER
 from bench.analysis.wiring import AS_SPECIFIED, diagnose
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.needs import offers
+from bench.rig.ratings import Ratings
 
 if TYPE_CHECKING:
     from bench.acceptance.fixtures import Record
@@ -51,6 +55,36 @@ PAPER = (
 """What the paper's experiments need, which compare its two approaches with the encoder."""
 
 
+NEARLY_GONE = 0.025
+"""Of the rated current: below it a current is called gone, several times what the sensors' noise makes."""
+OVER = 1.25
+"""How far a current may pass the one that is allowed: the current loop's overshoot, ripple and the sensors' errors."""
+MEAN, STD, LARGEST = 2.5, 6.0, 20.0
+"""Position error in deg that back-EMF and Hall sensors together reach on a healthy drive, from a few percent of the
+rated speed on: mean (either sign), standard deviation, largest. The paper's Hall sensors alone have 7 deg rms.
+"""
+
+
+def held(name: str, within: float, about: str) -> Limits:
+    """Limits of what is held at a set point, in % of it: to `within` %."""
+    return Limits(name, "%", 100.0 - within, 100.0 + within, f"{about}, of the set point")
+
+
+def errors(prefix: str, std: float = STD, largest: float = LARGEST, about: str = "") -> list[Limits]:
+    """Limits of `measure_error`."""
+    more = f", {about}" if about else ""
+    return [
+        Limits(f"{prefix}error_mean", "deg", -MEAN, MEAN, f"mean position error{more}"),
+        Limits(f"{prefix}error_std", "deg", None, std, f"standard deviation of the position error{more}"),
+        Limits(f"{prefix}error_max", "deg", None, largest, f"largest position error{more}"),
+    ]
+
+
+def percent(share: float) -> int:
+    """A share of a rating in names of measurements."""
+    return round(100.0 * share)
+
+
 def own_angle(drive: Drive) -> str | None:
     """The angle source of tests that are about the drive: the proposed one, or what a drive without it uses."""
     return PROPOSED if offers(drive.node, PROPOSED) else None
@@ -68,9 +102,9 @@ def or_nan(measure: Callable[Arguments, float | None], *arguments: Arguments.arg
     return math.nan if value is None else value
 
 
-def ratio(value: float, to: float) -> float:
-    """`value / to`; NaN where there is nothing to compare with."""
-    return value / to if to else math.nan
+def ratio(value: float, to: float, floor: float) -> float:
+    """`value / to`; what is smaller than `floor` is compared with that, since less of both is no worse."""
+    return value / max(to, floor)
 
 
 def rpm(capture: Capture, channel: str = "") -> F64:
@@ -81,6 +115,15 @@ def rpm(capture: Capture, channel: str = "") -> F64:
 def error_deg(capture: Capture, observer: str) -> F64:
     """Actual minus estimated angle of an approach in electrical degrees, shape (n,)."""
     return np.degrees(capture.position_error(THETA[observer]))
+
+
+def measure_error(measure: Measure, capture: Capture, observer: str = PROPOSED, prefix: str = "") -> float:
+    """`error_mean`, `error_std` and `error_max` of an approach in electrical degrees; returns the second."""
+    error = error_deg(capture, observer)
+    measure(f"{prefix}error_mean", error.mean(), capture)
+    measure(f"{prefix}error_std", error.std(), capture)
+    measure(f"{prefix}error_max", np.abs(error).max(), capture)
+    return float(error.std())
 
 
 def whole_turns(capture: Capture) -> Capture:
@@ -134,11 +177,56 @@ def from_reference(capture: Capture, speed_rpm: float, observer: str) -> Transie
     return Transient(capture, float(capture.t[int(np.argmax(reference > speed_rpm + 1.0))]), observer)
 
 
+SEEN = 3.0
+"""How many times the speed at which the drive begins to look at the back-EMF a test takes that is about more."""
+SLOW = 0.5
+"""Of the rated speed: the most that a slow test takes for being `SEEN`."""
+
+
+def speed_rpm(drive: Drive, rated: Ratings, share: float, seen: float = SEEN, most: float = SLOW) -> float:
+    """A share of the rated speed in r/min; faster, up to the share `most`, where that is not `seen` times `omega_on`.
+
+    The drive's parameter `omega_on` is the speed from which on its observer looks at the back-EMF: high for a motor of
+    much resistance.
+    """
+    omega_e = seen * drive.parameters.get("omega_on", 0.0)
+    return min(max(share * rated.speed_rpm, omega_e / drive.n_p / RPM), max(share, most) * rated.speed_rpm)
+
+
+def within_voltage(drive: Drive, u_dc: float, current: float) -> float:
+    """The speed in r/min at which a q current leaves a fifth of the linear modulation's voltage; 0 if it never does.
+
+    By the drive's own R_s_hat, L_s_hat and psi_f_hat.
+    """
+    R_s, L_s, psi_f = (drive.parameters[name] for name in ("R_s_hat", "L_s_hat", "psi_f_hat"))
+    u, drop, u_L = 0.8 * u_dc / math.sqrt(3.0), R_s * current, L_s * current
+    square = psi_f * psi_f + u_L * u_L  # (psi_f omega + drop)^2 + (u_L omega)^2 = u^2
+    root = (psi_f * drop) ** 2 + square * (u * u - drop * drop)
+    return max(math.sqrt(max(root, 0.0)) - psi_f * drop, 0.0) / square / drive.n_p / RPM
+
+
+def full_load(drive: Drive, rated: Ratings, u_dc: float, at_rpm: float) -> float:
+    """The rated current in A, or the part of it that the voltage allows at a speed, in quarters."""
+    quarters = [rated.current * k / 4.0 for k in (4, 3, 2)]
+    return next((amps for amps in quarters if within_voltage(drive, u_dc, amps) > at_rpm), rated.current / 4.0)
+
+
+def ramp(drive: Drive, speed_rpm: float) -> float:
+    """Seconds that the drive's ramp takes to change its speed reference by `speed_rpm`; 0 if the drive does not say."""
+    slope = drive.parameters.get("alpha_m_max", math.inf)
+    return speed_rpm * RPM / slope if slope > 0.0 else 0.0
+
+
+def electrical_turn(drive: Drive, speed_rpm: float) -> float:
+    """Seconds that an electrical turn takes at a speed."""
+    return 60.0 / (abs(speed_rpm) * drive.n_p)
+
+
 def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> None:
-    """Start the drive on its own angle, ask for a speed and wait."""
+    """Start the drive on its own angle, ask for a speed, and wait `seconds` after the ramp's end."""
     drive.start(own_angle(drive))
     drive.speed(speed_rpm * RPM)
-    record.wait(seconds)
+    record.wait(ramp(drive, speed_rpm) + seconds)
 
 
 def around(record: Record, before: float, command: Callable[[], object], after: float) -> Capture:
@@ -165,23 +253,24 @@ def settle(record: Record, speed_rpm: float, within: float = 0.03, timeout: floa
     return False
 
 
-def turn_both_ways(drive: Drive, record: Record, measure: Measure) -> tuple[list[Capture], EdgeOffsets]:
-    """Turn at 300 r/min on the encoder, forwards and backwards; where the Hall edges lie by it.
+def turn_both_ways(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> tuple[list[Capture], EdgeOffsets]:
+    """Turn at a tenth of the rated speed on the encoder, forwards and backwards; where the Hall edges lie by it.
 
     Measures `wiring_as_specified` first. Raises DriveTripped.
     """
+    speed = 0.1 * rated.speed_rpm
     drive.start("encoder")
     with drive.may_trip(), record.stretch() as started:  # a drive may well trip over wrong wiring: name that first
-        drive.speed(300 * RPM)
+        drive.speed(speed * RPM)
         record.wait(0.8)
     measure("wiring_as_specified", or_nan(lambda: _wiring_as_specified(started.capture, record)), started.capture)
     if drive.faults:
         raise DriveTripped(f"the drive tripped: {', '.join(drive.faults)}")
     turning = []
     for direction in (1, -1):
-        drive.speed(direction * 300 * RPM)
-        assert settle(record, direction * 300), "300 r/min were not reached"
-        turning.append(record(1.0))
+        drive.speed(direction * speed * RPM)
+        assert settle(record, direction * speed), f"{direction * speed:g} r/min were not reached"
+        turning.append(record(max(1.0, 5.0 * 60.0 / speed)))
     edges = [capture.edges for capture in turning]
     return turning, edge_offsets(
         np.concatenate([capture.theta_at_edges() for capture in turning]),
@@ -198,6 +287,13 @@ def _wiring_as_specified(capture: Capture, record: Record) -> float:
     return float(found.best == AS_SPECIFIED)
 
 
+def turns_for_thd(drive: Drive, speed_rpm: float) -> float:
+    """Seconds in which there are whole mechanical turns with three electrical ones, and not too few samples."""
+    return max(0.1, 1.1 * math.ceil(3.5 / drive.n_p) * 60.0 / speed_rpm)
+
+
 def thd_of_current(capture: Capture) -> float:
-    """THD (20) of i_a in %, by the electrical angle; NaN if there are no three periods of it."""
-    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"]).value)
+    """THD (20) of i_a in %, by the electrical angle, of the harmonics that samples show; NaN without three periods."""
+    step = float(np.abs(np.diff(capture.theta)).max())
+    order = ORDER if step * ORDER < math.pi else max(2, math.ceil(math.pi / step) - 1)
+    return or_nan(lambda: 100.0 * thd_by_angle(capture.theta, capture["i_a"], order).value)

@@ -15,8 +15,6 @@ from protocol.codes import DriveState
 from protocol.signals import STATUS_STATE_MASK
 
 PHASES = ("i_a", "i_b", "i_c")
-GONE = 0.2
-"""A below which a current is called gone: several times what the sensors' noise makes."""
 
 
 def only(capture: Capture, *channels: str) -> Capture:
@@ -66,9 +64,9 @@ def illegal(capture: Capture) -> float:
     return first(capture, (code == 0) | (code == 7))
 
 
-def currents_gone(capture: Capture) -> float:
-    """Device time in s from which on all currents are below `GONE` to the end; NaN if they are not at the end."""
-    small = current(capture) < GONE
+def currents_gone(capture: Capture, gone: float) -> float:
+    """Device time in s from which on all currents are below `gone` A to the end; NaN if they are not at the end."""
+    small = current(capture) < gone
     if not small[-1]:
         return math.nan
     return float(capture.t[0] if small.all() else capture.t[len(small) - int(np.argmin(small[::-1]))])

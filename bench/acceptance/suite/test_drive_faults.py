@@ -1,6 +1,6 @@
 """What the drive does when something breaks: a Hall wire, exchanged wires, false pulses, a host that falls silent.
 
-Faults of the wiring are put in by the rig. The default limits are those of the paper's drive.
+Faults of the wiring are put in by the rig.
 """
 
 from __future__ import annotations
@@ -11,23 +11,42 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
+from bench.acceptance import (
+    RATED_CURRENT,
+    RATED_SPEED,
+    RPM,
+    Capture,
+    Drive,
+    Limits,
+    Ratings,
+    energises,
+    limit,
+    limits,
+    needs,
+)
 from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.drive import draw_run
 from bench.acceptance.suite.common import (
+    LARGEST,
+    NEARLY_GONE,
+    OVER,
     PROPOSED,
+    SLOW,
+    STD,
     TURNS,
     VECTOR,
     Figure,
     Measure,
+    electrical_turn,
     error_deg,
+    held,
     own_angle,
     rpm,
     run_at,
+    speed_rpm,
 )
 from bench.acceptance.suite.events import (
-    GONE,
     PHASES,
     current,
     currents_gone,
@@ -47,22 +66,32 @@ OPEN = {f"open_{wire}": f"sensor {wire} open (always 1)" for wire in WIRES}
 EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pair in PAIRS}
 
 
-@limit("trip_time", "ms", lo=0.1, hi=80, about="from the first illegal code to FAULT: two electrical turns take 67 ms")
+TENTH, SIXTH = 1 / 10, 1 / 6  # of the rated speed
+
+
+@limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical turns of before")
 @limit("named", "", lo=1, hi=1, about="1: HALL is the fault, and the only one")
-@limit("current_max", "A", hi=9.6, about="largest phase current from the break on")
-@limit("current_after", "A", hi=GONE, about="largest phase current 5 ms after the trip and later")
-@limit("speed_again", "r/min", lo=298.5, hi=301.5, about="mean once the wire is whole and the fault is cleared")
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the break on")
+@limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
+@limits(held("speed_again", 2, "mean once the wire is whole and the fault is cleared"))
 @needs(*TURNS, "currents", "channel:hall", "hall-faults")
-@energises(speed_rpm=300, current=8)
+@energises(rated_speed=SLOW, rated_current=1)
 @pytest.mark.parametrize("wire", WIRES)
 def test_hall_wire_broken(
-    wire: str, drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+    wire: str,
+    drive: Drive,
+    rated: Ratings,
+    record: Record,
+    hall_faults: HallFaults,
+    measure: Measure,
+    figure: Figure,
 ) -> None:
-    """A Hall wire breaks at 300 r/min: the drive trips by itself, and runs again once the wire is whole.
+    """A Hall wire breaks at a tenth of the rated speed: the drive trips, and runs again once the wire is whole.
 
     How far it may run away follows from the time and the current.
     """
-    run_at(drive, record, 300, 0.4)
+    speed = speed_rpm(drive, rated, TENTH)
+    run_at(drive, record, speed, 0.4)
     with drive.may_trip():
         with record.stretch() as stretch:
             hall_faults.open(wire)
@@ -75,16 +104,16 @@ def test_hall_wire_broken(
         record.wait(0.3)
         drive.forget_faults()
     broken, fault = illegal(run), tripped(run)
-    measure("trip_time", 1e3 * (fault - broken), run)
+    measure("trip_time", (fault - broken) / electrical_turn(drive, speed), run)
     measure("named", named)
     measure("current_max", current(run).max(), run)
     measure("current_after", largest(current(run), run.t >= fault + 5e-3), run)
-    run_at(drive, record, 300, 0.4)
+    run_at(drive, record, speed, 0.4)
     again = record(0.2)
-    measure("speed_again", rpm(again).mean(), again)
+    measure("speed_again", 100.0 * rpm(again).mean() / speed, again)
     figure(
         f"drive_broken_{wire}",
-        f"Hall wire {wire} breaks at 300 r/min; dashed: the current limit",
+        f"Hall wire {wire} breaks at {speed:g} r/min; dashed: the current limit",
         lambda: draw_run(run, ("speed", "hall", "phases"), {"illegal code": broken, "FAULT": fault}),
     )
 
@@ -96,19 +125,20 @@ def test_hall_wire_broken(
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
 @needs(*TURNS, "encoder", "channel:hall", "load.speed", "hall-faults")
-@energises(speed_rpm=60, current=0)
+@energises(rated_speed=1 / 50, rated_current=0)
 def test_hall_wiring_is_named(
-    drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
+    drive: Drive, rated: Ratings, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure
 ) -> None:
     """Broken and exchanged Hall wires are found and named before the drive is ever switched on.
 
     The load machine turns the shaft; the encoder tells which codes belong where.
     """
-    load.speed(60 * RPM)
+    speed = rated.speed_rpm / 50
+    load.speed(speed * RPM)
     record.wait(0.2)
 
     def look(name: str, expected: str) -> Capture:
-        run = record(0.3)
+        run = record(max(0.3, 1.8 * electrical_turn(drive, speed)))
         found = _wiring(run)
         record.note(f"{name}: {found}")
         measure(name, found == expected, run)
@@ -128,21 +158,29 @@ def test_hall_wiring_is_named(
     measure("outputs_off", 100.0 * off.mean(), *runs)
 
 
-@limit("current_max", "A", lo=1, hi=10.5, about="largest phase current while 100 r/min were asked for")
-@limit("speed_max", "r/min", hi=450, about="largest speed, either way")
+@limit("current_max", "A", hi=1.6, of=RATED_CURRENT, about="largest phase current while the drive was to turn")
+@limit("speed_max", "r/min", hi=0.2, of=RATED_SPEED, about="largest speed, either way")
 @limit("only_hall", "", lo=1, hi=1, about="1: it tripped with HALL or not at all")
-@limit("current_after", "A", hi=GONE, about="largest phase current from 5 ms after STOP on")
+@limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest phase current from 5 ms after STOP on")
 @needs(*TURNS, "encoder", "currents", "load.speed", "hall-faults")
-@energises(speed_rpm=100, current=8)
+@energises(rated_speed=1 / 30, rated_current=1)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_hall_wires_exchanged(
-    pair: str, drive: Drive, load: NodeLoad, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+    pair: str,
+    drive: Drive,
+    rated: Ratings,
+    load: NodeLoad,
+    record: Record,
+    hall_faults: HallFaults,
+    measure: Measure,
+    figure: Figure,
 ) -> None:
-    """With two Hall wires exchanged the drive is asked for 100 r/min for a second.
+    """With two Hall wires exchanged the drive is asked for a thirtieth of its rated speed for a second.
 
     It cannot turn; it must not draw more than its limit, run away, or trip for another reason.
     """
-    load.speed(60 * RPM)  # the Hall sensors are seen once before
+    speed = rated.speed_rpm / 30
+    load.speed(0.6 * speed * RPM)  # the Hall sensors are seen once before
     record.wait(0.2)
     load.torque(0.0)
     record.wait(0.3)
@@ -150,7 +188,7 @@ def test_hall_wires_exchanged(
     with drive.may_trip():
         drive.start(own_angle(drive))
         with record.stretch() as stretch:
-            drive.speed(100 * RPM)
+            drive.speed(speed * RPM)
             record.until(lambda: bool(drive.faults), 0.9)
         run = stretch.capture
         faults = drive.faults
@@ -165,110 +203,114 @@ def test_hall_wires_exchanged(
     measure("current_after", current(after).max(), after)
     figure(
         f"drive_exchanged_{pair}",
-        f"100 r/min asked for with the Hall wires {pair[0]} and {pair[1]} exchanged; dashed: the current limit",
+        f"{speed:g} r/min asked for with the Hall wires {pair[0]} and {pair[1]} exchanged; dashed: the current limit",
         lambda: draw_run(run, ("speed", "hall", "phases"), {"FAULT": tripped(run)}),
     )
 
 
-@limit("implausible_edges", "", lo=4, hi=200, about="edges that skip a sector or lead to 000 or 111: the burst came")
-@limit("current_max", "A", lo=0.2, hi=6, about="largest phase current from the burst on")
-@limit("speed_after", "r/min", lo=497, hi=503, about="mean 0.2 s later")
+@limit("implausible_edges", "", lo=4, about="edges that skip a sector or lead to 000 or 111: the burst came")
+@limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the burst on")
+@limits(held("speed_after", 2, "mean 0.2 s later"))
 @needs(*TURNS, "currents", "feature:EDGES", "channel:hall", "hall-faults")
-@energises(speed_rpm=500, current=8)
-def test_hall_glitches(drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure) -> None:
-    """A thousand false pulses a second for 50 ms at 500 r/min: the drive must not trip, and goes on.
+@energises(rated_speed=SLOW, rated_current=1)
+def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults, measure: Measure) -> None:
+    """A thousand false pulses a second for 50 ms at a sixth of the rated speed: the drive must not trip, and goes on.
 
     Two false edges close together make any Hall speed: that `omega_avg` leaves its range is no flaw of the data.
     """
-    burst, after = _glitches(drive, record, hall_faults)
+    speed, burst, after = _glitches(drive, rated, record, hall_faults)
     changed = burst.edges.hall_old ^ burst.edges.hall_new
     several = (changed & (changed - 1)) != 0
     needed = only(burst, "hall", "i_d", "i_q", *PHASES)
     measure("implausible_edges", int((several | (burst.edges.illegal != 0)).sum()), needed)
     measure("current_max", current(burst).max(), needed)
-    measure("speed_after", rpm(after).mean(), after)
+    measure("speed_after", 100.0 * rpm(after).mean() / speed, after)
 
 
-@limit("error_max", "deg", lo=4, hi=85, about="largest position error during the burst and 0.1 s after it")
-@limit("speed_deviation", "r/min", lo=0.5, hi=110, about="largest from 500 r/min, in the same time")
-@limit("error_std_after", "deg", lo=1, hi=4, about="position error 0.2 s later")
-@limit("error_max_after", "deg", lo=2, hi=8, about="largest position error 0.2 s later")
+@limit("error_max", "deg", hi=90, about="largest position error during the burst and 0.1 s after it")
+@limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the set point, in the same time")
+@limit("error_std_after", "deg", hi=STD, about="position error 0.2 s later")
+@limit("error_max_after", "deg", hi=LARGEST, about="largest position error 0.2 s later")
 @needs(*TURNS, *VECTOR, "encoder", "channel:hall", "hall-faults")
-@energises(speed_rpm=500, current=8)
+@energises(rated_speed=SLOW, rated_current=1)
 def test_hall_glitches_error(
-    drive: Drive, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
+    drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
 ) -> None:
     """The position error under the same false pulses: bounded, and as before soon after."""
-    burst, after = _glitches(drive, record, hall_faults)
+    speed, burst, after = _glitches(drive, rated, record, hall_faults)
     error_after = error_deg(after, PROPOSED)
     needed = only(burst, "theta_enc", "omega_enc", "theta_vt")
     measure("error_max", np.abs(error_deg(burst, PROPOSED)).max(), needed)
-    measure("speed_deviation", np.abs(rpm(burst) - 500.0).max(), needed)
+    measure("speed_deviation", np.abs(rpm(burst) - speed).max(), needed)
     measure("error_std_after", error_after.std(), after)
     measure("error_max_after", np.abs(error_after).max(), after)
     figure(
         "drive_glitches",
-        "1000 false pulses a second on the Hall wires for 50 ms at 500 r/min; the inputs as the drive samples them",
+        "1000 false pulses a second on the Hall wires for 50 ms; the inputs as the drive samples them",
         lambda: draw_run(burst, ("speed", "error", "hall"), {}),
     )
 
 
-@limit("trip_time", "s", lo=0.19, hi=0.26, about="from the last set point to FAULT")
-@limit("lateness", "ms", lo=-5, hi=60, about="the same, less the drive's watchdog time")
+SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last that the drive hears
+
+
+@limit("lateness", "ms", lo=-5, hi=60, about="from the last set point to FAULT, less the drive's watchdog time")
 @limit("named", "", lo=1, hi=1, about="1: WATCHDOG is the fault, and the only one")
 @limit("outputs_off", "", lo=1, hi=1, about="1: the heartbeats after that say so")
 @needs(*TURNS)
-@energises(speed_rpm=220, current=8)
-def test_watchdog(drive: Drive, record: Record, measure: Measure) -> None:
-    """The host falls silent at 200 r/min: the drive switches itself off.
+@energises(rated_speed=LAST, rated_current=1)
+def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
+    """The host falls silent at a fifteenth of the rated speed: the drive switches itself off.
 
     The last that it hears is a set point, whose effect shows in the data when that was.
     """
-    run, last, named, off = _silence(drive, record, lambda: None)
-    trip_time = tripped(run) - last
-    measure("trip_time", trip_time, run)
-    measure("lateness", 1e3 * (trip_time - drive.parameters.get("watchdog", WATCHDOG)), run)
+    run, last, named, off = _silence(drive, rated, record, lambda: None)
+    measure("lateness", 1e3 * (tripped(run) - last - _watchdog(drive)), run)
     measure("named", named)
     measure("outputs_off", off)
 
 
-@limit(
-    "current_before", "A", lo=1, hi=5, about="largest phase current before the trip: there was a torque to take away"
-)
-@limit(
-    "off_time", "s", lo=0.19, hi=0.26, about=f"from the last set point until all currents are below {GONE} A for good"
-)
+@limit("current_before", "A", lo=0.125, of=RATED_CURRENT, about="largest phase current before: a torque to take away")
+@limit("off_lateness", "ms", lo=-5, hi=60, about="until all currents are gone for good, less the drive's watchdog time")
 @needs(*TURNS, "currents", "load", "parameter:psi_f_hat")
-@energises(speed_rpm=220, current=8)
-def test_watchdog_under_load(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
-    """The same under a load torque of 2 A: the currents that held it are gone."""
-    torque = 2.0 * drive.torque_constant
-    load.torque(torque)
-    run, last, *_ = _silence(drive, record, load.off)
+@energises(rated_speed=LAST, rated_current=1)
+def test_watchdog_under_load(
+    drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
+) -> None:
+    """The same under a quarter of the rated torque: the currents that held it are gone."""
+    load.torque(0.25 * rated.current * drive.torque_constant)
+    run, last, *_ = _silence(drive, rated, record, load.off)
     fault = tripped(run)
+    gone = currents_gone(run, NEARLY_GONE * rated.current) if not math.isnan(fault) else math.nan
     measure("current_before", largest(current(run), run.t < fault), run)
-    measure("off_time", currents_gone(run) - last if not math.isnan(fault) else math.nan, run)
+    measure("off_lateness", 1e3 * (gone - last - _watchdog(drive)), run)
     figure(
         "drive_watchdog",
-        "The host falls silent after a set point of 220 r/min, load torque of 2 A; dashed: the current limit",
+        "The host falls silent after a set point, a quarter of the rated torque on the shaft; dashed: current limit",
         lambda: draw_run(run, ("speed", "dq", "phases"), {"last set point": last, "FAULT": fault}),
     )
 
 
-def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> tuple[Capture, float, bool, bool]:
-    """Fall silent at 200 r/min; `let_go` takes the load off once the drive has tripped.
+def _watchdog(drive: Drive) -> float:
+    """Seconds of silence after which the drive switches itself off."""
+    return drive.parameters.get("watchdog", WATCHDOG)
+
+
+def _silence(
+    drive: Drive, rated: Ratings, record: Record, let_go: Callable[[], None]
+) -> tuple[Capture, float, bool, bool]:
+    """Fall silent at SPEED; `let_go` takes the load off once the drive has tripped.
 
     Returns what came, the device time in s of the last that the drive heard, whether WATCHDOG was its only fault, and
     whether its heartbeat then said that the outputs are off.
     """
-    watchdog = drive.parameters.get("watchdog", WATCHDOG)
-    run_at(drive, record, 200, 0.3)
+    run_at(drive, record, SPEED * rated.speed_rpm, 0.3)
     with drive.may_trip():
         with record.stretch() as stretch:
             record.wait(0.03)
             drive.node.client.feed(drive.node.number, on=False)
-            drive.speed(220 * RPM)
-            record.until(lambda: bool(drive.faults), 3.0 * watchdog)
+            drive.speed(LAST * rated.speed_rpm * RPM)
+            record.until(lambda: bool(drive.faults), 3.0 * _watchdog(drive))
             let_go()
             record.wait(0.05)
         run, named = stretch.capture, drive.faults == ("WATCHDOG",)
@@ -278,16 +320,17 @@ def _silence(drive: Drive, record: Record, let_go: Callable[[], None]) -> tuple[
     return run, last, named, heartbeat is not None and not heartbeat.outputs_on
 
 
-def _glitches(drive: Drive, record: Record, hall_faults: HallFaults) -> tuple[Capture, Capture]:
-    """False pulses on the Hall wires at 500 r/min: from the first of them to 0.1 s after the last, and later."""
-    run_at(drive, record, 500, 0.5)
+def _glitches(drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults) -> tuple[float, Capture, Capture]:
+    """False pulses on the Hall wires: the speed, from the first pulse to 0.1 s after the last, and later."""
+    speed = speed_rpm(drive, rated, SIXTH)
+    run_at(drive, record, speed, 0.5)
     with record.stretch() as stretch:
         hall_faults.glitches(1000)
         record.wait(0.05)
         hall_faults.glitches(0)
         record.wait(0.1)
     record.wait(0.2)
-    return stretch.capture, record(0.24)
+    return speed, stretch.capture, record(0.24)
 
 
 def _wiring(run: Capture) -> str:

@@ -1,7 +1,6 @@
 """The paper's steady-state experiments: Table I, Fig. 2, Fig. 6 and Fig. 8.
 
-Angles are electrical. Limits are for the paper's drive; another one states its own in bench.toml. The map of Fig. 13 is
-in `test_paper_map`, the transients are in `test_paper_transients`.
+Angles are electrical. The map of Fig. 13 is in `test_paper_map`, the transients are in `test_paper_transients`.
 
 Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367; equation numbers are the paper's.
 """
@@ -14,7 +13,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.acceptance import RPM, Capture, Drive, Limits, energises, limit, limits, needs
+from bench.acceptance import (
+    RATED_CURRENT,
+    RATED_SPEED,
+    RPM,
+    Capture,
+    Drive,
+    Limits,
+    Ratings,
+    energises,
+    limit,
+    limits,
+    needs,
+)
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
 from bench.acceptance.plots.response import draw_bode
@@ -23,14 +34,19 @@ from bench.acceptance.suite.common import (
     AVERAGE,
     PAPER,
     PROPOSED,
+    SLOW,
     WORDS,
     Figure,
     Measure,
     error_deg,
+    held,
+    ratio,
     rpm,
     settle,
+    speed_rpm,
     thd_of_current,
     turn_both_ways,
+    turns_for_thd,
     whole_turns,
 )
 from bench.analysis.capture import F64
@@ -46,9 +62,9 @@ Complex = NDArray[np.complex128]
 # -- Table I --------------------------------------------------------------------------------------------------------
 
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, ideal - measured, of the edges that open the sectors I..VI
-TOLERANCE = 0.2  # deg
-HYSTERESIS = 0.5  # deg, of the simulated sensors; the paper gives none
-MET = {"forwards": (FORWARDS, -HYSTERESIS / 2), "backwards": (BACKWARDS, HYSTERESIS / 2)}
+TOLERANCE = 1.0  # deg: pole pairs differ
+HYSTERESIS = 3.0  # deg at most; the paper gives none
+MET = {"forwards": FORWARDS, "backwards": BACKWARDS}
 
 
 def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
@@ -61,17 +77,19 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
     *(
-        _near(f"delta_{sector}_{way}", delta + shift, TOLERANCE, f"the same, {way}")
-        for way, (_, shift) in MET.items()
+        _near(f"delta_{sector}_{way}", delta, TOLERANCE + HYSTERESIS / 2, f"the same, {way}")
+        for way in MET
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
 )
-@limit("hysteresis", "deg", lo=0.3, hi=0.7, about="between an edge met backwards and forwards, mean of the six")
+@limit("hysteresis", "deg", hi=HYSTERESIS, about="between an edge met backwards and forwards, mean of the six")
 @limit("edges_dropped", "", hi=0, about="edges between sectors that are no neighbours")
 @limit("wiring_as_specified", "", lo=1, about="1: Hall codes and encoder agree on the specified wiring")
 @needs("observer:encoder", "hall-placement")
-@energises(speed_rpm=300, current=4)
-def test_table1_hall_edges(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
+@energises(rated_speed=1 / 10, rated_current=1 / 2)
+def test_table1_hall_edges(
+    drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure, figure: Figure
+) -> None:
     """Table I: sensors that the rig has placed as the paper's are found there by the encoder, both ways.
 
     The drive runs on its encoder, so that misplaced sensors do not disturb the speed. The paper's figure is taken as
@@ -79,11 +97,11 @@ def test_table1_hall_edges(drive: Drive, load: NodeLoad, record: Record, measure
     """
     for s, placed in enumerate(TABLE_I):
         load.set(f"hall_delta_{s + 1}", math.radians(placed))
-    turning, offsets = turn_both_ways(drive, record, measure)
+    turning, offsets = turn_both_ways(drive, rated, record, measure)
     delta = np.degrees(offsets.mean)
     for s, sector in enumerate(SECTORS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
-        for way, (column, _) in MET.items():
+        for way, column in MET.items():
             measure(f"delta_{sector}_{way}", delta[s, column], turning[column])
     measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
     measure("edges_dropped", offsets.dropped, *turning)
@@ -135,28 +153,31 @@ EXPECTED = _expected(np.array(PLACED))
 
 @limits(
     *(
-        _near(f"jump_{sector}", jump, 0.8, f"of the estimate where sector {sector} opens")
+        _near(f"jump_{sector}", jump, 4.0, f"of the estimate where sector {sector} opens")
         for sector, jump in zip(SECTORS, EXPECTED.before - EXPECTED.after, strict=True)
     ),
     *(
-        _near(f"error_after_{sector}", error, 1.0, "error where the jump ends")
+        _near(f"error_after_{sector}", error, 2.0, "error where the jump ends")
         for sector, error in zip(SECTORS, EXPECTED.after, strict=True)
     ),
 )
-@limit("error_max", "deg", lo=EXPECTED.largest - 1.5, hi=EXPECTED.largest + 1.5, about="average speed, anywhere")
+@limit("error_max", "deg", hi=EXPECTED.largest + 6, about="average speed, anywhere")
 @needs("observer:encoder", "hall-placement")
-@energises(speed_rpm=200, current=4)
-def test_fig02_misaligned_hall(drive: Drive, load: NodeLoad, record: Record, measure: Measure, figure: Figure) -> None:
+@energises(rated_speed=1 / 15, rated_current=1 / 2)
+def test_fig02_misaligned_hall(
+    drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure, figure: Figure
+) -> None:
     """Fig. 2: the average-speed estimate with Hall sensors misplaced by phi = -15, 10 and 10 deg.
 
     The drive runs on its encoder. The jumps of the estimate are compared with those that (1)-(2) imply.
     """
     for s, delta in enumerate(PLACED):
         load.set(f"hall_delta_{s + 1}", math.radians(delta))
+    speed = rated.speed_rpm / 15
     drive.start("encoder")
-    drive.speed(200 * RPM)
-    assert settle(record, 200), "200 r/min were not reached"
-    steady = record(0.6)
+    drive.speed(speed * RPM)
+    assert settle(record, speed), f"{speed:g} r/min were not reached"
+    steady = record(2.0 * 60.0 / speed)
     before, after = _errors_at_edges(steady)
     for s, sector in enumerate(SECTORS):
         measure(f"jump_{sector}", before[s] - after[s], steady)
@@ -190,11 +211,16 @@ def _errors_at_edges(capture: Capture) -> tuple[F64, F64]:
 
 # -- Fig. 6 ---------------------------------------------------------------------------------------------------------
 
-FREQUENCIES = np.array([5.0, 9.0, 17.0, 31.0, 56.0, 130.0, 240.0, 360.0, 550.0, 960.0])  # Hz
+SHARES = np.array([0.025, 0.045, 0.085, 0.155, 0.28, 0.65, 1.2, 1.8, 2.75, 4.8])  # of k_p, as an angular frequency
+HIGHEST = 1000.0  # Hz: (11) is continuous, and the observer is sampled
+APART = 0.3  # of the turns a second, from whose multiples an injected sine keeps at least
 ANSWER = math.radians(2.0)  # amplitude of the answer that is aimed at
 LARGEST = 0.5  # rad, of the injected sine
 SETTLING = 0.2  # s, until the observer has forgotten a change
 HARMONICS = 12  # of the electrical frequency, fitted along: the Hall sensors disturb at each of them
+NEAR = 4  # of the turns a second, fitted along too: so many of the lowest, and to either side of the sine
+BEFORE = 0.025  # s from the start of a stretch, in which the sine before may still end
+TURNS_SEEN = 6  # mechanical, which tell those from the sine
 
 
 def _low_pass(f: F64, k_p: float, k_i: float) -> Complex:
@@ -208,29 +234,42 @@ def _high_pass(f: F64, k_p: float, k_i: float) -> Complex:
     return 1.0 - _low_pass(f, k_p, k_i)
 
 
-@limit("low_pass_gain_off", "dB", hi=0.8, about="from theta*: largest deviation from (11)")
-@limit("low_pass_phase_off", "deg", hi=4.0, about="from theta*: the same")
-@limit("high_pass_gain_off", "dB", hi=1.0, about="from theta_h: largest deviation from (11)")
-@limit("high_pass_phase_off", "deg", hi=5.0, about="from theta_h: the same")
-@limit("k_p", "1/s", lo=1230, hi=1400, about="of (9) by the responses; 4 % more than it is, as sampled at 16 kHz")
-@limit("k_i", "1/s²", lo=45000, hi=66000, about="of (9) by the responses")
+def _frequencies(k_p: float, f_m: float) -> F64:
+    """Where the response is measured, Hz, (n,): away from multiples of `f_m`, at which sensors and motor disturb."""
+    f = np.minimum(SHARES * k_p / math.tau, HIGHEST * np.linspace(0.8, 1.0, len(SHARES)))
+    k = np.maximum(np.round(f / f_m), 1.0)
+    return np.where(np.abs(f - k * f_m) < APART * f_m, (k + np.where(f < k * f_m, -APART, APART)) * f_m, f)
+
+
+@limit("low_pass_gain_off", "dB", hi=2.5, about="from theta*: largest deviation from (11)")
+@limit("low_pass_phase_off", "deg", hi=8.0, about="from theta*: the same")
+@limit("high_pass_gain_off", "dB", hi=2.5, about="from theta_h: largest deviation from (11)")
+@limit("high_pass_phase_off", "deg", hi=8.0, about="from theta_h: the same")
+@limit("k_p", "1/s", about="of (9) by the responses")
+@limit("k_i", "1/s²", about="of (9) by the responses")
+@limit("k_p_off", "%", lo=-15, hi=15, about="of it from the drive's parameter; sampling alone makes it some 4 % more")
+@limit("k_i_off", "%", lo=-40, hi=40, about="of it from the drive's parameter")
 @needs("observer:encoder", "rate:16000", "parameter:inject", "parameter:k_p_vt", "parameter:k_i_vt")
-@energises(speed_rpm=1000, current=4)
-def test_fig06_frequency_response(drive: Drive, record: Record, measure: Measure, figure: Figure) -> None:
+@energises(rated_speed=1 / 3, rated_current=1 / 2)
+def test_fig06_frequency_response(
+    drive: Drive, rated: Ratings, record: Record, measure: Measure, figure: Figure
+) -> None:
     """Fig. 6: the observer answers a sine on theta* as a low-pass and one on theta_h as a high-pass, by (11).
 
-    The sine is injected inside the drive while it turns at 1000 r/min on its encoder, without load.
+    The sine is injected inside the drive while it turns at a third of its speed on its encoder, without load.
     """
     gains = drive.parameters["k_p_vt"], drive.parameters["k_i_vt"]
+    speed = rated.speed_rpm / 3
+    frequencies = _frequencies(gains[0], speed / 60.0)
     drive.start("encoder")
-    drive.speed(1000 * RPM)
-    assert settle(record, 1000), "1000 r/min were not reached"
+    drive.speed(speed * RPM)
+    assert settle(record, speed), f"{speed:g} r/min were not reached"
     answers = {"low_pass": (Injection.BACK_EMF, _low_pass), "high_pass": (Injection.HALL, _high_pass)}
-    expected = {name: law(FREQUENCIES, *gains) for name, (_, law) in answers.items()}
+    expected = {name: law(frequencies, *gains) for name, (_, law) in answers.items()}
     runs = {
         name: [
-            _injected(drive, record, where, f, min(ANSWER / abs(gain), LARGEST))
-            for f, gain in zip(FREQUENCIES, expected[name], strict=True)
+            _injected(drive, record, where, f, min(ANSWER / abs(gain), LARGEST), speed / 60.0)
+            for f, gain in zip(frequencies, expected[name], strict=True)
         ]
         for name, (where, _) in answers.items()
     }
@@ -241,29 +280,31 @@ def test_fig06_frequency_response(drive: Drive, record: Record, measure: Measure
         measure(f"{name}_gain_off", np.abs(20.0 * np.log10(np.abs(off))).max(), *captures)
         measure(f"{name}_phase_off", np.degrees(np.abs(np.angle(off))).max(), *captures)
     captures = [*runs["low_pass"], *runs["high_pass"]]
-    k_p, k_i = _fitted_gains(measured["low_pass"], measured["high_pass"], gains)
+    k_p, k_i = _fitted_gains(frequencies, measured["low_pass"], measured["high_pass"], gains)
     measure("k_p", k_p, *captures)
     measure("k_i", k_i, *captures)
+    measure("k_p_off", 100.0 * (k_p / gains[0] - 1.0), *captures)
+    measure("k_i_off", 100.0 * (k_i / gains[1] - 1.0), *captures)
     figure(
         "fig06",
         "Frequency response of the observer, (11) and measured: low-pass from θ*, high-pass from θ_h; "
         f"k_p = {gains[0]:.0f} 1/s, k_i = {gains[1]:.0f} 1/s²",
         lambda: draw_bode(
-            FREQUENCIES,
+            frequencies,
             {"low-pass": measured["low_pass"], "high-pass": measured["high_pass"]},
             {"low-pass": lambda f: _low_pass(f, *gains), "high-pass": lambda f: _high_pass(f, *gains)},
         ),
     )
 
 
-def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitude: float) -> Capture:
-    """From before the sine begins until at least five periods of it after the observer has settled."""
+def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitude: float, f_m: float) -> Capture:
+    """From before the sine begins until five periods of it, and enough turns, after the observer has settled."""
     drive.set("inject_hz", f)
     drive.set("inject_amplitude", amplitude)
     with record.stretch() as stretch:
-        record.wait(0.05)
+        record.wait(2.0 * BEFORE)
         drive.set("inject", where)
-        record.wait(SETTLING + max(0.25, 5.0 / f))
+        record.wait(SETTLING + max(5.0 / f, TURNS_SEEN / f_m))
     drive.set("inject", Injection.OFF)
     return stretch.capture
 
@@ -271,6 +312,7 @@ def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitud
 def _answer(capture: Capture) -> complex:
     """Gain from the injected sine to the estimate. NaN if there was none, or if it cannot be told."""
     turns = capture.t[np.flatnonzero(capture["status"].astype(int) & Status.INJECTION_SYNC)]
+    turns = turns[turns > capture.t[0] + BEFORE]
     if not len(turns):
         return complex(math.nan, math.nan)
     f = capture.parameters["inject_hz"]
@@ -278,8 +320,14 @@ def _answer(capture: Capture) -> complex:
     start = float(first.min())
     steady = capture.between(start + SETTLING, capture.span[1])
     t, answer = steady.t, np.unwrap(-steady.position_error("theta_vt"))
-    f_e = float(steady["omega_enc"].mean()) / math.tau
-    ripple = [k * f_e for k in range(1, HARMONICS + 1) if abs(k * f_e - f) * (t[-1] - t[0]) > 1.5]
+    n_p = int(capture.parameters["n_p"])
+    f_m = float(steady["omega_enc"].mean()) / math.tau / n_p
+    lines = {
+        *range(n_p, HARMONICS * n_p + 1, n_p),
+        *range(1, NEAR),
+        *range(max(1, round(f / f_m) - NEAR), round(f / f_m) + NEAR),
+    }
+    ripple = [k * f_m for k in sorted(lines) if abs(k * f_m - f) * (t[-1] - t[0]) > 1.5]
     try:
         gain = sine_response(t, answer, f, math.tau * f * (t - start), also=ripple)
     except ValueError:
@@ -287,13 +335,13 @@ def _answer(capture: Capture) -> complex:
     return gain / capture.parameters["inject_amplitude"]
 
 
-def _fitted_gains(low: Complex, high: Complex, guess: tuple[float, float]) -> tuple[float, float]:
-    """k_p and k_i with which (11) comes nearest to the measured responses (n,) at FREQUENCIES. NaN where one is NaN.
+def _fitted_gains(f: F64, low: Complex, high: Complex, guess: tuple[float, float]) -> tuple[float, float]:
+    """k_p and k_i with which (11) comes nearest to the responses (n,) measured at `f` (n,) Hz. NaN where one is NaN.
 
     (11) is linear in them once multiplied by its denominator, whose effect on the weights is divided out again with the
     last result, three times over (Sanathanan and Koerner 1963, DOI 10.1109/TAC.1963.1105517).
     """
-    s = np.tile(2j * math.pi * FREQUENCIES, 2)
+    s = np.tile(2j * math.pi * f, 2)
     gain = np.concatenate([low, 1.0 - high])  # (11): the two add up to 1
     if not np.isfinite(gain).all():
         return math.nan, math.nan
@@ -311,31 +359,42 @@ def _fitted_gains(low: Complex, high: Complex, guess: tuple[float, float]) -> tu
 # -- Fig. 8 ---------------------------------------------------------------------------------------------------------
 
 
-@limit("error_std_average", "deg", lo=8.0, hi=12.0, about="with the average speed in the control loop")
-@limit("error_max_average", "deg", lo=20.0, hi=29.0, about="the same")
-@limit("error_std_proposed", "deg", lo=2.0, hi=4.2, about="with the proposed observer in the control loop")
-@limit("error_max_proposed", "deg", lo=5.0, hi=10.5, about="the same")
-@limit("error_ratio", "", hi=0.45, about="std with the proposed observer over std with the average speed")
-@limit("thd_average", "%", lo=13.5, hi=20.0, about="of i_a, (20)")
-@limit("thd_proposed", "%", lo=8.0, hi=13.0, about="the same")
-@limit("i_q_average", "A", lo=3.95, hi=4.3, about="mean q current of the control loop")
-@limit("i_q_proposed", "A", lo=3.95, hi=4.3, about="the same")
-@limit("speed_average", "r/min", lo=45.0, hi=52.0, about="mean of the speed")
-@limit("speed_proposed", "r/min", lo=49.0, hi=51.0, about="the same")
-@limit("ripple_average", "r/min", lo=11.0, hi=19.0, about="std of the speed")
-@limit("ripple_proposed", "r/min", lo=3.0, hi=6.0, about="the same")
+LOW, LOAD = 1 / 60, 1 / 2  # of the rated speed and current
+ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EMF
+
+
+@limit("error_std_average", "deg", about="with the average speed in the control loop")
+@limit("error_max_average", "deg", about="the same")
+@limit("error_std_proposed", "deg", hi=9.0, about="with the proposed observer in the control loop")
+@limit("error_max_proposed", "deg", hi=45.0, about="the same")
+@limit("error_ratio", "", hi=0.9, about="std, proposed to average speed; below 5 deg the latter counts as that")
+@limit("thd_average", "%", about="of i_a, (20)")
+@limit("thd_proposed", "%", hi=40.0, about="the same")
+@limit("i_q_average", "A", about="mean q current: half the rated torque, friction")
+@limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="the same")
+@limit("speed_average", "%", about="mean of the speed, of the set point")
+@limits(held("speed_proposed", 5, "the same"))
+@limit("ripple_average", "r/min", about="std of the speed")
+@limit("ripple_proposed", "r/min", hi=0.01, of=RATED_SPEED, about="the same")
 @needs("load", "parameter:psi_f_hat")
-@energises(speed_rpm=50, current=8)
-def test_fig08_steady_50_rpm(drive: Drive, load: Load, record: Record, measure: Measure, figure: Figure) -> None:
-    """Fig. 8: steady state at 50 r/min and 4 A, with the average-speed approach and with the proposed one."""
+@energises(rated_speed=SLOW, rated_current=1)
+def test_fig08_steady(
+    drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
+) -> None:
+    """Fig. 8: a 60th of the rated speed and half the load, with the average-speed approach and the proposed one.
+
+    Faster where there is no back-EMF to look at yet, by the drive's parameter `omega_on`. How badly the average speed
+    does there is for information.
+    """
+    speed = speed_rpm(drive, rated, LOW, ENOUGH)
     drive.start(PROPOSED)
-    drive.speed(50 * RPM)
-    load.torque(drive.torque_constant * 4.0)
+    drive.speed(speed * RPM)
+    load.torque(drive.torque_constant * LOAD * rated.current)
     steady = {}
     for observer in (PROPOSED, AVERAGE):
         drive.observe(observer)
-        settle(record, 50, within=0.1)
-        steady[observer] = whole_turns(record(1.4))
+        settle(record, speed, within=0.1)
+        steady[observer] = whole_turns(record(1.5 * turns_for_thd(drive, speed)))
     std = {}
     for observer, capture in steady.items():
         error, words = error_deg(capture, observer), WORDS[observer]
@@ -344,11 +403,12 @@ def test_fig08_steady_50_rpm(drive: Drive, load: Load, record: Record, measure: 
         measure(f"error_max_{words}", np.abs(error).max(), capture)
         measure(f"thd_{words}", thd_of_current(capture), capture)
         measure(f"i_q_{words}", capture["i_q"].mean(), capture)
-        measure(f"speed_{words}", rpm(capture).mean(), capture)
+        measure(f"speed_{words}", 100.0 * rpm(capture).mean() / speed, capture)
         measure(f"ripple_{words}", rpm(capture).std(), capture)
-    measure("error_ratio", std[PROPOSED] / std[AVERAGE], *steady.values())
+    measure("error_ratio", ratio(std[PROPOSED], std[AVERAGE], 5.0), *steady.values())
     figure(
         "fig08",
-        "Phase current and rotor position in steady state at 50 r/min and 4 A: (a) average speed, (b) proposed",
+        f"Phase current and rotor position in steady state at {speed:g} r/min and {LOAD * rated.current:g} A: "
+        "(a) average speed, (b) proposed",
         lambda: draw_steady(steady[AVERAGE], steady[PROPOSED], 0.5),
     )

@@ -576,7 +576,9 @@ def test_a_load_machine_on_a_link_of_its_own_is_asked_for(drive_is_real: bool) -
         patch("bench.rig.connection.open_link", links.__getitem__),
         pytest.raises(UnsafeError, match="not confirmed"),
     ):
-        require_agreement("serial:drive", Settings(load="tcp:brake:7000"), Envelope(60.0, 2.0), False, confirm)
+        require_agreement(
+            "serial:drive", Settings(load="tcp:brake:7000"), lambda _: Envelope(60.0, 2.0), False, confirm
+        )
     assert len(questions) == 1 + drive_is_real
     assert re.fullmatch(
         r"Spin .* on tcp:brake:7000, the load machine: up to 60 r/min, phase current up to .*\. Is the shaft clear\?",
