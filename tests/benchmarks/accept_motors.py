@@ -1,6 +1,6 @@
 """`python -m tests.benchmarks.accept_motors [MOTOR …]`: the acceptance suite on the motors that are shipped.
 
-Each as it is, and as unkind as a bench moderately is; then with the wrong pole pairs, flux linkage and wiring, each of
+Each as it is, and on a bench as unkind as a real one; then with the wrong pole pairs, flux linkage and wiring, each of
 which one measurement must name. Prints a line a run; exit code 1 if a healthy drive does not pass, or a wrong one is
 not named.
 """
@@ -11,11 +11,13 @@ import json
 import subprocess
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from bench.device.simulator import motors
+from sim.config.params import load_params
+from sim.config.sections import Motor
+from tests.bench.acceptance.benches import configured, on_an_unkind_bench
 
 WRONG = {
     "wrong n_p": ("back_emf", "back_emf_and_encoder.encoder_turns"),
@@ -24,35 +26,12 @@ WRONG = {
 }
 
 
-def unkind(motor: dict[str, float]) -> str:
-    """What makes a motor's configuration unkind, by its own size; begins within [motor]."""
-    tau = 1.5 * motor["n_p"] * motor["psi_f"] * motor["i_max"]
-    offset = 0.0025 * motor["i_max"]
-    return f"""
-emf_harmonics = [0.03, -0.02, 0.0, 0.0]
-cogging = [{0.015 * tau:.3g}, {0.008 * tau:.3g}]
-i_sat = {4.0 * motor["i_max"]:.3g}
-[hall]
-pole_pair_deg = 1.5
-latency = 5e-6
-[encoder]
-eccentricity_deg = 0.1
-unevenness = 0.3
-[inverter]
-dead_time_by_edges = 1
-[current_sensor]
-gain_error = [0.01, -0.01, 0.005]
-offset = [{offset:.3g}, {-offset:.3g}, {offset / 2:.3g}]
-delay = 1e-6
-"""
-
-
-def wrong(what: str, motor: dict[str, float]) -> str:
-    """The section of a configuration that makes it so."""
+def wrong(what: str, motor: Motor) -> dict[str, float]:
+    """The overrides that make it so."""
     return {
-        "wrong n_p": f"\n[firmware]\nn_p = {motor['n_p'] + 1:.0f}\n",
-        "wrong psi_f": f"\n[firmware]\npsi_f_hat = {0.7 * motor['psi_f']:.4g}\n",
-        "wrong wiring": "\n[wiring]\nhall_swap = 1\n",
+        "wrong n_p": {"firmware.n_p": motor.n_p + 1},
+        "wrong psi_f": {"firmware.psi_f_hat": 0.7 * motor.psi_f},
+        "wrong wiring": {"wiring.hall_swap": 1},
     }[what]
 
 
@@ -71,10 +50,8 @@ def main(names: list[str]) -> int:
     """Run all; 1 if anything is not as it should be."""
     bad = 0
     for name in names or motors():
-        text = motors()[name].read_text()
-        motor = tomllib.loads(text)["motor"]
-        for kind, more in (("kind", ""), ("unkind", unkind(motor))):
-            run = accept(text + more)
+        for kind, text in (("kind", configured(name, {})), ("unkind", on_an_unkind_bench(name))):
+            run = accept(text)
             failed = [m for test in run["tests"] for m in test["measurements"] if m["verdict"] != "PASS"]
             bad += run["verdict"] != "PASS"
             count = sum(len(test["measurements"]) for test in run["tests"])
@@ -82,7 +59,7 @@ def main(names: list[str]) -> int:
             for m in failed:
                 print(f"{'':24} {m['name']} = {m['value']} ({m['limits']['lo']} … {m['limits']['hi']})", flush=True)
         for what, (keyword, by) in WRONG.items():
-            run = accept(text + wrong(what, motor), keyword)
+            run = accept(configured(name, wrong(what, load_params(motors()[name]).motor)), keyword)
             verdict = next(m["verdict"] for test in run["tests"] for m in test["measurements"] if m["name"] == by)
             bad += verdict != "FAIL"
             print(f"{name:24} {what:12} {'named by' if verdict == 'FAIL' else 'NOT NAMED by'} {by}", flush=True)
