@@ -3,8 +3,8 @@
 While both switches of a leg are off the current chooses the diode: a current into the motor pulls the
 terminal to minus, one out of it to plus. Over a period the leg so loses t_d / T_s of the link voltage
 against its current. Around zero current the switching ripple changes the sign within the period and the
-loss fades out; the compensation fades with it, linearly below I_FADE, which also keeps the noise of the
-current from being amplified.
+loss fades out; the compensation fades with it, linearly below a current in proportion to the ripple, which
+also keeps the noise of the current from being amplified.
 
 The currents to give are those of the period in which the duties are in force: the measured ones turned
 ahead with the voltage (no angle estimate enters, only a speed).
@@ -22,25 +22,26 @@ from typing import NamedTuple
 
 from sim.numba_cache import kernel
 
-I_FADE = 0.3  # A
-PER_FADE = 1.0 / I_FADE
+FADE = 0.8448  # V, the current below which it fades, times inductance and PWM frequency: 0.3 A with the paper's
 
 
 class Params(NamedTuple):
     """Constants of the compensation."""
 
     duty: float  # share of a period that is given back at full current
+    per_fade: float  # 1/A, of the current below which it fades
 
 
-def make_params(pwm_hz: float, *, dead_time_hat: float, dead_time_comp: float) -> Params:
-    """Constants from the drive's parameters of the same names (s, share of the error that is compensated)."""
-    return Params(float(dead_time_hat) * float(dead_time_comp) * float(pwm_hz))
+def make_params(pwm_hz: float, *, dead_time_hat: float, dead_time_comp: float, L_s_hat: float) -> Params:
+    """Constants from the drive's parameters of the same names (s, share of the error that is compensated, H)."""
+    fade = float(f"{FADE / (L_s_hat * pwm_hz):.3g}")
+    return Params(float(dead_time_hat) * float(dead_time_comp) * float(pwm_hz), 1.0 / fade)
 
 
 @kernel
-def _share(current: float) -> float:
-    """Sign of a phase current, linear below I_FADE."""
-    return min(max(current * PER_FADE, -1.0), 1.0)
+def _share(params: Params, current: float) -> float:
+    """Sign of a phase current, linear where it fades."""
+    return min(max(current * params.per_fade, -1.0), 1.0)
 
 
 @kernel
@@ -49,7 +50,7 @@ def compensate(
 ) -> tuple[float, float, float]:
     """Duties with the dead time's loss given back, each in [0, 1]; currents in A, positive into the motor."""
     return (
-        min(max(d_a + params.duty * _share(i_a), 0.0), 1.0),
-        min(max(d_b + params.duty * _share(i_b), 0.0), 1.0),
-        min(max(d_c + params.duty * _share(i_c), 0.0), 1.0),
+        min(max(d_a + params.duty * _share(params, i_a), 0.0), 1.0),
+        min(max(d_b + params.duty * _share(params, i_b), 0.0), 1.0),
+        min(max(d_c + params.duty * _share(params, i_c), 0.0), 1.0),
     )

@@ -3,7 +3,7 @@ import pytest
 
 from sim.control import dead_time
 
-PARAMS = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=1.0)
+PARAMS = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=1.0, L_s_hat=0.176e-3)
 
 
 def added(current, params=PARAMS):
@@ -23,15 +23,23 @@ def test_it_fades_smoothly_through_zero_current():
     gain = np.array([added(i)[0] - 0.5 for i in currents])
     assert np.all(np.diff(gain) >= 0)
     np.testing.assert_allclose(gain, -gain[::-1], atol=1e-15)
-    assert np.diff(gain).max() <= 0.016 * (currents[1] - currents[0]) / dead_time.I_FADE * 1.001
+    assert np.diff(gain).max() <= 0.016 * (currents[1] - currents[0]) / 0.3 * 1.001
 
 
 def test_the_share_scales_and_zero_switches_it_off():
-    part = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.9)
-    none = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.0)
+    part = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.9, L_s_hat=0.176e-3)
+    none = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.0, L_s_hat=0.176e-3)
     assert added(4.0, part)[0] - 0.5 == pytest.approx(0.9 * (added(4.0)[0] - 0.5))
     assert added(4.0, none) == (0.5, 0.5, 0.5)
 
 
 def test_duties_stay_within_0_and_1():
     assert dead_time.compensate(PARAMS, 0.999, 0.001, 0.5, 5.0, -5.0, 0.0) == (1.0, 0.0, 0.5)
+
+
+def test_it_fades_where_the_ripple_does():
+    """Twice the inductance, half the ripple, half the current."""
+    smooth = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=1.0, L_s_hat=0.352e-3)
+    assert added(0.05, smooth)[0] == pytest.approx(added(0.1)[0])
+    assert added(0.15, smooth)[0] == pytest.approx(added(4.0)[0])
+    assert added(0.15)[0] < added(4.0)[0]
