@@ -30,6 +30,7 @@ from bench.acceptance.suite.common import (
     OVER,
     PROPOSED,
     SLOW,
+    STD,
     TURNS,
     VECTOR,
     Figure,
@@ -48,6 +49,7 @@ from bench.acceptance.suite.common import (
     run_at,
     settle,
     speed_rpm,
+    whole_turns,
     within_voltage,
 )
 from bench.acceptance.suite.events import current, currents_gone, first, largest, states, stepped
@@ -60,7 +62,8 @@ from protocol.codes import DriveState
 @limit("settling_time", "ms", hi=500, about="from the reference's end until the speed stays within 20 % of it")
 @limit("overshoot", "%", hi=50, about="past the new speed, of the step")
 @limit("error_max", "deg", hi=90, about="largest position error from the step on: Hall sensors alone, about zero")
-@limits(*errors("", about="once it has settled, backwards")[:2])
+@limit("error_mean", "deg", lo=-4.5, hi=4.5, about="mean position error once it has settled, backwards")
+@limit("error_std", "deg", hi=STD, about="its standard deviation")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:omega_ref")
 @energises(rated_speed=SLOW, rated_current=1)
@@ -72,7 +75,7 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
     speed = speed_rpm(drive, rated, 1 / 10)
     run_at(drive, record, speed, 0.4)
     run = around(record, 0.05, lambda: drive.speed(-speed * RPM), 0.6 + ramp(drive, 2.0 * speed))
-    after = record(max(0.2, 3.0 * electrical_turn(drive, speed)))
+    after = whole_turns(record(max(0.2, 1.1 * 60.0 / speed)))
     start, omega, reference = stepped(run, "omega_ref"), rpm(run), rpm(run, "omega_ref")
     since = run.t >= start
     zero, end = (first(run, since & (reference < to)) for to in (0.0, -0.999 * speed))
