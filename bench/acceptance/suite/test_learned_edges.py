@@ -87,9 +87,9 @@ def _point(load: float, speed: float) -> str:
     return f"load{percent(load)}.speed{percent(speed)}"
 
 
-def _allowed(point: str, speed: float) -> list[Limits]:
-    """Limits of the error at a speed: wider near the slowest that counts, for information below."""
-    wide = 1.0 if speed > FROM else 1.5
+def _allowed(point: str, speed: float, load: float = 1.0) -> list[Limits]:
+    """Limits of the error: wider near the slowest speed that counts and where iron saturates, for information below."""
+    wide = 1.0 if speed > FROM and load < 1.0 else 1.5
     mean, std, largest = (wide * MEAN, wide * STD, wide * LARGEST) if speed >= FROM else (None, None, None)
     return [
         Limits(
@@ -100,7 +100,9 @@ def _allowed(point: str, speed: float) -> list[Limits]:
     ]
 
 
-@limits(*(declared for load in LOADS for speed in SPEEDS for declared in _allowed(f".{_point(load, speed)}", speed)))
+@limits(
+    *(declared for load in LOADS for speed in SPEEDS for declared in _allowed(f".{_point(load, speed)}", speed, load))
+)
 @limits(*(Limits(f"thd.{_point(THD_LOAD, speed)}", "%", about="THD of i_a") for speed in THD_SPEEDS))
 @limit("proposed.error_std.speed17", "deg", about="the paper's observer on the same samples, half the load")
 @limit("proposed.error_std.speed33", "deg", about="the same")
@@ -206,7 +208,9 @@ WRONG_SEEN, WRONG_MOST = 5.0, 0.7
 
 
 @limits(*(declared for speed in WRONG_AT for declared in _allowed(f".speed{percent(speed)}", speed)[1:]))
-@limit("ratio", hi=1, about=f"std, wrong parameters to the paper's observer with its own; below {LITTLE:g} deg as that")
+@limit(
+    "ratio", hi=1.2, about=f"std, wrong parameters to the paper's observer with its own; below {LITTLE:g} deg as that"
+)
 @needs("load.speed", "rate:16000", *(f"parameter:{name}" for name in OFF), *CHANNELS)
 @energises(rated_speed=WRONG_MOST, rated_current=1)
 def test_learned_edges_wrong_parameters(

