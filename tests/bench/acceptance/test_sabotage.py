@@ -196,9 +196,9 @@ WRONG = {
         ),
         ["error_mean.slow.backwards", "error_mean.fast.backwards"],
     ),
-    "zeroth-order": (
+    "sector-centre": (
         (
-            "zeroth_order",
+            "sector_centre",
             "Estimate(theta, hall.omega)",
             f"Estimate(theta {BACKWARDS.format('hall.omega')}, hall.omega)",
             {},
