@@ -70,11 +70,13 @@ def held(name: str, within: float, about: str) -> Limits:
     return Limits(name, "%", 100.0 - within, 100.0 + within, f"{about}, of the set point")
 
 
-def errors(prefix: str, std: float = STD, largest: float = LARGEST, about: str = "") -> list[Limits]:
+def errors(
+    prefix: str, std: float = STD, largest: float = LARGEST, about: str = "", mean: float = MEAN
+) -> list[Limits]:
     """Limits of `measure_error`."""
     more = f", {about}" if about else ""
     return [
-        Limits(f"{prefix}error_mean", "deg", -MEAN, MEAN, f"mean position error{more}"),
+        Limits(f"{prefix}error_mean", "deg", -mean, mean, f"mean position error{more}"),
         Limits(f"{prefix}error_std", "deg", None, std, f"standard deviation of the position error{more}"),
         Limits(f"{prefix}error_max", "deg", None, largest, f"largest position error{more}"),
     ]
