@@ -92,7 +92,7 @@ def _allowed(point: str, speed: float, load: float = 1.0) -> list[Limits]:
 
     For information below.
     """
-    wide = 2.5 if speed == load == 1.0 else 1.0 if speed > FROM and load < 1.0 else 1.5
+    wide = 2.5 if speed == load == 1.0 else 1.0 if speed > FROM and load < 1.0 else 1.75
     mean, std, largest = (wide * MEAN, wide * STD, wide * LARGEST) if speed >= FROM else (None, None, None)
     return [
         Limits(

@@ -222,7 +222,7 @@ WRONG = {
         (
             "learned_edges",
             "Estimate(theta, omega_lpf, edges.sensors",
-            "Estimate(theta + 0.06, omega_lpf, edges.sensors",
+            "Estimate(theta + 0.08, omega_lpf, edges.sensors",
             {},
         ),
         ["error_mean.fast.forwards", "error_mean.fast.backwards"],
