@@ -36,7 +36,7 @@ def lost(model, motor, dead, rpm, i_q, u_diode=U_DIODE):
     constants, n_p = MOTORS[motor]
     w = rpm * math.tau / 60.0 * n_p
     settled = round(0.1 / T)
-    n = settled + round((2 if rpm < 100 else 6) * math.tau / w / T)
+    n = settled + round((1 if rpm < 100 else 6) * math.tau / w / T)
     errors, where, currents = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     run(model, n, constants, (U_DC, dead, u_diode, T), w, i_q, errors, where, currents)
     volts = harmonics(errors[settled:, 0], where[settled:], (1, 5, 7, 11, 13))
