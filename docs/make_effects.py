@@ -76,6 +76,8 @@ def errors(file: Path | None, overrides: Mapping[str, Value]) -> dict[str, float
 
 def seen(params: BenchParams, seed: int) -> list[dict[str, float]]:
     """Mean square of each observer's error at each point, deg2."""
+    from observers.recordings import edges
+
     bench = SimulatedBench(params, seed)
     angles = {entry.name: next(iter(entry.channels)) for entry in SOURCES.values()}
     bench.set_param("observer", 0)
@@ -107,15 +109,6 @@ def seen(params: BenchParams, seed: int) -> list[dict[str, float]]:
             off = {name: np.degrees(theta - run[channel]) for name, channel in angles.items()}
             found.append({name: float(np.mean(((error + 180) % 360 - 180) ** 2)) for name, error in off.items()})
     assert not bench.faults, bench.faults
-    return found
-
-
-def edges(params: BenchParams) -> dict[str, float]:
-    """The table that commissioning would find: where the simulated sensors switch, as parameters of the drive, rad."""
-    half = 0.5 * params.hall.hysteresis_deg
-    found = {}
-    for s, delta in enumerate(params.hall.delta_deg, 1):
-        found[f"edge_up_{s}"], found[f"edge_down_{s}"] = math.radians(delta - half), math.radians(delta + half)
     return found
 
 

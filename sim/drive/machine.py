@@ -44,7 +44,6 @@ from sim.plant import (
     pmsm,
     warming,
 )
-from sim.plant.warming import EVERY, Warming
 
 __all__ = ["SOURCES", "Recorded", "SimulatedBench", "Truth"]
 
@@ -104,7 +103,7 @@ class SimulatedBench:
         self._edges, self._wire, self._flags = Cells(Edge, 0), Cells(tick.WireEdge, 0), Cells(np.uint8, 0)
         self._count = Cells(int)
         thermal = warming.Params(**dict(params.thermal))
-        self._warming = Warming(thermal, EVERY / params.clock.pwm_hz) if params.thermal.on else None
+        self._warming = warming.Warming(thermal, warming.EVERY / params.clock.pwm_hz) if params.thermal.on else None
         self._squares: list[NDArray[np.float64]] = []  # of the current since the last stretch of warming, A2
         self._samples = Cells(Sample, PORTION)
         firmware = self._state.array["firmware"]
@@ -279,7 +278,7 @@ class SimulatedBench:
                 source, upto = (self._source_before, waits) if begin < waits else (self._source, n)
                 end = min(upto, begin + PORTION)
                 if self._warming:
-                    end = min(end, begin + EVERY - self.n % EVERY)
+                    end = min(end, begin + warming.EVERY - self.n % warming.EVERY)
                 self._run(source, n, block, begin, end)
                 begin = end
         m = count[0]
@@ -318,7 +317,7 @@ class SimulatedBench:
         if self._warming and end > begin:
             rows = block[begin * ROW : end * ROW].view(layout(tick.Row))
             self._squares.append(rows["i_alpha_true"] ** 2 + rows["i_beta_true"] ** 2)
-            if self.n % EVERY == 0:
+            if self.n % warming.EVERY == 0:
                 self._warming.heat(self._constants.plant.motor, float(np.concatenate(self._squares).mean()))
                 self._squares.clear()
                 self._warm()

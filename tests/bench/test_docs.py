@@ -112,7 +112,8 @@ def test_the_page_of_the_effects_is_what_its_generator_makes_and_has_all_effects
         assert of["costs"].keys() == effects(load_params()).keys() | {"all of it"}
 
 
-def test_a_run_of_the_effects_gives_the_page_its_numbers() -> None:
+def test_a_run_of_the_effects_gives_the_page_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "docs")
     generator = generator_of("make_effects")
     numbers = json.loads(generator.NUMBERS.read_text())[""]
     found = generator.errors(None, {})
