@@ -56,8 +56,9 @@ class Running:
         if declared is None:
             names = ", ".join(limits.name for limits in self.limits)
             raise BenchError(f"{self.name} measures '{name}' but declares only: {names or 'nothing'}")
-        if declared.of:
-            raise BenchError(f"{self.name} measures '{name}', but nobody has told the drive's {declared.of}")
+        if declared.wants:
+            what = " and ".join(sorted(declared.wants))
+            raise BenchError(f"{self.name} measures '{name}', but nobody has told the drive's {what}")
         full = f"{self.name}.{name}"
         if any(m.name == full for m in self.measurements):
             raise BenchError(f"{self.name} measures '{name}' twice")

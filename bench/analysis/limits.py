@@ -9,14 +9,18 @@ from numbers import Real
 
 RATED_SPEED, RATED_CURRENT = "rated speed", "rated current"
 """What limits can be shares of: the drive's rated speed (mechanical r/min) and current (A, peak)."""
+LOAD_ANGLE = "load angle"
+"""What limits can be wider by a share of, in electrical degrees: by how much the back-EMF of the rated current's flux
+turns the motor's, so that a tenth of it is what an inductance wrong by a tenth does to an estimated angle.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a measurement may be: from `lo` to `hi`, in `unit`; None is no limit on that side.
 
-    With `of` they are shares of that rating until `resolved`. Raises ValueError for limits that are not numbers or
-    leave no room, and for what is no rating.
+    With `of` they are shares of that rating until `resolved`, and with `plus` without what they are wider by. Raises
+    ValueError for limits that are not numbers or leave no room, and for what is no rating.
     """
 
     name: str
@@ -28,8 +32,10 @@ class Limits:
     """The limits come from bench.toml, not from the test."""
     of: str = ""
     """The rating that `lo` and `hi` are shares of; empty: they are in `unit`."""
+    plus: float = 0.0
+    """The share of `LOAD_ANGLE` that both sides are wider by; such limits are in degrees."""
     scaled: str = ""
-    """Where limits in `unit` come from, if they were shares."""
+    """Where limits in `unit` come from, if they were shares or are wider."""
 
     def __post_init__(self) -> None:
         for side in ("lo", "hi"):
@@ -46,10 +52,19 @@ class Limits:
 
     def resolved(self, ratings: Mapping[str, float]) -> Limits:
         """The limits in `unit`; as they are where they are no shares, or of what is not known."""
-        if self.of not in ratings:
+        if not self.wants or not self.wants <= ratings.keys():
             return self
-        lo, hi = (None if share is None else share * ratings[self.of] for share in (self.lo, self.hi))
-        return replace(self, lo=lo, hi=hi, of="", scaled=replace(self, unit="")._words())
+        scale = ratings[self.of] if self.of else 1.0
+        wider = self.plus * ratings[LOAD_ANGLE] if self.plus else 0.0
+        lo = None if self.lo is None else scale * self.lo - wider
+        hi = None if self.hi is None else scale * self.hi + wider
+        words = replace(self, unit="")._words() if self.of else self._words()
+        return replace(self, lo=lo, hi=hi, of="", plus=0.0, scaled=words)
+
+    @property
+    def wants(self) -> set[str]:
+        """The ratings that must be known before anything can be compared with them."""
+        return {what for what, wanted in ((self.of, self.of), (LOAD_ANGLE, self.plus)) if wanted}
 
     def allow(self, value: float) -> bool:
         """Whether `value` is within them; NaN is not."""
@@ -69,6 +84,7 @@ class Limits:
 
     def _words(self) -> str:
         unit = f" × {self.of}" if self.of else f" {self.unit}" if self.unit else ""
+        unit += f", wider by {self.plus:.4g} × {LOAD_ANGLE}" if self.plus else ""
         if self.lo is not None and self.hi is not None:
             return f"= {self.lo:.4g}{unit}" if self.lo == self.hi else f"{self.lo:.4g} … {self.hi:.4g}{unit}"
         if self.hi is not None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from bench.analysis.limits import RATED_CURRENT, RATED_SPEED
+from bench.analysis.limits import LOAD_ANGLE, RATED_CURRENT, RATED_SPEED
 from bench.analysis.units import RPM
 from bench.errors import BenchError
 
@@ -18,7 +18,7 @@ HEADROOM = 1.05
 """The largest speed reference over the rated speed, which is a multiple of ROUND: a speed loop overshoots."""
 ROUND = 10.0  # r/min
 FLOAT32 = 1e-6  # to which a drive rounds its parameters, as a share
-RATING_PARAMETERS = ("omega_m_max", "i_max")
+RATING_PARAMETERS = ("omega_m_max", "i_max", "L_s_hat", "psi_f_hat")
 _TOLD_BY = {RATED_SPEED: ("omega_m_max", "speed_rpm"), RATED_CURRENT: ("i_max", "current")}
 
 
@@ -40,12 +40,7 @@ class Ratings:
 
     def missing(self, wanted: Collection[str]) -> list[str]:
         """What is not known of these, in words, and who may say it."""
-        return [
-            f"needs the drive's {what}: it has no parameter {_TOLD_BY[what][0]}, say [rated] {_TOLD_BY[what][1]} in "
-            "bench.toml"
-            for what in wanted
-            if what not in self.told
-        ]
+        return [_missing(what) for what in wanted if what not in self.told]
 
     def _told(self, what: str) -> float:
         if missing := self.missing([what]):
@@ -53,12 +48,20 @@ class Ratings:
         return self.told[what]
 
 
+def _missing(what: str) -> str:
+    if what == LOAD_ANGLE:
+        return f"needs the drive's {what}: by its parameters L_s_hat, psi_f_hat and its rated current"
+    parameter, key = _TOLD_BY[what]
+    return f"needs the drive's {what}: it has no parameter {parameter}, say [rated] {key} in bench.toml"
+
+
 def ratings(parameters: Mapping[str, float], own: Mapping[str, float]) -> Ratings:
     """Of a drive with these parameters, and of `own`, the table [rated] of bench.toml: `speed_rpm`, `current`.
 
+    The load angle in electrical degrees follows from the rated current and what the drive holds its motor for.
     BenchError if the file's are beyond what the drive lets one ask for.
     """
-    omega_m_max, i_max = (parameters.get(name, math.inf) for name in RATING_PARAMETERS)
+    omega_m_max, i_max, L_s_hat, psi_f_hat = (parameters.get(name, math.inf) for name in RATING_PARAMETERS)
     most = {RATED_SPEED: omega_m_max / RPM, RATED_CURRENT: i_max}
     told = {what: limit for what, limit in most.items() if math.isfinite(limit)}
     if RATED_SPEED in told:
@@ -70,4 +73,6 @@ def ratings(parameters: Mapping[str, float], own: Mapping[str, float]) -> Rating
             limit = f"the drive's limit of {most[what]:.4g} (its parameter {parameter})"
             raise BenchError(f"[rated] {key} = {own[key]:g} in bench.toml is beyond {limit}")
         told[what] = own[key]
+    if RATED_CURRENT in told and math.isfinite(L_s_hat + psi_f_hat):
+        told[LOAD_ANGLE] = math.degrees(math.atan2(L_s_hat * told[RATED_CURRENT], psi_f_hat))
     return Ratings({what: value for what, value in told.items() if value > 0.0})

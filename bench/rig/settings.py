@@ -73,8 +73,8 @@ class Settings:
         if not given:
             return limits
         own = self.limits[given[0]]
-        if limits.of:  # shares of a rating that is not known yet: the file's are none
-            limits = replace(limits, lo=None, hi=None, of="")
+        if limits.wants:  # shares of a rating that is not known yet: the file's are none
+            limits = replace(limits, lo=None, hi=None, of="", plus=0.0)
         try:
             return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), overridden=True)
         except ValueError as error:

@@ -3,6 +3,9 @@
 Each as it is, and on a bench as unkind as a real one; then with the wrong pole pairs, flux linkage and wiring, each of
 which one measurement must name. Prints a line a run; exit code 1 if a healthy drive does not pass, or a wrong one is
 not named.
+
+A number instead of a name is a motor that nobody has looked at, drawn by it: somewhere between two of the shipped ones,
+its Hall edges up to 6 deg from their places.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from typing import Any
 from bench.device.simulator import motors
 from sim.config.params import load_params
 from sim.config.sections import Motor
-from tests.bench.acceptance.benches import configured, on_an_unkind_bench
+from tests.bench.acceptance.benches import configured, drawn, on_an_unkind_bench
 
 WRONG = {
     "wrong n_p": ("back_emf", "back_emf_and_encoder.encoder_turns"),
@@ -50,7 +53,8 @@ def main(names: list[str]) -> int:
     """Run all; 1 if anything is not as it should be."""
     bad = 0
     for name in names or motors():
-        for kind, text in (("kind", configured(name, {})), ("unkind", on_an_unkind_bench(name))):
+        motor, own = ("", drawn(int(name))) if name.isdecimal() else (name, {})
+        for kind, text in (("kind", configured(motor, own)), ("unkind", on_an_unkind_bench(motor, own))):
             run = accept(text)
             failed = [m for test in run["tests"] for m in test["measurements"] if m["verdict"] != "PASS"]
             bad += run["verdict"] != "PASS"
@@ -59,7 +63,9 @@ def main(names: list[str]) -> int:
             for m in failed:
                 print(f"{'':24} {m['name']} = {m['value']} ({m['limits']['lo']} … {m['limits']['hi']})", flush=True)
         for what, (keyword, by) in WRONG.items():
-            run = accept(configured(name, wrong(what, load_params(motors()[name]).motor)), keyword)
+            run = accept(
+                configured(motor, {**own, **wrong(what, load_params(motors().get(motor), own).motor)}), keyword
+            )
             verdict = next(m["verdict"] for test in run["tests"] for m in test["measurements"] if m["name"] == by)
             bad += verdict != "FAIL"
             print(f"{name:24} {what:12} {'named by' if verdict == 'FAIL' else 'NOT NAMED by'} {by}", flush=True)

@@ -71,12 +71,12 @@ def held(name: str, within: float, about: str) -> Limits:
 
 
 def errors(
-    prefix: str, std: float = STD, largest: float = LARGEST, about: str = "", mean: float = MEAN
+    prefix: str, std: float = STD, largest: float = LARGEST, about: str = "", saturated: float = 0.0
 ) -> list[Limits]:
-    """Limits of `measure_error`."""
+    """Limits of `measure_error`; `saturated`: by how much iron may have lowered the inductance, as a share."""
     more = f", {about}" if about else ""
     return [
-        Limits(f"{prefix}error_mean", "deg", -mean, mean, f"mean position error{more}"),
+        Limits(f"{prefix}error_mean", "deg", -MEAN, MEAN, f"mean position error{more}", plus=saturated),
         Limits(f"{prefix}error_std", "deg", None, std, f"standard deviation of the position error{more}"),
         Limits(f"{prefix}error_max", "deg", None, largest, f"largest position error{more}"),
     ]

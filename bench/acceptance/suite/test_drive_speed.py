@@ -26,7 +26,6 @@ from bench.acceptance import (
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.drive import draw_run
 from bench.acceptance.suite.common import (
-    MEAN,
     NEARLY_GONE,
     OVER,
     PROPOSED,
@@ -165,7 +164,7 @@ def test_full_speed_error(drive: Drive, rated: Ratings, record: Record, measure:
 
 @limits(held("speed", 2, "mean by the encoder"))
 @limit("i_q", "A", hi=1, of=RATED_CURRENT, about="mean: three quarters of load and the friction")
-@limits(*errors("", about="with iron that saturates", mean=1.5 * MEAN))
+@limits(*errors("", about="with iron that saturates", saturated=0.1))
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "channel:u_dc", "load")
 @needs("parameter:psi_f_hat", "parameter:R_s_hat", "parameter:L_s_hat")

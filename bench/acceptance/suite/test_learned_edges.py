@@ -164,7 +164,7 @@ def test_learned_edges_map(
 @limit("speed_step.error_max", "deg", hi=15, about="a sixth to a third of the rated speed near no load")
 @limit("load_step_half.error_max", "deg", hi=15, about="near no load to half the torque, speed by the drive")
 @limit("load_step_full.error_max", "deg", hi=15, about="2.5 % to full current, speed by the load, as Fig. 12")
-@limit("load_step_full.error_shift", "deg", lo=-3, hi=3, about="of the mean error, 2.5 % to full current")
+@limit("load_step_full.error_shift", "deg", lo=-4, hi=4, about="of the mean error, 2.5 % to full current")
 @limit("proposed.speed_step.error_max", "deg", about="the paper's observer on the same samples")
 @limits(held("speed_step.speed", 1, "after the speed step"))
 @needs("load.speed", "rate:16000", "channel:omega_ref", *CHANNELS)
@@ -207,7 +207,11 @@ def test_learned_edges_transients(
 
 
 WRONG_AT = (1 / 15, 1 / 6, 1 / 3)  # of the rated speed, with wrong parameters; faster where R_s takes much
-WRONG_SEEN, WRONG_MOST = 5.0, 0.7
+WRONG_SEEN, WRONG_MOST = 8.0, 0.7
+"""How many times `omega_on` that is, up to which share.
+
+Where the back-EMF at `omega_on` is a tenth of R_s i_max, 30 % of R_s take three eighths of it then.
+"""
 
 
 @limits(*(declared for speed in WRONG_AT for declared in _allowed(f".speed{percent(speed)}", speed)[1:]))

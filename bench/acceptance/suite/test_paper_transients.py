@@ -130,14 +130,16 @@ PHASES = {
 }
 
 
-PROPOSED_IN = {"early": (45.0, 15.0), "transient": (LARGEST, STD), "steady": (LARGEST, STD)}
-"""Largest error of the proposed observer and its standard deviation, deg: early it may see no back-EMF yet."""
+AVERAGE_IN = {"early": (60.0, 15.0), "transient": (45.0, 15.0), "steady": (45.0, 15.0)}
+"""Largest error of the average speed and its standard deviation, deg: early it may be a Hall sector off."""
+PROPOSED_IN = {"early": (50.0, 15.0), "transient": (LARGEST, STD), "steady": (LARGEST, STD)}
+"""The same of the proposed observer: early it may see no back-EMF yet."""
 
 
 def error_limits(phase: str) -> list[Limits]:
     """Limits of `measure_errors` for both approaches."""
     declared, when = [], PHASES[phase]
-    for word, largest, std, speed in (("average", 45.0, 15.0, 0.15), ("proposed", *PROPOSED_IN[phase], 0.05)):
+    for word, largest, std, speed in (("average", *AVERAGE_IN[phase], 0.15), ("proposed", *PROPOSED_IN[phase], 0.05)):
         declared += [
             Limits(f"{word}.error_max.{phase}", "deg", None, largest, f"largest position error {when}"),
             Limits(f"{word}.error_std.{phase}", "deg", None, std, f"std of the position error {when}"),
@@ -193,7 +195,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 
 @limit("average.initial_error", "deg", hi=45, about="between the rotor and the centre of its Hall sector")
 @limit("proposed.initial_error", "deg", hi=45, about="between the rotor and the centre of its Hall sector")
-@limit("average.error_max", "deg", hi=50, about="largest position error from the start on")
+@limit("average.error_max", "deg", hi=60, about="largest position error from the start on")
 @limit("proposed.error_max", "deg", hi=50, about="largest position error from the start on")
 @limit("proposed.caught", "ms", hi=300, about=f"until the error stays below {CAUGHT_DEG:g} deg for good")
 @limits(*error_limits("early"))
@@ -205,7 +207,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 @limit("average.ripple_q", "A", hi=0.5, of=RATED_CURRENT, about="of i_q from the second Hall edge to its end")
 @limit("proposed.ripple_q", "A", hi=0.25, of=RATED_CURRENT, about="the same")
 @limit("ripple_d_ratio", hi=0.9, about="proposed to average speed; below 5 % of the rated current it counts as that")
-@limit("ripple_q_ratio", hi=0.9, about="the same, 10 %")
+@limit("ripple_q_ratio", hi=0.9, about="the same, 12 %")
 @limits(*STEP)
 @limits(held("proposed.speed", 1, "in steady state"))
 @needs("load", "parameter:psi_f_hat", "channel:omega_ref")
@@ -236,7 +238,7 @@ def test_fig09_start_up(
         measure(f"{word}.ripple_d", ripples[observer][0], first)
         measure(f"{word}.ripple_q", ripples[observer][1], first)
     captures = [run.capture for run in runs.values()]
-    for axis, little, proposed, average in zip("dq", (0.05, 0.1), ripples[PROPOSED], ripples[AVERAGE], strict=True):
+    for axis, little, proposed, average in zip("dq", (0.05, 0.12), ripples[PROPOSED], ripples[AVERAGE], strict=True):
         measure(f"ripple_{axis}_ratio", ratio(proposed, average, little * rated.current), *captures)
     run = runs[PROPOSED]
     whole, steady = run.part(0.0, run.capture.span[1] - run.start), run.part(until + 0.25)

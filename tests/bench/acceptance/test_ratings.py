@@ -8,7 +8,7 @@ import pytest
 from accepting import Accepting
 
 from bench.acceptance import RATED_CURRENT, RATED_SPEED, energises
-from bench.analysis.limits import Limits
+from bench.analysis.limits import LOAD_ANGLE, Limits
 from bench.errors import BenchError
 from bench.rig.ratings import ratings
 
@@ -35,6 +35,9 @@ def test_turns(drive, rated, record, measure):
         (PAPER, {}, {RATED_SPEED: 3000.0, RATED_CURRENT: 8.0}),
         (PAPER, {"current": 5.0}, {RATED_SPEED: 3000.0, RATED_CURRENT: 5.0}),
         ({"omega_m_max": 48.4}, {}, {RATED_SPEED: 440.0}),
+        # 8 A through 1 mH are 8 mV s: as much as the magnets give
+        ({"i_max": 9.0, "L_s_hat": 1e-3, "psi_f_hat": 8e-3}, {"current": 8.0}, {RATED_CURRENT: 8.0, LOAD_ANGLE: 45.0}),
+        ({"L_s_hat": 1e-3, "psi_f_hat": 8e-3}, {}, {}),
         ({}, {"speed_rpm": 1234.0}, {RATED_SPEED: 1234.0}),
         ({"omega_m_max": 0.0, "i_max": 0.0}, {}, {}),
     ],
@@ -60,6 +63,19 @@ def test_limits_are_shares_until_the_drive_is_known() -> None:
     assert known.margin(9.0) == 1.0
     with pytest.raises(ValueError, match="no rating 'rated voltage'"):
         Limits("u", "V", of="rated voltage")
+
+
+def test_limits_are_wider_by_a_share_of_the_load_angle() -> None:
+    limits = Limits("error", "deg", -2.5, plus=0.1)
+    assert str(limits) == "≥ -2.5 deg, wider by 0.1 × load angle"
+    assert limits.resolved({RATED_CURRENT: 8.0}) is limits
+    known = limits.resolved({LOAD_ANGLE: 20.0})
+    assert (known.lo, known.hi) == (-4.5, None)
+    assert known.allow(-4.4)
+    assert not known.allow(-4.6)
+    assert str(known) == "≥ -4.5 deg (≥ -2.5 deg, wider by 0.1 × load angle)"
+    (missing,) = ratings(PAPER, {}).missing([LOAD_ANGLE, RATED_CURRENT])
+    assert missing == "needs the drive's load angle: by its parameters L_s_hat, psi_f_hat and its rated current"
 
 
 @pytest.mark.parametrize(
