@@ -14,7 +14,7 @@ pulse, over within microseconds, is one implausible edge at most.
 Exchanged wires make a legal sequence that runs backwards. While the outputs are on the back-EMF (6) tells which way
 the rotor turns: the angle by which it turns against the direction of the Hall sensors adds up, the angle with it takes
 away, and `hall_turns` electrical turns trip. A rotor that reverses is seen by the Hall sensors within a third of a
-turn. A back-EMF below `hall_emf` is not looked at.
+turn. The back-EMF is smoothed, since currents that are differentiated bring noise, and not looked at below `hall_emf`.
 
 It never switches anything off: `tick_firmware` latches the faults.
 """
@@ -32,6 +32,7 @@ from sim.numba_cache import kernel
 OVERCURRENT, OVERSPEED = int(Fault.OVERCURRENT), int(Fault.OVERSPEED)
 UNDERVOLTAGE, OVERVOLTAGE, HALL = int(Fault.UNDERVOLTAGE), int(Fault.OVERVOLTAGE), int(Fault.HALL)
 FULL = 1.0 - 1e-9  # doubt that trips: parts add up to 1 but for rounding
+SMOOTH = 16.0  # samples, the time constant of the back-EMF's mean
 
 
 class Params(NamedTuple):
@@ -68,7 +69,7 @@ class State(NamedTuple):
     fast: int  # periods in a row above the largest speed
     doubt: float  # of the Hall sensors, 0..1
     opposed: float  # angle by which the back-EMF turned against the Hall sensors, electrical rad
-    e_alpha: float  # of the last sample, V
+    e_alpha: float  # of the back-EMF smoothed, V
     e_beta: float
     causes: int  # Fault bits whose cause is there now
 
@@ -112,13 +113,13 @@ def _doubt(params: Params, doubt: float, hall: int, edges: int) -> float:
 
 
 @kernel
-def _opposed(params: Params, state: State, sensed: Sensed) -> float:
+def _opposed(params: Params, state: State, sensed: Sensed, e_alpha: float, e_beta: float) -> float:
     """The angle against the Hall sensors after a sample with the outputs on."""
     before = state.e_alpha * state.e_alpha + state.e_beta * state.e_beta
-    square = sensed.e_alpha * sensed.e_alpha + sensed.e_beta * sensed.e_beta
+    square = e_alpha * e_alpha + e_beta * e_beta
     if square < params.e_min * params.e_min:
         return state.opposed
-    with_hall = sensed.direction * (state.e_alpha * sensed.e_beta - state.e_beta * sensed.e_alpha)
+    with_hall = sensed.direction * (state.e_alpha * e_beta - state.e_beta * e_alpha)
     if with_hall >= 0.0 and state.opposed == 0.0:
         return 0.0
     return max(state.opposed - with_hall / max(square, before), 0.0)  # a small angle is its sine
@@ -129,7 +130,9 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
     """One control period; `on`: the outputs were on over it."""
     fast = state.fast + 1 if abs(sensed.omega) > params.omega_trip else 0
     doubt = _doubt(params, state.doubt, sensed.hall, sensed.edges)
-    opposed = _opposed(params, state, sensed) if on else 0.0
+    e_alpha = state.e_alpha + (sensed.e_alpha - state.e_alpha) / SMOOTH
+    e_beta = state.e_beta + (sensed.e_beta - state.e_beta) / SMOOTH
+    opposed = _opposed(params, state, sensed, e_alpha, e_beta) if on else 0.0
     causes = 0
     if sensed.current > params.i_trip:
         causes |= OVERCURRENT
@@ -141,4 +144,4 @@ def step(params: Params, state: State, sensed: Sensed, on: bool) -> State:
         causes |= OVERVOLTAGE
     if doubt >= FULL or opposed > params.opposed_max:
         causes |= HALL
-    return State(fast, doubt, opposed, sensed.e_alpha, sensed.e_beta, causes)
+    return State(fast, doubt, opposed, e_alpha, e_beta, causes)

@@ -61,7 +61,7 @@ from protocol.codes import DriveState
 @limit("zero_lag", "ms", hi=60, about="from the reference's zero to standstill")
 @limit("settling_time", "ms", hi=500, about="from the reference's end until the speed stays within 20 % of it")
 @limit("overshoot", "%", hi=50, about="past the new speed, of the step")
-@limit("error_max", "deg", hi=90, about="largest position error from the step on: Hall sensors alone, about zero")
+@limit("error_max", "deg", hi=120, about="largest position error from the step on: Hall sensors alone, about zero")
 @limit("error_mean", "deg", lo=-4.5, hi=4.5, about="mean position error once it has settled, backwards")
 @limit("error_std", "deg", hi=STD, about="its standard deviation")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")

@@ -90,14 +90,14 @@ def _point(load: float, speed: float) -> str:
 def _allowed(point: str, speed: float, load: float = 1.0) -> list[Limits]:
     """Limits of the error: wider near the slowest speed that counts, where iron saturates, and where that is fast too.
 
-    For information below.
+    A mean error with the load goes with the load angle. For information below.
     """
     wide = 2.5 if speed == load == 1.0 else 1.0 if speed > FROM and load < 1.0 else 1.75
-    mean, std, largest = (wide * MEAN, wide * STD, wide * LARGEST) if speed >= FROM else (None, None, None)
+    saturated = 0.0 if load < 1.0 or speed < FROM else 0.2 if speed == 1.0 else 0.1
+    mean, std, largest = (min(wide, 1.75) * MEAN, wide * STD, wide * LARGEST) if speed >= FROM else (None, None, None)
+    least = None if mean is None else -mean
     return [
-        Limits(
-            f"error_mean{point}", "deg", None if mean is None else -mean, mean, "mean position error, learned edges"
-        ),
+        Limits(f"error_mean{point}", "deg", least, mean, "mean position error, learned edges", plus=saturated),
         Limits(f"error_std{point}", "deg", None, std, "its standard deviation"),
         Limits(f"error_max{point}", "deg", None, largest, "its largest"),
     ]

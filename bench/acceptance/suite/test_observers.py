@@ -56,7 +56,7 @@ REACH = {
     "hall-vector-decoupled": ("hvd", Reach((3.0, 3.0), (4.0, 4.0), of_ring=True, settling=2.0, than="hv")),
     "programmable-filter": ("plf", BACK_EMF),
     "vector-tracking-q15": ("q15", BACK_EMF),
-    "learned-edges": ("le", Reach((3.0, 3.75), (5.5, 2.0))),
+    "learned-edges": ("le", Reach((3.75, 3.75), (5.5, 2.0))),
 }
 """By the name of the angle source, with what channels call it."""
 LITTLE = 1.0  # deg
