@@ -163,8 +163,8 @@ def test_learned_edges_map(
 
 @limit("speed_step.error_max", "deg", hi=15, about="a sixth to a third of the rated speed near no load")
 @limit("load_step_half.error_max", "deg", hi=15, about="near no load to half the torque, speed by the drive")
-@limit("load_step_full.error_max", "deg", hi=15, about="2.5 % to full current, speed by the load, as Fig. 12")
-@limit("load_step_full.error_shift", "deg", lo=-4, hi=4, about="of the mean error, 2.5 % to full current")
+@limit("load_step_full.error_max", "deg", hi=20, about="2.5 % to full current, speed by the load, as Fig. 12")
+@limits(Limits("load_step_full.error_shift", "deg", -3, 3, "of the mean error, 2.5 % to full current", plus=0.2))
 @limit("proposed.speed_step.error_max", "deg", about="the paper's observer on the same samples")
 @limits(held("speed_step.speed", 1, "after the speed step"))
 @needs("load.speed", "rate:16000", "channel:omega_ref", *CHANNELS)
@@ -206,7 +206,11 @@ def test_learned_edges_transients(
     )
 
 
-WRONG_AT = (1 / 15, 1 / 6, 1 / 3)  # of the rated speed, with wrong parameters; faster where R_s takes much
+WRONG = {1 / 15: (None, None), 1 / 6: (None, None), 1 / 3: (6.0, 20.0)}
+"""Shares of the rated speed, faster where R_s takes much, with what wrong parameters may leave in deg: std, largest.
+
+Below a third nobody can demand anything: with much resistance edges may be learned wrongly, and again and again.
+"""
 WRONG_SEEN, WRONG_MOST = 8.0, 0.7
 """How many times `omega_on` that is, up to which share.
 
@@ -214,7 +218,16 @@ Where the back-EMF at `omega_on` is a tenth of R_s i_max, 30 % of R_s take three
 """
 
 
-@limits(*(declared for speed in WRONG_AT for declared in _allowed(f".speed{percent(speed)}", speed)[1:]))
+@limits(
+    *(
+        Limits(f"error_std.speed{percent(speed)}", "deg", None, std, "position error")
+        for speed, (std, _) in WRONG.items()
+    ),
+    *(
+        Limits(f"error_max.speed{percent(speed)}", "deg", None, most, "its largest")
+        for speed, (_, most) in WRONG.items()
+    ),
+)
 @limit(
     "ratio", hi=1.2, about=f"std, wrong parameters to the paper's observer with its own; below {LITTLE:g} deg as that"
 )
@@ -226,7 +239,7 @@ def test_learned_edges_wrong_parameters(
     """Learned edges: resistance 30 % and inductance 20 % too large, flux linkage 10 % too small, from the start on."""
     bench = Bench(drive, rated, load, record)
     drive.start(PROPOSED)
-    speeds = [speed_rpm(drive, rated, at, WRONG_SEEN, WRONG_MOST) / rated.speed_rpm for at in WRONG_AT]
+    speeds = [speed_rpm(drive, rated, at, WRONG_SEEN, WRONG_MOST) / rated.speed_rpm for at in WRONG]
     own = [bench.at_point(speed, 1.0) for speed in speeds]
     load.speed(0.0)
     record.wait(0.5)
@@ -237,7 +250,7 @@ def test_learned_edges_wrong_parameters(
     runs = [bench.at_point(speed, 1.0) for speed in speeds]
     drive.stop()
     ratios = []
-    for at, right, wrong in zip(WRONG_AT, own, runs, strict=True):
+    for at, right, wrong in zip(WRONG, own, runs, strict=True):
         error, paper = error_deg(wrong, LEARNED), error_deg(right, PROPOSED)
         measure(f"error_std.speed{percent(at)}", error.std(), wrong)
         measure(f"error_max.speed{percent(at)}", np.abs(error).max(), wrong)

@@ -201,7 +201,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 @limits(*error_limits("early"))
 @limits(*error_limits("steady"))
 @limit("average.error_mean", "deg", lo=-15, hi=15, about="position error in steady state: the Hall ring's own")
-@limit("proposed.error_mean", "deg", lo=-MEAN, hi=MEAN, about="position error in steady state")
+@limits(Limits("proposed.error_mean", "deg", -MEAN, MEAN, "position error in steady state", plus=0.05))
 @limit("average.ripple_d", "A", hi=0.25, of=RATED_CURRENT, about="of i_d from the second Hall edge to its end")
 @limit("proposed.ripple_d", "A", hi=0.1, of=RATED_CURRENT, about="the same")
 @limit("average.ripple_q", "A", hi=0.5, of=RATED_CURRENT, about="of i_q from the second Hall edge to its end")
@@ -258,7 +258,7 @@ def test_fig09_start_up(
 
 @limits(*error_limits("transient"))
 @limits(*error_limits("steady"))
-@limit("proposed.error_mean", "deg", lo=-MEAN, hi=MEAN, about="position error in steady state")
+@limits(Limits("proposed.error_mean", "deg", -MEAN, MEAN, "position error in steady state", plus=0.05))
 @limit("error_std_ratio", hi=0.9, about=f"in the transient, proposed to average speed; below {LITTLE:g} deg as that")
 @limits(*STEP)
 @limits(held("proposed.speed", 1, "in steady state"), held("average.speed", 3, "in steady state"))
