@@ -108,7 +108,8 @@ def test_live_says_what_would_fit(capsys: pytest.CaptureFixture[str], classic: s
 def test_each_rate_that_is_offered_is_taken(capsys: pytest.CaptureFixture[str], classic: str) -> None:
     info = json.loads(bench(capsys, "info", classic, "--json")[0])
     names = [c["name"] for c in info["nodes"][0]["channels"]]
-    for fit in info["bus"]["fits"]:
+    fits = info["bus"]["fits"]
+    for fit in {fit["channels"]: fit for fit in (fits[0], fits[len(fits) // 2], fits[-1])}.values():
         channels = ",".join(names[: fit["channels"]])
         rate = f"{fit['rate_hz']:g}"  # as it is printed
         out, _ = bench(
