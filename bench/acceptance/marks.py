@@ -125,4 +125,4 @@ def rated_by(item: pytest.Item) -> list[str]:
     """The ratings that a test's limits and set points are shares of."""
     mark = item.get_closest_marker(ENERGISES)
     asked = set() if mark is None else mark.args[0].rated_by()
-    return sorted(asked.union(*(limits.wants for limits in declared_limits(item))))
+    return sorted(asked | {limits.of for limits in declared_limits(item) if limits.of})

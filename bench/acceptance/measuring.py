@@ -56,9 +56,8 @@ class Running:
         if declared is None:
             names = ", ".join(limits.name for limits in self.limits)
             raise BenchError(f"{self.name} measures '{name}' but declares only: {names or 'nothing'}")
-        if declared.wants:
-            what = " and ".join(sorted(declared.wants))
-            raise BenchError(f"{self.name} measures '{name}', but nobody has told the drive's {what}")
+        if declared.of:
+            raise BenchError(f"{self.name} measures '{name}', but nobody has told the drive's {declared.of}")
         full = f"{self.name}.{name}"
         if any(m.name == full for m in self.measurements):
             raise BenchError(f"{self.name} measures '{name}' twice")

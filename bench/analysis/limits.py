@@ -47,24 +47,21 @@ class Limits:
             object.__setattr__(self, side, float(limit))  # JSON takes no number of numpy's
         if self.of not in ("", RATED_SPEED, RATED_CURRENT):
             raise ValueError(f"{self.name}: no rating '{self.of}': there are '{RATED_SPEED}' and '{RATED_CURRENT}'")
+        if self.of and self.plus:
+            raise ValueError(f"{self.name}: limits are shares of the {self.of}, or wider by one of the {LOAD_ANGLE}")
         if self.lo is not None and self.hi is not None and self.lo > self.hi:
             raise ValueError(f"{self.name}: the lower limit {self.lo:.4g} is above the upper one, {self.hi:.4g}")
 
     def resolved(self, ratings: Mapping[str, float]) -> Limits:
         """The limits in `unit`; as they are where they are no shares, or of what is not known."""
-        if not self.wants or not self.wants <= ratings.keys():
-            return self
-        scale = ratings[self.of] if self.of else 1.0
-        wider = self.plus * ratings[LOAD_ANGLE] if self.plus else 0.0
-        lo = None if self.lo is None else scale * self.lo - wider
-        hi = None if self.hi is None else scale * self.hi + wider
-        words = replace(self, unit="")._words() if self.of else self._words()
-        return replace(self, lo=lo, hi=hi, of="", plus=0.0, scaled=words)
-
-    @property
-    def wants(self) -> set[str]:
-        """The ratings that must be known before anything can be compared with them."""
-        return {what for what, wanted in ((self.of, self.of), (LOAD_ANGLE, self.plus)) if wanted}
+        if self.of in ratings:
+            lo, hi = (None if share is None else share * ratings[self.of] for share in (self.lo, self.hi))
+            return replace(self, lo=lo, hi=hi, of="", scaled=replace(self, unit="")._words())
+        if wider := self.plus * ratings.get(LOAD_ANGLE, 0.0):
+            lo = None if self.lo is None else self.lo - wider
+            hi = None if self.hi is None else self.hi + wider
+            return replace(self, lo=lo, hi=hi, plus=0.0, scaled=self._words())
+        return self
 
     def allow(self, value: float) -> bool:
         """Whether `value` is within them; NaN is not."""

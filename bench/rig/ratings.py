@@ -40,19 +40,17 @@ class Ratings:
 
     def missing(self, wanted: Collection[str]) -> list[str]:
         """What is not known of these, in words, and who may say it."""
-        return [_missing(what) for what in wanted if what not in self.told]
+        return [
+            f"needs the drive's {what}: it has no parameter {_TOLD_BY[what][0]}, say [rated] {_TOLD_BY[what][1]} in "
+            "bench.toml"
+            for what in wanted
+            if what not in self.told
+        ]
 
     def _told(self, what: str) -> float:
         if missing := self.missing([what]):
             raise BenchError(missing[0])
         return self.told[what]
-
-
-def _missing(what: str) -> str:
-    if what == LOAD_ANGLE:
-        return f"needs the drive's {what}: by its parameters L_s_hat, psi_f_hat and its rated current"
-    parameter, key = _TOLD_BY[what]
-    return f"needs the drive's {what}: it has no parameter {parameter}, say [rated] {key} in bench.toml"
 
 
 def ratings(parameters: Mapping[str, float], own: Mapping[str, float]) -> Ratings:

@@ -73,10 +73,10 @@ class Settings:
         if not given:
             return limits
         own = self.limits[given[0]]
-        if limits.wants:  # shares of a rating that is not known yet: the file's are none
-            limits = replace(limits, lo=None, hi=None, of="", plus=0.0)
+        if limits.of:  # shares of a rating that is not known yet: the file's are none
+            limits = replace(limits, lo=None, hi=None, of="")
         try:
-            return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), overridden=True)
+            return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), plus=0.0, overridden=True)
         except ValueError as error:
             raise BenchError(f"[limits] of {self.path}: {error}") from None
 

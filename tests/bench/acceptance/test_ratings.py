@@ -68,14 +68,14 @@ def test_limits_are_shares_until_the_drive_is_known() -> None:
 def test_limits_are_wider_by_a_share_of_the_load_angle() -> None:
     limits = Limits("error", "deg", -2.5, plus=0.1)
     assert str(limits) == "≥ -2.5 deg, wider by 0.1 × load angle"
-    assert limits.resolved({RATED_CURRENT: 8.0}) is limits
+    assert limits.resolved({RATED_CURRENT: 8.0}) is limits  # a drive that does not tell it has them as they are
+    with pytest.raises(ValueError, match="shares of the rated current, or wider by one of the load angle"):
+        Limits("i", "A", hi=1.0, of=RATED_CURRENT, plus=0.1)
     known = limits.resolved({LOAD_ANGLE: 20.0})
     assert (known.lo, known.hi) == (-4.5, None)
     assert known.allow(-4.4)
     assert not known.allow(-4.6)
     assert str(known) == "≥ -4.5 deg (≥ -2.5 deg, wider by 0.1 × load angle)"
-    (missing,) = ratings(PAPER, {}).missing([LOAD_ANGLE, RATED_CURRENT])
-    assert missing == "needs the drive's load angle: by its parameters L_s_hat, psi_f_hat and its rated current"
 
 
 @pytest.mark.parametrize(
