@@ -52,21 +52,21 @@ def diagnose(theta: ArrayLike, hall: NDArray[np.integer[Any]], margin: float = M
     Raises ValueError for unfit samples or codes, for a margin that leaves nothing, and where the rotor was not in all
     six sectors.
     """
-    counts = tally(theta, hall, margin)
-    n = int(counts.sum())
-    return Diagnosis(*explained(counts), n, np.size(theta) - n)
-
-
-def tally(theta: ArrayLike, hall: NDArray[np.integer[Any]], margin: float = MARGIN) -> NDArray[np.int64]:
-    """How many samples in each sector had each code, shape (6, 8); arguments and ValueError as for `diagnose`."""
-    hall = np.asarray(hall)
     (theta,) = checked(theta=theta)
+    hall = np.asarray(hall)
     if hall.shape != theta.shape:
         raise ValueError(f"hall: shape {hall.shape}, but theta has {theta.shape}")
     if not (hall.min() >= 0 and hall.max() <= 7):
         raise ValueError(f"a Hall code is 0..7, got {hall.min()} to {hall.max()}")
     if not 0 <= margin < SECTOR_WIDTH / 2.0:
         raise ValueError(f"margin must be from 0 to below 30 deg, got {math.degrees(margin):g} deg")
+    counts = tally(theta, hall, margin)
+    n = int(counts.sum())
+    return Diagnosis(*explained(counts), n, len(theta) - n)
+
+
+def tally(theta: NDArray[np.float64], hall: NDArray[np.integer[Any]], margin: float = MARGIN) -> NDArray[np.int64]:
+    """How many samples in each sector had each code, shape (6, 8); `theta` finite, codes 0..7, any number of them."""
     clear = np.abs(wrap(theta * SECTORS)) >= margin * SECTORS
     sector = sector_of_angle(theta[clear])
     counts = np.bincount(sector * 8 + hall[clear].astype(np.int64), minlength=SECTORS * 8)

@@ -25,8 +25,9 @@ class Wires:
         self._counts = np.zeros((6, 8), np.int64)
 
     def add(self, theta: NDArray[np.float64], hall: NDArray[np.uint8]) -> None:
-        """Samples: electrical angle, rad, and code."""
-        self._counts += tally(theta, hall)
+        """Samples: electrical angle, rad, and code. One that is not finite, or no code, tells nothing of the wires."""
+        told = np.isfinite(theta) & (hall < 8)
+        self._counts += tally(theta[told], hall[told])
 
     def finding(self) -> str:
         """The wiring, where it is a known fault; else empty."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bench.analysis.wiring import diagnose
+from bench.live.causes import Wires
 
 Floats = NDArray[np.float64]
 Levels = NDArray[np.bool_]
@@ -131,3 +132,14 @@ def test_unfit_input_is_refused() -> None:
         diagnose(np.where(np.arange(3001) == 5, math.nan, theta), hall)
     with pytest.raises(ValueError, match="below 30 deg, got 30 deg"):
         diagnose(theta, hall, margin=math.radians(30.0))
+
+
+def test_a_run_names_the_wires_whatever_pieces_it_came_in() -> None:
+    """Slow links deliver single samples, and a float angle may be none."""
+    theta = turning()
+    hall = read(theta, WIRINGS["sensors b and c exchanged"])
+    theta[::97] = math.nan
+    wires = Wires()
+    for piece in (slice(0, 1), slice(1, 2), slice(2, 2), slice(2, None)):
+        wires.add(theta[piece], hall[piece])
+    assert "sensors b and c exchanged" in wires.finding()
