@@ -8,8 +8,8 @@
         rig.wait(0.5)
         run = rig.record(2.0)                               # a Capture
     print(run["i_q"].mean(), run.units["i_q"])
-    again = bench.estimate(run, "learned_edges")
-    print(bench.score(again).pooled["replayed_le"]["moving"]["rms"], "deg")
+    again = bench.estimate(run, "edge_kalman")
+    print(bench.score(again).pooled["replayed_ek"]["moving"]["rms"], "deg")
 
 `docs/notebook.md` tells the rest. Importing this package opens nothing and loads next to nothing.
 """
@@ -72,7 +72,7 @@ def connect(
             simulated drive in virtual time. None: $BENCH_TARGET, what bench.toml says, or `sim`.
         yes: the shaft is clear: a physical drive may be energised. Without it somebody is asked at the first set point.
         limits: the most that will be asked for, r/min and A; the drive's own `i_max` is lowered to it meanwhile.
-        channels: names of channels to stream, as `--channels`, such as "+theta_le"; None: all but those on request and
+        channels: names of channels to stream, as `--channels`, such as "+theta_ek"; None: all but those on request and
             the plant's own.
         save: an .rrd to record to; `overwrite` replaces one that is there.
         viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`; its address is printed.

@@ -32,7 +32,7 @@ MOTORS = {"": "the paper's motor", "anaheim-bly172s-24v": "Anaheim BLY172S", "ma
 SPEEDS = (0.03, 0.1, 0.33, 0.9)  # of the largest
 LOADS = (0.125, 0.5)  # of the largest current
 LESSONS = ((0.33, 0.06, 1.0), (0.33, 0.5, 0.7), (0.33, 1.0, 0.7), (0.33, 0.12, 0.6))
-"""For the learned edges: speed and current as shares, s."""
+"""For the observer that learns: speed and current as shares, s."""
 WARM_UP = 60.0  # s at the largest current, where something gets warm
 SEEDS = (1, 2)
 SETTLING = 0.25  # s

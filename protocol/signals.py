@@ -147,7 +147,7 @@ class AngleSource(IntEnum):
     HALL_VECTOR_DECOUPLED = 7
     PROGRAMMABLE_FILTER = 8
     VECTOR_TRACKING_Q15 = 9
-    LEARNED_EDGES = 10
+    EDGE_KALMAN = 10
 
 
 SOURCE_NAMES = {source.name.lower().replace("_", "-"): source for source in AngleSource}
@@ -163,7 +163,7 @@ SHORT = {
     AngleSource.HALL_VECTOR_DECOUPLED: "hvd",
     AngleSource.PROGRAMMABLE_FILTER: "plf",
     AngleSource.VECTOR_TRACKING_Q15: "q15",
-    AngleSource.LEARNED_EDGES: "le",
+    AngleSource.EDGE_KALMAN: "ek",
 }
 """What channels call an angle source: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
 
@@ -246,15 +246,23 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     *estimate_channels(35, "hvd", "the same, harmonics decoupled [17]"),
     *estimate_channels(37, "plf", "rotor flux by the programmable filter [18]"),
     *estimate_channels(39, "q15", "vector tracking in 16-bit integers"),
-    *estimate_channels(41, "le", "back-EMF and learned Hall edges"),
+    *estimate_channels(41, "ek", "Kalman filter on Hall edges and back-EMF"),
     _channel(
         43,
-        "sensors_le",
+        "sensors_ek",
         Unit.NONE,
         1.0,
-        "Hall sensors by the learned edges: bits 0-2 a, b, c not believed, bits 3-5 moved",
+        "Hall sensors by the Kalman filter: bits 0-2 a, b, c not believed, bits 3-5 moved",
         Flag.ON_REQUEST,
         RawType.U8,
+    ),
+    _channel(
+        44,
+        "sigma_ek",
+        Unit.RAD,
+        ANGLE,
+        "standard deviation of theta_ek as its filter has it",
+        Flag.ON_REQUEST,
     ),
 )
 
@@ -310,7 +318,7 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     *_by_sector(136, "edge_down", "edge, passed downwards: ideal minus actual angle, opening sector"),
     Parameter(142, "J_hat", Unit.KGM2, 1e-8, 10.0, _P, "inertia of the whole shaft that the firmware assumes"),
     Parameter(143, "bw_hall_vector", Unit.HZ, 0.0, 1e3, _P, "bandwidth of the observers on the Hall vector"),
-    Parameter(144, "learn_edges", Unit.NONE, 0, 1, _PW, "learned-edge observer: 0 hold, 1 learn"),
+    Parameter(144, "learn_edges", Unit.NONE, 0, 1, _PW, "Kalman filter on Hall edges: 0 hold what it learned, 1 learn"),
     Parameter(145, "i_trip", Unit.A, 0.0, 1e3, _P, "phase current above which the outputs go off: OVERCURRENT"),
     Parameter(146, "omega_m_trip", Unit.RAD_PER_S, 0.0, 1e4, _P, "mechanical speed above which they do: OVERSPEED"),
     Parameter(147, "u_dc_min", Unit.V, 0.0, 1e3, _P, "DC link voltage below which they do: UNDERVOLTAGE"),

@@ -43,7 +43,7 @@ SLOW = (
     "bench/test_node.py", "bench/test_notebook_page.py", "bench/test_output.py", "bench/test_parity.py",
     "bench/test_prompt.py", "bench/test_replay.py", "bench/test_score.py", "protocol/canmap/test_can_fuzz.py",
     "protocol/canmap/test_can_streams.py", "protocol/links/test_can_link.py", "protocol/test_lying_device.py",
-    "sim/drive/test_learned_edges_in_the_loop.py", "sim/drive/test_tick_protection.py",
+    "sim/drive/test_edge_kalman_in_the_loop.py", "sim/drive/test_tick_protection.py",
     "sim/observers/test_vector_tracking_q15.py",
 )  # fmt: skip
 """What the quick tier leaves out: `pytest -n 2 -m "not slow"`."""

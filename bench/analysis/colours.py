@@ -49,7 +49,7 @@ OBSERVERS = {
     "hvd": Look("#f898c8", "#b03870", ">", "--"),  # pink
     "plf": Look("#188890", "#30a0b8", "X"),  # teal
     "q15": Look("#c8c0ff", "#4828a8", "x", ":"),  # lavender, indigo
-    "le": Look("#98d8b0", "#185038", "D"),  # green
+    "ek": Look("#98d8b0", "#185038", "D"),  # green
 }
 """By the short name in their channels, `theta_vt` and `omega_vt`; with the encoder and the simulated plant's truth."""
 _REFERENCE = Look("#f0e008", "#586800")  # yellow

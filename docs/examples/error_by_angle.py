@@ -15,7 +15,7 @@ OBSERVERS = {
     "sector_centre": "theta_sc",
     "average_speed": "theta_avg",
     "vector_tracking": "theta_vt",
-    "learned_edges": "theta_le",
+    "edge_kalman": "theta_ek",
 }  # by name: the channel of its angle
 BINS = np.arange(0, 361, 3)  # electrical degrees
 

@@ -59,7 +59,7 @@ def draw(paths: Mapping[str, Path], seen: Seen, numbers: Mapping[str, Any], fold
         "vector_tracking": lambda ax: _vector_tracking(ax, numbers),
         "load_angle": lambda ax: _load(ax, numbers),
         "vector_tracking_q15": lambda ax: _rounding(ax, seen),
-        "learned_edges": lambda ax: _learning(ax, Seen(paths["learning"], ("learned_edges",))),
+        "edge_kalman": lambda ax: _learning(ax, Seen(paths["learning"], ("edge_kalman",))),
     }
     for name, weakness in weaknesses.items():
         figure, (left, right) = new_figure(1, 2, height=2.5, share_x=False)
@@ -227,7 +227,7 @@ def _rounding(ax: Axes, seen: Seen) -> None:
 
 def _learning(ax: Axes, seen: Seen) -> None:
     """Error at 50 r/min before the edges are learned and after, over the last mechanical turn of each."""
-    colours = SERIES[1], HUE["learned_edges"]
+    colours = SERIES[1], HUE["edge_kalman"]
     for error, colour, words in zip(learned(seen), colours, ("before", "after"), strict=True):
         turn = error[-round(seen.rate * 60.0 / 50.0) :]
         ax.plot(np.arange(len(turn)) / seen.rate, turn, color=colour, lw=LINE_WIDTH, label=f"{words} learning")

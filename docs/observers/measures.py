@@ -110,8 +110,8 @@ def measured(paths: Mapping[str, Path], seen: Seen) -> dict[str, Any]:
     for share in LUT_SHARES:
         known = {key: share * READ(paths["steady"]).info.parameters[key] for key in table}
         shares[f"{share:g}"] = figures(Seen(paths["steady"], ("lookup_table",), **known).errors["lookup_table"][half])
-    fresh = Seen(paths["steady"], ("lookup_table", "learned_edges"), **nothing)
-    before, after = learned(Seen(paths["learning"], ("learned_edges",)))
+    fresh = Seen(paths["steady"], ("lookup_table", "edge_kalman"), **nothing)
+    before, after = learned(Seen(paths["learning"], ("edge_kalman",)))
     fixed = {str(rpm): _fixed(seen, rpm) for rpm in (50, 500)}
     return {
         "by_speed": {
@@ -145,10 +145,10 @@ def harmonics(seen: Seen, name: str) -> dict[str, float]:
 
 
 def learned(seen: Seen) -> tuple[F64, F64]:
-    """Error of the learned edges at 50 r/min and 4 A before 1000 r/min have taught it the edges, and after."""
+    """Error of the Kalman filter at 50 r/min and 4 A before 1000 r/min have taught it the edges, and after."""
     at = seen.where(50, 4.0)
     fastest = int(np.argmax(seen.rpm))
-    error = seen.errors["learned_edges"]
+    error = seen.errors["edge_kalman"]
     return error[at[at < fastest]], error[at[at > fastest]]
 
 

@@ -16,8 +16,8 @@ arguments, in SI units.
     vector_tracking          position by (3)-(10)
     load_angle               the same with the load-angle compensation (18)-(19)
     vector_tracking_q15      (3)-(10) in 16-bit integers; `c/` has the same in C99
-    learned_edges            past the paper: back-EMF and edges whose places are learned (`edge_learning`,
-                             `voltage_learning`)
+    edge_kalman              past the paper: a Kalman filter on Hall edges and back-EMF, of `covariance`,
+                             `edge_lessons`, `edge_scales`, `hall_levels` and `hall_places`
     hall_edges               the places of the edges among the drive's parameters
     back_emf                 (5) and (6), for the observers and for the drive's protection
     by_front_end             the average-speed estimate, as an observer like the others

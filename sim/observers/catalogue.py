@@ -10,9 +10,9 @@ from importlib.metadata import entry_points
 
 from sim.observers import (
     by_front_end,
+    edge_kalman,
     hall_vector,
     hall_vector_decoupled,
-    learned_edges,
     load_angle,
     lookup_table,
     programmable_filter,
@@ -36,7 +36,7 @@ _ENTRIES = (
     Entry.of(hall_vector_decoupled, "hvd", "[17]: Harke et al. 2008"),
     Entry.of(programmable_filter, "plf", "[18]: Karanayil et al. 2004"),
     Entry.of(vector_tracking_q15, "q15", f"(3)-(10) of {_KIM}, in 16-bit integers"),
-    Entry.of(learned_edges, "le", "docs/learned-edges.md", sensors_le="sensors"),
+    Entry.of(edge_kalman, "ek", "docs/edge-kalman.md", sensors_ek="sensors", sigma_ek="sigma"),
 )
 
 CATALOGUE: dict[str, Entry] = {entry.name: entry for entry in _ENTRIES}

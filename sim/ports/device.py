@@ -23,7 +23,7 @@ from sim.ports.networks import ByteNetwork, Network
 
 FIRMWARE = "hallbench-sim"
 BUILD = f"{__version__}-{source_hash()[:12]}"
-TX_BYTES = 1 << 22  # of a byte link in virtual time: nothing is dropped however long a step
+TX_BYTES = 1 << 23  # of a byte link in virtual time: nothing is dropped however long a step
 PORTION = 0.075  # s that the bench runs at most before its sessions look at the time
 
 

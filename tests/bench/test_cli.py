@@ -49,7 +49,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_observer_of_a_run_may_be_written_either_way() -> None:
     kind = Observer(list(SOURCE_NAMES))
-    assert [kind.convert(name, None, None) for name in ("learned_edges", "learned-edges")] == ["learned-edges"] * 2
+    assert [kind.convert(name, None, None) for name in ("edge_kalman", "edge-kalman")] == ["edge-kalman"] * 2
     with pytest.raises(click.BadParameter, match="is not one of 'encoder'"):
         kind.convert("learned", None, None)
 

@@ -159,7 +159,7 @@ def test_observers_on_the_score_board_differ() -> None:
 
 def test_the_hosts_estimate_has_its_observers_colour_where_the_drives_own_is_not_shown() -> None:
     colours = run_of("replayed by the host").colours
-    assert colours["theta_le_host"] == colours["omega_le_host"] == OBSERVERS["le"].rgb
+    assert colours["theta_ek_host"] == colours["omega_ek_host"] == OBSERVERS["ek"].rgb
     assert colours["theta_vt"] == OBSERVERS["vt"].rgb
     assert colours["theta_vt_host"] == colours["omega_vt_host"] == SPARES[1].rgb
     others = run_of("observers of others").colours

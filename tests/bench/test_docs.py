@@ -112,6 +112,11 @@ def test_the_page_of_the_effects_is_what_its_generator_makes_and_has_all_effects
         assert of["costs"].keys() == effects(load_params()).keys() | {"all of it"}
 
 
+def test_the_page_of_the_kalman_filter_has_the_figures_of_the_last_benchmark() -> None:
+    made = generator_of("make_edge_kalman").page()  # else: python docs/make_edge_kalman.py
+    assert (ROOT / "docs" / "edge-kalman.md").read_text() == made
+
+
 def test_a_run_of_the_effects_gives_the_page_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "docs")
     generator = generator_of("make_effects")
@@ -159,9 +164,9 @@ def test_the_measured_errors_of_the_observers_are_those_that_the_page_computes(
 def test_the_order_of_the_observers_is_the_one_that_the_page_speaks_of() -> None:
     numbers = json.loads((ROOT / "docs" / "observers" / "numbers.json").read_text())
     std = {name: {int(rpm): row["std"] for rpm, row in rows.items()} for name, rows in numbers["by_speed"].items()}
-    without_edges = set(std) - {"lookup_table", "learned_edges", "vector_tracking_q15", "load_angle"}
+    without_edges = set(std) - {"lookup_table", "edge_kalman", "vector_tracking_q15", "load_angle"}
     for rpm in std["vector_tracking"]:
-        assert min(std, key=lambda name: std[name][rpm]) == "lookup_table", rpm
+        assert min(std, key=lambda name: std[name][rpm]) in {"lookup_table", "edge_kalman"}, rpm
         leads = min(without_edges, key=lambda name: std[name][rpm]) == "vector_tracking"
         assert leads == (rpm <= 200), rpm
     swinging = {name for name, row in numbers["in_loop"].items() if "swings" in str(row["words"])}

@@ -72,7 +72,7 @@ def test_error_by_angle(numbers: dict[str, list[float]]) -> None:
     mean = np.sum(high**2 - low**2) / 720
     std = math.sqrt(np.sum(high**3 - low**3) / 1080 - mean**2)
     assert numbers["sector_centre"] == pytest.approx([mean, std], abs=0.25)
-    each = [numbers[name][1] for name in ("sector_centre", "average_speed", "vector_tracking", "learned_edges")]
+    each = [numbers[name][1] for name in ("sector_centre", "average_speed", "vector_tracking", "edge_kalman")]
     assert each == sorted(each, reverse=True)
 
 

@@ -37,7 +37,7 @@ from sim.config.params import load_params
 from tests.bench.acceptance.accepting import SpoiltLink
 
 I_MAX, N_P = 8.0, 6
-NAMES = ("vt", "le", "drive_vt")
+NAMES = ("vt", "ek", "drive_vt")
 ENERGISED = {DriveState.ARMED, DriveState.RUNNING}
 
 
@@ -333,10 +333,10 @@ def test_names_that_the_drive_does_not_have() -> None:
         assert rig.latest("i_q") == pytest.approx(0.0, abs=0.2)
         with pytest.raises(BenchError, match=r"channel 'i_d' is not in the stream"):
             rig.latest("i_d")
-        rig.drive.start("learned_edges")
-        assert rig.drive.parameters["observer"] == SOURCE_NAMES["learned-edges"]
-    with bench.connect("sim", channels="+theta_le") as rig:
-        assert set(rig.record(0.05).names) >= {"theta_le", "theta_vt", "i_a"}
+        rig.drive.start("edge_kalman")
+        assert rig.drive.parameters["observer"] == SOURCE_NAMES["edge-kalman"]
+    with bench.connect("sim", channels="+theta_ek") as rig:
+        assert set(rig.record(0.05).names) >= {"theta_ek", "theta_vt", "i_a"}
 
 
 # -- captures -------------------------------------------------------------------------------------------------------
@@ -444,7 +444,7 @@ def test_what_is_lost_is_told_by_the_capture_and_by_the_recording(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("observer", "short", "settings"),
-    [("vector_tracking", "vt", {"k_p": 900.0}), ("le", "le", {}), ("average-speed", "avg", {})],
+    [("vector_tracking", "vt", {"k_p": 900.0}), ("ek", "ek", {}), ("average-speed", "avg", {})],
 )
 def test_estimates_are_those_of_replay(
     drive_run: Path, tmp_path: Path, observer: str, short: str, settings: dict[str, float]
@@ -498,7 +498,7 @@ def test_scores_are_those_of_the_command(drive_run: Path) -> None:
     printed = CliRunner().invoke(cli, command).stdout
     told = json.loads(printed[printed.index("{\n") :])
     assert list(board.pooled) == list(told["observers"])
-    assert set(board.pooled) == {"vector_tracking", "learned_edges", "drive_vt"}
+    assert set(board.pooled) == {"vector_tracking", "edge_kalman", "drive_vt"}
     assert json.loads(json.dumps(_figures(board.as_json()["observers"]))) == _figures(told["observers"])
     assert _figures(bench.score(str(drive_run), observers=NAMES).pooled) == _figures(board.pooled)
 

@@ -16,7 +16,7 @@ from tests.benchmarks.table import Row
 
 PARTS = {
     "accuracy": "Accuracy: plant against solve_ivp, position errors against the plant",
-    "learned": "Learned edges: position errors against the plant, beside vector tracking",
+    "edges": "Kalman filter on Hall edges: position errors on benches unlike the one it was designed on",
     "fixed_point": "Fixed point: 16 bits beside floating point, same telemetry",
     "decode": "Decode: bytes to numpy columns, CRC checked, one core",
     "sim": "Simulated drive in virtual time, one core",

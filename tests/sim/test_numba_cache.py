@@ -164,7 +164,7 @@ def advance():
 
 params = load_params()
 bench = SimulatedBench(params)
-streamed = tuple(channel for channel in DRIVE_CHANNELS if channel.name in ("theta_vt", "theta_le"))
+streamed = tuple(channel for channel in DRIVE_CHANNELS if channel.name in ("theta_vt", "theta_ek"))
 config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, streamed, 9, tick_hz=20_000_000, pwm_hz=16_000)
 action = {
     "advance": advance,

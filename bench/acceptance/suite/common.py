@@ -29,12 +29,12 @@ Measure = Callable[..., bool]
 Figure = Callable[..., None]
 """What the fixtures `measure` and `figure` give."""
 
-AVERAGE, PROPOSED, LEARNED = "average-speed", "vector-tracking", "learned-edges"
+AVERAGE, PROPOSED, KALMAN = "average-speed", "vector-tracking", "edge-kalman"
 """The paper's two approaches, and what goes past them, as the drive calls them."""
-WORDS = {AVERAGE: "average", PROPOSED: "proposed", LEARNED: "learned"}
+WORDS = {AVERAGE: "average", PROPOSED: "proposed", KALMAN: "Kalman"}
 """The same in names of measurements."""
-THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt", LEARNED: "theta_le"}
-OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt", LEARNED: "omega_le"}
+THETA = {AVERAGE: "theta_avg", PROPOSED: "theta_vt", KALMAN: "theta_ek"}
+OMEGA = {AVERAGE: "omega_avg", PROPOSED: "omega_vt", KALMAN: "omega_ek"}
 
 
 TURNS = ("parameter:n_p", "channel:status", "speed")

@@ -56,7 +56,7 @@ REACH = {
     "hall-vector-decoupled": ("hvd", Reach((3.0, 3.0), (4.0, 4.0), of_ring=True, settling=2.0, than="hv")),
     "programmable-filter": ("plf", BACK_EMF),
     "vector-tracking-q15": ("q15", BACK_EMF),
-    "learned-edges": ("le", Reach((3.75, 3.75), (5.5, 2.0))),
+    "edge-kalman": ("ek", Reach((2.5, 2.5), (1.0, 0.8))),
 }
 """By the name of the angle source, with what channels call it."""
 LITTLE = 1.0  # deg
@@ -104,7 +104,7 @@ def test_observer(
     drive.current(LOAD * rated.current)
     if reach.taught:
         _teach(drive, [_run(drive, load, record, points["slow", way], reach.settling) for way in WAYS])
-    elif short == "le":
+    elif short == "ek":
         share, seconds = LEARNING
         for sign in WAYS.values():
             load.speed(sign * speed_rpm(drive, rated, share) * RPM)

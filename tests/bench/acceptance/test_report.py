@@ -259,7 +259,7 @@ def test_parameters_that_differ_from_their_defaults_come_first(tmp_path: Path) -
     page = written(
         a_run(a_test("test_a", parameters={"k_p": 500.0, "observer": 10.0}), parameters=parameters), tmp_path
     )
-    assert "observer = 10 (learned-edges)" in " ".join(page.text.split())
+    assert "observer = 10 (edge-kalman)" in " ".join(page.text.split())
     assert page.row("gain") == "k_p 1268 rad/s 1000 rad/s changed gain"
     assert page.row("R_s") == "R_s 0.158 ohm 0.158 ohm"
     assert page.text.index("1268") < page.text.index("0.158")

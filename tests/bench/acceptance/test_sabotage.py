@@ -218,11 +218,11 @@ WRONG = {
         ("lookup_table", "omega = hall.omega * (passed / SECTOR_WIDTH)", "omega = hall.omega", {}),
         ["error_std.slow.forwards", "error_std.fast.backwards"],
     ),
-    "learned-edges": (
+    "edge-kalman": (
         (
-            "learned_edges",
-            "Estimate(theta, omega_lpf, edges.sensors",
-            "Estimate(theta + 0.08, omega_lpf, edges.sensors",
+            "edge_kalman",
+            "Estimate(theta, omega_lpf, belief.sensors",
+            "Estimate(theta + 0.08, omega_lpf, belief.sensors",
             {},
         ),
         ["error_mean.fast.forwards", "error_mean.fast.backwards"],

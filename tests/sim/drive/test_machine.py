@@ -29,7 +29,7 @@ def test_same_seed_same_bits_whatever_the_portions(glitches):
     def record(portions, seed):
         bench = Rig(seed, **{"wiring.hall_glitch": glitches})
         bench.enable()
-        bench.set_param("observer", AngleSource.LEARNED_EDGES)  # takes over with sample 1600
+        bench.set_param("observer", AngleSource.EDGE_KALMAN)  # takes over with sample 1600
         bench.setpoint(SetpointMode.SPEED, 100.0)
         runs = [bench.advance(n) for n in portions]
         assert bench.n == sum(portions)

@@ -128,7 +128,7 @@ def test_ticks_and_index_run_over_32_bits_without_a_break() -> None:
     samples, edges = host.samples(), host.edges()
     assert samples.tick[0] == start
     assert (np.diff(samples.tick) == 1250).all()
-    assert edges.tick[0] < 2**32 < edges.tick[-1] <= samples.tick[-1]
+    assert edges.tick[0] < 2**32 < edges.tick[-1] <= samples.tick[-1] + 16 * 1250  # samples wait for a full frame
     settled = slice(len(edges) // 4, None)
     assert np.diff(edges.tick)[settled] == pytest.approx(20e6 / 600.0, rel=0.3)
     assert samples.raw["omega_avg"][8000:] * 0.125 == pytest.approx(600.0, rel=0.3)

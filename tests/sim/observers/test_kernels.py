@@ -27,7 +27,7 @@ from ideal_motor import (
 )
 
 from sim.native import value
-from sim.observers import learned_edges, sample
+from sim.observers import edge_kalman, sample
 from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import DEFAULTS, names
 from sim.observers.hall_edges import EDGES
@@ -163,10 +163,12 @@ def test_the_uncompiled_kernels_agree_bit_for_bit():
 
 
 def test_what_can_be_learned_is_learned_where_the_bits_are_compared():
-    params = learned_edges.make_params(PWM_HZ, own(learned_edges))
-    state, out = run(learned_edges, params, *heard(learning))
-    assert state.edges.learned == 6
-    assert 0.0 not in (state.edges.c, state.voltage.v, state.voltage.R_error)
+    params = edge_kalman.make_params(PWM_HZ, own(edge_kalman))
+    state, out = run(edge_kalman, params, *heard(learning))
+    assert out.learned[-1] == 6
+    lessons = state.lessons
+    for learned in (lessons.common[0], lessons.common[2], *lessons.drop, *lessons.offset, *lessons.gain, *lessons.six):
+        assert learned != 0.0
     assert out.sensors[-1] == 1
 
 
@@ -189,7 +191,8 @@ def test_parameters_that_are_zero_divide_by_nothing(observer, speed):
 def test_a_parameter_that_is_missing_is_named(name):
     """An edge that is not given is an ideal one, a test sine that is not asked for is none."""
     entry = CATALOGUE[name]
-    needed = [parameter for parameter in entry.parameters if parameter not in OPTIONAL]
+    optional = OPTIONAL | ({"J_hat"} if name == "edge_kalman" else set())
+    needed = [parameter for parameter in entry.parameters if parameter not in optional]
     assert entry.missing({}) == tuple(parameter for parameter in needed if parameter not in DEFAULTS)
     for parameter in needed:
         with pytest.raises(TypeError, match=parameter):

@@ -24,18 +24,18 @@ from ideal_motor import (
     table,
 )
 
-from sim.observers import edge_learning, learned_edges
+from sim.observers import edge_kalman, edge_lessons
 
 RANDOM = np.arange(6) * 60.0 - np.random.default_rng(5).uniform(-15, 15, 6)
 
 
 def make(**drive):
-    return learned_edges.make_params(PWM_HZ, own(learned_edges, **drive))
+    return edge_kalman.make_params(PWM_HZ, own(edge_kalman, **drive))
 
 
 def estimate(s, **drive):
     """Last state and all estimates."""
-    return run(learned_edges, make(**drive), samples(s))
+    return run(edge_kalman, make(**drive), samples(s))
 
 
 def errors(s, out, settled=0.5):
@@ -44,7 +44,7 @@ def errors(s, out, settled=0.5):
 
 
 def deltas(state, way=1):
-    return np.degrees([edge_learning.delta(state.edges, b, way) for b in range(6)])
+    return -np.degrees(state.lessons.places.actual[:6] if way > 0 else state.lessons.places.actual[6:])
 
 
 @pytest.mark.parametrize("speed", [30.0, 100.0, 500.0, 1000.0, 3000.0, -30.0, -500.0, -3000.0])
@@ -52,18 +52,15 @@ def test_exact_on_ideal_signals(speed):
     omega = rpm(speed)
     s = signals(constant(omega), 1.0 if abs(speed) >= 100 else 2.5, edges_deg=PAPER_EDGES)
     state, out = estimate(s)
-    # below 80 r/min the edges lead, and nothing is learned of them: that is their misplacement
-    limit = 0.02 if abs(speed) >= 500 else 0.1 if abs(speed) >= 100 else 17.0
+    # one speed and one load: a seventh of the edges' mean misplacement of 1 deg may as well be L_s, saturation, delay
+    limit = 0.25 if abs(speed) >= 100 else 4.5
     assert np.abs(errors(s, out)).max() < limit
     assert out.omega[-1] == pytest.approx(omega, rel=1e-3 if abs(speed) >= 100 else 0.25)
     assert out.unused[-1] == 0
     assert out.sensors[-1] == 0
     if abs(speed) >= 500:
-        assert deltas(state, int(np.sign(speed))) == pytest.approx(TABLE_I, abs=0.05)
+        assert deltas(state, int(np.sign(speed))) == pytest.approx(TABLE_I, abs=0.25)
         assert out.learned[-1] == 6
-    if abs(speed) == 30.0:
-        assert np.abs(errors(s, out)).max() > 3.0
-        assert out.learned[-1] == 0
 
 
 @pytest.mark.parametrize("edges_deg", [PAPER_EDGES, RANDOM], ids=["Table I", "random"])
@@ -72,56 +69,59 @@ def test_learned_with_noise_at_speed_and_used_at_low_speed(edges_deg):
     fast, slow = rpm(1000), rpm(60)
     s = signals(ramp((0, fast), (2, fast), (2.1, slow), (4, slow)), 3.9, edges_deg=edges_deg, noise=0.02)
     state, out = estimate(s)
-    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=0.15)
+    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=0.3)
     assert out.learned[-1] == 6
     late = error_deg(s.theta, out.theta)[int(2.6 / T_S) :]
-    assert 0.01 < late.std() < 0.35
-    assert np.abs(late).max() < 1.2
+    assert 0.01 < late.std() < 0.3
+    assert np.abs(late).max() < 0.8
 
 
 def test_given_edges_are_used_at_once_and_held():
-    s = signals(constant(rpm(40)), 2.0, edges_deg=PAPER_EDGES)
-    _, unknown = estimate(s)
+    s = signals(constant(rpm(40)), 0.5, edges_deg=PAPER_EDGES)
+    _, unknown = estimate(s, learn_edges=0.0)
     state, known = estimate(s, learn_edges=0.0, **table())
-    assert np.abs(errors(s, unknown)).max() > 3.0
-    assert np.abs(errors(s, known)).max() < 0.1
-    assert known.learned[-1] == 12
+    assert np.abs(errors(s, unknown)).max() > 2.0
+    assert np.abs(errors(s, known)).max() < 0.2
     assert deltas(state) == pytest.approx(TABLE_I, abs=1e-9)
 
 
 def test_learning_held_learns_nothing():
     s = signals(constant(rpm(1000)), 1.0, edges_deg=PAPER_EDGES)
     state, out = estimate(s, learn_edges=0.0, R_s_hat=1.3 * R_S)
+    before, _ = run(edge_kalman, make(learn_edges=0.0, R_s_hat=1.3 * R_S), samples(s)[:1])
     assert out.learned[-1] == 0
-    assert deltas(state).tolist() == [0.0] * 6
-    assert (state.voltage.v, state.voltage.R_error, state.edges.c) == (0.0, 0.0, 0.0)
+    assert state.lessons == before.lessons._replace(places=state.lessons.places)
+    assert state.lessons.places == before.lessons.places._replace(pair=state.lessons.places.pair)
 
 
 def test_a_wrong_inductance_is_told_from_the_edges_once_the_load_varies():
-    c = 0.2 * L_S / PSI_F
     n = round(4.0 * PWM_HZ)
     i_q = np.where(np.arange(n) // 8000 % 2 == 0, 1.0, 6.0)
     s = signals(constant(rpm(700)), 4.0, i_q=i_q, edges_deg=PAPER_EDGES, noise=0.02)
     state, out = estimate(s, L_s_hat=1.2 * L_S)
-    assert state.edges.c == pytest.approx(-c, rel=0.1)
-    assert deltas(state) == pytest.approx(TABLE_I, abs=0.3)
-    assert np.abs(errors(s, out, 0.6)).mean() < 0.3
-    alone, steady = estimate(signals(constant(rpm(700)), 1.0, i_q=6.0, edges_deg=PAPER_EDGES), L_s_hat=1.2 * L_S)
-    assert steady.learned[-1] == 6
-    assert deltas(alone) - TABLE_I == pytest.approx(np.degrees(6.0 * c), abs=0.1)  # counts as misplacement
+    scale = make(L_s_hat=1.2 * L_S).scale
+    turned = [edge_lessons.turned(state.lessons, scale, i) for i in (1.0, 6.0)]
+    assert turned[1] - turned[0] == pytest.approx(-0.2 * L_S / PSI_F * 5.0, rel=0.15)
+    assert deltas(state) == pytest.approx(TABLE_I, abs=0.4)
+    assert np.abs(errors(s, out, 0.6)).mean() < 0.4
+    _, steady = estimate(signals(constant(rpm(700)), 1.0, i_q=6.0, edges_deg=PAPER_EDGES), L_s_hat=1.2 * L_S)
+    assert steady.learned[-1] == 6  # of one load: part of it counts as misplacement
 
 
-def test_a_wrong_resistance_is_learned_at_low_speed():
-    s = signals(constant(rpm(100)), 4.0, i_q=6.0, noise=0.02)
+def test_a_wrong_resistance_is_learned_once_the_load_varies():
+    n = round(6.0 * PWM_HZ)
+    i_q = np.where(np.arange(n) // 8000 % 2 == 0, 2.0, 8.0)
+    s = signals(constant(rpm(150)), 6.0, i_q=i_q, noise=0.02)
     state, out = estimate(s, R_s_hat=1.3 * R_S)
-    assert state.voltage.R_error == pytest.approx(-0.3 * R_S, rel=0.1)
-    assert np.abs(errors(s, out)).max() < 1.0
+    assert state.lessons.drop[2] == pytest.approx(-0.3 * R_S, rel=0.25)
+    assert np.abs(errors(s, out)).max() < 0.5
 
 
 def test_a_wrong_flux_linkage_turns_no_angle():
     s = signals(constant(rpm(1000)), 1.0, edges_deg=PAPER_EDGES)
-    for factor in (0.8, 1.2):
-        assert np.abs(errors(s, estimate(s, psi_f_hat=factor * PSI_F)[1])).max() < 0.05
+    right = errors(s, estimate(s)[1]).mean()
+    for factor in (0.9, 1.1):
+        assert np.abs(errors(s, estimate(s, psi_f_hat=factor * PSI_F)[1]) - right).max() < 0.1
 
 
 def dead_time(s, v, i_fade=0.3):
@@ -136,14 +136,13 @@ def dead_time(s, v, i_fade=0.3):
     )
 
 
+@pytest.mark.parametrize("i_fade", [0.1, 0.3, 1.0])
 @pytest.mark.parametrize("v", [0.04, 0.15, -0.04])
-def test_what_the_dead_time_leaves_is_learned(v):
-    s = dead_time(signals(constant(rpm(120)), 4.0, edges_deg=PAPER_EDGES), v)
-    state, out = estimate(s, **table())
-    _, held = estimate(s, learn_edges=0.0, **table())
-    assert state.voltage.v == pytest.approx(v, rel=0.03)
+def test_what_the_dead_time_leaves_costs_little_whatever_its_shape(v, i_fade):
+    s = dead_time(signals(constant(rpm(120)), 4.0, edges_deg=PAPER_EDGES), v, i_fade)
+    _, out = estimate(s, **table())
     assert errors(s, out, 0.75).std() < 0.15
-    assert errors(s, held, 0.75).std() > 5 * errors(s, out, 0.75).std()
+    assert np.abs(errors(s, out, 0.75)).max() < 0.5
 
 
 @pytest.mark.parametrize("speed", [100.0, -1000.0])
@@ -159,7 +158,7 @@ def test_runs_on_with_two_sensors_and_with_one(broken, speed):
     _, out = estimate(s)
     four_turns = round(4 * 2 * np.pi / abs(rpm(speed)) / T_S)
     assert out.sensors[[k, k + four_turns, -1]].tolist() == [0, broken, broken]
-    assert np.abs(error_deg(s.theta, out.theta)[int(1.0 / T_S) :]).max() < (1.2 if speed > 500 else 2.0)
+    assert np.abs(error_deg(s.theta, out.theta)[int(1.0 / T_S) :]).max() < 0.5
 
 
 def test_a_sensor_that_moves_is_flagged_followed_and_harms_nothing():
@@ -178,8 +177,8 @@ def test_a_sensor_that_moves_is_flagged_followed_and_harms_nothing():
     state, out = estimate(s)
     assert out.sensors[cut] == 0
     assert out.sensors[-1] == 8
-    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - moved, abs=0.2)
-    assert np.abs(error_deg(s.theta, out.theta)[cut - 1000 :]).max() < 1.0
+    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - moved, abs=1.0)
+    assert np.abs(error_deg(s.theta, out.theta)[cut - 1000 :]).max() < 2.0
 
 
 def test_pulses_within_a_period_change_no_bit_and_are_counted():
@@ -210,7 +209,7 @@ def test_a_level_that_is_wrong_for_two_samples_is_an_edge_far_off():
     edge_hall = np.insert(s.edge_hall, at, [codes[k], s.hall[k]])
     _, out = estimate(s._replace(hall=codes, edge_tick=edge_tick, edge_hall=edge_hall))
     assert out.unused[-1] == 2
-    assert np.abs(errors(s, out)).max() < 0.1
+    assert np.abs(errors(s, out)).max() < 0.3
 
 
 def test_without_voltage_the_edges_lead():
@@ -230,28 +229,11 @@ def test_an_observer_that_is_half_a_turn_off_finds_back():
     s = signals(constant(rpm(800)), 1.5, edges_deg=PAPER_EDGES, noise=0.02)
     seen = samples(s)
     cut = PWM_HZ // 2
-    state, _ = run(learned_edges, make(), seen[:cut])
-    turned = state._replace(theta=float((state.theta + 2 * np.pi) % (2 * np.pi) - np.pi))
-    _, out = run(learned_edges, make(), seen[cut:], state=turned)
+    state, _ = run(edge_kalman, make(), seen[:cut])
+    theta, *rest = state.filter.x
+    away = float((theta + 2 * np.pi) % (2 * np.pi) - np.pi)
+    turned = state._replace(filter=state.filter._replace(x=(away, *rest)))
+    _, out = run(edge_kalman, make(), seen[cut:], state=turned)
     error = error_deg(s.theta[cut:], out.theta)
     assert np.abs(error[0]) > 170
     assert np.abs(error[-1600:]).max() < 1.0
-
-
-@pytest.mark.parametrize("psi_error", [0.7, 1.0, 1.4])
-@pytest.mark.parametrize("width", [60.0, 180.0])
-def test_the_loop_is_stable_at_every_speed(psi_error, width):
-    """Spectral radius of the errors from edge to edge: the back-EMF's loop in between, the edge's part at its end.
-
-    The loop on the errors x, y of angle and speed: x' = y - 2 w g x, y' = -w² g x, with g = psi_f / psi_f_hat.
-    """
-    for omega in np.geomspace(5.0, 4000.0, 200):
-        weight = omega**2 / (omega**2 + learned_edges.OMEGA_HALF**2)
-        w = learned_edges.BANDWIDTH * weight
-        g = psi_error
-        dt = np.radians(width) / omega
-        period = np.array([[1.0 - 2 * w * g * T_S, T_S], [-(w**2) * g * T_S, 1.0]])
-        between = np.linalg.matrix_power(period, max(1, round(dt / T_S)))
-        share = (1.0 - weight) ** 2
-        edge = np.array([[1.0 - share, 0.0], [-share / dt, 1.0]])
-        assert np.abs(np.linalg.eigvals(edge @ between)).max() < 0.97

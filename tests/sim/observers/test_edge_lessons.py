@@ -1,0 +1,181 @@
+"""What a turn teaches, from turns that are made here; least squares by numpy as the oracle."""
+
+import numpy as np
+import pytest
+from ideal_motor import TABLE_I
+
+from sim.observers import edge_lessons as el
+from sim.observers.edge_scales import make_scale
+
+DEG = np.pi / 180
+PAPER = {"n_p": 6.0, "omega_m_max": 330.0, "R_s_hat": 0.158, "L_s_hat": 0.176e-3, "psi_f_hat": 6.55e-3}
+SCALE = make_scale(16e3, **PAPER, i_range=20.0, J_hat=2e-4)
+UNKNOWN = (0.0,) * 12
+PLACES = -TABLE_I
+
+
+def times(omega, slope, places_deg, way=1):
+    """When the thirteen edges of two turns up to boundary 0 are met, at a speed that changes evenly."""
+    k = np.arange(-12, 1) * way
+    angle = (60.0 * k + np.asarray(places_deg)[k % 6]) * DEG
+    angle = angle - angle[-1]
+    found = []
+    for at in angle:
+        roots = np.roots([0.5 * slope, omega, -at]) if slope else np.array([at / omega])
+        found.append(float(roots[np.argmin(np.abs(roots - at / omega))].real))
+    return np.array(found)
+
+
+def lessons(omega=600.0, slope=0.0, places_deg=PLACES, way=1, before=None):
+    """Lessons with thirteen edges met, and nothing learned of them."""
+    state = before or el.start(SCALE, UNKNOWN)
+    for gap in np.diff(times(way * omega, slope, places_deg, way)):
+        state = el.met(state, state.places, float(gap))
+    return state
+
+
+def sums(omega, i_q, angle=0.0, e_q=None, sign=1.0, n=1000, **others):
+    """Of a turn at a steady speed whose back-EMF is turned by an angle (rad) beside the edges."""
+    e = SCALE.psi_f * omega if e_q is None else e_q
+    values = {"e_d": -n * e * np.tan(angle), "e_q": n * e, "i_q": n * i_q, "omega": n * omega, "sign": n * sign, "n": n}
+    return el.nothing()._replace(**{name: float(value) for name, value in (values | others).items()})
+
+
+@pytest.mark.parametrize(("slope", "way"), [(0.0, 1), (0.0, -1), (300.0, 1), (-300.0, -1)])
+def test_edges_lie_to_one_another_as_their_times_say(slope, way):
+    """An even change of speed does not count; noise of a tick is what is left."""
+    state = lessons(600.0, slope, way=way)
+    state = el.turn(state, sums(way * 600.0, 0.0), SCALE, way, 0)
+    found = np.degrees(state.places.relative)[:6] if way > 0 else np.degrees(state.places.relative)[6:]
+    assert found == pytest.approx(PLACES - PLACES.mean(), abs=1e-6)
+
+
+def test_nothing_is_learned_of_edges_while_the_speed_changes_much():
+    state = el.turn(lessons(600.0, 9000.0), sums(600.0, 0.0), SCALE, 1, 0)
+    assert set(state.places.visits) == {0.0}
+
+
+def solved(turns):
+    """The common places and what goes with them, by least squares with the same errors and priors."""
+    rows, y, weights = [], [], []
+    for omega, i_q, angle in turns:
+        x = i_q / SCALE.i
+        dark = 1.0 / ((1.0 + 100.0 * x * x) * (1.0 + (omega / SCALE.omega_b) ** 2))
+        volts = (el.EMF_V + el.EMF_DARK * dark) * SCALE.v / (SCALE.psi_f * omega)
+        sigma = np.hypot(volts, el.EMF_A + el.EMF_LOW / (1.0 + 64.0 * x * x))
+        sigma *= np.sqrt(max(1.0, el.APART * omega / (2.0 * np.pi)))
+        rows.append([1.0, 0.0, i_q, x * x * i_q, omega])
+        y.append(angle)
+        weights.append(1.0 / sigma)
+    priors = [6 * DEG, 6 * DEG, el.C_1 / SCALE.i, el.C_3 / SCALE.i, el.LATE]
+    rows = np.vstack([np.array(rows) * np.array(weights)[:, None], np.diag(1.0 / np.array(priors))])
+    return np.linalg.lstsq(rows, np.concatenate([np.array(y) * weights, np.zeros(5)]), rcond=None)[0]
+
+
+def common_of(turns):
+    """The same by turns, one after the other; each edge's place is known, so that the mean of all counts."""
+    state = el.start(SCALE, UNKNOWN)
+    for omega, i_q, angle in turns:
+        state = lessons(omega, places_deg=np.zeros(6), before=state)
+        place = np.mean(state.places.actual[:6])
+        late = state.common[4] * omega
+        state = el.turn(state, sums(omega, i_q, angle - place, off=6.0 * late), SCALE, 1, 0)
+    return np.array(state.common), state
+
+
+def test_the_common_place_is_told_from_load_and_speed_as_by_least_squares():
+    rng = np.random.default_rng(1)
+    turns = []
+    for _ in range(60):
+        omega, i_q = rng.uniform(200, 1800), rng.uniform(0.5, 8.0)
+        angle = 2.0 * DEG + 0.004 * i_q - 0.002 * i_q**3 / 64.0 + 6e-6 * omega
+        turns.append((omega, i_q, angle))
+    found, wanted = common_of(turns)[0], solved(turns)
+    for i_q in (0.5, 4.0, 8.0):  # it leaves out what would tell it little more
+        h = np.array([1.0, 0.0, i_q, i_q**3 / 64.0, 600.0])
+        assert np.degrees(h @ found) == pytest.approx(np.degrees(h @ wanted), abs=0.3)
+    assert np.degrees(found[0]) == pytest.approx(2.0, abs=0.7)
+
+
+def test_one_speed_and_one_load_leave_unsure_what_they_do_not_tell_apart():
+    """The place together with the load is found; each of the two is left as unsure as it was, but for their sum."""
+    _, before = common_of([(600.0, 4.0, 3.0 * DEG)] * 5)
+    often, after = common_of([(600.0, 4.0, 3.0 * DEG)] * 400)
+    for state in (before, after):
+        assert np.sqrt(state.common_P[9]) > 0.5 * el.C_1 / SCALE.i
+    assert often[0] + 4.0 * (often[2] + often[3] / 4.0) + 600.0 * often[4] == pytest.approx(3.0 * DEG, abs=0.05 * DEG)
+    assert abs(often[2]) < el.C_1 / SCALE.i
+    other, _ = common_of([(600.0, 4.0, 3.0 * DEG)] * 400 + [(600.0, 1.0, 0.0)] * 40)
+    assert other[2] != pytest.approx(often[2], rel=0.2)  # another load tells
+
+
+def test_the_drop_along_the_current_is_told_from_the_flux_as_by_least_squares():
+    psi, drop, R = 1.05 * SCALE.psi_f, 0.15, 0.02
+    rng = np.random.default_rng(2)
+    state = el.start(SCALE, UNKNOWN)
+    for _ in range(300):
+        omega, i_q = rng.uniform(50, 1800), rng.uniform(1.0, 8.0)
+        state = lessons(omega, before=state)
+        state = el.turn(state, sums(omega, i_q, e_q=psi * omega + drop + R * i_q), SCALE, 1, 0)
+    assert state.drop == pytest.approx((psi, drop, R), rel=0.03)
+
+
+def test_a_small_current_teaches_nothing_of_the_drop():
+    state = lessons(600.0)
+    assert el.turn(state, sums(600.0, 0.5, e_q=6.0), SCALE, 1, 0).drop == state.drop
+
+
+@pytest.mark.parametrize("omega", [100.0, 1500.0])
+def test_offset_and_gain_of_the_current_sensors_are_found_by_what_they_leave(omega):
+    """e = u - R i - L di/dt with currents that are measured wrongly, straight from the definition."""
+    offset, k, n = 0.05 + 0.02j, 0.01 - 0.02j, 4000
+    theta = np.linspace(0.0, 2 * np.pi, n, endpoint=False)
+    i = 4.0j * np.exp(1j * theta)
+    wrong = offset + k * np.conj(i)  # measured less true
+    slope = k * np.conj(1j * omega * i)
+    left = -(SCALE.R_s * wrong + SCALE.L_s * slope)
+    state = lessons(omega, places_deg=np.zeros(6))
+    for _ in range(600):
+        re, im = el.twice_of(state, SCALE, omega)
+        rest = left - complex(*state.offset) - (re + 1j * im) * np.conj(i)
+        twice = rest * np.exp(1j * theta)
+        fixed = (rest.real.sum(), rest.imag.sum())
+        state = el.turn(
+            lessons(omega, places_deg=np.zeros(6), before=state),
+            sums(omega, 4.0, n=n)._replace(fixed=fixed, twice=(twice.real.sum(), twice.imag.sum())),
+            SCALE,
+            1,
+            0,
+        )
+    assert complex(*state.offset) == pytest.approx(-SCALE.R_s * offset, rel=0.01)
+    assert complex(*state.gain) == pytest.approx(-k, rel=0.01)
+
+
+def test_what_is_left_six_times_a_turn_is_split_by_current_and_speed():
+    """A part that goes with the current, a part that goes with the speed; each predicted where it was not learned."""
+    dead, emf = np.array([0.03, -0.02, 0.01, 0.0]), np.array([0.0, 0.06, -0.03, 0.01])
+    state = el.start(SCALE, UNKNOWN)
+
+    def left(omega):
+        return dead / (1.0 + (omega / SCALE.omega_b) ** 4) + emf * omega / SCALE.omega_b
+
+    for _ in range(200):
+        for omega in (60.0, 1200.0):
+            rest = left(omega) - np.array(el.six_of(state, SCALE, omega, 1.0))
+            six = tuple((1000 * rest).tolist())
+            state = el.turn(lessons(omega, before=state), sums(omega, 4.0)._replace(six=six), SCALE, 1, 0)
+    for omega in (60.0, 1200.0, 1800.0):
+        assert el.six_of(state, SCALE, omega, 1.0) == pytest.approx(left(omega), abs=0.1 * np.abs(left(omega)).max())
+    assert np.abs(el.six_of(state, SCALE, 60.0, -1.0) + dead).max() < 0.02
+
+
+@pytest.mark.parametrize("sensor", range(3))
+def test_a_sensor_that_moves_takes_its_edges_along_and_the_others_stay(sensor):
+    state = el.turn(lessons(600.0), sums(600.0, 2.0), SCALE, 1, 0)
+    moved = el.moved(state, sensor, 5 * DEG)
+    change = np.degrees(np.subtract(moved.places.actual, state.places.actual))
+    assert change.reshape(4, 3) == pytest.approx(np.tile(5.0 * (np.arange(3) == 2 - sensor), (4, 1)))
+    assert np.mean(moved.places.relative[:6]) == pytest.approx(0.0, abs=1e-12)
+    again = np.add(moved.places.relative[:6], moved.common[0])
+    before = np.add(state.places.relative[:6], state.common[0])
+    assert np.degrees(again - before) == pytest.approx(change[:6])

@@ -1,0 +1,85 @@
+"""Which edge was met, and which sensors are believed, against levels made by hand."""
+
+import numpy as np
+import pytest
+from ideal_motor import CODES
+
+from sim.observers import hall_levels as hl
+
+SENSOR = (2, 1, 0, 2, 1, 0)  # that changes at a boundary, by the codes 1, 3, 2, 6, 4, 5
+
+
+def read(belief, codes, turns, way=1):
+    """Levels judged at each boundary, `codes` by sector; also whether the angle was ever said to be wrong."""
+    astray = False
+    for k in range(6 * turns):
+        boundary = (k * way) % 6
+        belief, now = hl.judged(belief, int(codes[boundary if way > 0 else boundary - 1]), boundary, way)
+        astray |= now
+    return belief, astray
+
+
+@pytest.mark.parametrize("boundary", range(6))
+def test_an_edge_leaves_two_boundaries_half_a_turn_apart(boundary):
+    before, after = int(CODES[boundary - 1]), int(CODES[boundary])
+    assert hl.SENSOR_OF_BIT[before ^ after] == SENSOR[boundary] == hl.OWNER[boundary]
+    assert hl.rising(SENSOR[boundary], after) == boundary
+    assert hl.rising(SENSOR[boundary], before) == (boundary + 3) % 6  # the same edge the other way
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("stuck", range(3))
+def test_a_wrong_level_is_not_believed_until_it_has_been_right_for_a_while(stuck, way):
+    belief, _ = read(hl.nothing_against(), CODES, 5, way)
+    assert belief.sensors == 0
+    belief, astray = read(belief, CODES | (1 << stuck), 2, way)
+    assert (belief.sensors, astray) == (1 << stuck, False)
+    assert not hl.believed(belief, stuck)
+    for turns, doubted in ((1, 1 << stuck), (5, 0)):
+        assert read(belief, CODES, turns, way)[0].sensors == doubted
+
+
+def test_levels_that_contradict_everywhere_mean_that_the_angle_is_wrong():
+    belief, astray = read(hl.nothing_against(), CODES ^ 7, 2)
+    assert (belief.sensors, astray) == (0, True)
+
+
+def test_the_next_boundary_is_of_a_sensor_that_is_believed():
+    belief = hl.nothing_against()
+    assert [hl.following(belief, 1, way) for way in (1, -1)] == [2, 0]
+    one, _ = read(belief, CODES | 1, 2)  # sensor a: boundaries 2 and 5
+    assert [hl.following(one, 1, 1), hl.following(one, 0, -1)] == [3, 4]
+    two = one._replace(sensors=3)
+    assert [hl.following(two, 0, 1), hl.following(two, 3, 1)] == [3, 0]
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("sensor", range(3))
+def test_a_sensor_that_moved_is_found_after_six_edges(sensor, side):
+    belief = hl.nothing_against()
+    for k in range(6):
+        for other in set(range(3)) - {sensor}:
+            belief, _ = hl.off_to(belief, other, 0)
+        belief, moved = hl.off_to(belief, sensor, side)
+        assert moved == (k == 5)
+    assert belief.sensors == 8 << sensor
+
+
+def test_all_off_alike_is_the_back_emf_and_no_sensor():
+    belief = hl.nothing_against()
+    for _ in range(20):
+        for sensor in range(3):
+            belief, moved = hl.off_to(belief, sensor, 1)
+            assert not moved
+
+
+def test_now_one_side_now_the_other_is_no_move():
+    belief = hl.nothing_against()
+    for k in range(20):
+        belief, moved = hl.off_to(belief, 1, 1 if k % 2 else -1)
+        assert not moved
+
+
+def test_unprimed_levels_agree_with_the_codes_of_the_specification():
+    assert tuple(CODES) == hl.CODE_OF_SECTOR
+    assert np.unique(CODES).size == 6

@@ -1,0 +1,66 @@
+"""Where edges are said to lie: by boundary, way and pole pair."""
+
+import numpy as np
+import pytest
+
+from sim.observers import hall_places as hp
+
+DEG = np.pi / 180
+
+
+@pytest.fixture
+def places():
+    return hp.start((0.0, 0.1, 0.0, -0.1, 0.0, 0.0) + (0.0,) * 6)
+
+
+def test_what_was_told_is_there_and_surer_than_what_was_not(places):
+    assert hp.angle(places, 1, 1) == pytest.approx(np.pi / 3 + 0.1)
+    assert hp.angle(places, 1, -1) == pytest.approx(np.pi / 3)
+    assert places.variance[1] < places.variance[0] / 100
+
+
+def test_widths_are_between_edges(places):
+    assert hp.width(places, 1, 2, 1) == pytest.approx(np.pi / 3 - 0.1)
+    assert hp.width(places, 2, 1, -1) == pytest.approx(np.pi / 3)
+    assert hp.width(places, 5, 1, 1) == pytest.approx(2 * np.pi / 3 + 0.1)
+
+
+@pytest.mark.parametrize("pairs", [2, 7, 16])
+def test_pole_pairs_are_counted_both_ways_and_over_missing_edges(pairs):
+    """A random walk over boundaries, with edges left out; the oracle counts edges from the start."""
+    rng = np.random.default_rng(3)
+    number, last, last_way = 0, 0, 1
+    places = hp.start((0.0,) * 12)
+    for _ in range(500):
+        way = int(rng.choice([1, -1], p=[0.6, 0.4]))
+        if way == last_way:
+            number += way * int(rng.integers(1, 4))  # the edge that opens sector `number`
+        elif rng.random() < 0.5:
+            number += way * int(rng.integers(1, 3))
+        boundary = number % 6
+        pair = hp.pair_of(places, pairs, last, last_way, boundary, way)
+        assert pair == number // 6 % pairs
+        places = hp.after(places, pair, places.scatter)
+        last, last_way = boundary, way
+
+
+def test_of_one_pole_pair_none_are_told_apart(places):
+    assert hp.pair_of(places, 0, 5, 1, 0, 1) == 0
+
+
+def test_what_one_edge_is_taught_no_other_knows(places):
+    taught = hp.taught(places, 15, 4, 0.02, 0.5)
+    own = np.array(taught.own)
+    assert own.shape == (hp.MOST, 6)
+    assert own[15, 4] == 0.02
+    assert np.count_nonzero(own) == 1
+    assert (taught.turns, taught.relative) == (0.5, places.relative)
+
+
+def test_a_sensor_that_moved_takes_its_four_places_along(places):
+    moved = hp.shifted(places._replace(visits=(50.0,) * 12), 0, 5 * DEG)
+    change = np.subtract(moved.actual, places.actual)
+    assert change == pytest.approx(5 * DEG * np.array([0, 0, 1, 0, 0, 1] * 2))
+    assert np.array(moved.visits).tolist() == [50.0, 50.0, 1.0] * 4
+    far = hp.shifted(places, 2, 2.0)
+    assert max(far.actual) == pytest.approx(hp.FURTHEST)
