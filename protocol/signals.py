@@ -195,6 +195,7 @@ class HallSwap(IntEnum):
 ANGLE = struct.unpack("f", struct.pack("f", math.pi / 32768))[0]  # rad a count: an i16 covers [-pi, pi)
 SPEED = 0.125  # electrical rad/s a count
 MILLI = 1.0 / 1024  # A or V a count
+NANO = 2.0**-30  # s a count
 
 
 def _channel(
@@ -264,6 +265,8 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
         "standard deviation of theta_ek as its filter has it",
         Flag.ON_REQUEST,
     ),
+    _channel(45, "dead_time_left", Unit.S, NANO, "dead time learned by dead_time_learn", Flag.ON_REQUEST),
+    _channel(46, "dead_time_near", Unit.S, NANO, "the same near zero current, beyond it", Flag.ON_REQUEST),
 )
 
 LOAD_CHANNELS: tuple[Signal, ...] = (
@@ -323,6 +326,9 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(146, "omega_m_trip", Unit.RAD_PER_S, 0.0, 1e4, _P, "mechanical speed above which they do: OVERSPEED"),
     Parameter(147, "u_dc_min", Unit.V, 0.0, 1e3, _P, "DC link voltage below which they do: UNDERVOLTAGE"),
     Parameter(148, "u_dc_max", Unit.V, 0.0, 1e3, _P, "DC link voltage above which they do: OVERVOLTAGE"),
+    Parameter(
+        149, "dead_time_learn", Unit.NONE, 0, 1, _PW, "dead time that these two leave: 1 learn and compensate it"
+    ),
 )
 
 LOAD_PARAMETERS: tuple[Parameter, ...] = (

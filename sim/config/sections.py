@@ -300,6 +300,7 @@ class DeadTime(Section):
 
     dead_time_hat: float = _DRIVE["dead_time_hat"]
     dead_time_comp: float = _DRIVE["dead_time_comp"]
+    dead_time_learn: Whole = _DRIVE["dead_time_learn"]
 
 
 class Protection(Section):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from sim.control.transforms import clip
 from sim.numba_cache import kernel
 
 
@@ -49,12 +50,12 @@ def step(params: Params, state: State, omega_m_target: float, omega_m: float) ->
     The integral stands still while the output is at its limit and the error would drive it further.
     """
     change = omega_m_target - state.omega_m_ref
-    change = min(max(change, -params.d_omega_max), params.d_omega_max)
+    change = clip(change, params.d_omega_max)
     omega_m_ref = state.omega_m_ref + change
     error = omega_m_ref - omega_m
     i_q_i = state.i_q_i + params.k_i_T * error
     i_q_ref = params.k_p * error + i_q_i
-    limited = min(max(i_q_ref, -params.i_max), params.i_max)
+    limited = clip(i_q_ref, params.i_max)
     if (i_q_ref - limited) * error > 0.0:
         i_q_i = state.i_q_i
     return State(omega_m_ref, i_q_i), limited

@@ -1,4 +1,4 @@
-"""Frames: stator to rotor and back, stator to phases; amplitude-invariant (`clarke`, `wrap`: sim.observers).
+"""Frames: stator to rotor and back, stator to phases; amplitude-invariant (`clarke`, `wrap`: sim.observers). Limits.
 
 Never integrates and keeps no state.
 """
@@ -28,3 +28,9 @@ def inverse_park(d: float, q: float, cos: float, sin: float) -> tuple[float, flo
 def inverse_clarke(alpha: float, beta: float) -> tuple[float, float, float]:
     """Phases a, b, c of a stator-frame vector; their sum is zero."""
     return alpha, -0.5 * alpha + HALF_SQRT3 * beta, -0.5 * alpha - HALF_SQRT3 * beta
+
+
+@kernel
+def clip(value: float, limit: float) -> float:
+    """`value` within +-`limit`."""
+    return min(max(value, -limit), limit)

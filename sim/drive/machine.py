@@ -364,7 +364,10 @@ def _make(p: BenchParams, drive: Mapping[str, float], load: Mapping[str, float])
         tick_firmware.Params(
             current_loop.make_params(p.clock.pwm_hz, **_some(drive, "bw_current", "R_s_hat", "L_s_hat", "psi_f_hat")),
             speed_loop.make_params(p.clock.pwm_hz, **_some(drive, "k_p_speed", "k_i_speed", "i_max", "alpha_m_max")),
-            dead_time.make_params(p.clock.pwm_hz, **_some(drive, "dead_time_hat", "dead_time_comp", "L_s_hat")),
+            dead_time.make_params(
+                p.clock.pwm_hz,
+                **_some(drive, "dead_time_hat", "dead_time_comp", "dead_time_learn", "L_s_hat", "R_s_hat", "omega_on"),
+            ),
             _protection(p, drive),
             period,
             drive["n_p"],

@@ -130,6 +130,8 @@ class Row(NamedTuple):
     omega_avg: float
     e_alpha: float
     e_beta: float
+    dead_time_left: float
+    dead_time_near: float
     theta_true: float
     omega_true: float
     tau_e_true: float
@@ -524,6 +526,8 @@ def advance(
             seen.hall.omega,
             e_alpha,
             e_beta,
+            firmware.dead_time.left.full,
+            firmware.dead_time.left.near,
             plant.theta_e,
             motor.n_p * plant.omega_m,
             electric.tau,

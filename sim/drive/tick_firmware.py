@@ -93,6 +93,7 @@ class State(NamedTuple):
     omega_h: float  # electrical rad/s, low-pass filtered
     current: current_loop.State
     speed: speed_loop.State
+    dead_time: dead_time.State
     driving: Driving
     protection: protection.State
     faults: int  # latched Fault bits
@@ -121,14 +122,17 @@ def at_rest() -> Driving:
 @kernel
 def init() -> State:
     """The state at boot."""
-    nothing = current_loop.init(), speed_loop.init(0.0, 0.0)
+    nothing = current_loop.init(), speed_loop.init(0.0, 0.0), dead_time.init()
     return State(Angle(ENCODER, 0.0, 0.0), 0.0, *nothing, at_rest(), protection.init(), 0)
 
 
 @kernel
 def silenced(state: State) -> State:
     """The state with the outputs off at once."""
-    return State(state.angle, state.omega_h, state.current, state.speed, at_rest(), state.protection, state.faults)
+    off = at_rest()
+    return State(
+        state.angle, state.omega_h, state.current, state.speed, state.dead_time, off, state.protection, state.faults
+    )
 
 
 @kernel
@@ -152,6 +156,7 @@ def _change_over(
 @kernel
 def _modulate(
     params: Params,
+    left: dead_time.Left,
     u_dc: float,
     u_d: float,
     u_q: float,
@@ -164,11 +169,20 @@ def _modulate(
     u_alpha, u_beta = inverse_park(u_d, u_q, cos, sin)
     u_alpha = quantised(u_alpha, MILLI)
     u_beta = quantised(u_beta, MILLI)
-    d_a, d_b, d_c = modulation.duties(u_alpha, u_beta, u_dc)
+    ideal = modulation.duties(u_alpha, u_beta, u_dc)
     i_alpha, i_beta = inverse_park(i_d, i_q, cos, sin)
-    i_a, i_b, i_c = inverse_clarke(i_alpha, i_beta)
-    d_a, d_b, d_c = dead_time.compensate(params.dead_time, d_a, d_b, d_c, i_a, i_b, i_c)
+    d_a, d_b, d_c = dead_time.compensate(params.dead_time, left, ideal, inverse_clarke(i_alpha, i_beta))
     return Output(1, u_alpha, u_beta, d_a, d_b, d_c)
+
+
+@kernel
+def _learnt(
+    params: dead_time.Params, learned: dead_time.State, u_dc: float, now: Output, seen: Sample, omega: float
+) -> dead_time.State:
+    """What the period that ends at this sample, with `now` in force, taught of the dead time's error."""
+    if now.on == 0 or abs(omega) < dead_time.FROM * params.omega_on:
+        return dead_time.begun(learned.left, seen.i_alpha, seen.i_beta)
+    return dead_time.learnt(params, learned, u_dc, now.u_alpha, now.u_beta, seen.i_alpha, seen.i_beta, omega)
 
 
 @kernel
@@ -193,6 +207,9 @@ def step(
     sin = math.sin(theta)
     i_d, i_q = park(seen.i_alpha, seen.i_beta, cos, sin)
 
+    learned = state.dead_time
+    if params.dead_time.learn != 0:
+        learned = _learnt(params.dead_time, learned, sensed.u_dc, before.now, seen, omega)
     current = state.current
     speed = state.speed
     mode = 0
@@ -221,11 +238,11 @@ def step(
             params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
         cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
-        output = _modulate(params, sensed.u_dc, u_d, u_q, i_d, i_q, cos, sin)
+        output = _modulate(params, learned.left, sensed.u_dc, u_d, u_q, i_d, i_q, cos, sin)
         now = before.next
     else:
         current = current_loop.init()
         speed = speed_loop.init(0.0, 0.0)
         now = output
     driving = Driving(mode, i_d_ref, i_q_ref, quantised(i_q, params.ampere), i_q_back, now, output)
-    return State(angle, omega_h, current, speed, driving, protected, faults), Result(i_d, i_q, omega_ref)
+    return State(angle, omega_h, current, speed, learned, driving, protected, faults), Result(i_d, i_q, omega_ref)

@@ -58,6 +58,8 @@ C_3 = 0.081  # rad at i: of saturation
 LATE = 5e-6  # s: of tau
 LITTLE = 0.1  # of i: below it nothing is learned of the drop
 PSI_OFF = 0.15  # of psi_f, rms at first
+PSI_MOST = 0.5  # of psi_f, that it is off at most
+FAR = 4.0  # sigma, beyond which drop and dR are no longer what they were
 DROP = 2.3  # of v
 R_OFF = 0.5  # of R_s
 DROP_V = 0.03  # of v: error of the turn's e_q
@@ -402,6 +404,16 @@ def _placed(places: Places, common: Five, common_P: Symmetric, ways: int) -> Pla
 
 
 @kernel
+def _across(P: Six, omega: float, sign: float, i_q: float) -> Three:
+    """P times what a turn sees of psi, drop and dR."""
+    return (
+        P[0] * omega + P[1] * sign + P[2] * i_q,
+        P[1] * omega + P[3] * sign + P[4] * i_q,
+        P[2] * omega + P[4] * sign + P[5] * i_q,
+    )
+
+
+@kernel
 def _dropped(
     lessons: Lessons, scale: Scale, omega: float, sign: float, i_q: float, e_q: float, seconds: float
 ) -> tuple[Three, Six]:
@@ -410,16 +422,20 @@ def _dropped(
     low = DROP_LOW / (1.0 + 64.0 * x * x)
     sigma = (DROP_V + low) * scale.v + DROP_PSI * lessons.drop[0] * abs(omega)
     P = lessons.drop_P
-    g0 = P[0] * omega + P[1] * sign + P[2] * i_q
-    g1 = P[1] * omega + P[3] * sign + P[4] * i_q
-    g2 = P[2] * omega + P[4] * sign + P[5] * i_q
     a, b, c = lessons.drop
+    off = e_q - omega * a - sign * b - i_q * c
+    g0, g1, g2 = _across(P, omega, sign, i_q)
     unsure = omega * g0 + sign * g1 + i_q * g2
+    if off * off > FAR * FAR * (unsure + sigma * sigma):
+        P = (P[0], 0.0, 0.0, (DROP * scale.v) ** 2, 0.0, (R_OFF * scale.R_s) ** 2)
+        g0, g1, g2 = _across(P, omega, sign, i_q)
+        unsure = omega * g0 + sign * g1 + i_q * g2
     if unsure < ENOUGH * sigma * sigma:
         return lessons.drop, P
     s = 1.0 / (unsure + sigma * sigma)
-    y = s * (e_q - omega * a - sign * b - i_q * c)
-    return (a + g0 * y, b + g1 * y, c + g2 * y), (
+    y = s * off
+    psi = scale.psi_f + clip(a + g0 * y - scale.psi_f, PSI_MOST * scale.psi_f)
+    return (psi, b + g1 * y, c + g2 * y), (
         P[0] - s * g0 * g0 + (PSI_DRIFT * a) ** 2 * seconds,
         P[1] - s * g0 * g1,
         P[2] - s * g0 * g2,

@@ -3,11 +3,23 @@ import pytest
 
 from sim.control import dead_time
 
-PARAMS = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=1.0, L_s_hat=0.176e-3)
+T_S = 1 / 16_000
+NOTHING = dead_time.Left(0.0, 0.0)
+
+
+def made(**other):
+    given = {"dead_time_hat": 1e-6, "dead_time_comp": 1.0, "dead_time_learn": 0.0, "R_s_hat": 0.158} | {
+        "L_s_hat": 0.176e-3,
+        "omega_on": 20.0,
+    }
+    return dead_time.make_params(1 / T_S, **{**given, **other})
+
+
+PARAMS = made()
 
 
 def added(current, params=PARAMS):
-    return dead_time.compensate(params, 0.5, 0.5, 0.5, current, -current, 0.0)
+    return dead_time.compensate(params, NOTHING, (0.5, 0.5, 0.5), (current, -current, 0.0))
 
 
 def test_full_current_gets_back_what_the_dead_time_takes():
@@ -27,19 +39,93 @@ def test_it_fades_smoothly_through_zero_current():
 
 
 def test_the_share_scales_and_zero_switches_it_off():
-    part = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.9, L_s_hat=0.176e-3)
-    none = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=0.0, L_s_hat=0.176e-3)
+    part = made(dead_time_comp=0.9)
+    none = made(dead_time_comp=0.0)
     assert added(4.0, part)[0] - 0.5 == pytest.approx(0.9 * (added(4.0)[0] - 0.5))
     assert added(4.0, none) == (0.5, 0.5, 0.5)
 
 
 def test_duties_stay_within_0_and_1():
-    assert dead_time.compensate(PARAMS, 0.999, 0.001, 0.5, 5.0, -5.0, 0.0) == (1.0, 0.0, 0.5)
+    assert dead_time.compensate(PARAMS, NOTHING, (0.999, 0.001, 0.5), (5.0, -5.0, 0.0)) == (1.0, 0.0, 0.5)
 
 
 def test_it_fades_where_the_ripple_does():
     """Twice the inductance, half the ripple, half the current."""
-    smooth = dead_time.make_params(16_000, dead_time_hat=1e-6, dead_time_comp=1.0, L_s_hat=0.352e-3)
+    smooth = made(L_s_hat=0.352e-3)
     assert added(0.05, smooth)[0] == pytest.approx(added(0.1)[0])
     assert added(0.15, smooth)[0] == pytest.approx(added(4.0)[0])
     assert added(0.15)[0] < added(4.0)[0]
+
+
+def learned(omegas, *, amps=4.0, error=0.2, at=0.3, **other):
+    """What is left after periods at these speeds, of a motor whose legs lose `error` V beyond a current of `at` A.
+
+    The voltage is the motor's equation, written down, less what has been learned and is given back; in us.
+    """
+    params = made(dead_time_learn=1.0, **other)
+    theta = np.concatenate([[0.0], np.cumsum(omegas) * T_S])
+    i = 1j * amps * np.exp(1j * theta)
+    turn = np.exp(2j * np.pi / 3)
+    mean = 0.5 * (i[1:] + i[:-1])
+    phases = [(mean * turn**-k).real for k in range(3)]
+
+    def fading(at):
+        return 2 / 3 * sum(np.clip(phase / at, -1, 1) * turn**k for k, phase in enumerate(phases))
+
+    full = fading(0.3)
+    near = fading(0.05) - full
+    emf = 1j * omegas * 6.55e-3 * np.exp(0.5j * (theta[1:] + theta[:-1]))
+    u = 0.158 * mean + 0.176e-3 * np.diff(i) / T_S + emf + error * fading(at)
+    state = dead_time.begun(NOTHING, i[0].real, i[0].imag)
+    for k, omega in enumerate(omegas):
+        now = u[k] - 24.0 / T_S * (state.left.full * full[k] + state.left.near * near[k])
+        state = dead_time.learnt(params, state, 24.0, now.real, now.imag, i[k + 1].real, i[k + 1].imag, omega)
+    return 1e6 * state.left.full, 1e6 * state.left.near
+
+
+STEADY = np.full(64_000, 80.0)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_is_left_is_learned(way):
+    """0.2 V of 24 V, in periods of 62.5 us, are 0.52 us."""
+    full, near = learned(way * STEADY)
+    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.05)
+    assert abs(near) < 0.04
+
+
+def test_a_compensation_that_gives_too_much_is_taken_back():
+    assert learned(STEADY, error=-0.1)[0] == pytest.approx(-0.1 / 24 * 62.5, rel=0.05)
+
+
+def test_an_error_that_is_there_near_zero_current_has_its_own_shape():
+    """Saturated at a sixth of the current where the compensation has faded in."""
+    full, near = learned(STEADY, at=0.05)
+    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.1)
+    assert 0.2 < near < 0.2 / 24 * 62.5
+
+
+@pytest.mark.parametrize("wrong", [{"R_s_hat": 0.25}, {"L_s_hat": 0.21e-3}])
+def test_wrong_parameters_turn_with_the_rotor_and_are_not_taken_for_it(wrong):
+    assert learned(STEADY, **wrong)[0] == pytest.approx(0.2 / 24 * 62.5, rel=0.1)
+
+
+def test_a_speed_that_changes_teaches_nothing():
+    swing = 80.0 + 25.0 * np.sin(np.arange(64_000) * T_S * 9.0)
+    full, near = learned(swing)
+    assert abs(full) < 0.05
+    assert abs(near) < 0.05
+
+
+def test_a_motor_without_the_error_learns_none():
+    full, near = learned(STEADY, error=0.0)
+    assert abs(full) < 1e-3
+    assert abs(near) < 1e-3
+
+
+def test_what_was_learned_is_given_back():
+    params = made(dead_time_comp=0.0, dead_time_learn=1.0)
+    given = dead_time.compensate(params, dead_time.Left(1e-6, 0.0), (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
+    assert given == pytest.approx(added(4.0))
+    off = dead_time.compensate(made(), dead_time.Left(1e-6, 1e-6), (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
+    assert off == added(4.0)

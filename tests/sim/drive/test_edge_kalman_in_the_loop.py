@@ -132,3 +132,15 @@ def test_wrong_parameters_leave_it_better_than_the_papers_observer_with_true_one
         for point, figures in mine.items():
             assert figures.own.std < papers[point].other.std, (seed, point)
             assert figures.own.largest < papers[point].other.largest, (seed, point)
+
+
+def test_a_voltage_drop_that_is_taken_away_bit_by_bit_is_forgotten():
+    """As where a drive learns its dead time: what was learned of it at one load does not hold at another any more."""
+    bench = Proving("edge_kalman", load_params(None), 47, {"dead_time_comp": 0.0})
+    bench.forced(100, 4, 1.5)
+    for share in np.linspace(0.0, 0.9, 31):
+        bench.set_param("dead_time_comp", share)
+        bench.forced(150, 8, 0.05)
+    bench.forced(200, 2, 0.3)
+    assert bench.figures(bench.forced(200, 2, 0.7)).largest < 4.0
+    assert bench.figures(bench.forced(500, 2, 0.7)).largest < 8.0
