@@ -6,7 +6,7 @@ worst of them. `OBSERVER` puts another one in its place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bench.device.simulator import motors
 from protocol.signals import AngleSource
 from tests.benchmarks.replay import PWM_HZ, Run
 from tests.benchmarks.table import Row, cost
+from tests.sim.observers.counting import ARITHMETIC, Counted
 from tests.sim.observers.proving import (
     ALTERED,
     SLOW,
@@ -41,6 +42,7 @@ REACH = {
 }
 SLICE = 8000  # samples of a timed run: so short that other load on the machine misses some
 REPEAT = 500  # of it
+COUNTED = (100, 1000, 3000)  # r/min: where operations are counted
 
 
 def rows(short: bool) -> Iterator[Row]:
@@ -52,6 +54,7 @@ def rows(short: bool) -> Iterator[Row]:
     yield from _distortion(short)
     yield from _motors(short)
     yield from _cost(short)
+    yield from _count(short)
 
 
 def _pair(what: str, found: Mapping[object, Compared], std: float | None, largest: float | None) -> Iterator[Row]:
@@ -152,3 +155,27 @@ def _cost(short: bool) -> Iterator[Row]:
     other = telemetry.nanoseconds("vector_tracking", repeat)
     yield cost(f"a step of {OBSERVER}", own, "ns")
     yield Row("a step by one of vector tracking", own / other, "x", 3.0, at_most=True)
+
+
+def _count(short: bool) -> Iterator[Row]:
+    """By operations, in float32 on a Cortex-M4, at 4 A and with lessons: the worst of the speeds."""
+    run = Run(AngleSource.VECTOR_TRACKING)
+    for rpm in COUNTED[-1:] if short else COUNTED:
+        run.forced(rpm, 4, 0.3 + 100.0 / rpm)
+        run.forced(rpm, 4, (200 if short else 2000) / PWM_HZ, str(rpm))
+    telemetry = run.telemetry()
+    own, other = (
+        [telemetry.counted(name, part) for part in run.marks.values()] for name in (OBSERVER, "vector_tracking")
+    )
+
+    def ratio(figure: Callable[[Counted], float]) -> float:
+        return float(max(figure(a) / figure(b) for a, b in zip(own, other, strict=True)))
+
+    what = "a step on a Cortex-M4, by count"
+    yield Row(f"{what}: mean, by vector tracking's", ratio(lambda steps: steps.costs().mean()), "x", 3.0, at_most=True)
+    bare = ratio(lambda steps: steps.costs(ARITHMETIC).mean())
+    yield Row(f"{what}: mean of arithmetic operations alone, by vector tracking's", bare, "x")
+    yield Row(f"{what}: largest, by vector tracking's largest", ratio(lambda steps: steps.costs().max()), "x")
+    for whose, found in (("", own), ("vector tracking, ", other)):
+        yield Row(f"{what}: {whose}mean", float(max(steps.costs().mean() for steps in found)), "cycles")
+        yield Row(f"{what}: {whose}largest", float(max(steps.costs().max() for steps in found)), "cycles")

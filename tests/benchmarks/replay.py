@@ -13,6 +13,7 @@ from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import chosen
 from tests.benchmarks.table import Quickest
 from tests.sim.drive.rig import PWM_HZ, SCALE, Recorded, Rig, column
+from tests.sim.observers.counting import Counted, counted
 
 MEASURED = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
 
@@ -33,6 +34,12 @@ class Telemetry(NamedTuple):
     def estimates(self, name: str):
         """What the observer makes of it."""
         return CATALOGUE[name].start(self.params(name)).run(self.samples, self.reset).view(np.recarray)
+
+    def counted(self, name: str, part: slice) -> Counted:
+        """What the observer does at each sample of a part, after all samples before it."""
+        at_work = CATALOGUE[name].start(self.params(name))
+        at_work.run(self.samples[: part.start], self.reset[: part.start])
+        return counted(at_work.entry, at_work.params, at_work.state.first, self.samples[part])
 
     def nanoseconds(self, name: str, repeat: int) -> float:
         """A step of the observer, compiled; the best of so many runs."""
