@@ -267,7 +267,33 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     ),
     _channel(45, "dead_time_left", Unit.S, NANO, "dead time learned by dead_time_learn", Flag.ON_REQUEST),
     _channel(46, "dead_time_near", Unit.S, NANO, "the same near zero current, beyond it", Flag.ON_REQUEST),
+    _channel(
+        47,
+        "lesson_ek",
+        Unit.NONE,
+        1.0,
+        "lesson of the Kalman filter that learned_ek tells: each in turn (see below)",
+        Flag.ON_REQUEST,
+        RawType.U8,
+    ),
+    _channel(
+        48,
+        "learned_ek",
+        Unit.NONE,
+        1.0,
+        "what the Kalman filter has learned that the lesson's parameter should be, in its unit",
+        Flag.ON_REQUEST,
+        RawType.F32,
+    ),
+    _channel(49, "learned_sd_ek", Unit.NONE, 1.0, "standard deviation of it", Flag.ON_REQUEST, RawType.F32),
 )
+
+_SECTORS = range(1, 7)
+LESSONS = (
+    *(f"edge_{way}_{sector}" for way in ("up", "down") for sector in _SECTORS),
+    *("psi_f_hat", "R_s_hat", "L_s_hat"),
+)
+"""Parameters that the Kalman filter on Hall edges learns better values of, by their number in `lesson_ek`."""
 
 LOAD_CHANNELS: tuple[Signal, ...] = (
     _channel(1, "omega_m", Unit.RAD_PER_S, 1.0, "mechanical speed of the shaft", raw=RawType.F32),
@@ -328,6 +354,9 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(148, "u_dc_max", Unit.V, 0.0, 1e3, _P, "DC link voltage above which they do: OVERVOLTAGE"),
     Parameter(
         149, "dead_time_learn", Unit.NONE, 0, 1, _PW, "dead time that these two leave: 1 learn and compensate it"
+    ),
+    Parameter(
+        150, "edge_sd", Unit.RAD, 0.0, 0.5, _P, "standard deviation of edge_up and edge_down, all of a way together"
     ),
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,11 @@ from bench.files import STANDARD_OUTPUT
 if TYPE_CHECKING:
     from bench.cli.output import Progress
     from bench.hall.health import Health
+    from bench.hall.learn import Learnt
     from bench.hall.source import Options, Source
+
+
+WAYS = ("encoder", "filter", "drive")
 
 
 class _SourceType(TargetType):
@@ -101,17 +105,28 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
 
 @command.command("learn")
 @_looking
-@click.option("--write", is_flag=True, help="Set the drive's parameters edge_up_1 … edge_down_6, and read them back.")
+@click.option(
+    "--by",
+    type=click.Choice(WAYS),
+    default="encoder",
+    show_default=True,
+    help="Who says where they lie: the encoder; the Kalman filter of edge-kalman, run here over what was recorded; or "
+    "the drive's own one, by what it has learned so far: nothing turns.",
+)
+@click.option("--motor", is_flag=True, help="With --by filter or drive: psi_f_hat, R_s_hat, L_s_hat too, as learned.")
+@click.option("--write", is_flag=True, help="Set the drive's edge_up_1 … edge_down_6 and edge_sd, and read them back.")
+@click.option("--store", is_flag=True, help="Write, and have the drive keep all its parameters for the next boot.")
 @click.option("--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for a firmware.")
-def learn(source: str, json_file: Path | None, write: bool, out: Path | None, **given: Any) -> None:
-    """Measure where the Hall edges lie, for observers that know them; refused where a check finds a fault.
+def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Path | None, **given: Any) -> None:
+    """Find where the Hall edges lie, for observers that know them; refused where a check finds a fault.
 
     TARGET and RUN are those of bench hall check. Without --write and --out the edges are only shown. A drive keeps what
-    was written until it is switched off.
+    was written until it is switched off, and longer with --store.
 
     \b
     Examples:
       bench hall learn serial:/dev/ttyACM0 --yes --write
+      bench hall learn serial:/dev/ttyACM0 --by filter --speed 1000 --yes --write --store
       bench hall learn run.rrd --out edges.toml
     """
     from bench.cli.output import Progress
@@ -119,7 +134,12 @@ def learn(source: str, json_file: Path | None, write: bool, out: Path | None, **
 
     if out is not None:
         learning.check_out(out)
+    write = write or given["store"]
     options = _options(source, given | {"write": write}, {"--json": json_file, "--out": out})
+    if motor and options.by == "encoder":
+        raise click.UsageError("--motor: an encoder says nothing of the motor: give --by filter or --by drive")
+    if options.passive and options.by == "filter":
+        raise click.UsageError("--passive: with the outputs off the filter sees no voltage: give --by encoder")
     if write and source == "sim":
         raise click.UsageError(
             "--write: the simulated drive ends with this command, and forgets what was written: give --out FILE, "
@@ -129,13 +149,38 @@ def learn(source: str, json_file: Path | None, write: bool, out: Path | None, **
         raise click.UsageError(f"--write needs a drive, and {source} is a recording: give --out FILE")
     say = note if json_file == STANDARD_OUTPUT else echo
     with Progress() as screen, _opened(options, screen) as found:
-        edges = learning.learnt(_show(source, found, json_file, screen))
+        edges = _learnt(source, found, options, motor, json_file, screen)
         if out is not None:
             learning.save(out, edges)
             say(f"edges: {out}")
         if write and found.drive is not None:
-            learning.write(found.drive, edges)
-            say(f"{len(edges.parameters())} parameters written to node {found.drive.number} and read back")
+            say(f"{learning.write(found.drive, edges)} parameters written to node {found.drive.number} and read back")
+        if options.store and found.drive is not None:
+            found.drive.store()
+            say(f"node {found.drive.number} keeps its parameters for the next boot")
+
+
+def _learnt(
+    source: str, found: Source, options: Options, motor: bool, json_file: Path | None, screen: Progress
+) -> Learnt:
+    """What was measured or learned, shown. BenchError where it is not to be used."""
+    from bench.cli.output import pairs, table
+    from bench.hall import learn as learning
+    from bench.hall import lessons
+
+    if options.by == "encoder":
+        return learning.learnt(_show(source, found, json_file, screen))
+    learned = lessons.learned(found.turned.capture, options.by)
+    told = {"lessons": lessons.as_json(learned)}
+    if options.by == "filter":
+        learning.require_no_fault(_show(source, found, json_file, screen, told))
+    elif json_file is not None:
+        write_json(json_file, {"source": source, **told})
+    screen.pause()
+    if json_file != STANDARD_OUTPUT:
+        pairs(f"Lessons of {source}", [["learned by", learned.whose]])
+        table(lessons.HEADERS, lessons.rows(learned))
+    return learning.taught(learned, motor)
 
 
 def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]) -> Options:
@@ -176,8 +221,10 @@ def _opened(options: Options, screen: Progress) -> Iterator[Source]:
         fail(words, code)
 
 
-def _show(source: str, found: Source, json_file: Path | None, screen: Progress) -> Health:
-    """Examine what was recorded; print it, or write it as JSON."""
+def _show(
+    source: str, found: Source, json_file: Path | None, screen: Progress, more: Mapping[str, Any] | None = None
+) -> Health:
+    """Examine what was recorded; print it, or write it as JSON, with `more` in it."""
     from bench.cli.output import pairs, table
     from bench.hall import report
     from bench.hall.health import examine
@@ -187,7 +234,7 @@ def _show(source: str, found: Source, json_file: Path | None, screen: Progress) 
     health = examine(looked_at, found.turned.further)
     screen.pause()
     if json_file is not None:
-        write_json(json_file, report.as_json(health, looked_at, found.turned, source))
+        write_json(json_file, {**report.as_json(health, looked_at, found.turned, source), **(more or {})})
         if json_file == STANDARD_OUTPUT:
             return health
     pairs(f"Hall sensors of {source}", report.fact_rows(health, looked_at, found.turned))

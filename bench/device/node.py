@@ -34,6 +34,7 @@ from protocol.messages import (
     Heartbeat,
     Hello,
     HelloReply,
+    ParamCommit,
     ParamGet,
     ParamReply,
     ParamSet,
@@ -162,6 +163,13 @@ class Node:
                 now = self.parameter(name)
                 raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
+
+    def store(self) -> None:
+        """Have all parameters kept for the next boot. Raises NodeError where it will not."""
+        try:
+            self.client.request(ParamCommit(), self.number, Empty)
+        except Refused as refusal:
+            raise NodeError(f"node {self.number} stored nothing: {refusal}") from None
 
     def _parameter_id(self, name: str) -> int:
         return self._record(self.descriptor.parameters, name, "parameter").id

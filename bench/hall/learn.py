@@ -1,14 +1,16 @@
-"""Hands measured Hall edges to the drive's parameters `edge_up_1` … `edge_down_6`, or to a file, if they are sure.
+"""Hands Hall edges, measured or learned, to the drive's parameters, or to a file, if they are sure.
 
-Refuses, before anything is written, where a check finds a fault, where confidence is too low, and where an edge is
-farther off than the parameters reach. Nothing here energises anything or stores parameters for the next boot.
+`edge_up_1` … `edge_down_6`, and how sure they are, `edge_sd`; what a filter has learned of the motor too, if asked for.
+Refuses, before anything is written, where a check finds a fault, where confidence is too low, and where a value is
+farther off than its parameter reaches. Nothing here energises anything.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from bench.analysis.waveforms.sectors import SECTORS
 from bench.device.node import Node
 from bench.errors import BenchError, NodeError
 from bench.hall.health import Health, Outcome
+from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
 from protocol.errors import HbpError
 from protocol.signals import DRIVE_PARAMETERS
@@ -25,7 +28,14 @@ from sim.observers.hall_edges import EDGES
 
 ENOUGH = math.radians(0.5)
 """rad, the widest half of a 95 % confidence interval with which an edge is learnt: the hysteresis of good sensors."""
-PARAMETERS = {record.name: record for record in DRIVE_PARAMETERS if record.name in EDGES}
+ZERO = math.radians(0.5)
+"""rad, to which the zero of an encoder is known, rms: it is in every edge that the encoder measures."""
+LEARNED = math.radians(2.0)
+"""rad, the largest standard deviation with which an edge is taken from a filter."""
+MOTOR = {"psi_f_hat": 0.02, "R_s_hat": 0.1, "L_s_hat": 0.2}
+"""What a filter learns of the motor, and the largest standard deviation with which it is taken, as a share."""
+NORMAL_95 = 1.96  # standard deviations to the half width of 95 %
+PARAMETERS = {record.name: record for record in DRIVE_PARAMETERS}
 
 
 @dataclass(frozen=True)
@@ -34,18 +44,20 @@ class Learnt:
 
     edge_up: tuple[float, ...]
     edge_down: tuple[float, ...]
+    edge_sd: float
+    """rad, standard deviation of all of a way together."""
+    motor: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the motor, by name."""
 
     def parameters(self) -> dict[str, float]:
         """By the names of the drive's parameters."""
-        return dict(zip(EDGES, self.edge_up + self.edge_down, strict=True))
+        edges = dict(zip(EDGES, self.edge_up + self.edge_down, strict=True))
+        return {**edges, "edge_sd": self.edge_sd, **self.motor}
 
 
 def learnt(health: Health) -> Learnt:
     """The edges of a healthy check. BenchError, with what to do, where they are not to be used."""
-    if health.outcome is Outcome.FAULT:
-        more = f" (and {len(health.findings) - 1} more)" if len(health.findings) > 1 else ""
-        first = health.findings[0]
-        raise BenchError(f"no edges learnt: {first.cause}{more}; {first.advice}; then learn again")
+    require_no_fault(health)
     if health.outcome is Outcome.CANNOT_TELL:
         raise BenchError(f"no edges learnt: {health.missing[0]}")
     widest = health.measured.widest()
@@ -55,20 +67,54 @@ def learnt(health: Health) -> Learnt:
             f"{health.measured.least()} passages), {math.degrees(ENOUGH):g} deg are needed: let the shaft turn longer"
         )
     edges = health.measured.edges
-    result = Learnt(tuple(e.delta(e.up) for e in edges), tuple(e.delta(e.down) for e in edges))
-    for name, value in result.parameters().items():
-        lo, hi = PARAMETERS[name].lo, PARAMETERS[name].hi
+    up, down = tuple(e.delta(e.up) for e in edges), tuple(e.delta(e.down) for e in edges)
+    return _within(Learnt(up, down, math.hypot(ZERO, widest / NORMAL_95)))
+
+
+def require_no_fault(health: Health) -> None:
+    """BenchError, with what to do, where a check found a fault."""
+    if health.outcome is Outcome.FAULT:
+        more = f" (and {len(health.findings) - 1} more)" if len(health.findings) > 1 else ""
+        first = health.findings[0]
+        raise BenchError(f"no edges learnt: {first.cause}{more}; {first.advice}; then learn again")
+
+
+def taught(lessons: Lessons, motor: bool) -> Learnt:
+    """What a filter has learned; of the motor what it is sure of, if asked for. BenchError where it is not sure."""
+    sd = max(lessons.of[name].sd for name in EDGES)
+    if not sd <= LEARNED:
+        raise BenchError(
+            f"no edges learnt: {lessons.whose} knows them to {math.degrees(sd):.1f} deg only (standard deviation), "
+            f"{math.degrees(LEARNED):g} deg are needed: let the shaft turn longer and faster, both ways, with loads"
+        )
+    edges = [lessons.of[name].value for name in EDGES]
+    of_motor = {
+        name: lessons.of[name].value
+        for name, share in MOTOR.items()
+        if motor and name in lessons.of and lessons.of[name].sd <= share * abs(lessons.of[name].value)
+    }
+    return _within(Learnt(tuple(edges[:6]), tuple(edges[6:]), sd, of_motor))
+
+
+def _within(found: Learnt) -> Learnt:
+    """BenchError for what a parameter does not reach."""
+    for name, value in found.parameters().items():
+        lo, hi, unit = PARAMETERS[name].lo, PARAMETERS[name].hi, PARAMETERS[name].unit.symbol
         if not lo <= value <= hi:
-            raise BenchError(f"no edges learnt: {name} = {value:.3f} rad is not in {lo:g}..{hi:g} rad: move the sensor")
-    return result
+            what = "move the sensor" if name in EDGES else "that cannot be"
+            raise BenchError(f"no edges learnt: {name} = {value:.3g} {unit} is not in {lo:g}..{hi:g} {unit}: {what}")
+    return found
 
 
-def write(drive: Node, found: Learnt) -> None:
+def write(drive: Node, found: Learnt) -> int:
     """Set the drive's parameters and read them back; where one is refused, all are put back as they were.
 
-    BenchError for a refusal, and for a value that is not what was written.
+    How many were set: a drive need not have `edge_sd`. BenchError for a refusal, and for a value that is not what was
+    written.
     """
     values = found.parameters()
+    if not drive.has_parameter("edge_sd"):
+        del values["edge_sd"]
     before = {name: drive.parameter(name).value for name in values}
     try:
         for name, value in values.items():
@@ -82,16 +128,22 @@ def write(drive: Node, found: Learnt) -> None:
         except (BenchError, HbpError) as error:
             raise NodeError(f"{error}{not_put_back(before)}") from error
         raise
+    return len(values)
 
 
 def save(path: Path, found: Learnt) -> None:
     """Write a .json by that ending, else a .toml, as the simulated drive's configuration has it. Raises BenchError."""
     if path.suffix == ".json":
-        text = json.dumps({"unit": "rad", "edge_up": found.edge_up, "edge_down": found.edge_down}, indent=1) + "\n"
+        edges = {"unit": "rad", "edge_up": found.edge_up, "edge_down": found.edge_down, "edge_sd": found.edge_sd}
+        text = json.dumps({**edges, **found.motor}, indent=1) + "\n"
     else:
-        rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in vars(found).items()]
+        motor = [f"{name} = {value:.6g}" for name, value in found.motor.items()]
+        ways = {"edge_up": found.edge_up, "edge_down": found.edge_down}
+        rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in ways.items()]
         about = f"# ideal minus actual angle of the {SECTORS} Hall edges, rad, opening sectors I to VI"
-        text = "\n".join(["[firmware.hall_edges]", about, *rows, ""])
+        rows.append(f"edge_sd = {found.edge_sd:.6f} # standard deviation of these, all of a way together")
+        head = ["[firmware]", *motor, ""] if motor else []
+        text = "\n".join([*head, "[firmware.hall_edges]", about, *rows, ""])
     files.write(path, text, f"--out {path}")
 
 

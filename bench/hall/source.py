@@ -15,10 +15,13 @@ from pathlib import Path
 
 from bench.analysis.delays import STATOR
 from bench.device.node import Node
+from bench.errors import BenchError
 from bench.files import check_output
+from bench.hall import lessons
 from bench.hall.passive import watch, watched
 from bench.hall.trace import recorded
 from bench.hall.turning import Turned, Turner
+from bench.observers.estimators import unfit
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import check_limits, require_agreement
 from bench.rig.envelope import Envelope
@@ -50,7 +53,11 @@ class Options:
     save: Path | None = None
     overwrite: bool = False
     write: bool = False
-    """The drive is to be told where its edges lie."""
+    """The drive is to be told where its edges lie,"""
+    store: bool = False
+    """and to keep that for the next boot."""
+    by: str = "encoder"
+    """What says where they lie: `encoder`, `filter` (the host's Kalman filter) or `drive` (its own filter)."""
 
     @property
     def recorded(self) -> bool:
@@ -61,7 +68,15 @@ class Options:
     def needs(self) -> tuple[str, ...]:
         """Applications of `bench.rig.needs` that this is."""
         check = "bench hall check --passive" if self.passive else "bench hall check"
-        return (check, "bench hall learn --write") if self.write else (check,)
+        learn = {"filter": (check, "bench hall learn --by filter"), "drive": ("bench hall learn --by drive",)}
+        write = ("bench hall learn --write",) if self.write else ()
+        store = ("bench hall learn --store",) if self.store else ()
+        return (*learn.get(self.by, (check,)), *write, *store)
+
+    @property
+    def reads(self) -> bool:
+        """Whether the drive is asked what it has learned, and nothing turns."""
+        return self.by == "drive"
 
 
 @dataclass(frozen=True)
@@ -86,7 +101,8 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
     station = read_settings(None)
-    operator, load = options.operator or station.operator, "none" if options.passive else "node"
+    still = options.passive or options.reads
+    operator, load = options.operator or station.operator, "none" if still else "node"
     settings = Settings(station=station.station, operator=operator, config=options.config, load=load)
     plan = Plan(
         lambda: open_target(options.source, settings, "hall"),
@@ -94,19 +110,25 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
         settings,
         Envelope(options.speed_rpm, CURRENT if options.current_a is None else options.current_a),
         virtual=options.source == SIM,
-        passive=options.passive,
+        passive=still,
     )
     recording = Recording(options.save, {"test": "hall"})
     with signals_as_exceptions(), alone_on(options.source):
-        if not options.passive:
+        if not still:
             require_agreement(options.source, settings, lambda _: plan.envelope, options.yes, confirm, options.needs)
         with Rig(plan) as rig:
             rig.require(*options.needs)
+            if options.reads:
+                rig.prepare([lessons.channels(rig)], recording)
+                yield Source(Turned(lessons.read(rig), "not at all"), rig.drive.node)
+                return
             if options.passive:
                 rig.prepare([watched(rig)], recording)
                 yield Source(watch(rig, options.duration, screen.progress), rig.drive.node)
                 return
             rig.prepare(recording=recording, needed=frozenset(STATOR))
+            if options.by == "filter" and rig.samples is not None and (why := unfit(rig.samples)):
+                raise BenchError(f"the Kalman filter cannot be run over this link: {why}")
             check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
             turner = Turner(rig, options.speed_rpm, screen.progress)
             yield Source(turner.spin(), rig.drive.node)

@@ -21,6 +21,7 @@ import numpy as np
 
 from bench.analysis.capture import Capture
 from bench.analysis.units import RPM
+from bench.analysis.waveforms.sectors import SECTORS, sector_of_code
 from bench.errors import BenchError
 from bench.rig.loads import SPEED
 from bench.rig.needs import offers
@@ -38,6 +39,7 @@ ENOUGH = 6.0
 FOLLOWS = 0.4  # share of the way that was asked for, below which the motor does not follow
 RUNAWAY = 1.6  # of the highest speed that was asked for so far, at which a motor is stopped
 GROWS = 1.2  # of the speed that was there when it was told to stand, at which a motor is stopped
+HUNTS = 0.25  # of that speed, below which it as good as stands, and is let go
 COAST = 5.0  # s that a shaft may take to stand when it is let go
 STANDS = 3.0  # electrical rad/s
 SETTLES = 0.35  # s in which a shaft that stands may still creep to a Hall code that trips the drive again
@@ -153,13 +155,22 @@ class Turner:
             self._require_following(first, omega_m)
 
     def _brake(self) -> None:
-        """Down to a stand before the shaft turns the other way; a trip is looked at later."""
+        """Down to a stand before the shaft turns the other way; a trip is looked at later.
+
+        By its Hall sensors a motor may hunt about a stand: it is let go, and starts anew from there.
+        """
         before = self._speed()
         limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
             self._rig.drive.speed(0.0, unless=partial(self._let_go, limit))
         self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
-        if not self._rig.drive.faults and abs(self._speed()) >= STANDS:
+        if self._rig.drive.faults or abs(self._speed()) < STANDS:
+            return
+        if abs(self._speed()) < HUNTS * abs(before):
+            self._running = False
+            self._rig.drive.stop()
+            self._coast()
+        if abs(self._speed()) >= STANDS:
             was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
             raise _NotFollowing(f"told to stand it went from {was:+.0f} to {now:+.0f} r/min and was stopped")
 
@@ -227,14 +238,20 @@ class Turner:
 
 
 def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, float]) -> tuple[float, float]:
-    """Up and down since the device tick `first`: by the encoder; by the Hall edges, both alike, without one."""
+    """Up and down since the device tick `first`: by the encoder, or without one by the Hall edges.
+
+    Edges that do not tell the way, as those of a sensor that is dead, count as half of each.
+    """
     if recorder.newest <= first:
         return 0.0, 0.0
     capture = recorder.capture(first, recorder.newest, parameters)
     try:
         theta = capture.theta
     except BenchError:  # no encoder
-        half = len(capture.edges) / 12.0
-        return half, half
+        before, after = (sector_of_code(codes & 7) for codes in (capture.edges.hall_old, capture.edges.hall_new))
+        steps = np.where((before < 0) | (after < 0), 3, (after - before) % SECTORS)
+        up, down = np.count_nonzero(steps == 1), np.count_nonzero(steps == SECTORS - 1)
+        half = 0.5 * (len(steps) - up - down)
+        return (up + half) / SECTORS, (down + half) / SECTORS
     steps = np.diff(theta[:: max(1, round(capture.rate / LOOKS))])
     return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau

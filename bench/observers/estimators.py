@@ -156,13 +156,17 @@ class Estimators:
 
     All of them share one front end. They are initialised anew with the first sample, where the drive initialises its
     own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
-    lost edges. `restarts` counts these; `kernels` knows what the observers took.
+    lost edges. `restarts` counts these; `kernels` knows what the observers took. Without `follow` they go on where the
+    drive initialises its own.
 
     Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
     without.
     """
 
-    def __init__(self, names: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+    def __init__(
+        self, names: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig, follow: bool = True
+    ) -> None:
+        self._follow = follow
         self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
         self.kernels = _Kernels(self.entries, parameters, stream)
         self._next_index: int | None = None
@@ -182,7 +186,12 @@ class Estimators:
 
     def samples(self, chunk: SampleChunk) -> dict[str, Estimate]:
         """Estimates at the samples of `chunk`, one or more, by observer; what `unfit` says must not hold for it."""
-        reset = _drive_resets(chunk)
+        found = self.records(chunk)
+        return {name: Estimate(estimates["theta"], estimates["omega"]) for name, estimates in found.items()}
+
+    def records(self, chunk: SampleChunk) -> dict[str, Records]:
+        """The same with all that an observer says of itself: records of its own `Estimate`, (n,) each."""
+        reset = _drive_resets(chunk) if self._follow else np.zeros(len(chunk), bool)
         self.restarts["drive"] += int(reset.sum())
         if self._next_index is None:
             self.restarts["start"] += 1
@@ -195,8 +204,7 @@ class Estimators:
         self.restarts["lost_samples"] += len(lost)
         self.restarts["lost_edges"] += len(after)
         reset[lost] = reset[after] = True
-        found = self.kernels.run(chunk, reset)
-        return {name: Estimate(estimates["theta"], estimates["omega"]) for name, estimates in found.items()}
+        return self.kernels.run(chunk, reset)
 
 
 def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[str, ...]:

@@ -25,6 +25,13 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "bench hall learn --write": tuple(
         f"parameter:edge_{way}_{sector}" for way in ("up", "down") for sector in range(1, 7)
     ),
+    "bench hall learn --store": ("feature:COMMIT",),
+    "bench hall learn --by filter": tuple(
+        f"channel:{name}" for name in ("hall", "u_alpha", "u_beta", "i_a", "i_b", "i_c")
+    ),
+    "bench hall learn --by drive": tuple(
+        f"channel:{name}" for name in ("lesson_ek", "learned_ek", "learned_sd_ek", "sensors_ek")
+    ),
 }
 """By application or option. Each need is KIND:NAME or a role:
 

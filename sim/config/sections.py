@@ -244,6 +244,7 @@ class HallEdges(Section):
 
     edge_up: Six[Annotated[float, _DRIVE["edge_up_1"]]]
     edge_down: Six[Annotated[float, _DRIVE["edge_down_1"]]]
+    edge_sd: float = _DRIVE["edge_sd"]
     learn_edges: Whole = _DRIVE["learn_edges"]
 
 

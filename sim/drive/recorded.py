@@ -22,7 +22,7 @@ from sim.observers.hall_speed import Edge
 LOAD_DTYPE = sample_dtype(LOAD_CHANNELS)
 FLAGS = {"on": Status.CORRECTION_ON, "sync": Status.INJECTION_SYNC}
 """What the vector-tracking observer adds to the status: fields of its estimates."""
-_KINDS = {RawType.I16: record.CLIPPED, RawType.U16: record.UNSIGNED, RawType.U8: record.BYTE}
+_KINDS = {RawType.I16: record.CLIPPED, RawType.U16: record.UNSIGNED, RawType.U8: record.BYTE, RawType.F32: record.FLOAT}
 _WORD = 8
 
 
@@ -44,6 +44,8 @@ class Sections:
         """Words of a record of all sections before, by the observer's name; "": that of the loop."""
         self.words = 0
         """Of a period."""
+        self.whole: set[str] = set()
+        """Columns of whole numbers."""
         self._found: dict[str, tuple[int, int, int]] = {}
         self._tables: dict[tuple[int, frozenset[str] | None], _Table] = {}
         self._add("", layout(Row), {name: name for name in Row._fields})
@@ -56,6 +58,8 @@ class Sections:
         for column, field in fields.items():
             place = self.words, kind.fields[field][1] // _WORD, kind.itemsize // _WORD
             self._found.setdefault(column, place)
+            if kind.fields[field][0].kind == "i":
+                self.whole.add(column)
         self.at[name] = self.words
         self.words += kind.itemsize // _WORD
 
@@ -114,7 +118,7 @@ class Recorded:
         """
         section, field, stride = self.sections.where(name)
         here = self.block[section * self.n + field :][: self.n * stride : stride]
-        return here.view(np.int64) if name in _WHOLE else here
+        return here.view(np.int64) if name in self.sections.whole else here
 
     @property
     def rows(self) -> NDArray[np.void]:
@@ -152,6 +156,5 @@ class Recorded:
         return made
 
 
-_WHOLE = ("hall", "status", *FLAGS)
 assert layout(Edge).itemsize == 2 * _WORD
 assert EDGE_RECORD.itemsize == _WORD

@@ -18,8 +18,8 @@ from sim.numba_cache import kernel
 TWO_PI = 2.0 * math.pi
 PER_RAD = 1.0 / ANGLE
 PER_UNIT = 1.0 / MILLI
-TURNS, CLIPPED, UNSIGNED, BYTE, FLAG = range(5)
-"""How a column becomes raw: an angle, a signed or unsigned word that saturates, a byte, a bit of a byte."""
+TURNS, CLIPPED, UNSIGNED, BYTE, FLAG, FLOAT = range(6)
+"""How a column becomes raw: an angle, a signed or unsigned word that saturates, a byte, a bit of a byte, a float32."""
 
 
 class Column(NamedTuple):
@@ -97,6 +97,10 @@ def pack(
                 _put(raw, there, int(floats[here] * column.per_unit))
             elif column.kind == BYTE:
                 raw[there] = np.uint8(words[here] & 0xFF)
+            elif column.kind == FLOAT:
+                bits = int(np.float32(floats[here]).view(np.uint32))
+                _put(raw, there, bits)
+                _put(raw, there + 2, bits >> 16)
             elif words[here] == 1:
                 raw[there] = np.uint8(int(raw[there]) | int(column.per_unit))
             here += column.stride

@@ -26,6 +26,8 @@ GROUP = "hallbench.observers"
 
 _KIM = "Kim et al. 2011, DOI 10.1109/TIE.2010.2098367"
 _VT = {"delta_hat": "delta_hat", "e_alpha": "e_alpha", "e_beta": "e_beta"}
+_EK = {"sensors_ek": "sensors", "sigma_ek": "sigma"}
+_EK |= {"lesson_ek": "lesson", "learned_ek": "learned", "learned_sd_ek": "learned_sd"}
 _ENTRIES = (
     Entry.of(by_front_end, "avg", f"(1)-(2) of {_KIM}; [13], [14]", "average_speed"),
     Entry.of(vector_tracking, "vt", f"(3)-(10) of {_KIM}", **_VT),
@@ -36,7 +38,7 @@ _ENTRIES = (
     Entry.of(hall_vector_decoupled, "hvd", "[17]: Harke et al. 2008"),
     Entry.of(programmable_filter, "plf", "[18]: Karanayil et al. 2004"),
     Entry.of(vector_tracking_q15, "q15", f"(3)-(10) of {_KIM}, in 16-bit integers"),
-    Entry.of(edge_kalman, "ek", "docs/edge-kalman.md", sensors_ek="sensors", sigma_ek="sigma"),
+    Entry.of(edge_kalman, "ek", "docs/edge-kalman.md", **_EK),
 )
 
 CATALOGUE: dict[str, Entry] = {entry.name: entry for entry in _ENTRIES}

@@ -105,6 +105,9 @@ OWN_FROM = 0.5  # omega_b
 SCATTER_SHARE = 0.011
 SCATTER_LEAST = 0.018 * DEG
 SETTLED = 12  # edges running, one way
+COUNT = len(edge_lessons.LESSONS)
+HOLD = 64  # samples that a lesson is told for
+PLACES = 17  # lessons until they come round, the first ones twice: a stream of every n-th sample has all, for usual n
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +124,7 @@ class Settings(HallEdges):
     bw_omega_lpf: float  # Hz
     J_hat: float = 0.0  # kg m2; 0: not known
     learn_edges: float = 1.0  # 0 holds everything that is learned
+    edge_sd: float = hall_places.TOLD  # rad, standard deviation of the edges that are told, all together
 
 
 class Params(NamedTuple):
@@ -135,6 +139,7 @@ class Params(NamedTuple):
     learn: int
     pairs: int  # pole pairs that are told apart, 0: none
     told: Twelve  # places at the start, rad, actual less ideal; 0: not known
+    told_sd: float  # rad, of all of a way together
 
 
 class Filter(NamedTuple):
@@ -188,6 +193,7 @@ class State(NamedTuple):
     sums: Sums
     twice: Two  # by `lessons`, at this speed and current
     six: Four
+    told: int  # samples since the lessons came round
 
 
 class Estimate(NamedTuple):
@@ -196,9 +202,11 @@ class Estimate(NamedTuple):
     theta: float  # electrical rad in [-pi, pi), at the sample
     omega: float  # electrical rad/s, low-pass filtered
     sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved since the start
-    learned: int  # places learned, 0..12
     unused: int  # edges not used so far: pulses, edges far off or of a sensor that is not believed
     sigma: float  # rad, standard deviation of theta as the filter has it
+    lesson: int  # a number in `edge_lessons.LESSONS`, each in turn
+    learned: float  # what was learned that this parameter should be, in its unit
+    learned_sd: float  # standard deviation of that
 
 
 class Emf(NamedTuple):
@@ -228,6 +236,7 @@ def make_params(pwm_hz: float, drive: Settings) -> Params:
         learn=int(drive.learn_edges),
         pairs=pairs if 1 < pairs <= MOST else 0,
         told=cast("Twelve", tuple(-place for place in drive.places())),
+        told_sd=max(float(drive.edge_sd), hall_places.SCATTER),
     )
 
 
@@ -249,6 +258,7 @@ def init() -> State:
         edge_lessons.nothing(),
         (0.0, 0.0),
         (0.0, 0.0, 0.0, 0.0),
+        0,
     )
 
 
@@ -277,10 +287,11 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         state.last,
         Levels(sample.code, -1, 0.0, 0),
         state.belief,
-        edge_lessons.start(scale, params.told),
+        edge_lessons.start(scale, params.told, params.told_sd),
         state.sums,
         state.twice,
         state.six,
+        state.told,
     )
 
 
@@ -611,6 +622,7 @@ def _after(
         sums,
         state.twice,
         state.six,
+        state.told,
     )
 
 
@@ -728,8 +740,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     """One control period."""
     if state.primed == 0:
         state = _primed(params, state, sample)
-        known = _known(state.lessons)
-        return state, Estimate(state.filter.x[0], 0.0, 0, known, 0, ANGLE_START)
+        learned, learned_sd = edge_lessons.lesson(state.lessons, params.scale, 0)
+        return state, Estimate(state.filter.x[0], 0.0, 0, 0, ANGLE_START, 0, learned, learned_sd)
     scale = params.scale
     T_s = scale.T_s
     lessons = state.lessons
@@ -781,6 +793,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     sensor = SENSOR_OF_BIT[before ^ levels.code]
     twice = state.twice
     six = state.six
+    told = (state.told + 1) % (HOLD * PLACES)
     belief = state.belief
     if kalman.since >= EVERY or sensor >= 0:
         kalman, watch = _carried(params, kalman, watch, psi, driven)
@@ -800,6 +813,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
                 sums,
                 twice,
                 six,
+                told,
             )
             state = _edge(params, state, sensor, before, driven)
             kalman, last, belief, lessons, sums = (
@@ -844,11 +858,14 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         sums,
         twice,
         six,
+        told,
     )
     waiting = 1 if levels.pending >= 0 else 0
     sigma = math.sqrt(max(kalman.P[0], 0.0))
-    known = _known(lessons)
-    return state, Estimate(theta, omega_lpf, belief.sensors, known, levels.unused - waiting, sigma)
+    lesson = (told // HOLD) % COUNT
+    learned, learned_sd = edge_lessons.lesson(lessons, scale, lesson)
+    unused = levels.unused - waiting
+    return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, lesson, learned, learned_sd)
 
 
 @kernel
@@ -859,13 +876,3 @@ def _resting(lessons: Lessons, code: int, theta: float, share: float) -> float:
         return theta
     width = hall_places.width(lessons.places, sector, (sector + 1) % 6, 1)
     return wrap(theta + share * wrap(hall_places.angle(lessons.places, sector, 1) + 0.5 * width - theta))
-
-
-@kernel
-def _known(lessons: Lessons) -> int:
-    """Places that were learned."""
-    count = 0
-    for k in range(12):
-        if lessons.places.visits[k] > 0.0:
-            count += 1
-    return count

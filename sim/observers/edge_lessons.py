@@ -20,20 +20,27 @@ Learned once a turn, from sums over it, and only where the turn tells one thing 
 4 and 5 are learned from what the filter leaves of e, and 1 to 3 from nothing that it has corrected but the mean over
 the turn, which `edge_kalman` gives in full: no angle confirms itself.
 
+What was learned is told as better values of the drive's parameters `LESSONS`, each with its standard deviation.
+
 Source: the angle and size of the back-EMF by (3), (5) of Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from sim.numba_cache import kernel
 from sim.observers import covariance, hall_places
 from sim.observers.covariance import Five, Symmetric
 from sim.observers.edge_scales import Scale
+from sim.observers.hall_edges import EDGES
 from sim.observers.hall_places import DEG, Places, Six, Twelve
 from sim.observers.hall_speed import SECTOR_WIDTH
 from sim.observers.transforms import TWO_PI, clip
+
+LESSONS = (*EDGES, "psi_f_hat", "R_s_hat", "L_s_hat")
+"""The drive's parameters that it learns better values of."""
 
 Two = tuple[float, float]
 Three = tuple[float, float, float]
@@ -45,7 +52,7 @@ STEADY = 0.02  # of a turn by which the mean speed may be off where the back-EMF
 ROUGH = 0.1  # the same where what is left of e is looked at
 SLOWEST = 1.0  # omega_v: below it neither edges nor the common place are learned
 VISITS = 200.0  # most that a place's mean reaches back over
-ONE = 0.3 * DEG  # rms of an edge's distance from the others in one turn
+MOVED = 1.0 * DEG  # how much less is known of where all edges lie after a sensor has moved, rms
 DRIFT = 1e-9  # rad2 a turn
 ENOUGH = 0.2  # of an observation's variance: where so little is open, the same again teaches nothing but its noise
 APART = 0.3  # s: turns closer than this are one observation of the common place
@@ -117,7 +124,7 @@ def nothing() -> Sums:
 def unprimed() -> Lessons:
     """Room for what `start` gives."""
     return Lessons(
-        hall_places.start(hall_places.ZERO_12),
+        hall_places.start(hall_places.ZERO_12, 0.0),
         hall_places.ZERO_12,
         (0.0, 0.0, 0.0, 0.0, 0.0),
         covariance.diagonal(0.0, 0.0, 0.0, 0.0, 0.0),
@@ -133,19 +140,31 @@ def unprimed() -> Lessons:
 
 
 @kernel
-def start(scale: Scale, told: Twelve) -> Lessons:
-    """Nothing learned yet; places as they were told."""
+def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
+    """Nothing learned yet; places as they were told, with the standard deviation of all of a way together (rad)."""
     rest = unprimed()
+    up = hall_places.known(told, 0)
+    down = hall_places.known(told, 1)
     common = covariance.diagonal(
-        hall_places.UNKNOWN**2, hall_places.UNKNOWN**2, (C_1 / scale.i) ** 2, (C_3 / scale.i) ** 2, LATE**2
+        sd * sd if up else hall_places.UNKNOWN**2,
+        sd * sd if down else hall_places.UNKNOWN**2,
+        (C_1 / scale.i) ** 2,
+        (C_3 / scale.i) ** 2,
+        LATE**2,
     )
     drop = ((PSI_OFF * scale.psi_f) ** 2, 0.0, 0.0, (DROP * scale.v) ** 2, 0.0, (R_OFF * scale.R_s) ** 2)
     return Lessons(
-        hall_places.start(told),
+        hall_places.start(told, sd),
         rest.gaps,
-        rest.common,
+        (
+            hall_places.mean(told, 0) if up else 0.0,
+            hall_places.mean(told, 1) if down else 0.0,
+            0.0,
+            0.0,
+            0.0,
+        ),
         common,
-        0,
+        (1 if up else 0) | (2 if down else 0),
         (scale.psi_f, 0.0, 0.0),
         drop,
         rest.offset,
@@ -167,6 +186,27 @@ def turned(lessons: Lessons, scale: Scale, i_q: float) -> float:
 def along(lessons: Lessons, scale: Scale, omega: float, i_q: float) -> float:
     """e_q as learned, V."""
     return lessons.drop[0] * omega + lessons.drop[1] * clip(i_q / scale.i_fade, 1.0) + lessons.drop[2] * i_q
+
+
+@kernel
+def lesson(lessons: Lessons, scale: Scale, number: int) -> tuple[float, float]:
+    """Value of the parameter of this number in `LESSONS` as learned, and its standard deviation, in its unit."""
+    psi = lessons.drop[0]
+    if number < 12:
+        value = -lessons.places.actual[number]
+        together = lessons.common_P[0 if number < 6 else 5]
+        variance = lessons.places.variance[number] - min(together, hall_places.TOLD**2) + together
+        variance = min(variance, hall_places.UNKNOWN**2)
+    elif number == 12:
+        value = psi
+        variance = lessons.drop_P[0]
+    elif number == 13:
+        value = scale.R_s + lessons.drop[2]
+        variance = lessons.drop_P[5]
+    else:
+        value = scale.L_s + lessons.common[2] * psi
+        variance = lessons.common_P[9] * psi * psi
+    return value, math.sqrt(max(variance, 0.0))
 
 
 @kernel
@@ -230,11 +270,8 @@ def moved(lessons: Lessons, sensor: int, by: float) -> Lessons:
     """After a sensor has moved `by` (rad): its edges' places, and with them where all lie together."""
     places = hall_places.shifted(lessons.places, sensor, by)
     relative = places.relative
-    up = 0.0
-    down = 0.0
-    for k in range(6):
-        up += relative[k] / 6.0
-        down += relative[k + 6] / 6.0
+    up = hall_places.mean(relative, 0)
+    down = hall_places.mean(relative, 1)
     for k in range(6):
         relative = hall_places.with12(relative, k, relative[k] - up)
         relative = hall_places.with12(relative, k + 6, relative[k + 6] - down)
@@ -252,7 +289,7 @@ def moved(lessons: Lessons, sensor: int, by: float) -> Lessons:
         ),
         lessons.gaps,
         (c[0] + up, c[1] + down, c[2], c[3], c[4]),
-        lessons.common_P,
+        covariance.plus(lessons.common_P, (MOVED**2, MOVED**2, 0.0, 0.0, 0.0)),
         lessons.ways,
         lessons.drop,
         lessons.drop_P,
@@ -381,7 +418,7 @@ def _placed(places: Places, common: Five, common_P: Symmetric, ways: int) -> Pla
         alone = hall_places.UNKNOWN**2
         if places.visits[k] > 0.0:
             relative = places.relative[k]
-            alone = ONE * ONE / places.visits[k]
+            alone = hall_places.ONE**2 / places.visits[k]
         elif places.visits[other] > 0.0:
             relative = places.relative[other]
             alone = hall_places.TOLD**2

@@ -34,7 +34,9 @@ ZEROS = (
 )
 FURTHEST = 30.0 * DEG  # largest misplacement
 UNKNOWN = 6.0 * DEG  # of a place that nobody has said anything of, rms
-TOLD = 0.5 * DEG  # of one that was told, rms; and of one way by the other
+TOLD = 0.5 * DEG  # of one way by the other, rms; and the most that all together count as unsure beside the back-EMF
+ONE = 0.3 * DEG  # of an edge's distance from the others of its way in one turn, rms
+VISITS_TOLD = 4.0  # turns that a place which was told counts as, beside those of the same way
 SCATTER = 0.12 * DEG  # of an edge from one turn of the shaft to the next, rms, at first
 
 
@@ -52,12 +54,39 @@ class Places(NamedTuple):
 
 
 @kernel
-def start(told: Twelve) -> Places:
-    """Nothing learned yet: the places given, rad, 0 meaning that one is not known."""
+def start(told: Twelve, sd: float) -> Places:
+    """Nothing learned yet: the places given, and the standard deviation of all of a way together, rad.
+
+    0 means that a place is not known. Where all of a way are, how they lie to one another is taken as learned.
+    """
+    relative = ZERO_12
+    visits = ZERO_12
     variance = ZERO_12
     for k in range(12):
-        variance = with12(variance, k, UNKNOWN * UNKNOWN if told[k] == 0.0 else TOLD * TOLD)
-    return Places(ZERO_12, ZERO_12, told, variance, 0, ZEROS, 0.0, SCATTER * SCATTER)
+        variance = with12(variance, k, UNKNOWN**2 if told[k] == 0.0 else sd * sd)
+        if known(told, k // 6):
+            relative = with12(relative, k, told[k] - mean(told, k // 6))
+            visits = with12(visits, k, VISITS_TOLD)
+            variance = with12(variance, k, ONE**2 / VISITS_TOLD + min(sd * sd, TOLD**2))
+    return Places(relative, visits, told, variance, 0, ZEROS, 0.0, SCATTER * SCATTER)
+
+
+@kernel
+def known(told: Twelve, way: int) -> bool:
+    """Whether all places upwards (`way` 0) or downwards (1) were told."""
+    count = 0
+    for k in range(6 * way, 6 * way + 6):
+        count += 1 if told[k] != 0.0 else 0
+    return count == 6
+
+
+@kernel
+def mean(places: Twelve, way: int) -> float:
+    """Of those upwards (`way` 0) or downwards (1)."""
+    total = 0.0
+    for k in range(6 * way, 6 * way + 6):
+        total += places[k] / 6.0
+    return total
 
 
 @kernel

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hall_motor import REAL, TABLE_I, capture
-from virtual_run import simulated
+from virtual_run import WatchedLink, simulated
 
 from bench.cli import main
 from bench.device.client import Client
@@ -20,6 +22,7 @@ from bench.errors import BenchError, NodeError
 from bench.hall.health import examine
 from bench.hall.learn import Learnt, learnt, save, write
 from bench.hall.trace import trace
+from protocol.messages import DriveState, Feature, SetpointMode
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
@@ -45,8 +48,9 @@ def test_the_edges_that_the_drive_has_are_in_its_parameters_afterwards(capsys: p
     assert degrees[:6] == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.06)
     assert degrees[6:] == pytest.approx(np.array(TABLE_I) + 0.25, abs=0.06)
     changed = {name for name, value in device.bench.parameters.items() if value != before[name]}
-    assert changed == set(NAMES)
-    assert "12 parameters written to node 1 and read back" in capsys.readouterr().out.splitlines()
+    assert changed == {*NAMES, "edge_sd"}
+    assert math.degrees(device.bench.parameters["edge_sd"]) == pytest.approx(0.5, abs=0.02)
+    assert "13 parameters written to node 1 and read back" in capsys.readouterr().out.splitlines()
 
 
 def test_without_write_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +98,7 @@ def nodes(device: SimulatedDevice) -> tuple[Node, Node]:
     return Node(client, client.connect().node), Node(client, LOAD)
 
 
-SOME = Learnt((0.1, 0.2, 0.3, -0.1, -0.2, -0.3), (0.01, 0.02, 0.03, 0.04, 0.05, 0.06))
+SOME = Learnt((0.1, 0.2, 0.3, -0.1, -0.2, -0.3), (0.01, 0.02, 0.03, 0.04, 0.05, 0.06), 0.02, {"psi_f_hat": 0.007})
 
 
 def test_a_refusal_half_way_puts_back_what_was_there() -> None:
@@ -102,7 +106,7 @@ def test_a_refusal_half_way_puts_back_what_was_there() -> None:
     drive, _ = nodes(device)
     write(drive, SOME)
     assert stored(device) == pytest.approx([*SOME.edge_up, *SOME.edge_down])
-    beyond = Learnt((0.2,) * 6, (0.2, 0.2, 0.6, 0.2, 0.2, 0.2))
+    beyond = Learnt((0.2,) * 6, (0.2, 0.2, 0.6, 0.2, 0.2, 0.2), 0.01)
     with pytest.raises(NodeError, match=r"edge_down_3 must be -0.506..0.506, got 0.6"):
         write(drive, beyond)
     assert stored(device) == pytest.approx([*SOME.edge_up, *SOME.edge_down])
@@ -119,7 +123,9 @@ def test_a_device_without_the_parameters_is_left_alone() -> None:
 
 def test_a_toml_file_is_a_configuration_of_the_simulated_drive(tmp_path: Path) -> None:
     save(tmp_path / "edges.toml", SOME)
-    edges = load_params(tmp_path / "edges.toml").firmware.hall_edges
+    firmware = load_params(tmp_path / "edges.toml").firmware
+    edges = firmware.hall_edges
+    assert (edges.edge_sd, firmware.psi_f_hat) == (0.02, 0.007)
     assert edges.edge_up == pytest.approx(SOME.edge_up)
     assert edges.edge_down == pytest.approx(SOME.edge_down)
 
@@ -127,7 +133,8 @@ def test_a_toml_file_is_a_configuration_of_the_simulated_drive(tmp_path: Path) -
 def test_a_json_file_has_the_same_numbers_with_their_unit(tmp_path: Path) -> None:
     save(tmp_path / "edges.json", SOME)
     data = json.loads((tmp_path / "edges.json").read_text())
-    assert data == {"unit": "rad", "edge_up": list(SOME.edge_up), "edge_down": list(SOME.edge_down)}
+    edges = {"unit": "rad", "edge_up": list(SOME.edge_up), "edge_down": list(SOME.edge_down), "edge_sd": 0.02}
+    assert data == {**edges, "psi_f_hat": 0.007}
 
 
 def test_a_recording_is_learnt_into_a_file(tmp_path: Path) -> None:
@@ -136,3 +143,136 @@ def test_a_recording_is_learnt_into_a_file(tmp_path: Path) -> None:
     main(["hall", "learn", str(run), "--out", str(out)])
     up = json.loads(out.read_text())["edge_up"]
     assert [math.degrees(value) for value in up] == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.06)
+
+
+# -- by a Kalman filter -----------------------------------------------------------------------------------------
+
+
+def test_the_hosts_filter_learns_them_without_an_encoder(capsys: pytest.CaptureFixture[str]) -> None:
+    """The oracle is the plant's own edges; it is no surer than it says."""
+    device = simulated(encoder__present=0)
+    learn(device, "--yes", "--by", "filter", "--speed", "1000", "--write")
+    degrees, sd = np.degrees(stored(device)), math.degrees(device.bench.parameters["edge_sd"])
+    off = degrees - np.concatenate([np.array(TABLE_I) - 0.25, np.array(TABLE_I) + 0.25])
+    assert np.abs(off).max() < min(0.6, 2.0 * sd)
+    assert sd < 2.0
+    out = capsys.readouterr().out
+    assert "13 parameters written to node 1 and read back" in out
+    assert "the host's filter, over what was recorded" in out
+
+
+def test_a_recording_is_learnt_by_the_filter_and_its_lessons_are_in_the_json(tmp_path: Path) -> None:
+    run, out = tmp_path / "run.rrd", tmp_path / "lessons.json"
+    main(["hall", "learn", "sim", "--save", str(run)])
+    main(["hall", "learn", str(run), "--by", "filter", "--json", str(out)])
+    data = json.loads(out.read_text())
+    assert data["outcome"] == "healthy"
+    up = [math.degrees(data["lessons"][name]["value"]) for name in NAMES[:6]]
+    assert up == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.3)
+    assert set(data["lessons"]) == {*NAMES, "psi_f_hat", "R_s_hat", "L_s_hat"}
+
+
+BLIND = {
+    f"firmware__protection__hall_{name}": value
+    for name, value in (("fault_time", 1e3), ("fault_count", 1000), ("turns", 100), ("emf", 1e3))
+}
+"""A drive whose protection does not see its Hall sensors."""
+
+
+def running(observer: int = 10, **settings: float) -> SimulatedDevice:
+    """A drive that has been at work with its filter in control, both ways, at two loads, and is idle again."""
+    device = simulated(firmware__observer=observer, **settings)
+    bench = device.bench
+    for state in (DriveState.ARMED, DriveState.RUNNING):
+        bench.enter_state(state)
+        bench.load_enter_state(state)
+        bench.advance(1)
+    for rpm, amps in ((1000, 1), (1500, 4), (600, 7), (-1000, 2), (-600, 6)):
+        bench.load_setpoint(SetpointMode.SPEED, rpm * math.tau / 60)
+        bench.setpoint(SetpointMode.CURRENT, amps)
+        bench.advance(10_000)
+    bench.enter_state(DriveState.IDLE)
+    bench.load_enter_state(DriveState.IDLE)
+    bench.advance(100)
+    assert not bench.faults
+    return device
+
+
+def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Nothing is energised for it; a new drive begins with it."""
+    store = tmp_path / "parameters.json"
+    device = running()
+    device.drive.app._store = store
+    device.drive.identity = replace(device.drive.identity, features=device.drive.identity.features | Feature.COMMIT)
+    link = WatchedLink(device)
+    with patch("bench.rig.connection.open_link", lambda target: link):
+        main(["hall", "learn", TARGET, "--by", "drive", "--motor", "--store"])
+    assert set(link.states) == {DriveState.IDLE}
+    out = capsys.readouterr().out
+    assert "16 parameters written to node 1 and read back" in out
+    assert "node 1 keeps its parameters for the next boot" in out
+    truth = np.concatenate([np.array(TABLE_I) - 0.25, np.array(TABLE_I) + 0.25])
+    again = SimulatedDevice(load_params(None), 1, store=store)
+    assert np.degrees(stored(again)) == pytest.approx(truth, abs=0.3)
+    assert 0.2 < math.degrees(again.bench.parameters["edge_sd"]) < 2.0
+    for name, true in (("psi_f_hat", 6.55e-3), ("R_s_hat", 0.158), ("L_s_hat", 0.176e-3)):
+        assert again.bench.parameters[name] == pytest.approx(true, rel=0.03)
+        assert again.bench.parameters[name] != simulated().bench.parameters[name]
+
+
+@pytest.mark.parametrize("by", ["drive", "filter"])
+def test_a_filter_that_has_learned_little_says_how_little_and_nothing_is_written(
+    by: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    device = simulated(firmware__hall_edges__learn_edges=0)
+    with pytest.raises(SystemExit) as ended:
+        learn(device, "--yes", "--by", by, "--write")
+    assert ended.value.code == 2
+    assert re.search(r"error: no edges learnt: the .* filter.* knows them to 6\.0 deg only", capsys.readouterr().err)
+    assert stored(device) == [0.0] * 12
+
+
+def test_a_sensor_that_the_filter_does_not_believe_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    device = running(wiring__hall_open=2, **BLIND)
+    with pytest.raises(SystemExit) as ended:
+        learn(device, "--by", "drive", "--write")
+    assert ended.value.code == 2
+    assert "does not believe sensor b: bench hall check" in capsys.readouterr().err
+
+
+def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest.CaptureFixture[str]) -> None:
+    device = simulated()
+    with pytest.raises(SystemExit) as ended:
+        learn(device, "--yes", "--store")
+    assert ended.value.code == 2
+    assert "bench hall learn --store needs the feature COMMIT: node 1 (simulated drive)" in capsys.readouterr().err
+    assert device.bench.n < 16_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--motor"], "an encoder says nothing"),
+        (["--by", "filter", "--passive"], "the filter sees no voltage"),
+    ],
+)
+def test_what_does_not_go_together_is_said_at_once(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        learn(simulated(), "--yes", *arguments)
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_recording_without_what_the_drive_has_learned_says_how_to_record_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run = tmp_path / "run.rrd"
+    main(["hall", "learn", "sim", "--save", str(run)])
+    with pytest.raises(SystemExit) as ended:
+        main(["hall", "learn", str(run), "--by", "drive"])
+    assert ended.value.code == 2
+    assert "bench live --channels +lesson_ek,+learned_ek,+learned_sd_ek,+sensors_ek" in capsys.readouterr().err

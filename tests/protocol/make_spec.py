@@ -17,6 +17,7 @@ from protocol import codes
 from protocol.signals import (
     DRIVE_CHANNELS,
     DRIVE_PARAMETERS,
+    LESSONS,
     LOAD_CHANNELS,
     LOAD_PARAMETERS,
     AngleSource,
@@ -92,6 +93,7 @@ TABLES = {
     "record flags": lambda: enum(Flag, "meaning"),
     "status bits": lambda: enum(Status, "meaning"),
     "angle sources": lambda: enum(AngleSource, None),
+    "lessons": lambda: table(("value", "parameter"), ((k, f"`{name}`") for k, name in enumerate(LESSONS))),
     "injections": lambda: enum(Injection, None),
     "Hall wires exchanged": lambda: enum(HallSwap, "meaning"),
     "states": lambda: enum(codes.DriveState, None),

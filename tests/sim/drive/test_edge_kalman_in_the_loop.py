@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from bench.device.simulator import motors
+from protocol.messages import DriveState
+from protocol.signals import LESSONS
 from sim.config.params import load_params
 from tests.sim.observers.proving import (
     ALTERED,
     AMPS,
     SLOW,
     SPEEDS,
+    TAUGHT,
     Proving,
     altered,
     bench_24v,
@@ -144,3 +147,40 @@ def test_a_voltage_drop_that_is_taken_away_bit_by_bit_is_forgotten():
     bench.forced(200, 2, 0.3)
     assert bench.figures(bench.forced(200, 2, 0.7)).largest < 4.0
     assert bench.figures(bench.forced(500, 2, 0.7)).largest < 8.0
+
+
+@pytest.mark.parametrize("motor", sorted(set(motors()) - TUNED_ON))
+def test_the_edges_that_it_has_learned_lie_within_its_standard_deviations(motor):
+    """On a bench that is unkind to the motor; the truth is the plant's edges, which no sample shows."""
+    bench = taught(of_motor(KALMAN, motor, False, 48))
+    bench.teach([(-speed, current, seconds) for speed, current, seconds in TAUGHT])
+    told = bench.run(0.1)
+    edges = np.array([told["learned_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
+    sd = np.array([told["learned_sd_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
+    hysteresis = 0.5 * bench.params.hall.hysteresis_deg
+    truth = np.array(bench.params.hall.delta_deg)
+    off = np.degrees(edges) - np.concatenate([truth - hysteresis, truth + hysteresis])
+    assert np.abs(off).max() < np.degrees(2.0 * sd.min())
+    assert np.degrees(sd.max()) < 1.5
+
+
+def test_edges_that_one_drive_has_learned_serve_another_from_its_first_turn():
+    """Told with how sure they are: the largest error of the first tenth of a second at 100 r/min falls."""
+    first = taught(altered(KALMAN, "nothing", 49))
+    first.teach([(-speed, current, seconds) for speed, current, seconds in TAUGHT])
+    told = first.run(0.1)
+    largest = {}
+    for knows in (False, True):
+        bench = altered(KALMAN, "nothing", 50)
+        if knows:
+            for k, name in enumerate(LESSONS[:12]):
+                bench.set_param(name, told["learned_ek"][told["lesson_ek"] == k][-1])
+            bench.set_param("edge_sd", told["learned_sd_ek"][told["lesson_ek"] == 0][-1])
+            for state in (DriveState.IDLE, DriveState.ARMED, DriveState.RUNNING):
+                bench.enter_state(state)
+                bench.load_enter_state(state)
+                bench.advance(1)
+        bench.forced(100, 2, 0.1)
+        largest[knows] = bench.figures(bench.forced(100, 2, 0.2)).largest
+    assert largest[True] < 0.5 * largest[False]
+    assert largest[True] < 1.5

@@ -49,6 +49,7 @@ DRIVE = {
     "J_hat": 2.0e-4,
     "bw_hall_vector": 10.0,
     "learn_edges": 1.0,
+    "edge_sd": 0.0087,
     "i_range": 20.0,
     **{f"edge_{way}_{s}": 0.0 for way in ("up", "down") for s in range(1, 7)},
 }

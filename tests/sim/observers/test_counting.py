@@ -12,7 +12,7 @@ from tests.sim.observers.counting import CYCLES, Counted, Int, Number, cost, cou
 
 FIVE = tuple(map(Number, range(5)))
 FIFTEEN = tuple(map(Number, range(15)))
-PLACES = stored(hall_places.start((0.1,) * 12))
+PLACES = stored(hall_places.start((0.1,) * 12, 0.01))
 
 
 def kinds(function, *arguments):

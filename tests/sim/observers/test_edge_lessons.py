@@ -28,7 +28,7 @@ def times(omega, slope, places_deg, way=1):
 
 def lessons(omega=600.0, slope=0.0, places_deg=PLACES, way=1, before=None):
     """Lessons with thirteen edges met, and nothing learned of them."""
-    state = before or el.start(SCALE, UNKNOWN)
+    state = before or el.start(SCALE, UNKNOWN, 0.01)
     for gap in np.diff(times(way * omega, slope, places_deg, way)):
         state = el.met(state, state.places, float(gap))
     return state
@@ -74,7 +74,7 @@ def solved(turns):
 
 def common_of(turns):
     """The same by turns, one after the other; each edge's place is known, so that the mean of all counts."""
-    state = el.start(SCALE, UNKNOWN)
+    state = el.start(SCALE, UNKNOWN, 0.01)
     for omega, i_q, angle in turns:
         state = lessons(omega, places_deg=np.zeros(6), before=state)
         place = np.mean(state.places.actual[:6])
@@ -112,7 +112,7 @@ def test_one_speed_and_one_load_leave_unsure_what_they_do_not_tell_apart():
 def test_the_drop_along_the_current_is_told_from_the_flux_as_by_least_squares():
     psi, drop, R = 1.05 * SCALE.psi_f, 0.15, 0.02
     rng = np.random.default_rng(2)
-    state = el.start(SCALE, UNKNOWN)
+    state = el.start(SCALE, UNKNOWN, 0.01)
     for _ in range(300):
         omega, i_q = rng.uniform(50, 1800), rng.uniform(1.0, 8.0)
         state = lessons(omega, before=state)
@@ -154,7 +154,7 @@ def test_offset_and_gain_of_the_current_sensors_are_found_by_what_they_leave(ome
 def test_what_is_left_six_times_a_turn_is_split_by_current_and_speed():
     """A part that goes with the current, a part that goes with the speed; each predicted where it was not learned."""
     dead, emf = np.array([0.03, -0.02, 0.01, 0.0]), np.array([0.0, 0.06, -0.03, 0.01])
-    state = el.start(SCALE, UNKNOWN)
+    state = el.start(SCALE, UNKNOWN, 0.01)
 
     def left(omega):
         return dead / (1.0 + (omega / SCALE.omega_b) ** 4) + emf * omega / SCALE.omega_b

@@ -10,13 +10,21 @@ DEG = np.pi / 180
 
 @pytest.fixture
 def places():
-    return hp.start((0.0, 0.1, 0.0, -0.1, 0.0, 0.0) + (0.0,) * 6)
+    return hp.start((0.0, 0.1, 0.0, -0.1, 0.0, 0.0) + (0.0,) * 6, 0.5 * DEG)
 
 
 def test_what_was_told_is_there_and_surer_than_what_was_not(places):
     assert hp.angle(places, 1, 1) == pytest.approx(np.pi / 3 + 0.1)
     assert hp.angle(places, 1, -1) == pytest.approx(np.pi / 3)
     assert places.variance[1] < places.variance[0] / 100
+
+
+def test_how_places_lie_to_one_another_is_known_where_all_of_a_way_were_told():
+    up, down = np.array([0.1, -0.02, 0.03, 0.04, 0.05, 0.04]), (0.0, 0.1, 0.0, 0.1, 0.1, 0.1)
+    places = hp.start((*up, *down), 2.0 * DEG)
+    assert places.relative == pytest.approx([*(up - up.mean()), *(0.0,) * 6])
+    assert places.actual == (*up, *down)
+    assert [visits > 0 for visits in places.visits] == [True] * 6 + [False] * 6
 
 
 def test_widths_are_between_edges(places):
@@ -30,7 +38,7 @@ def test_pole_pairs_are_counted_both_ways_and_over_missing_edges(pairs):
     """A random walk over boundaries, with edges left out; the oracle counts edges from the start."""
     rng = np.random.default_rng(3)
     number, last, last_way = 0, 0, 1
-    places = hp.start((0.0,) * 12)
+    places = hp.start((0.0,) * 12, 0.5 * DEG)
     for _ in range(500):
         way = int(rng.choice([1, -1], p=[0.6, 0.4]))
         if way == last_way:

@@ -1,0 +1,116 @@
+"""What the Kalman filter on Hall edges has learned of a drive: its own filter, or the host's over what was recorded.
+
+A lesson is what a parameter of the drive should be, with its standard deviation. Nothing here energises or writes
+anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.analysis.capture import Capture
+from bench.errors import BenchError
+from bench.hall.trace import INPUTS
+from bench.observers.estimators import Estimators
+from bench.observers.replay import not_replayable
+from bench.rig.rig import Rig
+from protocol.descriptor import Channel
+from protocol.signals import LESSONS
+from sim.observers.hall_edges import EDGES
+
+OBSERVER = "edge_kalman"
+TOLD_BY = ("lesson_ek", "learned_ek", "learned_sd_ek", "sensors_ek")
+READS = 5.0  # s within which a drive has told all of them
+LOOK = 0.1  # s between looks at what has come
+HEADERS = ("parameter", "now", "learned", "sd")
+NOT_BELIEVED = 0b111  # of the channel `sensors_ek`
+
+
+class Lesson(NamedTuple):
+    """What a parameter should be, and the standard deviation of that, in its unit."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """What was learned, by the names of the drive's parameters, all edges among them."""
+
+    of: Mapping[str, Lesson]
+    whose: str
+    """Which filter learned it, in words."""
+    before: Mapping[str, float]
+    """The drive's parameters as they were."""
+
+
+def channels(rig: Rig) -> tuple[Channel, ...]:
+    """What the drive has to stream that it tells its lessons."""
+    return rig.drive.node.channels(TOLD_BY)
+
+
+def read(rig: Rig) -> Capture:
+    """Let the drive tell its lessons. BenchError where it tells nothing."""
+    first, end = rig.tick(), rig.client.now() + READS
+    while True:
+        rig.wait(LOOK)
+        capture = rig.capture(first, rig.recorder.newest)
+        if len(np.unique(capture.samples.raw["lesson_ek"])) >= len(LESSONS) or rig.client.now() > end:
+            return capture
+
+
+def learned(capture: Capture, by: str) -> Lessons:
+    """What the `drive`'s own filter has told, or the host's `filter` learns. BenchError where neither can be."""
+    return _of_drive(capture) if by == "drive" else _of_host(capture)
+
+
+def _of_drive(capture: Capture) -> Lessons:
+    if lacking := [name for name in TOLD_BY if name not in capture]:
+        asked = ",".join(f"+{name}" for name in TOLD_BY)
+        raise BenchError(f"no edges learnt: {', '.join(lacking)} was not recorded (bench live --channels {asked})")
+    return _lessons([capture[name] for name in TOLD_BY], "the drive's own filter", capture.parameters)
+
+
+def _of_host(capture: Capture) -> Lessons:
+    if why := not_replayable(capture):
+        raise BenchError(f"no edges learnt: the Kalman filter cannot be run on this: {why}")
+    estimators = Estimators([OBSERVER], capture.parameters, capture.samples.config, follow=False)
+    estimators.edges(capture.edges)
+    found = estimators.records(capture.samples)[OBSERVER]
+    columns = [found[name] for name in ("lesson", "learned", "learned_sd", "sensors")]
+    return _lessons(columns, "the host's filter, over what was recorded", capture.parameters)
+
+
+def _lessons(columns: Sequence[NDArray[Any]], whose: str, before: Mapping[str, float]) -> Lessons:
+    """What came last of each. BenchError where one of the edges never came, or a sensor is not believed."""
+    number, value, sd, sensors = columns
+    last = {int(k): int(at) for at, k in enumerate(number)}
+    of = {LESSONS[k]: Lesson(float(value[at]), float(sd[at])) for k, at in sorted(last.items()) if k < len(LESSONS)}
+    of = {name: one for name, one in of.items() if math.isfinite(one.value) and 0.0 <= one.sd < math.inf}
+    if missing := [name for name in EDGES if name not in of]:
+        raise BenchError(f"no edges learnt: {whose} told nothing of {', '.join(missing)}")
+    if wrong := int(sensors[-1]) & NOT_BELIEVED:
+        which = [name for bit, name in enumerate(INPUTS) if wrong >> bit & 1]
+        raise BenchError(f"no edges learnt: {whose} does not believe sensor {', '.join(which)}: bench hall check")
+    return Lessons(of, whose, before)
+
+
+def as_json(lessons: Lessons) -> dict[str, dict[str, float]]:
+    """Value and standard deviation by parameter, in its unit."""
+    return {name: lesson._asdict() for name, lesson in lessons.of.items()}
+
+
+def rows(lessons: Lessons) -> list[list[str]]:
+    """A row for each: parameter, what it is now, what it should be, standard deviation; edges in degrees."""
+    made = []
+    for name, lesson in lessons.of.items():
+        factor, unit = (math.degrees(1.0), " deg") if name in EDGES else (1.0, "")
+        now = f"{factor * lessons.before[name]:.4g}" if name in lessons.before else "-"
+        made.append([name + unit, now, f"{factor * lesson.value:.4g}", f"{factor * lesson.sd:.2g}"])
+    return made
