@@ -194,6 +194,7 @@ class State(NamedTuple):
     twice: Two  # by `lessons`, at this speed and current
     six: Four
     told: int  # samples since the lessons came round
+    lesson: Two  # the one that is told now, and its standard deviation
 
 
 class Estimate(NamedTuple):
@@ -259,6 +260,7 @@ def init() -> State:
         (0.0, 0.0),
         (0.0, 0.0, 0.0, 0.0),
         0,
+        (0.0, 0.0),
     )
 
 
@@ -275,6 +277,7 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         (B_START * scale.v_drop / scale.psi_f) ** 2,
         0.0,
     )
+    lessons = edge_lessons.start(scale, params.told, params.told_sd)
     rule_d = (SIG_D * scale.omega_v) ** 2
     rule_q = (SIG_Q * scale.omega_v) ** 2
     return State(
@@ -287,11 +290,12 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         state.last,
         Levels(sample.code, -1, 0.0, 0),
         state.belief,
-        edge_lessons.start(scale, params.told, params.told_sd),
+        lessons,
         state.sums,
         state.twice,
         state.six,
         state.told,
+        edge_lessons.lesson(lessons, scale, 0),
     )
 
 
@@ -623,6 +627,7 @@ def _after(
         state.twice,
         state.six,
         state.told,
+        state.lesson,
     )
 
 
@@ -740,8 +745,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     """One control period."""
     if state.primed == 0:
         state = _primed(params, state, sample)
-        learned, learned_sd = edge_lessons.lesson(state.lessons, params.scale, 0)
-        return state, Estimate(state.filter.x[0], 0.0, 0, 0, ANGLE_START, 0, learned, learned_sd)
+        return state, Estimate(state.filter.x[0], 0.0, 0, 0, ANGLE_START, 0, state.lesson[0], state.lesson[1])
     scale = params.scale
     T_s = scale.T_s
     lessons = state.lessons
@@ -814,6 +818,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
                 twice,
                 six,
                 told,
+                state.lesson,
             )
             state = _edge(params, state, sensor, before, driven)
             kalman, last, belief, lessons, sums = (
@@ -844,6 +849,8 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     b = clip(kalman.x[3], B_START * scale.v_drop / psi)
     kalman = _moved_to(kalman, (theta, omega, kalman.x[2], b, kalman.x[4]))
     omega_lpf = 0.0 if stands else state.omega_lpf + params.a_omega * (omega - state.omega_lpf)
+    number = (told // HOLD) % COUNT
+    lesson = edge_lessons.lesson(lessons, scale, number) if told % HOLD == 0 else state.lesson
     state = State(
         1,
         sample.i_alpha,
@@ -859,13 +866,12 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         twice,
         six,
         told,
+        lesson,
     )
     waiting = 1 if levels.pending >= 0 else 0
     sigma = math.sqrt(max(kalman.P[0], 0.0))
-    lesson = (told // HOLD) % COUNT
-    learned, learned_sd = edge_lessons.lesson(lessons, scale, lesson)
     unused = levels.unused - waiting
-    return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, lesson, learned, learned_sd)
+    return state, Estimate(theta, omega_lpf, belief.sensors, unused, sigma, number, lesson[0], lesson[1])
 
 
 @kernel
