@@ -272,20 +272,20 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
         "lesson_ek",
         Unit.NONE,
         1.0,
-        "lesson of the Kalman filter that learned_ek tells: each in turn (see below)",
+        "lesson of the Kalman filter that lesson_value_ek tells: each in turn (see below)",
         Flag.ON_REQUEST,
         RawType.U8,
     ),
     _channel(
         48,
-        "learned_ek",
+        "lesson_value_ek",
         Unit.NONE,
         1.0,
         "what the Kalman filter has learned that the lesson's parameter should be, in its unit",
         Flag.ON_REQUEST,
         RawType.F32,
     ),
-    _channel(49, "learned_sd_ek", Unit.NONE, 1.0, "standard deviation of it", Flag.ON_REQUEST, RawType.F32),
+    _channel(49, "lesson_sigma_ek", Unit.NONE, 1.0, "standard deviation of it", Flag.ON_REQUEST, RawType.F32),
 )
 
 _SECTORS = range(1, 7)

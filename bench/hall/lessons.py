@@ -25,7 +25,7 @@ from protocol.signals import LESSONS
 from sim.observers.hall_edges import EDGES
 
 OBSERVER = "edge_kalman"
-TOLD_BY = ("lesson_ek", "learned_ek", "learned_sd_ek", "sensors_ek")
+TOLD_BY = ("lesson_ek", "lesson_value_ek", "lesson_sigma_ek", "sensors_ek")
 READS = 5.0  # s within which a drive has told all of them
 LOOK = 0.1  # s between looks at what has come
 HEADERS = ("parameter", "now", "learned", "sd")

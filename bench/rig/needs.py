@@ -30,7 +30,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
         f"channel:{name}" for name in ("hall", "u_alpha", "u_beta", "i_a", "i_b", "i_c")
     ),
     "bench hall learn --by drive": tuple(
-        f"channel:{name}" for name in ("lesson_ek", "learned_ek", "learned_sd_ek", "sensors_ek")
+        f"channel:{name}" for name in ("lesson_ek", "lesson_value_ek", "lesson_sigma_ek", "sensors_ek")
     ),
 }
 """By application or option. Each need is KIND:NAME or a role:

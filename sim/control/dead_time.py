@@ -10,14 +10,14 @@ The currents to give are those of the period in which the duties are in force: t
 ahead with the voltage (no angle estimate enters, only a speed).
 
 `dead_time_hat` and the compensated share are parameters. With `dead_time_learn` what they leave is estimated at run
-time, as two dead times: one in the compensation's own shape over the current, one that is there at a sixth of that
-current already, and gone where the first has faded in. What R_s and L_s leave of the voltage is the back-EMF, which
-turns with the rotor, and that error, which goes with the signs of the phase currents, and so has harmonics. What turns
-with the rotor is taken out by a filter, and each shape goes by what is left along it, once an electrical turn. No angle
-enters: an estimate has a ripple of its own.
+time, as two dead times: one in the compensation's own shape over the current, and one that fades in where the switching
+ripple at the voltage in force does, less the first. What R_s and L_s leave of the voltage is the back-EMF, which turns
+with the rotor, and that error, which goes with the signs of the phase currents, and so has harmonics. What turns with
+the rotor is taken out by a filter, and of the shapes too; least squares over what is left say how large each is, once an
+electrical turn. No angle enters: an estimate has a ripple of its own.
 
-Learned only from a turn among others of the same speed; not below a speed at which the back-EMF tells little; and the
-slower the faster it turns, because the back-EMF has harmonics of its own.
+Learned only from a turn among others of the same speed; not below a speed at which the back-EMF tells little; and not
+where the back-EMF is so large that its own harmonics are beyond the dead time's.
 
 Source: S.-Y. Kim, W. Lee, M.-S. Rho, S.-Y. Park, "Effective Dead-Time Compensation Using a Simple Vectorial
 Disturbance Estimator in PMSM Drives", IEEE Trans. Ind. Electron., vol. 57, no. 5, 2010, pp. 1609-1614 (the
@@ -34,10 +34,17 @@ from sim.control.transforms import clip, inverse_clarke, inverse_park
 from sim.numba_cache import kernel
 
 FADE = 0.8448  # V, the current below which it fades, times inductance and PWM frequency: 0.3 A with the paper's
-NARROW = 1.0 / 6.0  # of that current, where the other shape is there
-RATE = 60.0  # 1/s, of what is learned
+RIPPLE = 0.18  # of |u| T_s / L_s, the current below which the loss fades, by the switching ripple there
+LEAST = 0.03  # of the current above: the least of that
+FUNDAMENTAL = 4.0 / math.pi  # of a square wave
+START = 0.02  # of u_dc, V: what is left at first, rms, of each shape
+WANDER = 2e-4  # of u_dc, in a root of a second: how it changes
+ERROR = 8e-4  # of u_dc: of r, which no shape has
+HARMONICS = 0.1  # of the back-EMF: the same
+LOUD = 0.08  # of u_dc, the back-EMF beyond which nothing is learned
+PER_TURN = 6.0  # times that it is another in a turn
+TINY = 1e-9  # A
 FROM = 2.5  # omega_on, from which on it learns
-HALF = 5.0  # omega_on, at which learning goes at a quarter of that rate
 MEAN = 1.0  # 1/rad, of the electrical angle: what is taken to turn with the rotor
 EVEN = 0.02  # of the speed, by which turns may differ that teach
 SETTLED = 2  # turns more of one speed that it takes for one to teach: two before it and one after
@@ -64,17 +71,21 @@ class Left(NamedTuple):
 
 
 class Taught(NamedTuple):
-    """By the samples of a turn."""
+    """By the samples of a turn; sums."""
 
-    full: float  # V s, along each shape
+    n: float
+    full: float  # V, along each shape's harmonics
     near: float
-    power: float  # s, of the shapes
+    full_full: float  # of the shapes themselves
+    full_near: float
+    near_near: float
 
 
 class State(NamedTuple):
     """What was learned, and what that takes."""
 
     left: Left
+    C: tuple[float, float, float]  # V2, covariance of both as voltages: full, both, near
     i_alpha: float  # A, at the last sample
     i_beta: float
     e_alpha: float  # V, what turns with the rotor
@@ -113,28 +124,70 @@ def make_params(
 @kernel
 def init() -> State:
     """Nothing learned."""
-    return begun(Left(0.0, 0.0), 0.0, 0.0)
+    nothing = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(Left(0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, nothing, nothing)
 
 
 @kernel
-def begun(left: Left, i_alpha: float, i_beta: float) -> State:
+def begun(state: State, i_alpha: float, i_beta: float) -> State:
     """What was learned so far, and no turn yet; the currents at the last sample (A)."""
-    none = Taught(0.0, 0.0, 0.0)
-    return State(left, i_alpha, i_beta, 0.0, 0.0, 0.0, 0, 0.0, 0.0, none, none)
+    none = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(state.left, state.C, i_alpha, i_beta, 0.0, 0.0, 0.0, 0, 0.0, 0.0, none, none)
 
 
 @kernel
-def _shapes(params: Params, current: float) -> tuple[float, float]:
+def _per_ripple(params: Params, u_alpha: float, u_beta: float) -> float:
+    """1/A, of the current below which the loss fades at this voltage."""
+    ripple = RIPPLE * math.sqrt(u_alpha * u_alpha + u_beta * u_beta) / params.L_by_T
+    return 1.0 / max(ripple, LEAST / params.per_fade)
+
+
+@kernel
+def _shapes(params: Params, current: float, per_ripple: float) -> tuple[float, float]:
     """Both shapes at a phase current (A): sign of it, fading; and what is there before."""
-    x = current * params.per_fade
-    full = clip(x, 1.0)
-    return full, clip(x / NARROW, 1.0) - full
+    full = clip(current * params.per_fade, 1.0)
+    return full, clip(current * per_ripple, 1.0) - full
 
 
 @kernel
-def _square(f: tuple[float, float]) -> float:
-    """Of both shapes."""
-    return f[0] * f[0] + f[1] * f[1]
+def _harmonics(i_alpha: float, i_beta: float, size: float, per: float) -> tuple[float, float]:
+    """The signs of the phase currents, fading below 1 / per, less what of them turns with the current; alpha, beta."""
+    a, b, c = inverse_clarke(i_alpha, i_beta)
+    f_a = clip(a * per, 1.0)
+    f_b = clip(b * per, 1.0)
+    f_c = clip(c * per, 1.0)
+    x = size * per
+    by = per if x <= 1.0 else FUNDAMENTAL / size * (1.0 - 1.0 / (x * x) * (1.0 / 6.0 + 0.048 / (x * x)))
+    return (2.0 * f_a - f_b - f_c) / 3.0 - by * i_alpha, (f_b - f_c) / math.sqrt(3.0) - by * i_beta
+
+
+@kernel
+def _learned(
+    state: State, taught: Taught, u_dc: float, emf: float, T_s: float, seconds: float
+) -> tuple[Left, tuple[float, float, float]]:
+    """What is left, and its covariance, after a turn: least squares, and what was known before."""
+    left = state.left
+    a, b, c = state.C
+    most = (START * u_dc) ** 2
+    more = (WANDER * u_dc) ** 2 * seconds
+    if a == 0.0:
+        a, c = most, most
+    a = min(a + more, most)
+    c = min(c + more, most)
+    sigma = ((ERROR * u_dc) ** 2 + (HARMONICS * emf) ** 2) / PER_TURN
+    w = 1.0 / (taught.n * sigma)
+    p, q, r = w * taught.full_full, w * taught.full_near, w * taught.near_near
+    det = a * c - b * b
+    p += c / det
+    q -= b / det
+    r += a / det
+    det = p * r - q * q
+    a, b, c = r / det, -q / det, p / det
+    by = w * T_s / max(u_dc, 1.0)
+    limit = MOST * T_s
+    full = left.full + by * (a * taught.full + b * taught.near)
+    near = left.near + by * (b * taught.full + c * taught.near)
+    return Left(clip(full, limit), clip(near, limit)), (a, b, c)
 
 
 @kernel
@@ -157,17 +210,21 @@ def learnt(
     rest_alpha = u_alpha - params.R_s * a - params.L_by_T * (i_alpha - state.i_alpha) - main_alpha
     rest_beta = u_beta - params.R_s * b - params.L_by_T * (i_beta - state.i_beta) - main_beta
     share = min(MEAN * abs(turned), 1.0)
-    e_a, e_b, e_c = inverse_clarke(rest_alpha, rest_beta)
-    i_a, i_b, i_c = inverse_clarke(a, b)
-    f_a = _shapes(params, i_a)
-    f_b = _shapes(params, i_b)
-    f_c = _shapes(params, i_c)
-    left = state.left
+    size = max(math.sqrt(a * a + b * b), TINY)
+    full_alpha, full_beta = _harmonics(a, b, size, params.per_fade)
+    near_alpha, near_beta = _harmonics(a, b, size, _per_ripple(params, u_alpha, u_beta))
+    near_alpha -= full_alpha
+    near_beta -= full_beta
+    taught = state.taught
     taught = Taught(
-        state.taught.full + T_s * (e_a * f_a[0] + e_b * f_b[0] + e_c * f_c[0]),
-        state.taught.near + T_s * (e_a * f_a[1] + e_b * f_b[1] + e_c * f_c[1]),
-        state.taught.power + T_s * (_square(f_a) + _square(f_b) + _square(f_c)),
+        taught.n + 1.0,
+        taught.full + rest_alpha * full_alpha + rest_beta * full_beta,
+        taught.near + rest_alpha * near_alpha + rest_beta * near_beta,
+        taught.full_full + full_alpha * full_alpha + full_beta * full_beta,
+        taught.full_near + full_alpha * near_alpha + full_beta * near_beta,
+        taught.near_near + near_alpha * near_alpha + near_beta * near_beta,
     )
+    left, C = state.left, state.C
     before = state.before
     mean = state.omega
     even = state.even
@@ -176,27 +233,24 @@ def learnt(
     if abs(angle) >= math.tau:
         mean = angle / seconds
         even = even + 1 if abs(mean - state.omega) < EVEN * abs(mean) else 0
-        if even > SETTLED:
-            x = mean / (HALF * params.omega_on)
-            rate = RATE / (1.0 + x * x) ** 2
-            rate *= T_s / (max(u_dc, 1.0) * (1.0 + 0.5 * rate * before.power))
-            most = MOST * T_s
-            left = Left(clip(left.full + rate * before.full, most), clip(left.near + rate * before.near, most))
+        emf = math.sqrt(state.e_alpha * state.e_alpha + state.e_beta * state.e_beta)
+        if even > SETTLED and emf < LOUD * u_dc:
+            left, C = _learned(state, before, u_dc, emf, T_s, seconds)
         angle = 0.0
         seconds = 0.0
         before = taught
-        taught = Taught(0.0, 0.0, 0.0)
+        taught = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     main_alpha += share * rest_alpha
     main_beta += share * rest_beta
-    return State(left, i_alpha, i_beta, main_alpha, main_beta, mean, even, angle, seconds, taught, before)
+    return State(left, C, i_alpha, i_beta, main_alpha, main_beta, mean, even, angle, seconds, taught, before)
 
 
 @kernel
-def _share(params: Params, left: Left, current: float) -> float:
+def _share(params: Params, left: Left, current: float, per_ripple: float) -> float:
     """What is given back of a leg's duty."""
     given = params.duty * clip(current * params.per_fade, 1.0)
     if params.learn != 0:
-        full, near = _shapes(params, current)
+        full, near = _shapes(params, current, per_ripple)
         given += (left.full * full + left.near * near) / params.T_s
     return given
 
@@ -205,12 +259,14 @@ def _share(params: Params, left: Left, current: float) -> float:
 def compensate(
     params: Params,
     left: Left,
+    u: tuple[float, float],
     duties: tuple[float, float, float],
     currents: tuple[float, float, float],
 ) -> tuple[float, float, float]:
-    """Duties with the dead time's loss given back, each in [0, 1]; currents in A, positive into the motor."""
+    """Duties with the dead time's loss given back, each in [0, 1]; u: alpha, beta (V); currents (A) into the motor."""
+    per_ripple = _per_ripple(params, u[0], u[1])
     return (
-        min(max(duties[0] + _share(params, left, currents[0]), 0.0), 1.0),
-        min(max(duties[1] + _share(params, left, currents[1]), 0.0), 1.0),
-        min(max(duties[2] + _share(params, left, currents[2]), 0.0), 1.0),
+        min(max(duties[0] + _share(params, left, currents[0], per_ripple), 0.0), 1.0),
+        min(max(duties[1] + _share(params, left, currents[1], per_ripple), 0.0), 1.0),
+        min(max(duties[2] + _share(params, left, currents[2], per_ripple), 0.0), 1.0),
     )

@@ -171,7 +171,9 @@ def _modulate(
     u_beta = quantised(u_beta, MILLI)
     ideal = modulation.duties(u_alpha, u_beta, u_dc)
     i_alpha, i_beta = inverse_park(i_d, i_q, cos, sin)
-    d_a, d_b, d_c = dead_time.compensate(params.dead_time, left, ideal, inverse_clarke(i_alpha, i_beta))
+    d_a, d_b, d_c = dead_time.compensate(
+        params.dead_time, left, (u_alpha, u_beta), ideal, inverse_clarke(i_alpha, i_beta)
+    )
     return Output(1, u_alpha, u_beta, d_a, d_b, d_c)
 
 
@@ -181,7 +183,7 @@ def _learnt(
 ) -> dead_time.State:
     """What the period that ends at this sample, with `now` in force, taught of the dead time's error."""
     if now.on == 0 or abs(omega) < dead_time.FROM * params.omega_on:
-        return dead_time.begun(learned.left, seen.i_alpha, seen.i_beta)
+        return dead_time.begun(learned, seen.i_alpha, seen.i_beta)
     return dead_time.learnt(params, learned, u_dc, now.u_alpha, now.u_beta, seen.i_alpha, seen.i_beta, omega)
 
 

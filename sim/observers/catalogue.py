@@ -27,7 +27,7 @@ GROUP = "hallbench.observers"
 _KIM = "Kim et al. 2011, DOI 10.1109/TIE.2010.2098367"
 _VT = {"delta_hat": "delta_hat", "e_alpha": "e_alpha", "e_beta": "e_beta"}
 _EK = {"sensors_ek": "sensors", "sigma_ek": "sigma"}
-_EK |= {"lesson_ek": "lesson", "learned_ek": "learned", "learned_sd_ek": "learned_sd"}
+_EK |= {"lesson_ek": "lesson", "lesson_value_ek": "learned", "lesson_sigma_ek": "learned_sd"}
 _ENTRIES = (
     Entry.of(by_front_end, "avg", f"(1)-(2) of {_KIM}; [13], [14]", "average_speed"),
     Entry.of(vector_tracking, "vt", f"(3)-(10) of {_KIM}", **_VT),

@@ -82,6 +82,8 @@ RULE_TAU = 0.44  # s: of what they are as a rule
 RULE_MOST = 9.0  # times that, a residue counts at most
 RULE_LEAST = 0.017  # of v
 RULE = 6.1  # times their square, as a variance
+RULE_D = 70.0  # more of it for e_d at low speed, where it is spikes
+RULE_AT = 8.0  # omega_v: up to here
 SURPRISE = 3.9  # times the variance
 BOOST = 0.55  # of alpha, in a root of a millisecond
 BOOST_MOST = 2.1  # times that, at the most
@@ -124,7 +126,7 @@ class Settings(HallEdges):
     bw_omega_lpf: float  # Hz
     J_hat: float = 0.0  # kg m2; 0: not known
     learn_edges: float = 1.0  # 0 holds everything that is learned
-    edge_sd: float = hall_places.TOLD  # rad, standard deviation of the edges that are told, all together
+    edge_sd: float = 0.0087  # rad, standard deviation of the edges that are told, all together
 
 
 class Params(NamedTuple):
@@ -449,7 +451,9 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
         least = (RULE_LEAST * scale.v / psi) ** 2
         square_d = watch.residue_d * watch.residue_d
         square_q = watch.residue_q * watch.residue_q
-        much = square_d / (omega * omega * P[0] + RULE * max(rule_d, least))
+        at = (size / (RULE_AT * scale.omega_v)) ** 2
+        slow = 1.0 / (1.0 + at * at)
+        much = square_d / (omega * omega * P[0] + (RULE + RULE_D * slow) * max(rule_d, least))
         if size <= scale.omega_b:
             own = P[5] + sign * sign * P[12] + 2.0 * sign * P[7]
             much = max(much, square_q / (own + RULE * max(rule_q, least)))

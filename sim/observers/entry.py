@@ -36,6 +36,7 @@ DEFAULTS: Mapping[str, float] = {
     "literal_sgn": 0.0,
     "bw_hall_vector": 10.0,  # Hz
     "learn_edges": 1.0,
+    "edge_sd": 0.0087,  # rad
     "i_range": 20.0,  # A
 }
 """What a parameter is where a drive has none of that name: the values of the simulated drive. Motor data have none."""

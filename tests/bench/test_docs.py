@@ -33,9 +33,10 @@ def commands(page: Path) -> list[str]:
 
 
 def known_options(command: click.Command) -> set[str]:
-    return {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)} | {
-        "--help", "-h",
-    }  # fmt: skip
+    """Of a command, and of those in it."""
+    found = {"--help", "-h"} | {name for one in command.params for name in (*one.opts, *one.secondary_opts)}
+    within = command.commands.values() if isinstance(command, click.Group) else ()
+    return found.union(*map(known_options, within))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

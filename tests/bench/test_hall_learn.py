@@ -275,4 +275,4 @@ def test_a_recording_without_what_the_drive_has_learned_says_how_to_record_it(
     with pytest.raises(SystemExit) as ended:
         main(["hall", "learn", str(run), "--by", "drive"])
     assert ended.value.code == 2
-    assert "bench live --channels +lesson_ek,+learned_ek,+learned_sd_ek,+sensors_ek" in capsys.readouterr().err
+    assert "bench live --channels +lesson_ek,+lesson_value_ek,+lesson_sigma_ek,+sensors_ek" in capsys.readouterr().err

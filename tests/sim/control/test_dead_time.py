@@ -5,6 +5,7 @@ from sim.control import dead_time
 
 T_S = 1 / 16_000
 NOTHING = dead_time.Left(0.0, 0.0)
+U = (1.0, 0.0)  # V
 
 
 def made(**other):
@@ -19,7 +20,7 @@ PARAMS = made()
 
 
 def added(current, params=PARAMS):
-    return dead_time.compensate(params, NOTHING, (0.5, 0.5, 0.5), (current, -current, 0.0))
+    return dead_time.compensate(params, NOTHING, U, (0.5, 0.5, 0.5), (current, -current, 0.0))
 
 
 def test_full_current_gets_back_what_the_dead_time_takes():
@@ -46,7 +47,7 @@ def test_the_share_scales_and_zero_switches_it_off():
 
 
 def test_duties_stay_within_0_and_1():
-    assert dead_time.compensate(PARAMS, NOTHING, (0.999, 0.001, 0.5), (5.0, -5.0, 0.0)) == (1.0, 0.0, 0.5)
+    assert dead_time.compensate(PARAMS, NOTHING, U, (0.999, 0.001, 0.5), (5.0, -5.0, 0.0)) == (1.0, 0.0, 0.5)
 
 
 def test_it_fades_where_the_ripple_does():
@@ -72,11 +73,15 @@ def learned(omegas, *, amps=4.0, error=0.2, at=0.3, **other):
     def fading(at):
         return 2 / 3 * sum(np.clip(phase / at, -1, 1) * turn**k for k, phase in enumerate(phases))
 
+    def ripple(volts):
+        """A, the current at which the loss of a leg fades, fitted to a switched inverter."""
+        return 0.18 * volts * T_S / 0.176e-3
+
     full = fading(0.3)
-    near = fading(0.05) - full
     emf = 1j * omegas * 6.55e-3 * np.exp(0.5j * (theta[1:] + theta[:-1]))
-    u = 0.158 * mean + 0.176e-3 * np.diff(i) / T_S + emf + error * fading(at)
-    state = dead_time.begun(NOTHING, i[0].real, i[0].imag)
+    u = 0.158 * mean + 0.176e-3 * np.diff(i) / T_S + emf + error * fading(ripple(0.7) if at is None else at)
+    state = dead_time.begun(dead_time.init(), i[0].real, i[0].imag)
+    near = fading(ripple(np.abs(u))) - full
     for k, omega in enumerate(omegas):
         now = u[k] - 24.0 / T_S * (state.left.full * full[k] + state.left.near * near[k])
         state = dead_time.learnt(params, state, 24.0, now.real, now.imag, i[k + 1].real, i[k + 1].imag, omega)
@@ -99,10 +104,15 @@ def test_a_compensation_that_gives_too_much_is_taken_back():
 
 
 def test_an_error_that_is_there_near_zero_current_has_its_own_shape():
-    """Saturated at a sixth of the current where the compensation has faded in."""
-    full, near = learned(STEADY, at=0.05)
-    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.1)
-    assert 0.2 < near < 0.2 / 24 * 62.5
+    """Saturated where the switching ripple is, at the motor's voltage here."""
+    full, near = learned(STEADY, at=None, amps=1.0)
+    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.15)
+    assert near == pytest.approx(0.2 / 24 * 62.5, rel=0.15)
+
+
+@pytest.mark.parametrize("amps", [1.0, 4.0, 8.0])
+def test_what_was_learned_at_one_current_holds_at_another(amps):
+    assert learned(STEADY, amps=amps) == pytest.approx((0.2 / 24 * 62.5, 0.0), abs=0.03)
 
 
 @pytest.mark.parametrize("wrong", [{"R_s_hat": 0.25}, {"L_s_hat": 0.21e-3}])
@@ -125,7 +135,7 @@ def test_a_motor_without_the_error_learns_none():
 
 def test_what_was_learned_is_given_back():
     params = made(dead_time_comp=0.0, dead_time_learn=1.0)
-    given = dead_time.compensate(params, dead_time.Left(1e-6, 0.0), (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
+    given = dead_time.compensate(params, dead_time.Left(1e-6, 0.0), U, (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
     assert given == pytest.approx(added(4.0))
-    off = dead_time.compensate(made(), dead_time.Left(1e-6, 1e-6), (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
+    off = dead_time.compensate(made(), dead_time.Left(1e-6, 1e-6), U, (0.5, 0.5, 0.5), (4.0, -4.0, 0.0))
     assert off == added(4.0)

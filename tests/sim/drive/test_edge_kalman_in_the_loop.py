@@ -155,8 +155,8 @@ def test_the_edges_that_it_has_learned_lie_within_its_standard_deviations(motor)
     bench = taught(of_motor(KALMAN, motor, False, 48))
     bench.teach([(-speed, current, seconds) for speed, current, seconds in TAUGHT])
     told = bench.run(0.1)
-    edges = np.array([told["learned_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
-    sd = np.array([told["learned_sd_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
+    edges = np.array([told["lesson_value_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
+    sd = np.array([told["lesson_sigma_ek"][told["lesson_ek"] == k][-1] for k in range(12)])
     hysteresis = 0.5 * bench.params.hall.hysteresis_deg
     truth = np.array(bench.params.hall.delta_deg)
     off = np.degrees(edges) - np.concatenate([truth - hysteresis, truth + hysteresis])
@@ -174,8 +174,8 @@ def test_edges_that_one_drive_has_learned_serve_another_from_its_first_turn():
         bench = altered(KALMAN, "nothing", 50)
         if knows:
             for k, name in enumerate(LESSONS[:12]):
-                bench.set_param(name, told["learned_ek"][told["lesson_ek"] == k][-1])
-            bench.set_param("edge_sd", told["learned_sd_ek"][told["lesson_ek"] == 0][-1])
+                bench.set_param(name, told["lesson_value_ek"][told["lesson_ek"] == k][-1])
+            bench.set_param("edge_sd", told["lesson_sigma_ek"][told["lesson_ek"] == 0][-1])
             for state in (DriveState.IDLE, DriveState.ARMED, DriveState.RUNNING):
                 bench.enter_state(state)
                 bench.load_enter_state(state)
