@@ -452,6 +452,7 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
         square_d = watch.residue_d * watch.residue_d
         square_q = watch.residue_q * watch.residue_q
         at = (size / (RULE_AT * scale.omega_v)) ** 2
+        at *= at
         slow = 1.0 / (1.0 + at * at)
         much = square_d / (omega * omega * P[0] + (RULE + RULE_D * slow) * max(rule_d, least))
         if size <= scale.omega_b:
