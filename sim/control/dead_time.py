@@ -13,8 +13,8 @@ ahead with the voltage (no angle estimate enters, only a speed).
 time, as two dead times: one in the compensation's own shape over the current, and one that fades in where the switching
 ripple at the voltage in force does, less the first. What R_s and L_s leave of the voltage is the back-EMF, which turns
 with the rotor, and that error, which goes with the signs of the phase currents, and so has harmonics. What turns with
-the rotor is taken out by a filter, and of the shapes too; least squares over what is left say how large each is, once an
-electrical turn. No angle enters: an estimate has a ripple of its own.
+the rotor is taken out by a filter, and of the shapes too; least squares over what is left say how large each is, once
+an electrical turn. No angle enters: an estimate has a ripple of its own.
 
 Learned only from a turn among others of the same speed; not below a speed at which the back-EMF tells little; and not
 where the back-EMF is so large that its own harmonics are beyond the dead time's.
