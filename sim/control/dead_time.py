@@ -42,6 +42,7 @@ WANDER = 2e-4  # of u_dc, in a root of a second: how it changes
 ERROR = 8e-4  # of u_dc: of r, which no shape has
 HARMONICS = 0.1  # of the back-EMF: the same
 LOUD = 0.08  # of u_dc, the back-EMF beyond which nothing is learned
+ROUND = 0.97  # of the current, that must turn evenly; one that jumps from sector to sector teaches nothing
 PER_TURN = 6.0  # times that it is another in a turn
 TINY = 1e-9  # A
 FROM = 2.5  # omega_on, from which on it learns
@@ -79,6 +80,9 @@ class Taught(NamedTuple):
     full_full: float  # of the shapes themselves
     full_near: float
     near_near: float
+    i_alpha: float  # A, the current turned back by the mean speed
+    i_beta: float
+    size: float  # A
 
 
 class State(NamedTuple):
@@ -124,14 +128,14 @@ def make_params(
 @kernel
 def init() -> State:
     """Nothing learned."""
-    nothing = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    nothing = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return State(Left(0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, nothing, nothing)
 
 
 @kernel
 def begun(state: State, i_alpha: float, i_beta: float) -> State:
     """What was learned so far, and no turn yet; the currents at the last sample (A)."""
-    none = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    none = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return State(state.left, state.C, i_alpha, i_beta, 0.0, 0.0, 0.0, 0, 0.0, 0.0, none, none)
 
 
@@ -215,6 +219,8 @@ def learnt(
     near_alpha, near_beta = _harmonics(a, b, size, _per_ripple(params, u_alpha, u_beta))
     near_alpha -= full_alpha
     near_beta -= full_beta
+    cos = math.cos(state.angle)
+    sin = math.sin(state.angle)
     taught = state.taught
     taught = Taught(
         taught.n + 1.0,
@@ -223,6 +229,9 @@ def learnt(
         taught.full_full + full_alpha * full_alpha + full_beta * full_beta,
         taught.full_near + full_alpha * near_alpha + full_beta * near_beta,
         taught.near_near + near_alpha * near_alpha + near_beta * near_beta,
+        taught.i_alpha + cos * a + sin * b,
+        taught.i_beta + cos * b - sin * a,
+        taught.size + size,
     )
     left, C = state.left, state.C
     before = state.before
@@ -234,12 +243,13 @@ def learnt(
         mean = angle / seconds
         even = even + 1 if abs(mean - state.omega) < EVEN * abs(mean) else 0
         emf = math.sqrt(state.e_alpha * state.e_alpha + state.e_beta * state.e_beta)
-        if even > SETTLED and emf < LOUD * u_dc:
+        mean_size = math.sqrt(before.i_alpha * before.i_alpha + before.i_beta * before.i_beta)
+        if even > SETTLED and emf < LOUD * u_dc and mean_size > ROUND * before.size:
             left, C = _learned(state, before, u_dc, emf, T_s, seconds)
         angle = 0.0
         seconds = 0.0
         before = taught
-        taught = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        taught = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     main_alpha += share * rest_alpha
     main_beta += share * rest_beta
     return State(left, C, i_alpha, i_beta, main_alpha, main_beta, mean, even, angle, seconds, taught, before)

@@ -5,7 +5,7 @@ import pytest
 
 from sim.config.params import load_params
 from tests.bench.acceptance.benches import drawn
-from tests.sim.observers.proving import Proving, thd, worst
+from tests.sim.observers.proving import BENCH_24V, Proving, thd, worst
 
 LESSONS = ((100, 4, 1.5), (150, 8, 1.5), (200, 2, 1.0), (120, 6, 1.5))
 """r/min, A, s."""
@@ -60,6 +60,32 @@ def test_of_a_motor_that_nobody_looked_at_it_makes_vector_tracking_no_worse(numb
         return worst([bench.figures(bench.at(*point)) for point in points]).std
 
     assert found(1) < 1.02 * found(0)
+
+
+@pytest.mark.parametrize("source", ["average_speed", "lookup_table", "hall_vector", "programmable_filter"])
+def test_a_coarse_angle_does_not_lead_it_astray(source):
+    _, run = taught(source, factors={"dead_time_comp": 0.0})
+    assert run["dead_time_left"][-1] == pytest.approx(1e-6, rel=0.2)
+    assert abs(run["dead_time_near"][-1]) < 0.2e-6
+
+
+def test_a_current_that_jumps_from_sector_to_sector_teaches_nothing():
+    _, run = taught("sector_centre", factors={"dead_time_comp": 0.0})
+    assert not run["dead_time_left"].any()
+    assert not run["dead_time_near"].any()
+
+
+@pytest.mark.parametrize("seed", [51, 52])
+def test_on_an_unkind_bench_what_was_learned_at_one_speed_and_current_holds_at_another(seed):
+    bench = Proving("encoder", load_params(BENCH_24V), seed)
+    bench.set_param("dead_time_learn", 1)
+    found = []
+    for point in ((100, 4), (150, 8), (200, 2), (300, 5), (120, 3)):
+        run = bench.at(*point)
+        found.append((run["dead_time_left"][-1], run["dead_time_near"][-1]))
+    later = np.array(found[1:])
+    assert np.ptp(later, axis=0).max() < 0.25e-6
+    assert later[:, 1].min() > 0.6e-6
 
 
 def test_switched_off_it_learns_nothing():
