@@ -50,7 +50,7 @@ from sim.observers.hall_levels import SENSOR_OF_BIT, Belief, Levels
 from sim.observers.hall_places import DEG, MOST, Twelve
 from sim.observers.hall_speed import SECTOR_OF_CODE
 from sim.observers.sample import Sample
-from sim.observers.transforms import clip, wrap
+from sim.observers.transforms import clip, square, wrap
 
 EVERY = 8  # samples
 SIG_D = 0.28  # of v: error of e_d that repeats
@@ -365,7 +365,7 @@ def _noise(scale: Scale, psi: float, omega: float, i_q: float) -> tuple[float, f
     size = abs(omega)
     rate = REPEATS * max(size, SLOWEST)
     by = 1.0 / (psi * psi)
-    emf = (SIG_EMF * psi * omega) ** 2
+    emf = square(SIG_EMF * psi * omega)
     white = (SIG_WHITE * scale.i * scale.L_s / scale.T_s) ** 2 * by
     repeats = ((SIG_D * scale.v) ** 2 + emf) * by
     fast = max(size / scale.omega_b, 1.0)
@@ -433,12 +433,12 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
     r_d, r_q, swings, rate = _noise(scale, psi, omega, watch.i_q)
     sign = clip(watch.i_q / scale.i_fade, 1.0)
     f = 1.0 / (1.0 + rate * t)
-    y = (size / (ALPHA_AT * scale.omega_v)) ** 2
-    wander = (scale.alpha * (ALPHA_LOW + (ALPHA_HIGH - ALPHA_LOW) * y / (1.0 + y))) ** 2
+    y = square(size / (ALPHA_AT * scale.omega_v))
+    wander = square(scale.alpha * (ALPHA_LOW + (ALPHA_HIGH - ALPHA_LOW) * y / (1.0 + y)))
     change = max(abs(watch.i_q - watch.i_slow) / scale.i - TORQUE_DEAD, 0.0) * scale.alpha
     wander += TORQUE * change * change / TORQUE_TAU
     i_slow = watch.i_slow + t / TORQUE_TAU * (watch.i_q - watch.i_slow)
-    P = _later(kalman.P, t, wander * t, (SIG_B * scale.v / psi) ** 2 * t, f, swings * (1.0 - f * f))
+    P = _later(kalman.P, t, wander * t, square(SIG_B * scale.v / psi) * t, f, swings * (1.0 - f * f))
     rule_d = watch.rule_d
     rule_q = watch.rule_q
     quiet = watch.quiet
@@ -448,11 +448,10 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
             P = covariance.less(P, g, 1.0 / (g[0] * omega + r_d / n))
         g = _along(P, sign)
         P = covariance.less(P, g, 1.0 / (g[1] + sign * g[3] + g[4] + r_q / n))
-        least = (RULE_LEAST * scale.v / psi) ** 2
+        least = square(RULE_LEAST * scale.v / psi)
         square_d = watch.residue_d * watch.residue_d
         square_q = watch.residue_q * watch.residue_q
-        at = (size / (RULE_AT * scale.omega_v)) ** 2
-        at *= at
+        at = square(square(size / (RULE_AT * scale.omega_v)))
         slow = 1.0 / (1.0 + at * at)
         much = square_d / (omega * omega * P[0] + (RULE + RULE_D * slow) * max(rule_d, least))
         if size <= scale.omega_b:
@@ -496,7 +495,7 @@ def _stirred(P: Symmetric, a: float) -> Symmetric:
 @kernel
 def _anew(scale: Scale, kalman: Filter, psi: float, angle: float, omega: float, alpha: float) -> Filter:
     """The filter with variances of angle, speed and acceleration that nothing else is known of."""
-    b = max(kalman.P[12], (B_LOST * scale.v_drop / psi) ** 2)
+    b = max(kalman.P[12], square(B_LOST * scale.v_drop / psi))
     return Filter(
         kalman.x,
         covariance.diagonal(angle, omega, alpha, b, kalman.P[14]),
@@ -574,12 +573,12 @@ def _edge(params: Params, state: State, sensor: int, before: int, driven: bool) 
         z = 0.0
     elif far and passed > 0:
         v = wrap(at - last.at) / since
-        kalman = _anew(scale, kalman, psi, r, 0.1 * v * v + 0.1 * (z / since) ** 2, 0.3 * (v / since) ** 2)
+        kalman = _anew(scale, kalman, psi, r, 0.1 * v * v + 0.1 * square(z / since), 0.3 * square(v / since))
         kalman = _moved_to(kalman, (x[0] + z + ago * (v - omega), v, 0.0, x[3], x[4]))
         z = 0.0
     elif far:
         P = kalman.P
-        P = covariance.diagonal(P[0] + z * z, P[5] + (z / since) ** 2, P[9], P[12], P[14])
+        P = covariance.diagonal(P[0] + z * z, P[5] + square(z / since), P[9], P[12], P[14])
         kalman = Filter(x, P, kalman.gain_d, kalman.gain_q, kalman.since)
     g = _ago(kalman.P, ago)
     s = 1.0 / (g[0] - ago * g[1] + r)
@@ -590,8 +589,8 @@ def _edge(params: Params, state: State, sensor: int, before: int, driven: bool) 
     scatter = places.scatter
     sums = state.sums
     if learn and row >= SETTLED:
-        square = clip(z * (z - moved_by) - places.variance[slot], 9.0 * scatter)
-        scatter = max(scatter + SCATTER_SHARE * (square - scatter), SCATTER_LEAST * SCATTER_LEAST)
+        seen = clip(z * (z - moved_by) - places.variance[slot], 9.0 * scatter)
+        scatter = max(scatter + SCATTER_SHARE * (seen - scatter), SCATTER_LEAST * SCATTER_LEAST)
         if params.pairs > 0 and speed > OWN_FROM:
             by = -OWN_SHARE * fast * fast * clip(z, OWN_MOST)
             places = hall_places.taught(places, pair, boundary, by, 1.0 / (6.0 * params.pairs))
@@ -697,7 +696,7 @@ def _held(scale: Scale, kalman: Filter, last: Last, belief: Belief, lessons: Les
         P = kalman.P
         P = covariance.diagonal(
             max(P[0], DEG * DEG),
-            max(P[5], (0.3 * omega) ** 2 + (0.25 * scale.omega_v) ** 2),
+            max(P[5], square(0.3 * omega) + (0.25 * scale.omega_v) ** 2),
             max(P[9], (ALPHA_START * scale.alpha) ** 2),
             P[12],
             P[14],

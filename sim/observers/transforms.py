@@ -32,3 +32,9 @@ def clarke(a: float, b: float, c: float) -> tuple[float, float]:
 def clip(value: float, limit: float) -> float:
     """`value` within +-`limit`."""
     return min(max(value, -limit), limit)
+
+
+@kernel
+def square(x: float) -> float:
+    """x²: a product has the same bits compiled and not, which a power need not have."""
+    return x * x
