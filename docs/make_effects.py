@@ -1,4 +1,4 @@
-"""Runs every observer on benches with one effect of a real one each, and ranks what that costs; makes docs/effects.md.
+"""Runs every observer on every motor, kind and unkind, and with one effect of a real bench each; makes docs/effects.md.
 
 python docs/make_effects.py [--page]
 
@@ -11,12 +11,13 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from numpy.typing import NDArray
 
 from bench.device.simulator import motors
 from protocol.messages import DriveState, SetpointMode
@@ -43,7 +44,8 @@ LEAST = 0.05  # deg: a cost below it is not told from noise
 def main() -> None:
     """Run and write."""
     if sys.argv[1:] != ["--page"]:
-        NUMBERS.write_text(json.dumps({name: run(name) for name in MOTORS}, indent=1) + "\n")
+        numbers = {"effects": {name: run(name) for name in MOTORS}, "motors": reached()}
+        NUMBERS.write_text(json.dumps(numbers, indent=1) + "\n")
     (DOCS / "effects.md").write_text(page(json.loads(NUMBERS.read_text())))
 
 
@@ -51,9 +53,9 @@ def run(name: str) -> dict[str, Any]:
     """What all observers' errors are on the kind bench of a motor, and by how much each effect changes them, deg."""
     file = motors()[name] if name else None
     kind = load_params(file)
-    plain = errors(file, {})
+    plain = errors(file, {}).rms
     cases = {**effects(kind), "all of it": unkind(kind)}
-    found = {effect: errors(file, overrides) for effect, overrides in cases.items()}
+    found = {effect: errors(file, overrides).rms for effect, overrides in cases.items()}
     return {
         "kind": {observer: rounded(error) for observer, error in plain.items()},
         "costs": {
@@ -68,14 +70,37 @@ def rounded(value: float) -> float:
     return round(value, 3)
 
 
-def errors(file: Path | None, overrides: Mapping[str, Value]) -> dict[str, float]:
-    """Root of the mean square error of each observer over all points and seeds, electrical degrees."""
-    squares = [square for seed in SEEDS for square in seen(load_params(file, overrides), seed)]
-    return {name: math.sqrt(np.mean([square[name] for square in squares])) for name in squares[0]}
+def reached() -> dict[str, dict[str, dict[str, list[float]]]]:
+    """[rms, largest] of each observer's error, deg, by motor ("": the paper's) and bench (kind, unkind)."""
+    found = {}
+    for name, file in {"": None, **motors()}.items():
+        benches = {"kind": {}, "unkind": unkind(load_params(file))}
+        both = {bench: errors(file, overrides) for bench, overrides in benches.items()}
+        found[name] = {
+            bench: {observer: [rounded(of.rms[observer]), rounded(of.largest[observer])] for observer in of.rms}
+            for bench, of in both.items()
+        }
+    return found
 
 
-def seen(params: BenchParams, seed: int) -> list[dict[str, float]]:
-    """Mean square of each observer's error at each point, deg2."""
+class Errors(NamedTuple):
+    """Each observer's, electrical degrees."""
+
+    rms: dict[str, float]
+    largest: dict[str, float]
+
+
+def errors(file: Path | None, overrides: Mapping[str, Value]) -> Errors:
+    """Over all points and seeds."""
+    points = [point for seed in SEEDS for point in seen(load_params(file, overrides), seed)]
+    return Errors(
+        {name: math.sqrt(np.mean([point[name] ** 2 for point in points])) for name in points[0]},
+        {name: float(np.max([np.abs(point[name]).max() for point in points])) for name in points[0]},
+    )
+
+
+def seen(params: BenchParams, seed: int) -> list[dict[str, NDArray[np.float64]]]:
+    """Each observer's error at each point, deg."""
     from observers.recordings import edges
 
     bench = SimulatedBench(params, seed)
@@ -107,19 +132,39 @@ def seen(params: BenchParams, seed: int) -> list[dict[str, float]]:
             run = go(speed, current, max(SEEN, slow))
             theta = run["theta_true"]
             off = {name: np.degrees(theta - run[channel]) for name, channel in angles.items()}
-            found.append({name: float(np.mean(((error + 180) % 360 - 180) ** 2)) for name, error in off.items()})
+            found.append({name: (error + 180) % 360 - 180 for name, error in off.items()})
     assert not bench.faults, bench.faults
     return found
 
 
 def page(numbers: Mapping[str, Any]) -> str:
     """The page from its words and these numbers."""
-    tables = [table(MOTORS[name], of["kind"], of["costs"]) for name, of in numbers.items()]
-    ranks = ranked(numbers)
+    tables = [table(MOTORS[name], of["kind"], of["costs"]) for name, of in numbers["effects"].items()]
+    ranks = ranked(numbers["effects"])
     environment = Environment(loader=FileSystemLoader(PARTS), undefined=StrictUndefined, keep_trailing_newline=True)
     return environment.get_template("effects.md.j2").render(
-        tables=tables, ranks=ranks, speeds=SPEEDS, loads=LOADS, seeds=len(SEEDS), least=LEAST, warm_up=WARM_UP
+        tables=tables,
+        ranks=ranks,
+        reach=reach(numbers["motors"]),
+        speeds=SPEEDS,
+        loads=LOADS,
+        seeds=len(SEEDS),
+        least=LEAST,
+        warm_up=WARM_UP,
     )
+
+
+def reach(of: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> list[tuple[str, list[str]]]:
+    """Observers, the best unkind first: rms / largest with the paper's motor, and the worst of the others."""
+
+    def cells(observer: str) -> list[str]:
+        paper = [of[""][bench][observer] for bench in ("kind", "unkind")]
+        others = [[of[name][bench][observer] for name in of if name] for bench in ("kind", "unkind")]
+        worst = [[max(each) for each in zip(*motor, strict=True)] for motor in others]
+        return [f"{rms:.2f} / {largest:.1f}" for rms, largest in (*paper, *worst)]
+
+    unkind_rms = {observer: figures[0] for observer, figures in of[""]["unkind"].items()}
+    return [(observer, cells(observer)) for observer in sorted(unkind_rms, key=lambda name: unkind_rms[name])]
 
 
 def ranked(numbers: Mapping[str, Any]) -> list[tuple[str, str, float, str]]:
@@ -138,7 +183,7 @@ def table(title: str, kind: Mapping[str, float], costs: Mapping[str, Mapping[str
     """A motor's table: a row an effect, dearest first, a column an observer."""
     short = {entry.name: entry.short for entry in SOURCES.values()}
     order = sorted(costs, key=lambda effect: -max(costs[effect].values()))
-    lines = [f"### {title[:1].upper()}{title[1:]}", "", f"| | {' | '.join(short[name] for name in kind)} |"]
+    lines = [f"#### {title[:1].upper()}{title[1:]}", "", f"| | {' | '.join(short[name] for name in kind)} |"]
     lines += ["|---" * (len(kind) + 1) + "|", f"| kind bench | {' | '.join(f'{x:.2f}' for x in kind.values())} |"]
     for effect in order:
         cells = (costs[effect][name] for name in kind)

@@ -30,13 +30,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from sim.control.transforms import clip, inverse_clarke, inverse_park
+from sim import legs
+from sim.control.transforms import clip, inverse_park
 from sim.numba_cache import kernel
 
-FADE = 0.8448  # V, the current below which it fades, times inductance and PWM frequency: 0.3 A with the paper's
-RIPPLE = 0.18  # of |u| T_s / L_s, the current below which the loss fades, by the switching ripple there
-LEAST = 0.03  # of the current above: the least of that
-FUNDAMENTAL = 4.0 / math.pi  # of a square wave
 START = 0.02  # of u_dc, V: what is left at first, rms, of each shape
 WANDER = 2e-4  # of u_dc, in a root of a second: how it changes
 ERROR = 8e-4  # of u_dc: of r, which no shape has
@@ -75,11 +72,7 @@ class Taught(NamedTuple):
     """By the samples of a turn; sums."""
 
     n: float
-    full: float  # V, along each shape's harmonics
-    near: float
-    full_full: float  # of the shapes themselves
-    full_near: float
-    near_near: float
+    along: legs.Along
     i_alpha: float  # A, the current turned back by the mean speed
     i_beta: float
     size: float  # A
@@ -113,7 +106,7 @@ def make_params(
     omega_on: float,
 ) -> Params:
     """Constants from the drive's parameters of the same names (s, share, 0 or 1, ohm, H, rad/s)."""
-    fade = float(f"{FADE / (L_s_hat * pwm_hz):.3g}")
+    fade = float(f"{legs.FADE / (L_s_hat * pwm_hz):.3g}")
     return Params(
         float(dead_time_hat) * float(dead_time_comp) * float(pwm_hz),
         1.0 / fade,
@@ -128,22 +121,21 @@ def make_params(
 @kernel
 def init() -> State:
     """Nothing learned."""
-    nothing = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    nothing = Taught(0.0, legs.none(), 0.0, 0.0, 0.0)
     return State(Left(0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, nothing, nothing)
 
 
 @kernel
 def begun(state: State, i_alpha: float, i_beta: float) -> State:
     """What was learned so far, and no turn yet; the currents at the last sample (A)."""
-    none = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    none = Taught(0.0, legs.none(), 0.0, 0.0, 0.0)
     return State(state.left, state.C, i_alpha, i_beta, 0.0, 0.0, 0.0, 0, 0.0, 0.0, none, none)
 
 
 @kernel
 def _per_ripple(params: Params, u_alpha: float, u_beta: float) -> float:
     """1/A, of the current below which the loss fades at this voltage."""
-    ripple = RIPPLE * math.sqrt(u_alpha * u_alpha + u_beta * u_beta) / params.L_by_T
-    return 1.0 / max(ripple, LEAST / params.per_fade)
+    return legs.per_ripple(math.sqrt(u_alpha * u_alpha + u_beta * u_beta), params.L_by_T, params.per_fade)
 
 
 @kernel
@@ -154,44 +146,18 @@ def _shapes(params: Params, current: float, per_ripple: float) -> tuple[float, f
 
 
 @kernel
-def _harmonics(i_alpha: float, i_beta: float, size: float, per: float) -> tuple[float, float]:
-    """The signs of the phase currents, fading below 1 / per, less what of them turns with the current; alpha, beta."""
-    a, b, c = inverse_clarke(i_alpha, i_beta)
-    f_a = clip(a * per, 1.0)
-    f_b = clip(b * per, 1.0)
-    f_c = clip(c * per, 1.0)
-    x = size * per
-    by = per if x <= 1.0 else FUNDAMENTAL / size * (1.0 - 1.0 / (x * x) * (1.0 / 6.0 + 0.048 / (x * x)))
-    return (2.0 * f_a - f_b - f_c) / 3.0 - by * i_alpha, (f_b - f_c) / math.sqrt(3.0) - by * i_beta
-
-
-@kernel
 def _learned(
     state: State, taught: Taught, u_dc: float, emf: float, T_s: float, seconds: float
 ) -> tuple[Left, tuple[float, float, float]]:
-    """What is left, and its covariance, after a turn: least squares, and what was known before."""
-    left = state.left
-    a, b, c = state.C
+    """What is left, and its covariance, after a turn."""
     most = (START * u_dc) ** 2
     more = (WANDER * u_dc) ** 2 * seconds
-    if a == 0.0:
-        a, c = most, most
-    a = min(a + more, most)
-    c = min(c + more, most)
     sigma = ((ERROR * u_dc) ** 2 + (HARMONICS * emf) ** 2) / PER_TURN
-    w = 1.0 / (taught.n * sigma)
-    p, q, r = w * taught.full_full, w * taught.full_near, w * taught.near_near
-    det = a * c - b * b
-    p += c / det
-    q -= b / det
-    r += a / det
-    det = p * r - q * q
-    a, b, c = r / det, -q / det, p / det
-    by = w * T_s / max(u_dc, 1.0)
+    C = state.C if state.C[0] > 0.0 else (most, 0.0, most)
+    full, near, C = legs.solved(C, taught.along, most, more, 1.0 / (taught.n * sigma))
+    by = T_s / max(u_dc, 1.0)
     limit = MOST * T_s
-    full = left.full + by * (a * taught.full + b * taught.near)
-    near = left.near + by * (b * taught.full + c * taught.near)
-    return Left(clip(full, limit), clip(near, limit)), (a, b, c)
+    return Left(clip(state.left.full + by * full, limit), clip(state.left.near + by * near, limit)), C
 
 
 @kernel
@@ -215,20 +181,15 @@ def learnt(
     rest_beta = u_beta - params.R_s * b - params.L_by_T * (i_beta - state.i_beta) - main_beta
     share = min(MEAN * abs(turned), 1.0)
     size = max(math.sqrt(a * a + b * b), TINY)
-    full_alpha, full_beta = _harmonics(a, b, size, params.per_fade)
-    near_alpha, near_beta = _harmonics(a, b, size, _per_ripple(params, u_alpha, u_beta))
-    near_alpha -= full_alpha
-    near_beta -= full_beta
+    full = legs.harmonics(legs.shape(a, b, size, params.per_fade), a, b)
+    near = legs.harmonics(legs.shape(a, b, size, _per_ripple(params, u_alpha, u_beta)), a, b)
+    near = (near[0] - full[0], near[1] - full[1])
     cos = math.cos(state.angle)
     sin = math.sin(state.angle)
     taught = state.taught
     taught = Taught(
         taught.n + 1.0,
-        taught.full + rest_alpha * full_alpha + rest_beta * full_beta,
-        taught.near + rest_alpha * near_alpha + rest_beta * near_beta,
-        taught.full_full + full_alpha * full_alpha + full_beta * full_beta,
-        taught.full_near + full_alpha * near_alpha + full_beta * near_beta,
-        taught.near_near + near_alpha * near_alpha + near_beta * near_beta,
+        legs.along(taught.along, rest_alpha, rest_beta, full, near),
         taught.i_alpha + cos * a + sin * b,
         taught.i_beta + cos * b - sin * a,
         taught.size + size,
@@ -249,7 +210,7 @@ def learnt(
         angle = 0.0
         seconds = 0.0
         before = taught
-        taught = Taught(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        taught = Taught(0.0, legs.none(), 0.0, 0.0, 0.0)
     main_alpha += share * rest_alpha
     main_beta += share * rest_beta
     return State(left, C, i_alpha, i_beta, main_alpha, main_beta, mean, even, angle, seconds, taught, before)

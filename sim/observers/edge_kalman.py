@@ -4,7 +4,8 @@ State: angle and speed of the rotor, its acceleration, and two errors of the bac
 stays (a resistance, a dead time), and c, which swings with the electrical angle. Three measurements:
 
 - an edge, at its learned place: theta at the time that the edge was captured. It is sharp, and rare.
-- e_d, the back-EMF across the estimate: -e_d / psi = omega (theta - theta_hat). Worth the more, the faster it turns.
+- e_d, the back-EMF across the estimate: -e_d / psi = omega (theta - theta_hat). Worth the more, the faster it turns;
+  worth little where a leg's current goes through zero.
 - e_q, the back-EMF along it: (e_q - drop) / psi = omega + b sat(i_q) + c. It shows a change of speed at once, also
   where edges are far apart.
 
@@ -13,7 +14,8 @@ which the rotor turns through a sixth of a radian; e_d has a variance that is la
 
 - Gains follow from the covariance, which is carried on every `EVERY` samples and at each edge. A gain that is used for
   so many samples is that of the mean of them, P h / (EVERY h P h + r), so that it is below 1 / EVERY.
-- Acceleration wanders little; where the current has changed it wanders by what the torque may have done. A load that
+- Acceleration changes with the current as the inertia says, where that is known, and wanders by a part of that. Else it
+  wanders little. A load that
   steps shows in e_d and e_q before the next edge: their residues, filtered, beside what they are as a rule. Beyond
   `SURPRISE` times that the acceleration may have been another for `BACK` seconds already.
 - An edge far off is taken for the truth: the angle starts anew at it, with the speed since the last. Not so where the
@@ -39,11 +41,12 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
+from sim import legs
 from sim.numba_cache import kernel
 from sim.observers import covariance, edge_lessons, hall_levels, hall_places
 from sim.observers.average_speed import FASTEST, centre
 from sim.observers.covariance import Five, Symmetric
-from sim.observers.edge_lessons import Four, Lessons, Sums, Two
+from sim.observers.edge_lessons import Four, Lessons, Lost, Sums, Two
 from sim.observers.edge_scales import Scale, make_scale
 from sim.observers.hall_edges import HallEdges
 from sim.observers.hall_levels import SENSOR_OF_BIT, Belief, Levels
@@ -53,21 +56,23 @@ from sim.observers.sample import Sample
 from sim.observers.transforms import clip, square, wrap
 
 EVERY = 8  # samples
-SIG_D = 0.28  # of v: error of e_d that repeats
+SIG_D = 0.15  # of v: error of e_d that repeats
 SIG_Q = 0.12  # of v: the same of e_q
-SIG_Q_LOW = 1.1  # of v: where the current is small
-SIG_EMF = 0.01  # of psi omega: both
+SIG_Q_LOW = 0.5  # of v: where the current is small
+SIG_EMF = 0.0073  # of psi omega: both
 SIG_WHITE = 0.0055  # of i L / T_s: of a sample, by the noise of the currents
-SIG_B = 0.29  # of v, in a root of a second
+SIG_B = 0.1  # of v, in a root of a second
 LITTLE = 0.1  # of i: below it the current is small
 SLOWEST = 6.0  # rad/s: below it errors repeat no slower
 REPEATS = 6.0  # 1/rad: of the electrical angle
 ALPHA_LOW = 0.0029  # of alpha, in a root of a second: how much the acceleration wanders
 ALPHA_HIGH = 0.061  # above ALPHA_AT
 ALPHA_AT = 24.0  # omega_v
-TORQUE = 16.0  # of what a change of current may do
+FEED = 0.9  # of what the current does to a shaft whose inertia is known
+TORQUE = 2.8  # of what a change of current may do besides
 TORQUE_TAU = 0.0063  # s
 TORQUE_DEAD = 0.0023  # of i: a change that is none
+B_TAU = 0.03  # s: of b where the current is small, and the dead time's error another
 B_START = 4.0  # of v_drop
 B_LOST = 0.69  # of v_drop: where an edge was far off
 ANGLE_START = 20.0 * DEG
@@ -75,19 +80,19 @@ OMEGA_START = 5.0  # omega_v
 ALPHA_START = 0.07  # of alpha
 LEAST_D = 0.5  # omega_v: below it e_d says nothing
 CLIP_D = 0.7  # of omega: largest residue of e_d that is used
-CLIP_Q = 2.1  # the same of e_q, below omega_b
+CLIP_Q = 2.0  # the same of e_q, below omega_b
 TAU = 1e-3  # s: filters of current and e_q
-RESIDUE_TAU = 0.0013  # s: of the residues
-RULE_TAU = 0.44  # s: of what they are as a rule
+RESIDUE_TAU = 0.00083  # s: of the residues
+RULE_TAU = 0.52  # s: of what they are as a rule
 RULE_MOST = 9.0  # times that, a residue counts at most
 RULE_LEAST = 0.017  # of v
-RULE = 6.1  # times their square, as a variance
-RULE_D = 70.0  # more of it for e_d at low speed, where it is spikes
-RULE_AT = 8.0  # omega_v: up to here
+RULE = 9.1  # times their square, as a variance
+RULE_D = 92.0  # more of it for e_d at low speed, where it is spikes
+RULE_AT = 5.4  # omega_v: up to here
 SURPRISE = 3.9  # times the variance
-BOOST = 0.55  # of alpha, in a root of a millisecond
-BOOST_MOST = 2.1  # times that, at the most
-BACK = 0.0036  # s
+BOOST = 0.43  # of alpha, in a root of a millisecond
+BOOST_MOST = 1.8  # times that, at the most
+BACK = 0.0044  # s
 CALM = 1.0  # times the variance, above which the back-EMF is not quiet
 QUIET = 5e-3  # s
 GATE = 4.0  # sigma, beyond which an edge is far off
@@ -165,6 +170,7 @@ class Watch(NamedTuple):
     rule_d: float  # rad2/s2, mean squares of them
     rule_q: float
     quiet: float  # s since they were more
+    counted: float  # samples that e_d counts for, since P was carried on
 
 
 class Last(NamedTuple):
@@ -222,6 +228,7 @@ class Emf(NamedTuple):
     sin: float
     cos_6: float
     sin_6: float
+    lost: Lost
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -253,7 +260,7 @@ def init() -> State:
         0.0,
         0.0,
         Filter(zero, covariance.diagonal(0.0, 0.0, 0.0, 0.0, 0.0), zero, zero, 0),
-        Watch(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        Watch(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         Last(0, 0, 0, 0, 0.0, 0.0, 0),
         Levels(0, -1, 0.0, 0),
         hall_levels.nothing_against(),
@@ -288,7 +295,7 @@ def _primed(params: Params, state: State, sample: Sample) -> State:
         sample.i_beta,
         0.0,
         Filter((theta, 0.0, 0.0, 0.0, 0.0), P, zero, zero, 0),
-        Watch(0.0, 0.0, 0.0, 0.0, 0.0, rule_d, rule_q, 0.0),
+        Watch(0.0, 0.0, 0.0, 0.0, 0.0, rule_d, rule_q, 0.0, 0.0),
         state.last,
         Levels(sample.code, -1, 0.0, 0),
         state.belief,
@@ -313,6 +320,11 @@ def _emf(scale: Scale, state: State, sample: Sample, theta: float, omega: float)
     e_beta = sample.u_beta - scale.R_s * i_beta - L_by_T * (sample.i_beta - state.i_beta) - lessons.offset[1]
     e_alpha -= re * i_alpha + im * i_beta
     e_beta -= im * i_alpha - re * i_beta
+    u = math.sqrt(sample.u_alpha * sample.u_alpha + sample.u_beta * sample.u_beta)
+    lost = edge_lessons.lost(lessons, scale, u, i_alpha, i_beta)
+    full, near = lessons.lost
+    e_alpha -= full * lost.full[0] + near * lost.whole[0]
+    e_beta -= full * lost.full[1] + near * lost.whole[1]
     middle = theta - 0.5 * scale.T_s * omega
     cos = math.cos(middle)
     sin = math.sin(middle)
@@ -331,6 +343,7 @@ def _emf(scale: Scale, state: State, sample: Sample, theta: float, omega: float)
         sin,
         c6,
         s6,
+        lost,
     )
 
 
@@ -356,6 +369,7 @@ def _summed(sums: Sums, emf: Emf, left_d: float, left_q: float, omega: float, si
             six[2] + left_d * emf.cos_6 + left_q * emf.sin_6,
             six[3] + left_q * emf.cos_6 - left_d * emf.sin_6,
         ),
+        legs.along(sums.legs, alpha, beta, emf.lost.full, emf.lost.near),
     )
 
 
@@ -445,7 +459,7 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
     if driven:
         if size > LEAST_D * scale.omega_v:
             g = _across(P, omega)
-            P = covariance.less(P, g, 1.0 / (g[0] * omega + r_d / n))
+            P = covariance.less(P, g, watch.counted / (watch.counted * g[0] * omega + r_d))
         g = _along(P, sign)
         P = covariance.less(P, g, 1.0 / (g[1] + sign * g[3] + g[4] + r_q / n))
         least = square(RULE_LEAST * scale.v / psi)
@@ -463,8 +477,11 @@ def _carried(params: Params, kalman: Filter, watch: Watch, psi: float, driven: b
             quiet = 0.0
         if much > SURPRISE:
             P = _stirred(P, (BOOST * scale.alpha) ** 2 * (t / 1e-3) * min(much / SURPRISE - 1.0, BOOST_MOST))
-    x = (kalman.x[0], kalman.x[1], kalman.x[2], kalman.x[3], f * kalman.x[4])
-    watch = Watch(watch.i_q, i_slow, watch.e_q, watch.residue_d, watch.residue_q, rule_d, rule_q, quiet)
+    b = kalman.x[3]
+    if abs(watch.i_q) < LITTLE * scale.i:
+        b /= 1.0 + t / B_TAU
+    x = (kalman.x[0], kalman.x[1], kalman.x[2], b, f * kalman.x[4])
+    watch = Watch(watch.i_q, i_slow, watch.e_q, watch.residue_d, watch.residue_q, rule_d, rule_q, quiet, 0.0)
     return Filter(x, P, kalman.gain_d, kalman.gain_q, 0), watch
 
 
@@ -601,7 +618,19 @@ def _edge(params: Params, state: State, sensor: int, before: int, driven: bool) 
     if learn:
         lessons = edge_lessons.met(lessons, hall_places.after(places, pair, scatter), since)
         off = sums.off + z - 0.5 * moved_by
-        sums = Sums(sums.n, sums.e_d, sums.e_q, sums.i_q, sums.omega, sums.sign, off, sums.fixed, sums.twice, sums.six)
+        sums = Sums(
+            sums.n,
+            sums.e_d,
+            sums.e_q,
+            sums.i_q,
+            sums.omega,
+            sums.sign,
+            off,
+            sums.fixed,
+            sums.twice,
+            sums.six,
+            sums.legs,
+        )
         if boundary == 0:
             if row >= edge_lessons.ROW and sums.n >= 4.0:
                 lessons, kalman = _taught(scale, lessons, kalman, sums, state.watch.i_q, way)
@@ -761,11 +790,11 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
     standing = kalman.x[0]
     theta = standing + T_s * kalman.x[1] + 0.5 * T_s * T_s * kalman.x[2]
     omega = kalman.x[1] + T_s * kalman.x[2]
-    x = (theta, omega, kalman.x[2], kalman.x[3], kalman.x[4])
     size = abs(omega)
 
     emf = _emf(scale, state, sample, theta, omega)
     i_q = watch.i_q + params.a_tau * (emf.i_q - watch.i_q)
+    x = (theta, omega, kalman.x[2] + FEED * scale.feed * (i_q - watch.i_q), kalman.x[3], kalman.x[4])
     sign = clip(i_q / scale.i_fade, 1.0)
     driven = sample.u_alpha != 0.0 or sample.u_beta != 0.0
     residue_d = watch.residue_d
@@ -780,7 +809,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
             sums = _summed(sums, emf, emf.e_d, psi * left, omega, clip(emf.i_q / scale.i_fade, 1.0))
         most = max(size, 1.5 * scale.omega_v)
         if size > LEAST_D * scale.omega_v:
-            x = covariance.added(x, kalman.gain_d, clip(z_d, CLIP_D * most))
+            x = covariance.added(x, kalman.gain_d, emf.lost.weight * clip(z_d, CLIP_D * most))
         x = covariance.added(x, kalman.gain_q, clip(z_q, CLIP_Q * most) if size <= scale.omega_b else z_q)
     watch = Watch(
         i_q,
@@ -791,6 +820,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         watch.rule_d,
         watch.rule_q,
         watch.quiet + T_s,
+        watch.counted + emf.lost.weight,
     )
     kalman = Filter(x, kalman.P, kalman.gain_d, kalman.gain_q, kalman.since + 1)
     last = Last(last.passed, last.row, last.way, last.boundary, last.at, last.age + T_s, last.off)
@@ -843,7 +873,7 @@ def step(params: Params, state: State, sample: Sample) -> tuple[State, Estimate]
         kalman = _gained(scale, kalman, psi, i_q)
         omega = kalman.x[1]
         twice = edge_lessons.twice_of(lessons, scale, omega)
-        six = edge_lessons.six_of(lessons, scale, omega, sign)
+        six = edge_lessons.six_of(lessons, scale, omega)
 
     theta = wrap(kalman.x[0])
     omega = clip(kalman.x[1], params.omega_max)

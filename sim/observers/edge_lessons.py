@@ -14,10 +14,14 @@ Learned once a turn, from sums over it, and only where the turn tells one thing 
    by the edges' times. Not below a tenth of the largest current, where the dead time's error has another shape.
 4. Offset and gain of the current sensors, by what they leave in e once (the offset, a constant vector of the stator)
    and twice a turn (the gain: -k (R_s + L_s d/dt) conj i). Least mean squares.
-5. What is left six times a turn: of the dead time, which goes with the current, and of the back-EMF's 5th and 7th
-   harmonics, which go with the speed. The same.
+5. What the three legs lose, each against its own current: a voltage that fades below i_fade, as a compensation of the
+   dead time does, and one that fades below the switching ripple, as the dead time itself does: a leg whose current
+   changes its sign within a period loses nothing. Learned by their harmonics, which no resistance and no flux linkage
+   has; the second is then known at any current. Least squares.
+6. The back-EMF's 5th and 7th harmonics, six times a turn in the rotor's frame, which go with the speed. Least mean
+   squares; little at low speed and current, where 5 is larger.
 
-4 and 5 are learned from what the filter leaves of e, and 1 to 3 from nothing that it has corrected but the mean over
+4 to 6 are learned from what the filter leaves of e, and 1 to 3 from nothing that it has corrected but the mean over
 the turn, which `edge_kalman` gives in full: no angle confirms itself.
 
 What was learned is told as better values of the drive's parameters `LESSONS`, each with its standard deviation.
@@ -30,6 +34,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sim import legs
+from sim.legs import Along
 from sim.numba_cache import kernel
 from sim.observers import covariance, hall_places
 from sim.observers.covariance import Five, Symmetric
@@ -37,7 +43,7 @@ from sim.observers.edge_scales import Scale
 from sim.observers.hall_edges import EDGES
 from sim.observers.hall_places import DEG, Places, Six, Twelve
 from sim.observers.hall_speed import SECTOR_WIDTH
-from sim.observers.transforms import TWO_PI, clip
+from sim.observers.transforms import TWO_PI, clip, square
 
 LESSONS = (*EDGES, "psi_f_hat", "R_s_hat", "L_s_hat")
 """The drive's parameters that it learns better values of."""
@@ -77,9 +83,16 @@ DROP_DRIFT = 0.015  # of v
 R_DRIFT = 0.003  # of R_s
 MEMORY = 64.0  # turns over which ripple is a mean at first
 RIPPLE = 0.014  # a turn, least gain of offset and gain
-SIX = 0.18  # a turn, least gain of what is left six times
-SIX_SLOW = 25.0  # how fast its part by the current gives way above omega_b
-SIX_FAST = 0.24  # and its part by the speed comes
+SIX = 0.074  # a turn, least gain of the back-EMF's harmonics
+SIX_LEAST = 1.7  # (omega / omega_b)2: below it they are learned the more slowly
+LEGS_START = 3.7  # of v, rms of what legs lose, at first
+LEGS_WANDER = 0.04  # of v, in a root of a second
+LEGS_ERROR = 0.15  # of v, of what no shape has
+LEGS_EMF = 0.32  # of psi omega: the same, of the harmonics
+LEGS_TIMES = 5.4  # a turn, that it is another
+CLOSE = 1.5  # of that current: a leg that has less
+CLOSE_V = 0.3  # of v, lost beside the ripple, that halves what a sample with one counts
+OPEN = 8.0  # of that current: where all of them together have less, each sample counts
 
 
 class Sums(NamedTuple):
@@ -95,6 +108,16 @@ class Sums(NamedTuple):
     fixed: Two  # V, what is left of e in the stator's frame: alpha, beta
     twice: Two  # turned once more backwards
     six: Four  # and in the rotor's frame, times e^{6 j theta} and e^{-6 j theta}
+    legs: Along  # of what is left of e
+
+
+class Lost(NamedTuple):
+    """What legs lose that lose 1 V of each shape: alpha, beta."""
+
+    full: Two  # harmonics of the shape that fades below i_fade; what turns with the current is the drop's
+    near: Two  # of the one that fades below the ripple, less the first
+    whole: Two  # the same, with what turns with the current
+    weight: float  # of e_d: less where a leg's current is so small that its loss is not known
 
 
 class Lessons(NamedTuple):
@@ -109,15 +132,16 @@ class Lessons(NamedTuple):
     drop_P: Six
     offset: Two  # V, R_s times the currents' offset
     gain: Two  # k
-    six: Four  # V
-    six_fast: Four  # V at omega_b
+    six: Four  # V at omega_b
+    lost: Two  # V, of each shape of `Lost`
+    lost_P: Three  # V2, its covariance
     turns: float
 
 
 @kernel
 def nothing() -> Sums:
     """No sample yet."""
-    return Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+    return Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.0), legs.none())
 
 
 @kernel
@@ -134,7 +158,8 @@ def unprimed() -> Lessons:
         (0.0, 0.0),
         (0.0, 0.0),
         (0.0, 0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0, 0.0),
+        (0.0, 0.0),
+        (0.0, 0.0, 0.0),
         0.0,
     )
 
@@ -170,7 +195,8 @@ def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
         rest.offset,
         rest.gain,
         rest.six,
-        rest.six_fast,
+        rest.lost,
+        (square(LEGS_START * scale.v), 0.0, square(LEGS_START * scale.v)),
         0.0,
     )
 
@@ -210,25 +236,44 @@ def lesson(lessons: Lessons, scale: Scale, number: int) -> tuple[float, float]:
 
 
 @kernel
-def six_of(lessons: Lessons, scale: Scale, omega: float, sign: float) -> Four:
-    """What is left six times a turn, V: factors of e^{-6 j theta} and e^{6 j theta}, real and imaginary."""
-    slow, fast = _shares(scale, omega, sign)
-    a = lessons.six
-    b = lessons.six_fast
-    return (
-        slow * a[0] + fast * b[0],
-        slow * a[1] + fast * b[1],
-        slow * a[2] + fast * b[2],
-        slow * a[3] + fast * b[3],
+def lost(lessons: Lessons, scale: Scale, u: float, i_alpha: float, i_beta: float) -> Lost:
+    """In a period with a voltage of size u (V) and these mean currents (A)."""
+    per_fade = 1.0 / scale.i_fade
+    per_ripple = legs.per_ripple(u, scale.L_s / scale.T_s, per_fade)
+    size = math.sqrt(i_alpha * i_alpha + i_beta * i_beta)
+    wide = legs.shape(i_alpha, i_beta, size, per_fade)
+    narrow = legs.shape(i_alpha, i_beta, size, per_ripple)
+    full = legs.harmonics(wide, i_alpha, i_beta)
+    near = legs.harmonics(narrow, i_alpha, i_beta)
+    weight = 1.0
+    if size * per_ripple > OPEN:
+        half = 0.5 * i_alpha
+        more = legs.HALF_SQRT3 * i_beta
+        if min(abs(i_alpha), abs(more - half), abs(more + half)) * per_ripple < CLOSE:
+            weight = 1.0 / (1.0 + square(lessons.lost[1] / (CLOSE_V * scale.v)))
+    return Lost(
+        full,
+        (near[0] - full[0], near[1] - full[1]),
+        (narrow.alpha - wide.alpha, narrow.beta - wide.beta),
+        weight,
     )
 
 
 @kernel
-def _shares(scale: Scale, omega: float, sign: float) -> tuple[float, float]:
-    """How much of what is left six times a turn goes with the current, and with the speed."""
+def _lost(lessons: Lessons, sums: Sums, scale: Scale, omega: float) -> tuple[Two, Three]:
+    """What the legs lose (V), and its covariance, after a turn."""
+    sigma = (square(LEGS_ERROR * scale.v) + square(LEGS_EMF * scale.psi_f * omega)) / LEGS_TIMES
+    more = square(LEGS_WANDER * scale.v) * sums.n * scale.T_s
+    full, near, P = legs.solved(lessons.lost_P, sums.legs, square(LEGS_START * scale.v), more, 1.0 / (sums.n * sigma))
+    return (lessons.lost[0] + full, lessons.lost[1] + near), P
+
+
+@kernel
+def six_of(lessons: Lessons, scale: Scale, omega: float) -> Four:
+    """The back-EMF's harmonics, V: factors of e^{-6 j theta} and e^{6 j theta}, real and imaginary."""
+    a = lessons.six
     x = omega / scale.omega_b
-    y = x * x
-    return sign / (1.0 + SIX_SLOW * y), x * y / (SIX_FAST + y)
+    return x * a[0], x * a[1], x * a[2], x * a[3]
 
 
 @kernel
@@ -260,7 +305,8 @@ def with_places(lessons: Lessons, places: Places, gaps: Twelve) -> Lessons:
         lessons.offset,
         lessons.gain,
         lessons.six,
-        lessons.six_fast,
+        lessons.lost,
+        lessons.lost_P,
         lessons.turns,
     )
 
@@ -296,7 +342,8 @@ def moved(lessons: Lessons, sensor: int, by: float) -> Lessons:
         lessons.offset,
         lessons.gain,
         lessons.six,
-        lessons.six_fast,
+        lessons.lost,
+        lessons.lost_P,
         lessons.turns,
     )
 
@@ -341,10 +388,13 @@ def turn(lessons: Lessons, sums: Sums, scale: Scale, way: int, boundary: int) ->
         lessons.offset,
         lessons.gain,
         lessons.six,
-        lessons.six_fast,
+        lessons.lost,
+        lessons.lost_P,
         lessons.turns,
     )
-    return _rippled(changed, sums, scale, mean, i_q) if wrong < ROUGH * TWO_PI else changed
+    if wrong < ROUGH * TWO_PI and abs(T1 - T0) < ROUGH * T1:
+        return _rippled(changed, sums, scale, mean, i_q)
+    return changed
 
 
 @kernel
@@ -497,13 +547,13 @@ def _rippled(lessons: Lessons, sums: Sums, scale: Scale, omega: float, i_q: floa
         im = sums.twice[1] / n
         share /= (scale.R_s * scale.R_s + x * x) * i_q
         gain = (gain[0] - share * (im * scale.R_s - re * x), gain[1] + share * (re * scale.R_s + im * x))
-    slow, fast = _shares(scale, omega, clip(i_q / scale.i_fade, 1.0))
-    share = max(1.0 / turns, SIX) / ((slow * slow + fast * fast + 0.1) * n)
+    lost, lost_P = _lost(lessons, sums, scale, omega)
+    x = omega / scale.omega_b
+    share = x * max(1.0 / turns, SIX) / ((x * x + SIX_LEAST) * n)
+    y = square(square(i_q / (LITTLE * scale.i)))
+    share *= y / (y + 1.0)
     s = sums.six
     a = lessons.six
-    b = lessons.six_fast
-    p = slow * share
-    q = fast * share
     return Lessons(
         lessons.places,
         lessons.gaps,
@@ -514,7 +564,8 @@ def _rippled(lessons: Lessons, sums: Sums, scale: Scale, omega: float, i_q: floa
         lessons.drop_P,
         offset,
         gain,
-        (a[0] + p * s[0], a[1] + p * s[1], a[2] + p * s[2], a[3] + p * s[3]),
-        (b[0] + q * s[0], b[1] + q * s[1], b[2] + q * s[2], b[3] + q * s[3]),
+        (a[0] + share * s[0], a[1] + share * s[1], a[2] + share * s[2], a[3] + share * s[3]),
+        lost,
+        lost_P,
         turns,
     )

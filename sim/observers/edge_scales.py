@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from sim import legs
+
 V_SHARE = 0.00546  # of u_dc, V: what dead time and devices leave of a back-EMF
 SHAFT = 0.14  # s: inertia of a shaft that is not known, by its torque at i_ref and the largest speed
-FADE = 0.8448  # V: the current at which the dead time's error saturates, times L and the PWM frequency
 AT_HALF = 0.99  # of the speed that u_dc / sqrt 3 allows with half of i_ref: the largest that is asked for
 FULL_SCALE = 2.5  # of i_ref: the current sensors' range
 OMEGA_B = 15.0  # omega_v, above which the back-EMF tells an angle better than one edge does
@@ -35,6 +36,7 @@ class Scale(NamedTuple):
     omega_v: float  # rad/s, at which the back-EMF is v
     omega_b: float  # rad/s
     alpha: float  # rad/s2, what the largest torque does to the shaft
+    feed: float  # rad/(s2 A), what the current does to it; 0: its inertia is not known
 
 
 def make_scale(
@@ -65,8 +67,9 @@ def make_scale(
         v=v,
         v_drop=max(v, 0.1 * R_s_hat * i),
         i=i,
-        i_fade=FADE / (L_s_hat * pwm_hz),
+        i_fade=legs.FADE / (L_s_hat * pwm_hz),
         omega_v=v / psi_f,
         omega_b=OMEGA_B * v / psi_f,
         alpha=n_p * torque / (J_hat or SHAFT * torque / omega_m_max),
+        feed=n_p * torque / (J_hat * i) if J_hat > 0.0 else 0.0,
     )

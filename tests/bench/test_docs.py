@@ -13,6 +13,7 @@ import click
 import pytest
 
 from bench.cli import cli
+from bench.device.simulator import motors
 from sim.config.params import load_params
 from sim.config.unkind import effects
 from sim.observers.catalogue import CATALOGUE
@@ -107,10 +108,13 @@ def test_the_page_of_the_effects_is_what_its_generator_makes_and_has_all_effects
     generator = generator_of("make_effects")
     numbers = json.loads(generator.NUMBERS.read_text())
     assert (ROOT / "docs" / "effects.md").read_text() == generator.page(numbers)  # else: python docs/make_effects.py
-    assert len(numbers) >= 3
-    for of in numbers.values():
+    assert len(numbers["effects"]) >= 3
+    for of in numbers["effects"].values():
         assert of["kind"].keys() == CATALOGUE.keys()
         assert of["costs"].keys() == effects(load_params()).keys() | {"all of it"}
+    assert numbers["motors"].keys() == {"", *motors()}
+    for benches in numbers["motors"].values():
+        assert benches["kind"].keys() == benches["unkind"].keys() == CATALOGUE.keys()
 
 
 def test_the_page_of_the_kalman_filter_has_the_figures_of_the_last_benchmark() -> None:
@@ -121,9 +125,10 @@ def test_the_page_of_the_kalman_filter_has_the_figures_of_the_last_benchmark() -
 def test_a_run_of_the_effects_gives_the_page_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "docs")
     generator = generator_of("make_effects")
-    numbers = json.loads(generator.NUMBERS.read_text())[""]
+    numbers = json.loads(generator.NUMBERS.read_text())
     found = generator.errors(None, {})
-    assert found == pytest.approx(numbers["kind"], abs=0.02)
+    assert found.rms == pytest.approx(numbers["effects"][""]["kind"], abs=0.02)
+    assert found.largest == pytest.approx({k: of[1] for k, of in numbers["motors"][""]["kind"].items()}, abs=0.1)
 
 
 def test_the_page_of_the_observers_is_what_its_generator_makes_of_words_and_numbers() -> None:

@@ -68,7 +68,7 @@ def _steps() -> Iterator[Row]:
             bench = Proving("edge_kalman", load_params(BENCH_24V), seed)
             bench.set_param("dead_time_learn", learn)
             bench.teach()
-            for step, error in steps(bench).items():
-                found.setdefault(step, []).append(error)
+            for step, both in steps(bench).items():
+                found.setdefault(step, []).append(both.own.largest)
         for step, errors in found.items():
             yield Row(f"bench24v, edge_kalman, {step}: median of the largest, {word}", float(np.median(errors)), "deg")

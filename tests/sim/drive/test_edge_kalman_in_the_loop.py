@@ -89,8 +89,9 @@ def test_motors_that_it_was_not_tuned_on(motor, kind):
 def test_steps_reversals_and_starts():
     worst_of: dict[str, float] = {}
     for seed in SEEDS:
-        for step, error in steps(taught(altered(KALMAN, "nothing", seed))).items():
-            worst_of[step] = max(worst_of.get(step, 0.0), error)
+        for step, both in steps(taught(altered(KALMAN, "nothing", seed))).items():
+            worst_of[step] = max(worst_of.get(step, 0.0), both.own.largest)
+            assert both.own.largest < both.other.largest, (seed, step)
     limits = {
         "500": 1.5,
         "0 to 4": 6.0,
@@ -106,8 +107,10 @@ def test_steps_reversals_and_starts():
 def test_steps_reversals_and_starts_of_an_unkind_bench():
     for seed in SEEDS[:2]:
         found = steps(taught(bench_24v(KALMAN, seed)))
-        assert max(error for step, error in found.items() if step.startswith("reversal")) < 12.0
-        assert found["start from rest, after the second edge"] < 8.0
+        assert max(both.own.largest for step, both in found.items() if step.startswith("reversal")) < 12.0
+        assert found["start from rest, after the second edge"].own.largest < 8.0
+        for step, both in found.items():
+            assert both.own.largest < both.other.largest, (seed, step)
 
 
 def test_one_speed_and_one_load_for_a_minute_teach_nothing_wrong():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from ideal_motor import TABLE_I
 
+from sim import legs
 from sim.observers import edge_lessons as el
 from sim.observers.edge_scales import make_scale
 
@@ -151,22 +152,72 @@ def test_offset_and_gain_of_the_current_sensors_are_found_by_what_they_leave(ome
     assert complex(*state.gain) == pytest.approx(-k, rel=0.01)
 
 
-def test_what_is_left_six_times_a_turn_is_split_by_current_and_speed():
-    """A part that goes with the current, a part that goes with the speed; each predicted where it was not learned."""
-    dead, emf = np.array([0.03, -0.02, 0.01, 0.0]), np.array([0.0, 0.06, -0.03, 0.01])
+TURN = np.exp(2j * np.pi / 3)
+
+
+def of_legs(i, at):
+    """V, what three legs lose that lose 1 V each against its current, fading below `at` (A); from the definition."""
+    return 2 / 3 * sum(np.clip((i * TURN**-k).real / at, -1, 1) * TURN**k for k in range(3))
+
+
+def ripple(u):
+    """A, where the switching ripple ends, at a voltage (V)."""
+    return 0.18 * u / (16e3 * PAPER["L_s_hat"])
+
+
+def harmonics(emf, theta, omega):
+    """V, in the rotor's frame: at omega_b the factors of e^{6 j theta} and e^{-6 j theta}; they go with the speed."""
+    a, b = complex(*emf[:2]), complex(*emf[2:])
+    return omega / SCALE.omega_b * (a * np.exp(-6j * theta) + b * np.exp(6j * theta))
+
+
+def test_the_legs_loss_and_the_back_emfs_harmonics_are_told_apart():
+    """Each learned at some speeds and currents, and right at others."""
+    full, near, emf = 0.1, -0.25, (0.0, 0.06, -0.03, 0.01)
     state = el.start(SCALE, UNKNOWN, 0.01)
+    n = 2000
+    theta = np.linspace(0.0, 2 * np.pi, n, endpoint=False)
 
-    def left(omega):
-        return dead / (1.0 + (omega / SCALE.omega_b) ** 4) + emf * omega / SCALE.omega_b
+    def lost(i, u):
+        return full * of_legs(i, SCALE.i_fade) + near * (of_legs(i, ripple(u)) - of_legs(i, SCALE.i_fade))
 
-    for _ in range(200):
-        for omega in (60.0, 1200.0):
-            rest = left(omega) - np.array(el.six_of(state, SCALE, omega, 1.0))
-            six = tuple((1000 * rest).tolist())
-            state = el.turn(lessons(omega, before=state), sums(omega, 4.0)._replace(six=six), SCALE, 1, 0)
-    for omega in (60.0, 1200.0, 1800.0):
-        assert el.six_of(state, SCALE, omega, 1.0) == pytest.approx(left(omega), abs=0.1 * np.abs(left(omega)).max())
-    assert np.abs(el.six_of(state, SCALE, 60.0, -1.0) + dead).max() < 0.02
+    for _ in range(60):
+        for omega, amps, u in ((80.0, 1.0, 0.7), (80.0, 4.0, 1.2), (600.0, 4.0, 4.5)):
+            i = 1j * amps * np.exp(1j * theta)
+            shapes = [el.lost(state, SCALE, u, v.real, v.imag) for v in i]
+            known = [state.lost[0] * complex(*s.full) + state.lost[1] * complex(*s.whole) for s in shapes]
+            left = lost(i, u) - known
+            six = el.six_of(state, SCALE, omega)
+            rest = left * np.exp(-1j * theta) + harmonics(emf, theta, omega)
+            rest -= complex(*six[:2]) * np.exp(-6j * theta) + complex(*six[2:]) * np.exp(6j * theta)
+            rest -= rest.mean()  # of psi, drop and a wrong resistance
+            along = legs.none()
+            for s, v in zip(shapes, rest * np.exp(1j * theta), strict=True):
+                along = legs.along(along, v.real, v.imag, s.full, s.near)
+            up, down = (rest * np.exp(6j * theta)).sum(), (rest * np.exp(-6j * theta)).sum()
+            state = el.turn(
+                lessons(omega, before=state),
+                sums(omega, amps, n=n)._replace(six=(up.real, up.imag, down.real, down.imag), legs=along),
+                SCALE,
+                1,
+                0,
+            )
+    assert state.lost == pytest.approx((full, near), abs=0.02)
+    assert np.array(el.six_of(state, SCALE, SCALE.omega_b)) == pytest.approx(np.array(emf), abs=0.01)
+
+
+def test_a_leg_whose_current_is_small_leaves_little_of_a_sample():
+    """Unless all are, for there is nothing better then, or the legs lose nothing there."""
+    nothing = el.start(SCALE, UNKNOWN, 0.01)
+    state = nothing._replace(lost=(0.1, -0.3))
+    u, i = 1.0, 4.0 * np.exp(1j * np.radians([90.0, 90.5, 93.0, 75.0, 60.0]))
+    weights = [
+        el.lost(state, SCALE, u, v.real, v.imag).weight for v in i
+    ]  # phase a: 0, 0.03, 0.2, 1 and 2 A; ripple: 0.06 A
+    assert max(weights[:2]) < 0.2
+    assert weights[2:] == [1.0] * 3
+    assert el.lost(state, SCALE, u, 0.0, 0.3).weight == 1.0
+    assert el.lost(nothing, SCALE, u, 0.0, 4.0).weight == 1.0
 
 
 @pytest.mark.parametrize("sensor", range(3))
