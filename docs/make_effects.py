@@ -94,7 +94,7 @@ def errors(file: Path | None, overrides: Mapping[str, Value]) -> Errors:
     """Over all points and seeds."""
     points = [point for seed in SEEDS for point in seen(load_params(file, overrides), seed)]
     return Errors(
-        {name: math.sqrt(np.mean([point[name] ** 2 for point in points])) for name in points[0]},
+        {name: math.sqrt(np.mean([np.mean(point[name] ** 2) for point in points])) for name in points[0]},
         {name: float(np.max([np.abs(point[name]).max() for point in points])) for name in points[0]},
     )
 

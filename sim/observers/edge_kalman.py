@@ -15,9 +15,8 @@ which the rotor turns through a sixth of a radian; e_d has a variance that is la
 - Gains follow from the covariance, which is carried on every `EVERY` samples and at each edge. A gain that is used for
   so many samples is that of the mean of them, P h / (EVERY h P h + r), so that it is below 1 / EVERY.
 - Acceleration changes with the current as the inertia says, where that is known, and wanders by a part of that. Else it
-  wanders little. A load that
-  steps shows in e_d and e_q before the next edge: their residues, filtered, beside what they are as a rule. Beyond
-  `SURPRISE` times that the acceleration may have been another for `BACK` seconds already.
+  wanders little. A load that steps shows in e_d and e_q before the next edge: their residues, filtered, beside what they
+  are as a rule. Beyond `SURPRISE` times that the acceleration may have been another for `BACK` seconds already.
 - An edge far off is taken for the truth: the angle starts anew at it, with the speed since the last. Not so where the
   back-EMF is strong, and has been quiet: then it is the edge that is wrong, up to `LOST` times running.
 - An edge that has not come holds the angle, and the speed below what it has had time for. Not so where the back-EMF
