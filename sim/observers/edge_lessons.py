@@ -73,6 +73,7 @@ LITTLE = 0.1  # of i: below it nothing is learned of the drop
 PSI_OFF = 0.15  # of psi_f, rms at first
 PSI_MOST = 0.5  # of psi_f, that it is off at most
 FAR = 4.0  # sigma, beyond which drop and dR are no longer what they were
+ANOTHER = 0.03  # of speed and largest current: what is no other operation
 DROP = 2.3  # of v
 R_OFF = 0.5  # of R_s
 DROP_V = 0.03  # of v: error of the turn's e_q
@@ -130,6 +131,7 @@ class Lessons(NamedTuple):
     ways: int  # bit 0: `common` was seen upwards, bit 1: downwards
     drop: Three  # psi, V s; drop, V; dR, ohm
     drop_P: Six
+    at: Two  # rad/s and A, where these were learned last
     offset: Two  # V, R_s times the currents' offset
     gain: Two  # k
     six: Four  # V at omega_b
@@ -155,6 +157,7 @@ def unprimed() -> Lessons:
         0,
         (0.0, 0.0, 0.0),
         hall_places.ZERO_6,
+        (0.0, 0.0),
         (0.0, 0.0),
         (0.0, 0.0),
         (0.0, 0.0, 0.0, 0.0),
@@ -192,6 +195,7 @@ def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
         (1 if up else 0) | (2 if down else 0),
         (scale.psi_f, 0.0, 0.0),
         drop,
+        rest.at,
         rest.offset,
         rest.gain,
         rest.six,
@@ -302,6 +306,7 @@ def with_places(lessons: Lessons, places: Places, gaps: Twelve) -> Lessons:
         lessons.ways,
         lessons.drop,
         lessons.drop_P,
+        lessons.at,
         lessons.offset,
         lessons.gain,
         lessons.six,
@@ -339,6 +344,7 @@ def moved(lessons: Lessons, sensor: int, by: float) -> Lessons:
         lessons.ways,
         lessons.drop,
         lessons.drop_P,
+        lessons.at,
         lessons.offset,
         lessons.gain,
         lessons.six,
@@ -375,8 +381,10 @@ def turn(lessons: Lessons, sums: Sums, scale: Scale, way: int, boundary: int) ->
         places = _placed(places, common, common_P, ways)
     drop = lessons.drop
     drop_P = lessons.drop_P
+    at = lessons.at
     if abs(i_q) > LITTLE * scale.i and abs(T1 - T0) < STEADY * T1:
-        drop, drop_P = _dropped(lessons, scale, way * TWO_PI / T1, sums.sign / n, i_q, sums.e_q / n, T1)
+        at = _same(lessons.at, scale, way * TWO_PI / T1, i_q)
+        drop, drop_P = _dropped(lessons, scale, way * TWO_PI / T1, sums.sign / n, i_q, sums.e_q / n, T1, at)
     changed = Lessons(
         places,
         w,
@@ -385,6 +393,7 @@ def turn(lessons: Lessons, sums: Sums, scale: Scale, way: int, boundary: int) ->
         ways,
         drop,
         drop_P,
+        at,
         lessons.offset,
         lessons.gain,
         lessons.six,
@@ -501,16 +510,29 @@ def _across(P: Six, omega: float, sign: float, i_q: float) -> Three:
 
 
 @kernel
+def _same(at: Two, scale: Scale, omega: float, i_q: float) -> Two:
+    """The operation that is learned from: as it was, unless speed or current are another.
+
+    Edges that differ from pole pair to pole pair make a speed of each turn that none had. Taken as it is, it would say,
+    in a minute of one speed, that e_q does not go with the speed at all.
+    """
+    if abs(omega - at[0]) < ANOTHER * abs(omega) and abs(i_q - at[1]) < ANOTHER * scale.i:
+        return at
+    return omega, i_q
+
+
+@kernel
 def _dropped(
-    lessons: Lessons, scale: Scale, omega: float, sign: float, i_q: float, e_q: float, seconds: float
+    lessons: Lessons, scale: Scale, omega: float, sign: float, i_q: float, e_q: float, seconds: float, at: Two
 ) -> tuple[Three, Six]:
-    """psi, drop and dR after a turn whose mean e_q was this, V."""
+    """psi, drop and dR after a turn whose mean e_q was this (V), learned as of the operation `at`."""
     x = i_q / scale.i
     low = DROP_LOW / (1.0 + 64.0 * x * x)
     sigma = (DROP_V + low) * scale.v + DROP_PSI * lessons.drop[0] * abs(omega)
     P = lessons.drop_P
     a, b, c = lessons.drop
     off = e_q - omega * a - sign * b - i_q * c
+    omega, i_q = at
     g0, g1, g2 = _across(P, omega, sign, i_q)
     unsure = omega * g0 + sign * g1 + i_q * g2
     if off * off > FAR * FAR * (unsure + sigma * sigma):
@@ -562,6 +584,7 @@ def _rippled(lessons: Lessons, sums: Sums, scale: Scale, omega: float, i_q: floa
         lessons.ways,
         lessons.drop,
         lessons.drop_P,
+        lessons.at,
         offset,
         gain,
         (a[0] + share * s[0], a[1] + share * s[1], a[2] + share * s[2], a[3] + share * s[3]),

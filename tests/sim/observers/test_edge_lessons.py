@@ -126,6 +126,21 @@ def test_a_small_current_teaches_nothing_of_the_drop():
     assert el.turn(state, sums(600.0, 0.5, e_q=6.0), SCALE, 1, 0).drop == state.drop
 
 
+def test_a_minute_of_one_speed_says_nothing_of_the_flux_linkage_though_no_turn_lasts_as_long_as_the_next():
+    """Turns of six pole pairs whose edges lie 1.5 deg apart, at a speed that none of them has; then another speed."""
+    state = el.start(SCALE, UNKNOWN, 0.01)
+    psi, omega = SCALE.psi_f, 500.0
+    for turn in range(3000):
+        seen = omega * (1.0 + 0.004 * np.cos(turn * np.pi / 3))
+        state = el.turn(lessons(seen, before=state), sums(omega, 4.0, e_q=psi * omega + 0.1), SCALE, 1, 0)
+    assert state.drop[0] == pytest.approx(psi, rel=0.05)
+    assert np.sqrt(state.drop_P[0]) > 0.1 * psi
+    for _ in range(30):
+        state = el.turn(lessons(100.0, before=state), sums(100.0, 4.0, e_q=psi * 100.0 + 0.1), SCALE, 1, 0)
+    assert state.drop[0] == pytest.approx(psi, rel=0.01)
+    assert np.sqrt(state.drop_P[0]) < 0.02 * psi
+
+
 @pytest.mark.parametrize("omega", [100.0, 1500.0])
 def test_offset_and_gain_of_the_current_sensors_are_found_by_what_they_leave(omega):
     """e = u - R i - L di/dt with currents that are measured wrongly, straight from the definition."""
