@@ -14,9 +14,9 @@ which the rotor turns through a sixth of a radian; e_d has a variance that is la
 
 - Gains follow from the covariance, which is carried on every `EVERY` samples and at each edge. A gain that is used for
   so many samples is that of the mean of them, P h / (EVERY h P h + r), so that it is below 1 / EVERY.
-- Acceleration changes with the current as the inertia says, where that is known, and wanders by a part of that. Else it
-  wanders little. A load that steps shows in e_d and e_q before the next edge: their residues, filtered, beside what they
-  are as a rule. Beyond `SURPRISE` times that the acceleration may have been another for `BACK` seconds already.
+- Acceleration changes with the current as the inertia says, where it is known, and wanders by a part of that. Else it
+  wanders little. A load that steps shows in e_d and e_q before the next edge: their residues, filtered, beside what is
+  usual. Beyond `SURPRISE` times that the acceleration may have been another for `BACK` seconds already.
 - An edge far off is taken for the truth: the angle starts anew at it, with the speed since the last. Not so where the
   back-EMF is strong, and has been quiet: then it is the edge that is wrong, up to `LOST` times running.
 - An edge that has not come holds the angle, and the speed below what it has had time for. Not so where the back-EMF
@@ -85,10 +85,10 @@ RESIDUE_TAU = 0.00083  # s: of the residues
 RULE_TAU = 0.52  # s: of what they are as a rule
 RULE_MOST = 9.0  # times that, a residue counts at most
 RULE_LEAST = 0.017  # of v
-RULE = 9.1  # times their square, as a variance
+RULE = 7.0  # times their square, as a variance
 RULE_D = 92.0  # more of it for e_d at low speed, where it is spikes
 RULE_AT = 5.4  # omega_v: up to here
-SURPRISE = 3.9  # times the variance
+SURPRISE = 3.5  # times the variance
 BOOST = 0.43  # of alpha, in a root of a millisecond
 BOOST_MOST = 1.8  # times that, at the most
 BACK = 0.0044  # s
