@@ -58,6 +58,8 @@ EVERY = 8  # samples
 SIG_D = 0.15  # of v: error of e_d that repeats
 SIG_Q = 0.12  # of v: the same of e_q
 SIG_Q_LOW = 0.5  # of v: where the current is small
+SIG_NONE = 3.0  # of v: of both where there is none, and no leg loses what its dead time says
+NONE = 0.12  # of i_fade: current that is none
 SIG_EMF = 0.0073  # of psi omega: both
 SIG_WHITE = 0.0055  # of i L / T_s: of a sample, by the noise of the currents
 SIG_B = 0.1  # of v, in a root of a second
@@ -380,11 +382,12 @@ def _noise(scale: Scale, psi: float, omega: float, i_q: float) -> tuple[float, f
     by = 1.0 / (psi * psi)
     emf = square(SIG_EMF * psi * omega)
     white = (SIG_WHITE * scale.i * scale.L_s / scale.T_s) ** 2 * by
-    repeats = ((SIG_D * scale.v) ** 2 + emf) * by
+    none = square(SIG_NONE * scale.v / (1.0 + square(i_q / (NONE * scale.i_fade))))
+    repeats = (square(SIG_D * scale.v) + none + emf) * by
     fast = max(size / scale.omega_b, 1.0)
-    swings = ((SIG_Q * scale.v) ** 2 + emf) * by
+    swings = (square(SIG_Q * scale.v) + none + emf) * by
     if abs(i_q) < LITTLE * scale.i:
-        swings += (SIG_Q_LOW * scale.v) ** 2 * by
+        swings += square(SIG_Q_LOW * scale.v) * by
     return repeats * (1.0 + 2.0 / (rate * scale.T_s)) + white, white * fast * fast, swings, rate
 
 
