@@ -91,9 +91,9 @@ LEGS_WANDER = 0.04  # of v, in a root of a second
 LEGS_ERROR = 0.15  # of v, of what no shape has
 LEGS_EMF = 0.32  # of psi omega: the same, of the harmonics
 LEGS_TIMES = 5.4  # a turn, that it is another
-CLOSE = 1.5  # of that current: a leg that has less
+CLOSE = 1.5  # of the current below which a leg's loss fades by the ripple: a leg that has less
 CLOSE_V = 0.3  # of v, lost beside the ripple, that halves what a sample with one counts
-OPEN = 8.0  # of that current: where all of them together have less, each sample counts
+OPEN = 8.0  # of the same: where all legs together have less, each sample counts
 
 
 class Sums(NamedTuple):
@@ -265,7 +265,7 @@ def lost(lessons: Lessons, scale: Scale, u: float, i_alpha: float, i_beta: float
 
 @kernel
 def _lost(lessons: Lessons, sums: Sums, scale: Scale, omega: float) -> tuple[Two, Three]:
-    """What the legs lose (V), and its covariance, after a turn."""
+    """What was learned that the legs lose (V), and its covariance, after a turn; `lost` is of a sample."""
     sigma = (square(LEGS_ERROR * scale.v) + square(LEGS_EMF * scale.psi_f * omega)) / LEGS_TIMES
     more = square(LEGS_WANDER * scale.v) * sums.n * scale.T_s
     full, near, P = legs.solved(lessons.lost_P, sums.legs, square(LEGS_START * scale.v), more, 1.0 / (sums.n * sigma))
