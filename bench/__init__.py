@@ -103,9 +103,9 @@ def read(path: str | Path) -> Capture:
 
     Raises BenchError for what is no recording, or has no samples.
     """
-    from bench.rerunio.recording import capture_of, read_run
+    from bench.recording.reader import Run, capture_of
 
-    return capture_of(read_run(path))
+    return capture_of(Run(path))
 
 
 def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:

@@ -15,14 +15,22 @@ from uuid import uuid4
 from bench.errors import BenchError, RecordingError
 
 STANDARD_OUTPUT = Path("-")
+RUN_LOG = "run.jsonl"
+"""Of a recorded run: what makes a folder one."""
+RUN, RRD = ".run", ".rrd"  # how names of recorded runs end, by custom, and of files for rerun's viewer
 
 
 def check_output(path: Path, what: str, overwrite: bool, recording: bool = False) -> None:
     """Raise BenchError if `path` exists (unless `overwrite`) or cannot be written; changes nothing.
 
     `what` names it to the user, such as "--json a.json". A device or a pipe may be written without `overwrite`. A
-    `recording` needs a file of its own, and is a RecordingError where it cannot be written.
+    `recording` is a folder, which replaces nothing but a recorded run, and a RecordingError where it cannot be written;
+    one that is asked for as an .rrd is the folder beside it, and that file.
     """
+    if recording and path.suffix == RRD:
+        check_output(path, what, overwrite)
+        check_output(run_folder(path), f"{what}: {run_folder(path)}", overwrite, recording)
+        return
     error = RecordingError if recording else BenchError
     try:
         found = path.stat()
@@ -31,7 +39,9 @@ def check_output(path: Path, what: str, overwrite: bool, recording: bool = False
         return
     except OSError as reason:
         raise error(f"{what} cannot be written: {reason.strerror}") from None
-    if stat.S_ISDIR(found.st_mode):
+    if recording and not is_run(path):
+        raise BenchError(f"{what} exists: it is no recorded run, which could be replaced: choose another name")
+    if stat.S_ISDIR(found.st_mode) and not recording:
         raise error(f"{what} cannot be written: it is a directory")
     if not overwrite and (recording or stat.S_ISREG(found.st_mode)):
         raise BenchError(
@@ -39,6 +49,16 @@ def check_output(path: Path, what: str, overwrite: bool, recording: bool = False
         )
     if not os.access(path, os.W_OK):
         raise error(f"{what} cannot be written: Permission denied")
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder is a recorded run."""
+    return (path / RUN_LOG).is_file()
+
+
+def run_folder(save: Path) -> Path:
+    """The folder that is recorded to where `save` is asked for: a file for rerun's viewer comes beside it."""
+    return save.with_suffix(RUN) if save.suffix == RRD else save
 
 
 def check_directory(path: Path, what: str, error: type[BenchError] = BenchError, make: bool = False) -> None:

@@ -40,7 +40,7 @@ class Running:
     measurements: list[Measurement] = field(default_factory=list)
     pictures: list[Figure] = field(default_factory=list)
     recording: Path | None = None
-    """The .rrd of this run, once the test has come to the rig; None before that and when no report is wanted."""
+    """The recording of this run, once the test has come to the rig; None before that and when no report is wanted."""
     mark: Callable[[str, tuple[float, float], Verdict], None] = lambda name, span, verdict: None
     """Called with name, stretch and verdict of each measurement that did not pass, as it is made."""
     _to_draw: dict[str, tuple[str, Callable[[], Picture]]] = field(default_factory=dict)

@@ -10,6 +10,8 @@ from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
+from bench.recording.folder import remove
+
 LIST = ".report-files"
 """One name a line, relative to the directory; written before the file, so that a run that was killed left no other."""
 PLACES = ("figures", "recordings")
@@ -26,7 +28,7 @@ def keep_only(directory: Path, names: Collection[str]) -> None:
     """Delete what earlier reports made there, and this one has not: all but `names`. Raises OSError."""
     for name in _listed(directory) - set(names):
         path = directory / name
-        path.unlink(missing_ok=True)
+        remove(path)
         with suppress(OSError):  # not empty
             path.parent.rmdir()
     for place in PLACES:

@@ -78,7 +78,7 @@ class TestResult:
     measurements: tuple[Measurement, ...] = ()
     figures: tuple[Figure, ...] = ()
     recording: str = ""
-    """Path of the .rrd, relative to the report; empty: none was kept."""
+    """Path of the recording, relative to the report; empty: none was kept."""
     quality: Quality = field(default_factory=Quality)
     parameters: Mapping[str, float] = field(default_factory=dict)
     """The drive's parameters that the test set, as it last set them."""

@@ -32,7 +32,8 @@ from bench.device.client import Client
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.errors import BenchError, OutputsMayBeOn
-from bench.files import STANDARD_OUTPUT, check_directory, check_output, write
+from bench.files import RUN, STANDARD_OUTPUT, check_directory, check_output, write
+from bench.recording.folder import remove
 from bench.rerunio.markdown import escaped
 from bench.rig import person
 from bench.rig.connection import SIM, find_drive, load_target, open_target, target_of
@@ -248,12 +249,12 @@ class BenchSession:
         )
         channels = frozenset(w.removeprefix("channel:") for w in needed(item) if w.startswith("channel:"))
         running = item.stash[RUNNING]
-        path = self.directory / "recordings" / f"{file_name(name)}.rrd" if self.directory else None
+        path = self.directory / "recordings" / f"{file_name(name)}{RUN}" if self.directory else None
         if path is not None:
             running.recording = path
             path.parent.mkdir(parents=True, exist_ok=True)
             claim(path.parent.parent, f"{path.parent.name}/{path.name}")
-            path.unlink(missing_ok=True)  # an earlier run's
+            remove(path)  # an earlier run's
         recording = Recording(path, {"test": name})
         with self._unless_unsafe(), Rig(plan).prepare(recording=recording, needed=channels) as rig:
             if not self.setup.identity:
@@ -309,7 +310,7 @@ class BenchSession:
             verdict = Verdict.SKIPPED
         recording = running.recording
         if recording is not None and verdict is Verdict.SKIPPED:
-            recording.unlink(missing_ok=True)
+            remove(recording)
         return TestResult(
             name=running.name,
             title=title.strip(),

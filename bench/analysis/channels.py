@@ -32,3 +32,9 @@ def speed_channel(channels: Iterable[Channel | Signal], parameters: Mapping[str,
     own = f"omega_{source_short(parameters.get('observer', math.nan))}"
     estimates = [channel.name for channel in speeds if channel.flags & Flag.ESTIMATE]
     return own if own in estimates else next(iter(estimates), "")
+
+
+def role(channel: Channel | Signal) -> str:
+    """What a channel is to a host, in a word: reference, estimate, truth, or empty."""
+    flags = (Flag.REFERENCE, Flag.ESTIMATE, Flag.TRUTH)
+    return next((flag.name.lower() for flag in flags if channel.flags & flag and flag.name), "")

@@ -22,6 +22,7 @@ from protocol.text import printable
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
+    "view": "Open a recorded run in rerun, any part of it.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "hall": "Hall sensors: check their health, learn where their edges lie.",
     "replay": "Run observers again on a recording, beside the drive's own.",
@@ -59,7 +60,7 @@ def cli() -> None:
     Watch the simulated drive do the paper's manoeuvres, nothing to connect:
       bench live
     Spin your own drive for 20 s and record it:
-      bench live serial:/dev/ttyACM0 --speed 500 --duration 20 --save run.rrd
+      bench live serial:/dev/ttyACM0 --speed 500 --duration 20 --save run.run
     """
 
 

@@ -19,9 +19,11 @@ from bench.files import STANDARD_OUTPUT, check_output, finite, write
 FILE = click.Path(dir_okay=False, path_type=Path)
 """A file that may not be there yet."""
 DIRECTORY = click.Path(file_okay=False, path_type=Path)
+RUN = click.Path(path_type=Path)
+"""A recorded run, which is a folder, or where one is to be."""
 OR_STANDARD_OUTPUT = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 
-_ARGUMENT = re.compile(r"sim$|(serial|tcp|can):|.*\.rrd$")
+_ARGUMENT = re.compile(r"sim$|(serial|tcp|can):|.*\.(run|rrd)$")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

@@ -14,12 +14,12 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.cli import fail
-from bench.cli.files import FILE, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
 from bench.errors import Interrupted, OutputsMayBeOn
-from bench.files import STANDARD_OUTPUT
+from bench.files import STANDARD_OUTPUT, is_run, run_folder
 
 if TYPE_CHECKING:
     from bench.cli.output import Progress
@@ -40,7 +40,7 @@ class _SourceType(TargetType):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Targets, and the recordings that are there."""
-        runs = sorted(glob.glob(glob.escape(incomplete) + "*.rrd"))
+        runs = sorted(glob.glob(glob.escape(incomplete) + "*.run"))
         return [*super().shell_complete(ctx, param, incomplete), *map(CompletionItem, runs)]
 
 
@@ -57,7 +57,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
                      help="With --passive: watch for S seconds at most."),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
-        click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd."),
+        click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun."),
         overwrite_option,
         config_option,
         click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording."),
@@ -85,7 +85,7 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
 
     TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time. Its
     motor turns slowly both ways, by the encoder where there is one, at no more than --speed and --current; a drive that
-    trips meanwhile is recorded all the same. RUN: a recording (.rrd) in which the shaft turned both ways.
+    trips meanwhile is recorded all the same. RUN: a recording in which the shaft turned both ways.
 
     Exit codes: 0 healthy, 1 a fault was found, 2 cannot tell, or an error, 5 outputs may still be on.
 
@@ -93,7 +93,7 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
     Examples:
       bench hall check serial:/dev/ttyACM0
       bench hall check tcp:192.168.0.7:7000 --passive
-      bench hall check run.rrd --json health.json
+      bench hall check run.run --json health.json
     """
     from bench.cli.output import Progress
 
@@ -127,7 +127,7 @@ def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Pa
     Examples:
       bench hall learn serial:/dev/ttyACM0 --yes --write
       bench hall learn serial:/dev/ttyACM0 --by filter --speed 1000 --yes --write --store
-      bench hall learn run.rrd --out edges.toml
+      bench hall learn run.run --out edges.toml
     """
     from bench.cli.output import Progress
     from bench.hall import learn as learning
@@ -216,8 +216,8 @@ def _opened(options: Options, screen: Progress) -> Iterator[Source]:
             words += f"; {interrupt.__cause__}"
         elif not options.recorded and not options.passive:
             words += "; outputs off"
-        if options.save is not None and options.save.is_file():
-            words += f"; recording: {options.save}"
+        if options.save is not None and is_run(run_folder(options.save)):
+            words += f"; recording: {run_folder(options.save)}"
         fail(words, code)
 
 

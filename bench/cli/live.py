@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from bench.analysis.sources import source_number
-from bench.cli.files import FILE, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.files import RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
@@ -47,7 +47,7 @@ class Observer(click.Choice[str]):
     type=Number(above=0),
     help="End by itself after S seconds; the show is cut short or played again.",
 )
-@click.option("--save", metavar="FILE", type=FILE, help="Record to this .rrd.")
+@click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun.")
 @overwrite_option
 @click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto",
               help="auto: native on a display, else web.")  # fmt: skip
@@ -105,7 +105,7 @@ def command(
     Examples:
       bench live
       bench live serial:/dev/ttyACM0
-      bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.rrd --viewer none
+      bench live serial:/dev/ttyACM0 --speed 500 --yes --duration 20 --save a.run --viewer none
       bench live sim --speed 1000 --load 4 --observer average-speed
     """
     from bench.live import run as live

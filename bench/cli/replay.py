@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import RUN, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
 
 
@@ -22,12 +22,12 @@ def setting(value: Any) -> tuple[str, float]:
 
 
 @click.command("replay")
-@click.argument("run", metavar="RUN.rrd", type=FILE, required=False)
+@click.argument("run", metavar="RUN", type=RUN, required=False)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="An observer to run, by its name or short name; repeatable (default: all).")  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting,
               help="A drive parameter for the observers, as k_p=900; repeatable.")  # fmt: skip
-@click.option("-o", "--out", metavar="FILE", type=FILE, help="The new recording (default: RUN.replay.rrd).")
+@click.option("-o", "--out", metavar="RUN", type=RUN, help="The new recording (default: RUN.replay.run).")
 @json_option("the counts")
 @overwrite_option
 @click.option("--list", "list_only", is_flag=True,
@@ -43,20 +43,20 @@ def command(
 ) -> None:
     """Run observers again on what a drive measured, and overlay them with its own estimates and the encoder.
 
-    RUN.rrd: a recording of `bench live --save`, at full rate. The new one holds all of it, and channels theta_…_host
+    RUN: a recording of `bench live --save`, at full rate. The new one holds all of it, and channels theta_…_host
     and omega_…_host; it opens with the same dashboard.
 
     \b
     Examples:
-      bench replay a.rrd
-      bench replay a.rrd --observer vector_tracking --set k_p=900 -o slow.rrd
+      bench replay a.run
+      bench replay a.run --observer vector_tracking --set k_p=900 -o slow.run
     """
     if list_only:
         check_files({"--json": json_file}, overwrite)
         _list(json_file)
         return
     if run is None:
-        raise click.UsageError("Missing argument 'RUN.rrd'.")
+        raise click.UsageError("Missing argument 'RUN'.")
     check_files({"--out": out, "--json": json_file}, overwrite, [run], recordings=["--out"])
     given = [name for name, _ in settings]
     if twice := [name for name in dict.fromkeys(given) if given.count(name) > 1]:

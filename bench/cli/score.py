@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
@@ -26,7 +26,7 @@ def share(value: Any) -> float:
 
 
 @click.command("score")
-@click.argument("runs", metavar="RUN.rrd…", nargs=-1, required=True, type=FILE)
+@click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=RUN)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Score only these: a name of `bench replay --list`, or drive_vt, …; repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", type=FILE, help="Write all figures and plots as one HTML file.")
@@ -46,16 +46,16 @@ def command(
 ) -> None:
     """Score position observers on recordings: errors, lag and cost, ranked.
 
-    RUN.rrd: recordings of `bench live --save` of a drive with an encoder. Every observer is run on what the drive
+    RUN: recordings of `bench live --save` of a drive with an encoder. Every observer is run on what the drive
     measured, and scored beside the drive's own estimates; several recordings are pooled.
 
     Exit codes: 0 done, 1 a figure is outside --expect, 2 an error.
 
     \b
     Examples:
-      bench score a.rrd
-      bench score a.rrd b.rrd --html score.html --json score.json
-      bench score a.rrd --expect bounds.toml
+      bench score a.run
+      bench score a.run b.run --html score.html --json score.json
+      bench score a.run --expect bounds.toml
     """
     html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+from bench.files import RRD, RUN, is_run
 
 
 class TargetType(click.ParamType[str]):
@@ -18,9 +21,9 @@ class TargetType(click.ParamType[str]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The string as it is; for a file, what to do with that."""
         target = str(value)
-        if target.endswith(".rrd"):
+        if target.endswith((RUN, RRD)) or is_run(Path(target)):
             self.fail(
-                f"{target} is a recording, not a target: look at it with `rerun {target}`, or see `bench score "
+                f"{target} is a recording, not a target: look at it with `bench view {target}`, or see `bench score "
                 f"{target}`, `bench replay {target}` and `bench hall check {target}`"
             )
         if target != "sim" and os.path.isfile(target):

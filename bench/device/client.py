@@ -77,6 +77,9 @@ class Sink:
     def missing(self, node: int, samples: int, edges: int) -> None:
         """So many records of `node`, made before its streams ended, did not come after those that did."""
 
+    def parameter(self, node: int, name: str, value: float) -> None:
+        """A parameter of `node` has been set, to what the node says it took."""
+
     def note(self, text: str, level: str = "INFO") -> None:
         """Something happened on the host: a line for the log."""
 

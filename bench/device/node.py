@@ -157,12 +157,15 @@ class Node:
     def set(self, name: str, value: float) -> float:
         """Set a parameter; returns the value that the device stored. Raises NodeError with the range if refused."""
         try:
-            return self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
+            stored = self.client.request(ParamSet(self._parameter_id(name), value), self.number, ParamStored).stored
         except Refused as refusal:
             if refusal.code == ErrorCode.OUT_OF_RANGE:
                 now = self.parameter(name)
                 raise NodeError(f"{name} must be {now.lo:g}..{now.hi:g}, got {value:g}") from None
             raise NodeError(f"{name} = {value:g} was refused by node {self.number}: {refusal}") from None
+        for sink in self.client.sinks:
+            sink.parameter(self.number, name, stored)
+        return stored
 
     def store(self) -> None:
         """Have all parameters kept for the next boot. Raises NodeError where it will not."""

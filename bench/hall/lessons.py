@@ -78,7 +78,7 @@ def _of_drive(capture: Capture) -> Lessons:
 
 
 def _of_host(capture: Capture) -> Lessons:
-    if why := not_replayable(capture):
+    if why := not_replayable(capture.samples.config, capture.edges.config):
         raise BenchError(f"no edges learnt: the Kalman filter cannot be run on this: {why}")
     estimators = Estimators([OBSERVER], capture.parameters, capture.samples.config, follow=False)
     estimators.edges(capture.edges)

@@ -16,7 +16,7 @@ from pathlib import Path
 from bench.analysis.delays import STATOR
 from bench.device.node import Node
 from bench.errors import BenchError
-from bench.files import check_output
+from bench.files import RRD, RUN, check_output
 from bench.hall import lessons
 from bench.hall.passive import watch, watched
 from bench.hall.trace import recorded
@@ -62,7 +62,8 @@ class Options:
     @property
     def recorded(self) -> bool:
         """Whether the source is a recording."""
-        return self.source != SIM and (self.source.endswith(".rrd") or os.path.isfile(self.source))
+        named = self.source.endswith((RUN, RRD))
+        return self.source != SIM and (named or os.path.isfile(self.source) or os.path.isdir(self.source))
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -94,9 +95,9 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     Raises BenchError and HbpError for what the user can mend.
     """
     if options.recorded:
-        from bench.rerunio.recording import read_run
+        from bench.recording.reader import Run
 
-        yield Source(Turned(recorded(read_run(options.source)), "recorded"), None)
+        yield Source(Turned(recorded(Run(options.source)), "recorded"), None)
         return
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)

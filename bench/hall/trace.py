@@ -22,7 +22,7 @@ from bench.errors import BenchError
 from protocol.codes import DriveState
 
 if TYPE_CHECKING:
-    from bench.rerunio.recording import Run
+    from bench.recording.reader import Run
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -93,7 +93,7 @@ def recorded(run: Run) -> Capture:
     """The whole of a recording. BenchError where it holds no samples with Hall codes, or no Hall edges."""
     if not run.edge_streams or not run.streams:
         raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: record both")
-    from bench.rerunio.recording import capture_of
+    from bench.recording.reader import capture_of
 
     whole = capture_of(run)
     return whole.ticks(int(whole.samples.tick[0]), int(whole.samples.tick[-1]))

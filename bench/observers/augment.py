@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench.observers.estimators import Estimators, raw_counts
-from bench.rerunio.schema import HOST_SUFFIX
+from bench.recording.info import HOST_SUFFIX
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig

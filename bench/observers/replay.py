@@ -1,39 +1,35 @@
 """Runs observers again on a recording and writes a new one: all that was recorded, and the host's estimates beside it.
 
-Parameters are those that the recording began with, and what `settings` puts in their place: later changes are not in a
-recording. The health counters of the drive's heartbeats are not in it either; losses are counted anew, from the
-stream's own gaps. The input is never changed. The output appears, or replaces an earlier one, when it is whole.
+Parameters are those that the recording began with, and what `settings` puts in their place. Losses are those that the
+stream's own gaps tell. The input is never changed, nor copied: its files are linked. The output appears, or replaces an
+earlier one, when it is whole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-import numpy as np
-
 from bench.analysis.capture import Capture
-from bench.analysis.chunks import part, streams_none
+from bench.analysis.chunks import streams_none
 from bench.errors import BenchError
-from bench.files import check_output, part_of
+from bench.files import RUN, check_output
 from bench.observers.augment import Augmenter
 from bench.observers.estimators import INPUTS, all_for, entry_of, unfit
-from bench.rerunio import markdown, schema
-from bench.rerunio.recording import Run, capture_of, read_run
-from bench.rerunio.salvage import ends_early
-from bench.rerunio.sinks import FileSink
+from bench.recording import layout
+from bench.recording.extended import Extension
+from bench.recording.reader import Run
+from bench.rerunio import markdown
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import names as names_of
 
-WINDOW = 0.2  # s of the recording handed on at a time: longer ones are quicker, but their files are larger
 BEGAN = {
     "start": "at the start",
     "drive": "where the drive initialised them",
@@ -76,15 +72,13 @@ def replay(
     tracking. Raises BenchError for a recording that cannot be replayed, for an observer or a setting that does not
     exist or is out of range, where `out` exists (unless `overwrite`), and RecordingError where it cannot be written.
     """
-    out = out or path.with_suffix(".replay.rrd")
+    out = out or path.with_suffix(f".replay{RUN}")
     check_output(out, str(out), overwrite, recording=True)
     if out.exists() and out.samefile(path):
         raise BenchError(f"{out} is the recording itself: choose another name")
-    if out.exists() and not out.is_file():
-        raise BenchError(f"{out} is no file that can be replaced: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
     run = readable_run(path)
-    if why := not_replayable(capture_of(run)):
+    if why := not_replayable(*run.drive_streams):
         raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
     parameters = {**run.info.parameters, **values}
@@ -93,8 +87,9 @@ def replay(
         names, left_out = all_for(parameters)
         if not names:
             raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
-    augmenter = Augmenter(names, parameters, run.samples.config)
-    taken = {channel.name for channel in run.samples.config.channels}
+    config, _ = run.drive_streams
+    augmenter = Augmenter(names, parameters, config)
+    taken = {channel.name for channel in config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
         raise BenchError(f"{path} has {double[0]} already: replay the recording that it was made from")
     info = replace(
@@ -103,37 +98,55 @@ def replay(
         identity={**run.info.identity, "replayed": f"{path.name} by hallbench {__version__}", **_told(values)},
         recording_id=uuid4().hex,
     )
-    whole = out.resolve()
-    part_file = part_of(whole)
-    sink = FileSink(part_file, info, wait=True)
-    try:
-        _feed(run, augmenter, sink)
-        result = Replayed(
+    counted = _Counted()
+
+    def more(chunk: SampleChunk) -> SampleChunk:
+        counted.add(chunk)
+        return augmenter.samples(chunk)
+
+    def edges(chunk: EdgeChunk) -> None:
+        counted.add(chunk)
+        augmenter.take(chunk)
+
+    def result() -> Replayed:
+        return Replayed(
             path=out,
             observers=names,
-            samples=len(run.samples),
-            seconds=len(run.samples) / run.info.pwm_hz,
-            lost_samples=sum(gap.lost_samples for gap in run.samples.gaps),
-            lost_edges=sum(gap.lost_samples for gap in run.edges.gaps),
+            samples=counted.samples,
+            seconds=counted.samples / run.info.pwm_hz,
+            lost_samples=counted.lost_samples,
+            lost_edges=counted.lost_edges,
             restarts=augmenter.estimators.restarts,
             left_out=left_out,
             unknown=_unknown(run),
         )
-        sink.summary(f"{run.summary}\n\n{as_markdown(result)}")
-        sink.close()
-        part_file.replace(whole)
-    except BaseException:
-        with suppress(BenchError):
-            sink.close()
-        part_file.unlink(missing_ok=True)
-        raise
-    return result
+
+    extension = Extension(run, out, info, overwrite)
+    extension.write(more, edges, lambda: f"{run.summary}\n\n{as_markdown(result())}")
+    return result()
+
+
+@dataclass
+class _Counted:
+    """What went through a replay."""
+
+    samples: int = 0
+    lost_samples: int = 0
+    lost_edges: int = 0
+
+    def add(self, chunk: SampleChunk | EdgeChunk) -> None:
+        lost = sum(gap.lost_samples for gap in chunk.gaps)
+        if isinstance(chunk, SampleChunk):
+            self.samples += len(chunk)
+            self.lost_samples += lost
+        else:
+            self.lost_edges += lost
 
 
 def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, float]) -> Capture:
     """See `bench.estimate`."""
     name = entry_of(observer).name
-    if why := not_replayable(capture):
+    if why := not_replayable(capture.samples.config, capture.edges.config):
         raise BenchError(f"{name} cannot be run on this capture: {why}")
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
     augmenter = Augmenter([name], parameters, capture.samples.config)
@@ -144,21 +157,18 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
 
 
 def readable_run(path: Path) -> Run:
-    """Read a recording with samples of the drive and one clock. BenchError says why it is none."""
-    run = read_run(path)
-    if schema.FAST not in run.streams or not len(run.samples):
+    """Open a recording with samples of the drive and one clock. BenchError says why it is none."""
+    run = Run(path)
+    if layout.SAMPLES not in run.names:
         raise BenchError(f"{path} holds no samples of the drive")
-    chunks: list[SampleChunk | EdgeChunk] = [*run.streams.values(), *run.edge_streams.values()]
-    for chunk in chunks:
-        if len(back := np.flatnonzero(np.diff(chunk.tick) < 0)):
-            at = chunk.tick[back[0]] / run.info.tick_hz
-            raise BenchError(f"{path}: the drive's clock went back at {at:.3f} s, so it has rebooted in the run")
+    if (back := run.clock_went_back()) is not None:
+        raise BenchError(f"{path}: the drive's clock went back at {run.at(back)}, so it has rebooted in the run")
     return run
 
 
-def not_replayable(capture: Capture) -> str:
-    """Why observers cannot be run on a capture, in words; empty if they can."""
-    return unfit(capture.samples.config) or ("it has no Hall edges" if streams_none(capture.edges.config) else "")
+def not_replayable(samples: StreamConfig, edges: StreamConfig | None) -> str:
+    """Why observers cannot be run on what these streams hold, in words; empty if they can."""
+    return unfit(samples) or ("it has no Hall edges" if edges is None or streams_none(edges) else "")
 
 
 def checked_settings(
@@ -214,42 +224,12 @@ def _told(values: Mapping[str, float]) -> dict[str, str]:
 
 
 def _unknown(run: Run) -> tuple[str, ...]:
-    names = {channel.name for channel in run.samples.config.channels}
+    names = {channel.name for channel in run.drive_streams[0].channels}
     missing = [name for name in INPUTS if name not in names]
-    notes = [f"what came after its end: {ENDS_EARLY}"] if ends_early(run.path) else []
+    notes = [f"what came after its end: {ENDS_EARLY}"] if not run.ended else []
     notes.append("parameters that were changed during the run: those of its beginning hold")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")
     if "i_q" in missing or "i_q_ref" in missing:
         notes.append("the current loop's error, taken as 0: no channels i_q, i_q_ref")
     return tuple(notes)
-
-
-def _feed(run: Run, augmenter: Augmenter, sink: FileSink) -> None:
-    """Hand everything on in the order in which it happened, `WINDOW` at a time: edges before their samples."""
-    streams: list[SampleChunk | EdgeChunk] = [*run.edge_streams.values(), *run.streams.values()]
-    first = min(int(chunk.tick[0]) for chunk in streams if len(chunk))
-    last = max(int(chunk.tick[-1]) for chunk in streams if len(chunk))
-    bounds = np.append(np.arange(first, last, round(WINDOW * run.info.tick_hz))[1:], last + 1)
-    events = sorted(run.events, key=lambda event: event.tick)
-    sent = 0
-    ends = [np.searchsorted(chunk.tick, bounds) for chunk in streams]
-    for k, bound in enumerate(bounds):
-        final = k + 1 == len(bounds)
-        for chunk, end in zip(streams, ends, strict=True):
-            begin = int(end[k - 1]) if k else 0
-            if begin < end[k]:
-                piece = augmenter.take(part(chunk, begin, int(end[k])))
-                if isinstance(piece, EdgeChunk):
-                    sink.edges(piece)
-                else:
-                    sink.samples(piece)
-        while sent < len(events) and (final or events[sent].tick < bound):
-            sink.event(events[sent].node, events[sent])
-            sent += 1
-    for mark in run.marks:
-        sink.mark(mark.name, mark.first_tick, mark.last_tick, mark.verdict)
-    ours = {(mark.first_tick, f"{mark.verdict} {mark.name}, ") for mark in run.marks}
-    for (tick, text), level in zip(run.notes, run.levels, strict=True):
-        if not any(tick == at and text.startswith(begin) for at, begin in ours):  # `mark` writes its own
-            sink.note(text, level, tick)

@@ -8,15 +8,11 @@ a live view has to drop do not spoil the account.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-from bench.analysis.chunks import Chunk, index_step
-from bench.device.counters import DeviceCounters
-from bench.rerunio import schema
+from bench.recording.losses import LossAccount
 from protocol.messages import DeviceEvent, Heartbeat
-from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
-
-StreamKey = tuple[object, ...]
+from protocol.streams import EdgeChunk, SampleChunk
 
 
 @dataclass(slots=True)
@@ -51,44 +47,6 @@ class Block:
         """Memory that its arrays hold, roughly."""
         samples = sum(chunk.raw.nbytes + chunk.index.nbytes + chunk.tick.nbytes for chunk in self.samples)
         return samples + 21 * self.n_edges + 100 * (len(self.heartbeats) + len(self.events) + len(self.notes))
-
-
-class LossAccount:
-    """Counts what is missing: by index and by sequence from the gaps, by the device from its heartbeats."""
-
-    def __init__(self) -> None:
-        self.counters: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
-        self._next_index: dict[tuple[int, int, bool], int] = {}
-        self._devices: dict[int, DeviceCounters] = {}
-
-    def chunk(self, chunk: Chunk) -> Chunk:
-        """Count a chunk's gaps; return it, with a gap as wide as its index jumps (an outage) if none says so."""
-        config = chunk.config
-        key = (config.node, config.stream, bool(config.channels))
-        step = index_step(config)
-        first, expected = int(chunk.index[0]), self._next_index.get(key)
-        self._next_index[key] = int(chunk.index[-1]) + step
-        reported: Gap | None = chunk.gaps[0] if chunk.gaps and chunk.gaps[0].position == 0 else None
-        missing = 0 if expected is None else (first - expected) // step
-        if missing > (reported.lost_samples if reported else 0):
-            jump = replace(reported or Gap(0, 0, 0, False), lost_samples=missing)
-            chunk = replace(chunk, gaps=(jump, *chunk.gaps[1 if reported else 0 :]))
-        records, frames = ("lost:samples", "lost:sample_frames") if config.channels else ("lost:edges", None)
-        for gap in chunk.gaps:
-            self.counters[records] += gap.lost_samples
-            if frames:
-                self.counters[frames] += gap.lost_frames
-        return chunk
-
-    def missing(self, samples: int, edges: int) -> None:
-        """Count what was lost after the last chunk of a stream."""
-        self.counters["lost:samples"] += samples
-        self.counters["lost:edges"] += edges
-
-    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
-        """Take over what the device of `node` had to drop itself since its first heartbeat."""
-        self._devices.setdefault(node, DeviceCounters()).add(heartbeat)
-        self.counters["lost:by_device"] = sum(device.risen["tx_dropped"] for device in self._devices.values())
 
 
 class BlockBuilder:
@@ -163,11 +121,6 @@ class BlockBuilder:
         if not everything and span < self._ticks and now - self._opened < self._period:
             return None
         block, self._block = self._block, Block()
-        block.losses = dict(self.account.counters)
+        block.losses = {f"lost:{name}": n for name, n in self.account.counters.items()}
         self._opened = self._first_tick = None
         return block
-
-
-def stream_key(config: StreamConfig) -> StreamKey:
-    """What makes two configurations one stream: all but the number that the device gave them."""
-    return config.node, config.stream, config.event, config.decimation, config.channels

@@ -8,12 +8,14 @@ cannot fill is left out. Nothing here logs data.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from bench.analysis.colours import GROUND
+from bench.recording.info import Mark, RunInfo, ns_from_tick
 from bench.rerunio import schema
 from bench.rerunio.plane import X_RANGE, Y_RANGE, Plane
 from bench.rerunio.plots import TREND, Plot, plots
@@ -23,18 +25,31 @@ HALL_QUERIED = 0.3  # of which it is told, for the code that its first moments b
 LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
 ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
 WIDTH = 1.5  # of a line, in points
+COARSE = 10.0  # s that plots of samples show where there are only minima and maxima
 
 Span = tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]
 
 
-def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blueprint:
-    """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest."""
+def blueprint(
+    run: RunInfo, marks: Sequence[Mark] = (), whole: tuple[int, int] | None = None, coarse: bool = False
+) -> rrb.Blueprint:
+    """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest.
+
+    `whole`: first and last tick of a recorded run, which the long plots show all of; `coarse`: where samples are mostly
+    left out, so that the others show more than the last moments.
+    """
     found = plots(run)
-    states = _lanes(f"Drive, last {TREND:g} s", schema.DRIVE, _span(TREND), _span(TREND / (1 - LEGEND_SHARE)))
+    if whole is not None:
+        found = {key: _of_all(plot, coarse) for key, plot in found.items()}
+    trend = None if whole is None else _ticks(run, *whole)
+    states = _lanes(
+        f"Drive, last {TREND:g} s" if trend is None else "Drive", schema.DRIVE,
+        trend or _span(TREND), trend or _span(TREND / (1 - LEGEND_SHARE)),
+    )  # fmt: skip
     hall = _lanes(
         f"Hall sensors a, b, c and sector, last {HALL:g} s", schema.HALL_LANES, _span(HALL_QUERIED), _span(HALL)
     )
-    trends = _rows([plot for plot in found.values() if plot.entity == schema.TREND])
+    trends = _rows([plot for plot in found.values() if plot.entity == schema.TREND], trend)
     waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST])
     columns = [_column(trends, [states]), _column(waves, [hall] if run.hall else []), _texts(Plane(run).contents)]
     shares = [5, 5, 4.4]
@@ -53,11 +68,20 @@ def blueprint(run: schema.RunInfo, marks: Sequence[schema.Mark] = ()) -> rrb.Blu
     )
 
 
-def _rows(found: Sequence[Plot]) -> list[rrb.View | rrb.Container]:
+def _of_all(plot: Plot, coarse: bool) -> Plot:
+    """A plot of a recorded run: what is long shows all of it."""
+    if plot.entity == schema.TREND:
+        return replace(plot, name=plot.name.rpartition(", last")[0])
+    if coarse:
+        return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {COARSE:g} s", seconds=COARSE)
+    return plot
+
+
+def _rows(found: Sequence[Plot], whole: Span | None = None) -> list[rrb.View | rrb.Container]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
-    views: list[rrb.View | rrb.Container] = [_view(plot) for plot in found]
+    views: list[rrb.View | rrb.Container] = [_view(plot, whole) for plot in found]
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
 
 
@@ -89,12 +113,9 @@ def _texts(stator: str) -> rrb.Container:
     return rrb.Vertical(plane, losses, rrb.Tabs(log, summary, name="Texts"), row_shares=[5, 2.6, 3.9])
 
 
-def _marked(run: schema.RunInfo, marks: Sequence[schema.Mark]) -> rrb.StateTimelineView:
-    ends = [min(mark.first_tick for mark in marks), max(mark.last_tick for mark in marks)]
-    start, end = (
-        rrb.TimeRangeBoundary.absolute(seconds=float(schema.ns_from_tick(tick, run.tick_hz)) / 1e9) for tick in ends
-    )
-    return _lanes("Acceptance, all that was measured", schema.ACCEPTANCE, (start, end), (start, end))
+def _marked(run: RunInfo, marks: Sequence[Mark]) -> rrb.StateTimelineView:
+    span = _ticks(run, min(mark.first_tick for mark in marks), max(mark.last_tick for mark in marks))
+    return _lanes("Marks", schema.ACCEPTANCE, span, span)
 
 
 def _lanes(name: str, entity: str, queried: Span, shown: Span) -> rrb.StateTimelineView:
@@ -103,7 +124,8 @@ def _lanes(name: str, entity: str, queried: Span, shown: Span) -> rrb.StateTimel
     )
 
 
-def _view(plot: Plot) -> rrb.TimeSeriesView:
+def _view(plot: Plot, whole: Span | None) -> rrb.TimeSeriesView:
+    """A plot of the last moments, or of the span `whole`."""
     lines = [
         rr.SeriesLines(names=line.name, colors=line.colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
             mappings=[
@@ -124,9 +146,17 @@ def _view(plot: Plot) -> rrb.TimeSeriesView:
         axis_y=rrb.ScalarAxis(range=plot.y_range) if plot.y_range else None,
         background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
-        time_ranges=_queried(_span(plot.seconds)),
-        axis_x=_shown(_span(plot.seconds / (1 - LEGEND_SHARE))),
+        time_ranges=_queried(whole or _span(plot.seconds)),
+        axis_x=_shown(whole or _span(plot.seconds / (1 - LEGEND_SHARE))),
     )
+
+
+def _ticks(run: RunInfo, first: int, last: int) -> Span:
+    """From one device tick to another."""
+    start, end = (
+        rrb.TimeRangeBoundary.absolute(seconds=float(ns_from_tick(tick, run.tick_hz)) / 1e9) for tick in (first, last)
+    )
+    return start, end
 
 
 def _span(seconds: float) -> Span:

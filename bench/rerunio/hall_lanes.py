@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rerunio import schema
+from bench.recording.info import RunInfo
 
 REPEAT = 0.05  # s after an edge, and from row to row where there is none
 UNKNOWN_CODE = 8  # before the first edge, without the channel `hall`
@@ -25,7 +25,7 @@ _NEVER = -(1 << 62)  # ns
 class HallLanes:
     """Takes the edges and samples of a block, edges first, and gives the rows to log. All times are in ns."""
 
-    def __init__(self, run: schema.RunInfo) -> None:
+    def __init__(self, run: RunInfo) -> None:
         self._wanted = run.hall
         self._channel = "hall" in run.words
         self.restart()

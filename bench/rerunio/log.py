@@ -1,4 +1,4 @@
-"""Writes a run to a rerun stream: blocks of telemetry in, record batches and a few log calls out.
+"""Shows a run in a rerun stream: blocks of telemetry in, record batches and a few log calls out.
 
 A `RunLog` belongs to one thread and one `RecordingStream`; it decides what is logged where, never when or whether.
 Device time is the only time line. All samples of a block go out as one message, its edges as another; what the long
@@ -8,7 +8,6 @@ messages, not by samples.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,11 +17,14 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from bench.analysis.chunks import Chunk, breaks, index_step, join
+from bench.analysis.chunks import Chunk, index_step, join
 from bench.analysis.position import position_error
 from bench.device.counters import DeviceCounters
+from bench.recording.info import AnyChannel, Mark, RunInfo, ns_from_tick
+from bench.recording.layout import EDGE_FIELDS, numbers
+from bench.recording.overview import ERROR
 from bench.rerunio import markdown, schema, states
-from bench.rerunio.blocks import Block, StreamKey, stream_key
+from bench.rerunio.blocks import Block
 from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.plane import Picture, Plane
 from bench.rerunio.plots import left_out, trend_lines
@@ -55,17 +57,17 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 class RunLog:
     """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more."""
 
-    def __init__(self, stream: rr.RecordingStream, run: schema.RunInfo, lot: float = 0.0) -> None:
+    def __init__(self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0) -> None:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
-        self._streams: dict[StreamKey, _Stream] = {}
+        self._streams: dict[object, _Stream] = {}
         self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
         self._layouts: dict[tuple[str, ...], pa.Schema] = {}
         self._lanes: dict[str, str] = dict.fromkeys(states.lanes(run), states.UNKNOWN)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
-        self.marks: list[schema.Mark] = []
+        self.marks: list[Mark] = []
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
         self._status: int | None = None  # last value of the status channel
@@ -82,7 +84,6 @@ class RunLog:
     def start(self) -> None:
         """Log what does not change: identity, colours of states, the stator plane's frame."""
         log = self._stream.log
-        self._describe(schema.META, schema.RUN_JSON, self.run.to_json())
         self.summary(identity_text(self.run))
         for entity, colours in states.STATE_COLOURS.items():
             log(entity, states.configuration(colours), static=True)
@@ -114,21 +115,46 @@ class RunLog:
         for node, heartbeat in block.heartbeats:
             self._heartbeat(node, heartbeat)
         for tick, text, level in block.notes:
-            self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
+            self._at(int(ns_from_tick(tick, self.run.tick_hz)))
             self._stream.log(schema.NOTES, _line(text, level))
         if self._lanes_ns and self._now_ns - self._lanes_ns >= REPEAT * 1e9:
             self._log_lanes(self._now_ns)
         self._health()
 
-    def mark(self, mark: schema.Mark) -> None:
+    def overview(self, table: pa.Table, bin_ns: int) -> None:
+        """Log minima and maxima, see `bench.recording.overview`, in the place of samples.
+
+        The minimum stands at the start of a bin of `bin_ns`, the maximum at its middle.
+        """
+        t_ns = np.repeat(ns_from_tick(numbers(table.column("tick")), self.run.tick_hz), 2)
+        t_ns[1::2] += bin_ns // 2
+        self._reach(int(t_ns[-1]))
+        columns = [_Column(channel) for channel in self.run.channels if f"{channel.name}.min" in table.column_names]
+        values = {c.name: c.physical({c.name: _band(table, c.name)}) for c in columns}
+        errors = {
+            name: _band(table, f"{ERROR}{name}")
+            for name in self.run.position_estimates
+            if f"{ERROR}{name}.min" in table.column_names
+        }
+        shown = {column.component: pa.array(values[column.name]) for column in columns}
+        shown |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+        self._send(schema.FAST, t_ns, shown)
+        trends = {
+            line.component: pa.array((errors[line.channel] if line.error else values[line.channel] * line.factor)
+                                     .astype(np.float32))
+            for line in self._trend_lines
+            if line.channel in (errors if line.error else values)
+        }  # fmt: skip
+        if trends:
+            self._send(schema.TREND, t_ns, trends)
+
+    def mark(self, mark: Mark) -> None:
         """Log a stretch of an acceptance run; the lane that shows it is drawn by `finish`, from all of them."""
         self.marks.append(mark)
         seconds = f"{mark.first_tick / self.run.tick_hz:.3f} … {mark.last_tick / self.run.tick_hz:.3f} s"
-        raw = (mark.name, np.int64(mark.first_tick), np.int64(mark.last_tick), mark.verdict.value)
-        self._at(int(schema.ns_from_tick(mark.first_tick, self.run.tick_hz)))
-        level = states.MARK_LEVELS.get(mark.verdict, "INFO")
-        self._stream.log(schema.NOTES, _line(f"{mark.verdict} {mark.name}, {seconds}", level))
-        self._stream.log(schema.ACCEPTANCE, _any(dict(zip(schema.MARK_FIELDS, raw, strict=True))))
+        self._at(int(ns_from_tick(mark.first_tick, self.run.tick_hz)))
+        level = "INFO" if mark.verdict is None else states.MARK_LEVELS.get(mark.verdict, "INFO")
+        self._stream.log(schema.NOTES, _line(f"{mark.verdict or 'mark:'} {mark.name}, {seconds}", level))
 
     def touch(self) -> None:
         """Log something that changes nothing, at the newest time seen.
@@ -146,7 +172,7 @@ class RunLog:
             lane, colours = states.mark_lane(self.marks)
             self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
             for tick, words in lane:
-                self._at(int(schema.ns_from_tick(tick, self.run.tick_hz)))
+                self._at(int(ns_from_tick(tick, self.run.tick_hz)))
                 self._stream.log(schema.ACCEPTANCE, rr.StateChange(state=[words]))
         self._next_health_ns = 0
         self._health()
@@ -160,16 +186,16 @@ class RunLog:
         self._now_ns = max(self._now_ns, t_ns)
 
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
-        t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
+        t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
         columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
-            self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+            self._send(stream.entity, t_ns, columns)
             return
         errors = self._errors(values)
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
-        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+        self._send(stream.entity, t_ns, columns)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._hall.samples(t_ns, chunk.raw)
@@ -182,10 +208,10 @@ class RunLog:
                 self._pictures.append((int(t_ns[-1]), picture))
 
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
-        columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in schema.EDGE_FIELDS}
-        t_ns = schema.ns_from_tick(chunk.tick, self.run.tick_hz)
+        columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS}
+        t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
         self._reach(int(t_ns[-1]))
-        self._send(stream.entity, t_ns, columns | _bookkeeping(chunk))
+        self._send(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
             self._hall.edges(t_ns, chunk.hall_new)
 
@@ -213,7 +239,7 @@ class RunLog:
         return list(groups.values())
 
     def _stream_of(self, config: StreamConfig) -> _Stream:
-        key = stream_key(config)
+        key = (config.node, config.stream, config.event, config.decimation, config.channels)
         stream = self._streams.get(key)
         if stream is None:
             if config.node != self.run.node:
@@ -223,16 +249,9 @@ class RunLog:
             while entity in (known.entity for known in self._streams.values()):
                 entity += "_"
             stream = self._streams[key] = _Stream(entity, tuple(map(_Column, config.channels)))
-            description = schema.stream_to_json(config, entity)
-            self._describe(f"{schema.STREAMS}/{entity}", schema.STREAM_JSON, description)
         stream.configs.append(config)  # keeps it alive, so that its id stays its own
         self._by_config[id(config)] = stream
         return stream
-
-    def _describe(self, entity: str, component: str, data: Mapping[str, Any]) -> None:
-        """Send static JSON. A record batch is written at once: a description must precede what it describes."""
-        batch = pa.RecordBatch.from_arrays([pa.array([json.dumps(data)])], names=[component])
-        self._stream.send_record_batch(batch, index=None, entity_path=entity)
 
     def _at(self, t_ns: int) -> None:
         self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
@@ -314,7 +333,7 @@ class RunLog:
         self._status = int(words[-1])
 
     def _event(self, node: int, event: DeviceEvent) -> None:
-        t_ns = int(schema.ns_from_tick(event.tick, self.run.tick_hz))
+        t_ns = int(ns_from_tick(event.tick, self.run.tick_hz))
         self._reach(t_ns)
         self._at(t_ns)
         raw = (np.int64(event.tick), np.int32(event.code), np.int32(node), np.float64(event.arg))
@@ -330,7 +349,7 @@ class RunLog:
     def _heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
         if node != self.run.node:
             return
-        t_ns = int(schema.ns_from_tick(heartbeat.tick, self.run.tick_hz))
+        t_ns = int(ns_from_tick(heartbeat.tick, self.run.tick_hz))
         self._reach(t_ns)
         self._device.add(heartbeat)
         if self._status is None:  # no status channel, or no samples yet
@@ -354,13 +373,13 @@ class RunLog:
 class _Column:
     """A channel's column, its constants looked up once."""
 
-    def __init__(self, channel: schema.AnyChannel) -> None:
+    def __init__(self, channel: AnyChannel) -> None:
         self.name = channel.name
         self.component = schema.value_component(channel.name)
         self._kind = schema.storage(channel)
         self._scale, self._offset = self._kind(channel.scale), self._kind(channel.offset)
 
-    def physical(self, raw: NDArray[np.void]) -> Values:
+    def physical(self, raw: Mapping[str, NDArray[Any]] | NDArray[np.void]) -> Values:
         """raw * scale + offset in the channel's `storage` format, shape (n,)."""
         values: Values = np.multiply(raw[self.name], self._scale, dtype=self._kind)
         return values + self._offset if self._offset else values
@@ -375,7 +394,12 @@ class _Stream:
     configs: list[StreamConfig] = field(default_factory=list)
 
 
-def identity_text(run: schema.RunInfo) -> str:
+def _band(table: pa.Table, name: str) -> NDArray[Any]:
+    """Minima and maxima in turn, shape (2 bins,)."""
+    return np.stack([numbers(table.column(f"{name}.{end}")) for end in ("min", "max")], axis=1).reshape(-1)
+
+
+def identity_text(run: RunInfo) -> str:
     """The summary document before there is a summary: what is running."""
     rows: list[tuple[str, object]] = [
         ("started", run.started),
@@ -417,23 +441,3 @@ def _any(components: Mapping[str, Any]) -> rr.AnyValues:
     for name, value in components.items():
         values.with_component_from_data(name, value)
     return values
-
-
-def _bookkeeping(chunk: SampleChunk | EdgeChunk) -> dict[str, pa.Array]:
-    """Sparse columns that make index and gaps exact: a value on the first row of each stretch, null elsewhere."""
-    n = len(chunk)
-    starts = np.concatenate([[0], breaks(chunk.index, index_step(chunk.config))])
-    columns = {schema.INDEX: _sparse(n, starts, chunk.index[starts])}
-    if chunk.gaps:
-        rows = np.array([gap.position for gap in chunk.gaps])
-        values = np.array([(g.lost_samples, g.lost_frames, int(g.overrun)) for g in chunk.gaps], np.int64)
-        columns |= {name: _sparse(n, rows, values[:, k]) for k, name in enumerate(schema.GAP_FIELDS)}
-    return columns
-
-
-def _sparse(n: int, rows: NDArray[np.int64], values: NDArray[np.int64]) -> pa.Array:
-    full = np.zeros(n, np.int64)
-    full[rows] = values
-    missing = np.ones(n, bool)
-    missing[rows] = False
-    return pa.array(full, mask=missing)

@@ -15,6 +15,7 @@ import numpy as np
 import rerun as rr
 
 from bench.analysis.colours import RGB, TABLE
+from bench.recording.info import RunInfo
 from bench.rerunio import schema
 from bench.rerunio.states import SECTORS
 
@@ -41,7 +42,7 @@ class _Arrow:
 class Plane:
     """Makes the static frame and the pictures of the stator plane for a run's channels."""
 
-    def __init__(self, run: schema.RunInfo) -> None:
+    def __init__(self, run: RunInfo) -> None:
         self._run = run
         self._currents = run.has("i_a", "i_b", "i_c")
         self._voltages = run.has("u_alpha", "u_beta")

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from bench.analysis.colours import RGB
+from bench.recording.info import AnyChannel, RunInfo
 from bench.rerunio import schema
 from protocol.signals import Flag
 
@@ -57,27 +58,24 @@ class Plot:
     lines: tuple[Line, ...]
     y_range: Range = None
     by_unit: bool = False
-
-    @property
-    def seconds(self) -> float:
-        """How far back it shows, s."""
-        return TREND if self.entity == schema.TREND else WAVE
+    seconds: float = WAVE
+    """How far back it shows."""
 
 
-def plots(run: schema.RunInfo) -> dict[str, Plot]:
+def plots(run: RunInfo) -> dict[str, Plot]:
     """The plots that the run's channels allow, by key: every channel is in one of them, or in a timeline of states."""
     known = {key: plot for key, plot in _known(run).items() if plot.lines}
     shown = run.words | {line.channel for plot in known.values() for line in plot.lines}
     return known | _by_unit(run, [channel for channel in run.channels if channel.name not in shown])
 
 
-def trend_lines(run: schema.RunInfo) -> tuple[list[Line], list[Line]]:
+def trend_lines(run: RunInfo) -> tuple[list[Line], list[Line]]:
     """The lines over the long run, each once: those shown as bands, and those shown as means."""
     lines = {line.component: line for plot in plots(run).values() if plot.entity == schema.TREND for line in plot.lines}
     return [line for line in lines.values() if not line.mean], [line for line in lines.values() if line.mean]
 
 
-def left_out(run: schema.RunInfo) -> list[str]:
+def left_out(run: RunInfo) -> list[str]:
     """What a run does not show of its motor, and what it would take."""
     needs = (
         ("position error", "a position flagged REFERENCE", run.position_reference),
@@ -88,7 +86,7 @@ def left_out(run: schema.RunInfo) -> list[str]:
     return [f"{view}: needs {need}" for view, need, there in needs if not there]
 
 
-def _known(run: schema.RunInfo) -> dict[str, Plot]:
+def _known(run: RunInfo) -> dict[str, Plot]:
     speed = f"Speed, {'mechanical' if run.n_p else 'electrical'} [{run.speed_unit}]"
     errors = _errors(run)
     angles = [name for name in (run.position_reference, *run.position_estimates) if name]
@@ -113,14 +111,14 @@ def _known(run: schema.RunInfo) -> dict[str, Plot]:
 
 
 def _trend(name: str, lines: tuple[Line, ...], y_range: Range = None, by_unit: bool = False) -> Plot:
-    return Plot(f"{name}, min/max, last {TREND:g} s", schema.TREND, lines, y_range, by_unit)
+    return Plot(f"{name}, min/max, last {TREND:g} s", schema.TREND, lines, y_range, by_unit, TREND)
 
 
 def _wave(name: str, lines: tuple[Line, ...], y_range: Range = None, by_unit: bool = False) -> Plot:
     return Plot(f"{name}, last {WAVE:g} s", schema.FAST, lines, y_range, by_unit)
 
 
-def _errors(run: schema.RunInfo) -> tuple[Line, ...]:
+def _errors(run: RunInfo) -> tuple[Line, ...]:
     estimates = run.position_estimates if run.position_reference else ()
     return tuple(
         Line(schema.error_component(name), name, f"{schema.label(name)} [°]", run.colours[name], error=True)
@@ -128,7 +126,7 @@ def _errors(run: schema.RunInfo) -> tuple[Line, ...]:
     )
 
 
-def _speeds(run: schema.RunInfo) -> tuple[Line, ...]:
+def _speeds(run: RunInfo) -> tuple[Line, ...]:
     references = (schema.SPEED_REFERENCE,) if run.has(schema.SPEED_REFERENCE) else ()
     component = schema.speed_component if run.n_p else schema.value_component
     return tuple(
@@ -137,11 +135,11 @@ def _speeds(run: schema.RunInfo) -> tuple[Line, ...]:
     )
 
 
-def _values(run: schema.RunInfo, names: Iterable[str], unit: str, mean: bool = False) -> tuple[Line, ...]:
+def _values(run: RunInfo, names: Iterable[str], unit: str, mean: bool = False) -> tuple[Line, ...]:
     return tuple(_line(run, schema.value_component(name), name, unit or "–", mean) for name in names)
 
 
-def _line(run: schema.RunInfo, component: str, name: str, unit: str, mean: bool, factor: float = 1.0) -> Line:
+def _line(run: RunInfo, component: str, name: str, unit: str, mean: bool, factor: float = 1.0) -> Line:
     return Line(
         schema.mean_component(component) if mean else component,
         name,
@@ -152,7 +150,7 @@ def _line(run: schema.RunInfo, component: str, name: str, unit: str, mean: bool,
     )
 
 
-def _by_unit(run: schema.RunInfo, channels: Iterable[schema.AnyChannel]) -> dict[str, Plot]:
+def _by_unit(run: RunInfo, channels: Iterable[AnyChannel]) -> dict[str, Plot]:
     """Two plots for the channels of a unit: over the long run, and every sample of the last moments."""
     units: dict[str, list[str]] = {}
     for channel in channels:

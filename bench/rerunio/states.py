@@ -10,6 +10,7 @@ import rerun as rr
 
 from bench.analysis.colours import BAD, FAULTY, GOOD, OBSERVERS, OFF, QUIET, RGB, TABLE, WARNING
 from bench.analysis.verdict import Verdict, worst
+from bench.recording.info import Mark, RunInfo
 from bench.rerunio import schema
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fault
@@ -92,7 +93,7 @@ def _hall_lanes() -> pa.Array:
 HALL_LANES = _hall_lanes()  # by Hall code, and for UNKNOWN_CODE: states of the lanes a, b, c and sector
 
 
-def lanes(run: schema.RunInfo) -> tuple[str, ...]:
+def lanes(run: RunInfo) -> tuple[str, ...]:
     """The lanes of the drive that the run can fill."""
     return tuple(lane for lane in DRIVE_LANES if lane not in _STATUS_LANES or "status" in run.words)
 
@@ -110,7 +111,7 @@ def fault_text(faults: int) -> str:
     return " ".join(fault_names(faults)) or NO_FAULT
 
 
-def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict[str, RGB]]:
+def mark_lane(marks: Sequence[Mark]) -> tuple[list[tuple[int, str]], dict[str, RGB]]:
     """One lane for marks that may overlap: ticks with the words from there on, and the words' colours.
 
     Where marks overlap, the worst verdict of them stands there, with the names that it belongs to.
@@ -121,11 +122,12 @@ def mark_lane(marks: Sequence[schema.Mark]) -> tuple[list[tuple[int, str]], dict
         there = [mark for mark in marks if mark.first_tick <= tick < mark.last_tick]
         words = UNMARKED
         if there:
-            verdict = worst(mark.verdict for mark in there)
+            judged = [mark.verdict for mark in there if mark.verdict is not None]
+            verdict = worst(judged) if judged else None
             names = [mark.name for mark in there if mark.verdict is verdict]
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            words = f"{verdict} {', '.join(names[:_NAMED])}{more}"
-            colours[words] = VERDICT_COLOURS[verdict]
+            words = f"{verdict or 'mark'} {', '.join(names[:_NAMED])}{more}"
+            colours[words] = QUIET if verdict is None else VERDICT_COLOURS[verdict]
         lane.append((tick, words))
     return lane, colours
 

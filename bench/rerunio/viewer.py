@@ -19,7 +19,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from bench.errors import BenchError
-from bench.rerunio import schema
+from bench.recording.info import RunInfo
 from bench.rerunio.sinks import LiveSink
 
 HOST = "127.0.0.1"
@@ -123,6 +123,36 @@ class ViewerProcess:
             self._process.stdin.close()
 
 
+def serve_file(path: Path, kind: str, web_port: int | None = None) -> tuple[ViewerProcess, str]:
+    """Open an .rrd in a `native` viewer, or serve it to browsers (`web`); the process, and the address of the latter.
+
+    Raises ViewerError when a port is taken or the viewer does not start.
+    """
+    if kind == "native":
+        process = ViewerProcess([str(path), *NATIVE_OPTIONS])
+        if process.wait(NATIVE_GRACE):
+            raise ViewerError("rerun's viewer ended at once (no display, no graphics driver?): use --viewer web")
+        return process, ""
+    port, web = free_port(GRPC_PORT), free_port(WEB_PORT, web_port, "the web viewer")
+    ports = ["--port", str(port), "--web-viewer-port", str(web)]
+    process = ViewerProcess(["--serve-web", "--bind", HOST, *ports, str(path)])
+    try:
+        _await_port(process, web)
+    except BaseException:
+        process.close()
+        raise
+    source = quote(f"rerun+http://{HOST}:{port}/proxy", safe="")
+    return process, f"http://{HOST}:{web}/?url={source}&theme=dark"
+
+
+def chosen(viewer: str) -> str:
+    """The kind of viewer that `auto` stands for here: native on a display, else web."""
+    if viewer != "auto":
+        return viewer
+    display = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    return "native" if display else "web"
+
+
 class LiveView:
     """A live sink with its viewer. `url` is what to open in a browser, or what a native viewer connects to.
 
@@ -130,9 +160,7 @@ class LiveView:
     the viewer does not start.
     """
 
-    def __init__(
-        self, run: schema.RunInfo, kind: str, *, grpc_port: int | None = None, web_port: int | None = None
-    ) -> None:
+    def __init__(self, run: RunInfo, kind: str, *, grpc_port: int | None = None, web_port: int | None = None) -> None:
         if kind not in ("native", "web"):
             raise ViewerError(f"viewer {kind!r}: choose native, web or none")
         port = free_port(GRPC_PORT, grpc_port)
@@ -149,7 +177,7 @@ class LiveView:
         self.process = ViewerProcess(arguments)
         try:
             if kind == "web":
-                self._await_port(web)
+                _await_port(self.process, web)
             elif self.process.wait(NATIVE_GRACE):
                 raise ViewerError("rerun's viewer ended at once (no display, no graphics driver?): use --viewer web")
         except BaseException:
@@ -161,13 +189,15 @@ class LiveView:
         self.sink.close()
         self.process.close()
 
-    def _await_port(self, port: int) -> None:
-        end = time.monotonic() + START_TIMEOUT
-        while time.monotonic() < end:
-            if not self.process.running:
-                raise ViewerError("rerun's web viewer ended at once: use --viewer none, or reinstall rerun-sdk")
-            with socket.socket() as probe:
-                if probe.connect_ex((HOST, port)) == 0:
-                    return
-            self.process.wait(0.05)
-        raise ViewerError(f"rerun's web viewer did not answer on port {port} within {START_TIMEOUT:g} s")
+
+def _await_port(process: ViewerProcess, port: int) -> None:
+    """Wait until the viewer answers there."""
+    end = time.monotonic() + START_TIMEOUT
+    while time.monotonic() < end:
+        if not process.running:
+            raise ViewerError("rerun's web viewer ended at once: use --viewer none, or reinstall rerun-sdk")
+        with socket.socket() as probe:
+            if probe.connect_ex((HOST, port)) == 0:
+                return
+        process.wait(0.05)
+    raise ViewerError(f"rerun's web viewer did not answer on port {port} within {START_TIMEOUT:g} s")

@@ -11,7 +11,7 @@ from bench.analysis.versions import PROGRAM, versions
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.files import leaves
-from bench.rerunio.schema import AnyChannel, RunInfo
+from bench.recording.info import AnyChannel, RunInfo
 from bench.rig.settings import Settings
 from protocol import __version__
 

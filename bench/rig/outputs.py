@@ -1,12 +1,10 @@
 """Where a run's data goes besides its statistics: a recording, a live view, both or neither.
 
-Imports rerun only when one of them is asked for.
+Imports rerun only when a live view is asked for.
 """
 
 from __future__ import annotations
 
-import os
-import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
 from bench.errors import BenchError, RecordingError
-from bench.files import check_output
-from bench.rerunio.schema import RunInfo
+from bench.files import RRD, check_output, run_folder
+from bench.recording.info import RunInfo
 
 if TYPE_CHECKING:
-    from bench.rerunio.sinks import FileSink, LiveSink
+    from bench.recording.sink import RunSink
+    from bench.rerunio.sinks import LiveSink
     from bench.rerunio.viewer import LiveView
 
 
@@ -55,21 +54,19 @@ class Outputs:
         wait: bool = False,
     ) -> None:
         """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time."""
-        self.file: FileSink | None = None
+        self.file: RunSink | None = None
+        self._rrd = save if save is not None and save.suffix == RRD else None
         self.view: LiveView | None = None
-        if viewer == "auto":
-            display = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-            viewer = "native" if display else "web"
         if save is not None:
             check_output(save, str(save), overwrite, recording=True)
-            from bench.rerunio.sinks import FileSink
+            from bench.recording.sink import RunSink
 
-            self.file = FileSink(save, run, overwrite=overwrite, wait=wait, live_drops=self.live_drops)
+            self.file = RunSink(run_folder(save), run, overwrite=overwrite, wait=wait)
         if viewer != "none":
-            from bench.rerunio.viewer import LiveView
+            from bench.rerunio.viewer import LiveView, chosen
 
             try:
-                self.view = LiveView(run, viewer, web_port=web_port)
+                self.view = LiveView(run, chosen(viewer), web_port=web_port)
             except BaseException:
                 if self.file is not None:
                     self.file.close()
@@ -78,7 +75,7 @@ class Outputs:
             sink.host_time = host_time
 
     @property
-    def sinks(self) -> list[FileSink | LiveSink]:
+    def sinks(self) -> list[RunSink | LiveSink]:
         """The sinks to hand to the client."""
         return [*([self.file] if self.file else []), *([self.view.sink] if self.view else [])]
 
@@ -99,20 +96,21 @@ class Outputs:
         if self.file is not None:
             self.file.summary(markdown)
 
-    def live_drops(self) -> int:
-        """Blocks that the live view has lost."""
-        return self.view.sink.dropped_blocks if self.view else 0
-
     @property
     def latency(self) -> Percentiles | None:
         """Sample-to-sink latency, of the recording if there is one, else of the live view."""
         return next((sink.latency for sink in self.sinks), None)
 
     def end_recording(self, summary: str) -> None:
-        """Put `summary` (markdown) into recording and view, and finish the file. Raises RecordingError, once."""
+        """Put `summary` (markdown) into recording and view, and end the recording. Raises RecordingError, once."""
         self.summary(summary)
         if self.file is not None:
             self.file.close()
+            if self._rrd is not None and self.file.error is None:
+                from bench.recording.reader import Run
+                from bench.rerunio.viewing import write_rrd
+
+                write_rrd(Run(self.file.path), self._rrd)
 
     def recorded(self) -> dict[str, Any]:
         """What the recording holds, as plain data."""
@@ -122,7 +120,7 @@ class Outputs:
             "path": str(self.file.path),
             "samples": self.file.logged_samples,
             "edges": self.file.logged_edges,
-            "bytes": self.file.path.stat().st_size if self.file.path.exists() else 0,
+            "bytes": sum(file.stat().st_size for file in self.file.path.glob("*")),
         }
 
     def viewed(self) -> dict[str, Any]:

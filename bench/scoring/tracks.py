@@ -22,9 +22,8 @@ from bench.analysis.units import pole_pairs
 from bench.errors import BenchError
 from bench.observers.estimators import Estimate, Estimators, all_for
 from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
-from bench.rerunio.recording import capture_of
-from bench.rerunio.salvage import ends_early
-from bench.rerunio.schema import HOST_SUFFIX
+from bench.recording.info import HOST_SUFFIX
+from bench.recording.reader import capture_of
 from bench.scoring.phases import Phases, phases_of, speed_of
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
@@ -84,7 +83,7 @@ def load(source: Path | Capture, names: Sequence[str] | None) -> Track:
     if isinstance(source, Capture):
         return _track(source, names, "the capture", [])
     run = readable_run(source)
-    track = _track(capture_of(run), names, str(source), [ENDS_EARLY] if ends_early(source) else [])
+    track = _track(capture_of(run), names, str(source), [] if run.ended else [ENDS_EARLY])
     return replace(track, started=run.info.started, recorded_by=str(run.info.identity.get("hallbench", "")))
 
 
@@ -102,7 +101,7 @@ def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list
         )
     found, kinds = _recorded(samples)
     estimators = None
-    if why := not_replayable(capture):
+    if why := not_replayable(samples.config, capture.edges.config):
         notes.append(f"no observer could be run on it: {why}")
     else:
         if names is None:

@@ -24,7 +24,7 @@ from bench.analysis.units import RPM
 from bench.analysis.waveforms import thd_by_angle
 from bench.observers.estimators import Estimators
 from bench.observers.replay import readable_run
-from bench.rerunio.recording import Run
+from bench.recording.reader import Run
 from bench.scoring.phases import phases_of, speed_of
 from sim.config.params import load_params
 from sim.native import layout

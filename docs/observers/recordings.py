@@ -139,7 +139,7 @@ def record(folder: Path) -> dict[str, Path]:
     """All recordings by name, in `folder`."""
     paths = {}
     for name, course in {"steady": steady, **EVENTS, "learning": learning}.items():
-        paths[name] = folder / f"{name}.rrd"
+        paths[name] = folder / f"{name}.run"
         with rig_for(name, "encoder", table=name != "learning", path=paths[name]) as rig:
             course(rig)
     return paths

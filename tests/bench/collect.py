@@ -9,7 +9,7 @@ import numpy as np
 from bench.analysis.chunks import join, part
 from bench.device.client import Client, Sink
 from bench.device.node import DRIVE, LOAD, Node
-from bench.rerunio.schema import RunInfo
+from bench.recording.info import RunInfo
 from bench.rig.streams import configure
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat

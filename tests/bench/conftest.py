@@ -28,6 +28,6 @@ def start_sim() -> Iterator[Callable[..., Sim]]:
 @pytest.fixture(scope="session")
 def drive_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of the simulated drive: start-up, speed step, load step, reversal. Not to be changed."""
-    path = tmp_path_factory.mktemp("drive") / "run.rrd"
+    path = tmp_path_factory.mktemp("drive") / "run.run"
     record_drive(path)
     return path

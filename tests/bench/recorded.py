@@ -11,8 +11,8 @@ from collect import Bench
 from virtual_run import WatchedLink, simulated
 
 from bench.analysis.verdict import Verdict
-from bench.rerunio.schema import RunInfo
-from bench.rerunio.sinks import FileSink
+from bench.recording.info import RunInfo
+from bench.recording.sink import RunSink
 from protocol.descriptor import Channel
 from protocol.messages import StreamEvent
 from protocol.signals import Flag, RawType, Unit
@@ -26,7 +26,7 @@ def record_drive(path: Path) -> None:
     """Start-up, a speed step, a load step and a reversal, with a note, a mark and a summary: 2.2 s."""
     bench = Bench(WatchedLink(simulated(seed=5)))
     drive, load, client = bench.drive, bench.load, bench.client
-    sink = FileSink(path, bench.info(), wait=True)
+    sink = RunSink(path, bench.info(), wait=True)
     client.sinks = [sink]
     bench.stream()
     client.run_for(0.2)
@@ -85,6 +85,6 @@ def record_made_up(
     info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters=parameters)
     config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, tuple(channels), 25, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     index = np.arange(len(theta), dtype=np.int64) * decimation
-    sink = FileSink(path, info, wait=True)
+    sink = RunSink(path, info, wait=True)
     sink.samples(SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ()))
     sink.close()

@@ -373,8 +373,8 @@ def test_a_watchdog_that_this_host_starved_is_laid_at_its_door(network: str) -> 
 def test_a_recording_that_fails_ends_the_run_with_stop_and_a_summary(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.rerunio.sinks.BACKLOG_LIMIT", -1)  # the disk is too slow from the start
-    screen, link, path = RecordingScreen(), WatchedLink(simulated()), tmp_path / "a.rrd"
+    monkeypatch.setattr("bench.recording.sink.BACKLOG_LIMIT", -1)  # the disk is too slow from the start
+    screen, link, path = RecordingScreen(), WatchedLink(simulated()), tmp_path / "a.run"
     ended = run(link, screen=screen, load_a=1.0, duration=60.0, save=path)
     assert ended.exit_code == 3
     assert ended.summary.result.startswith(f"recording failed: {path}: 0 MiB wait to be written")
@@ -386,19 +386,19 @@ def test_a_recording_that_fails_ends_the_run_with_stop_and_a_summary(
 
 
 def test_a_recording_that_fails_at_its_end_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from bench.rerunio.sinks import FileSink
+    from bench.recording.sink import RunSink
 
-    close = FileSink.close
+    close = RunSink.close
 
-    def fails(sink: FileSink) -> None:
+    def fails(sink: RunSink) -> None:
         close(sink)
         sink.error = RecordingError(f"recording {sink.path}: the disk is full (0 KiB free)")
 
-    monkeypatch.setattr(FileSink, "close", fails)
-    ended = run(WatchedLink(simulated()), save=tmp_path / "a.rrd")
+    monkeypatch.setattr(RunSink, "close", fails)
+    ended = run(WatchedLink(simulated()), save=tmp_path / "a.run")
     assert (ended.exit_code, ended.summary.result) == (
         3,
-        f"recording failed: {tmp_path / 'a.rrd'}: the disk is full (0 KiB free)",
+        f"recording failed: {tmp_path / 'a.run'}: the disk is full (0 KiB free)",
     )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from tests.devices import FULL, OWN, build, serving
 from tests.devices.carriers import ByteCarrier, decode, encode
 from tests.devices.device import Device
@@ -186,14 +186,14 @@ def test_accept_skips_what_a_drive_of_its_own_names_cannot_show(more: str, capsy
 
 
 def test_a_recording_of_a_drive_of_its_own_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = tmp_path / "own.rrd"
+    run = tmp_path / "own.run"
     with own("bytes") as device:
         assert bench(f"{SPIN} --save {run}", device, capsys).code == 0
-        for command in (f"score {run}", f"replay {run} -o {tmp_path / 'out.rrd'}", f"hall check {run}"):
+        for command in (f"score {run}", f"replay {run} -o {tmp_path / 'out.run'}", f"hall check {run}"):
             ran = bench(command, device, capsys)
             assert ran.code == 2, ran.text
             assert not re.search(UNTRUE, ran.text)
-    recorded = read_run(run)
+    recorded = Run(run)
     assert [channel.name for channel in recorded.info.channels] == [row.name for row in OWN.channels]
     assert (recorded.info.identity["serial"], recorded.info.identity["build"]) == ("", "")
 

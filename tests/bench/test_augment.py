@@ -10,21 +10,21 @@ from collect import Bench
 from virtual_run import WatchedLink, run, simulated
 
 from bench.observers.augment import Augmenter, host_channels
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
 from protocol.streams import EdgeChunk, SampleChunk
 
 
 def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
-    path = tmp_path / "a.rrd"
+    path = tmp_path / "a.run"
     chosen = ("vector-tracking", "avg", "vt")
     ended = run(WatchedLink(simulated()), duration=0.6, estimate=chosen, host_observers=True, save=path)
     (errors,) = ended.summary.position_error_deg.values()
     assert errors["theta_vt_host"] == pytest.approx(errors["theta_vt"])
     assert ended.summary.host_observers is not None
     assert ended.summary.host_observers["different"] == 0
-    recorded = read_run(path)
+    recorded = Run(path)
     raw = recorded.samples.raw
     assert raw.dtype.names[-4:] == ("theta_vt_host", "omega_vt_host", "theta_avg_host", "omega_avg_host")
     after = int(np.flatnonzero(raw["status"] & Status.OBSERVERS_RESET)[-1])

@@ -20,11 +20,12 @@ from colorspacious.cvd import machado_et_al_2009_matrix
 
 from bench.analysis.colours import GROUND, OBSERVERS, RGB, SPARES, TABLE, apart, look, rgb
 from bench.observers.augment import host_channels
+from bench.recording.info import RunInfo
 from bench.reports.style import SERIES
 from bench.rerunio import states
 from bench.rerunio.plane import Plane
 from bench.rerunio.plots import plots
-from bench.rerunio.schema import VECTORS, RunInfo
+from bench.rerunio.schema import VECTORS
 from bench.scoring.plots import draw_error_by_speed
 from protocol.signals import DRIVE_CHANNELS, Flag
 from sim.observers.catalogue import CATALOGUE

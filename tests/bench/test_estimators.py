@@ -13,7 +13,7 @@ from virtual_run import WatchedLink, simulated
 from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers.catalogue import CATALOGUE
@@ -54,7 +54,7 @@ def test_a_test_sine_and_false_pulses_are_recomputed_too(where: Injection) -> No
 
 
 def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run: Path) -> None:
-    recorded = read_run(drive_run)
+    recorded = Run(drive_run)
     info, samples, edges = recorded.info, recorded.samples, recorded.edges
     every = tuple(channel for channel in DRIVE_CHANNELS if channel.name in CHECKED)
     whole = HostObservers(info.parameters, replace(samples.config, channels=every))
@@ -101,7 +101,7 @@ def test_defaults_are_those_of_the_simulated_drive() -> None:
 
 def test_an_observer_that_lacks_a_parameter_names_it(drive_run: Path) -> None:
     with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not tell"):
-        Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, read_run(drive_run).samples.config)
+        Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, Run(drive_run).samples.config)
 
 
 def test_observers_that_lack_a_parameter_are_left_out() -> None:
@@ -182,7 +182,7 @@ def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
 
 
 def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> None:
-    recorded = read_run(drive_run)
+    recorded = Run(drive_run)
     info, samples, edges = recorded.info, recorded.samples, recorded.edges
     assert len(edges) > 200
     last = int(np.searchsorted(samples.tick, edges.tick[100], side="right"))

@@ -20,7 +20,7 @@ import pytest
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from protocol.descriptor import Descriptor
 from protocol.messages import Feature
 from sim.ports.device import SimulatedDevice
@@ -159,14 +159,14 @@ def test_a_usb_device_that_names_itself_so(
 
 def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -> None:
     code, text = on_terminal(
-        hostile(), "live", "serial:x", "--duration", "1", "--viewer", "none", "--save", "run.rrd",
+        hostile(), "live", "serial:x", "--duration", "1", "--viewer", "none", "--save", "run.run",
         "--channels", f"+{CHANNEL_SHOWN}",
     )  # fmt: skip
     assert code == 0
     assert harmless(text)
     assert r"\x1b]0;pwn\x07[red]x \u202e\x9b2J|`<b> on serial:x" in text
     assert r"all is well\r\x1b[7A\x1b[2Kerror: \u2066none\x00\x9d0;pwn\x9c <script>" in text
-    run = read_run("run.rrd")
+    run = Run("run.run")
     assert (run.info.identity["serial"], run.info.identity["build"]) == (SERIAL_SHOWN, BUILD_SHOWN)
     assert CHANNEL_SHOWN in {channel.name for channel in run.info.channels}
     assert len(run.samples.physical(CHANNEL_SHOWN)) == len(run.samples) > 0
@@ -205,5 +205,5 @@ def test_the_report_of_accept(on_terminal: Callable[..., tuple[int, str]]) -> No
     assert BUILD_SHOWN in page
     for tag in ("<b>", "<u>", "<i>[red]", "<script"):
         assert tag not in page
-    assert sorted(str(path) for path in Path("out").rglob("*.rrd")) == ["out/recordings/it.rrd"]
-    assert harmless(read_run("out/recordings/it.rrd").summary)
+    assert sorted(str(path) for path in Path("out").rglob("*.run")) == ["out/recordings/it.run"]
+    assert harmless(Run("out/recordings/it.run").summary)

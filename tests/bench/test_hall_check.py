@@ -26,7 +26,7 @@ from bench.errors import BenchError, OutputsMayBeOn, UnsafeError
 from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from protocol.messages import DriveState, Fault, SetpointMode
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
@@ -77,7 +77,7 @@ def rounded(cause: str) -> str:
 @pytest.mark.parametrize(("config", "cause"), list(FAULTS.items()), ids=list(FAULTS.values()))
 def test_each_fault_is_named_from_the_drive_and_from_its_recording(tmp_path: Path, config: str, cause: str) -> None:
     (tmp_path / "faulty.toml").write_text(config)
-    run = tmp_path / "run.rrd"
+    run = tmp_path / "run.run"
     live = look(Options("sim", config=tmp_path / "faulty.toml", save=run))
     recorded = look(Options(str(run)))
     for health in (live, recorded):
@@ -90,7 +90,7 @@ def test_each_fault_is_named_from_the_drive_and_from_its_recording(tmp_path: Pat
 
 
 def test_a_healthy_drive_is_measured_to_what_its_configuration_says(tmp_path: Path) -> None:
-    run = tmp_path / "run.rrd"
+    run = tmp_path / "run.run"
     for health in (look(Options("sim", save=run)), look(Options(str(run)))):
         assert health.outcome is Outcome.HEALTHY
         assert health.emf is not None
@@ -240,13 +240,14 @@ def test_what_a_lost_link_leaves_changed_is_named() -> None:
 
 
 def test_a_recording_that_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
-    (tmp_path / "run.rrd").write_text("precious")
+    (tmp_path / "run.run").mkdir()
+    (tmp_path / "run.run" / "run.jsonl").write_text("precious")
     device = simulated()
     for passive in (False, True):
-        with reached(device) as links, pytest.raises(BenchError, match=r"run.rrd exists: choose another name, or"):
-            look(Options(TARGET, yes=True, passive=passive, save=tmp_path / "run.rrd"))
+        with reached(device) as links, pytest.raises(BenchError, match=r"run.run exists: choose another name, or"):
+            look(Options(TARGET, yes=True, passive=passive, save=tmp_path / "run.run"))
         assert links == []
-    assert (tmp_path / "run.rrd").read_text() == "precious"
+    assert (tmp_path / "run.run" / "run.jsonl").read_text() == "precious"
 
 
 def test_nothing_is_energised_without_consent() -> None:
@@ -348,11 +349,11 @@ def test_a_signal_ends_with_the_outputs_off_and_says_where_the_recording_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with reached(simulated()) as links:
-        assert bench(capsys, "check", TARGET, "--yes", "--save", str(tmp_path / "whole.rrd"))[0] == 0
+        assert bench(capsys, "check", TARGET, "--yes", "--save", str(tmp_path / "whole.run"))[0] == 0
     states = links[-1].states
     on, off = states.index(DriveState.RUNNING), len(states) - states[::-1].index(DriveState.RUNNING)
     for at, kind in ((on + 2, signal.SIGTERM), ((on + off) // 2, signal.SIGINT), (off - 1, signal.SIGHUP)):
-        device, run = simulated(), tmp_path / f"{kind.name}.rrd"
+        device, run = simulated(), tmp_path / f"{kind.name}.run"
         with reached(device, raising(kind, at)) as links:
             code, _, err = bench(capsys, "check", TARGET, "--yes", "--save", str(run))
         assert code == 128 + kind
@@ -361,19 +362,19 @@ def test_a_signal_ends_with_the_outputs_off_and_says_where_the_recording_is(
         assert at_rest(device)
         assert device.bench.faults == Fault(0)  # STOP did it, not the watchdog
         assert device.bench.parameters["i_max"] == 8.0
-        assert len(read_run(run).samples) > 100
+        assert len(Run(run).samples) > 100
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("check", "run.rrd", "--json", "run.rrd"), "--json takes run.rrd as the file to write"),
+    (("check", "run.run", "--json", "run.run"), "--json takes run.run as the file to write"),
     (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is a file that is read"),
     (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json are the same file"),
-    (("learn", "run.rrd", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
+    (("learn", "run.run", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
     (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is a file that is read"),
     (("learn", "sim", "--out", "edges.yaml"), "--out edges.yaml: the name must end in .toml or .json"),
-    (("learn", "run.rrd", "--write"), "--write needs a drive, and run.rrd is a recording"),
-    (("check", "run.rrd", "--passive"), "run.rrd is a recording: --save and --passive are for a drive"),
-    (("check", "nowhere.rrd"), "nowhere.rrd: no such file"),
+    (("learn", "run.run", "--write"), "--write needs a drive, and run.run is a recording"),
+    (("check", "run.run", "--passive"), "run.run is a recording: --save and --passive are for a drive"),
+    (("check", "nowhere.run"), "nowhere.run: no such file"),
     (("check", "tcp:127.0.0.1:1", "--config", "rig.toml"), "--config is for the simulated drive"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_refused_in_a_line_and_no_file_is_lost(
@@ -384,22 +385,22 @@ def test_what_makes_no_sense_is_refused_in_a_line_and_no_file_is_lost(
     words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("run.rrd", "rig.toml"):
+    for name in ("run.run", "rig.toml"):
         Path(name).write_text("# precious")
     code, out, err = bench(capsys, *arguments)
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert err.startswith("error: ")
     assert words in err
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
-        ("run.rrd", "rig.toml"), "# precious"
+        ("run.run", "rig.toml"), "# precious"
     )
 
 
 def test_completion_knows_targets_and_recordings(tmp_path: Path) -> None:
-    for name in ("a.rrd", "b.rrd", "b.txt"):
+    for name in ("a.run", "b.run", "b.txt"):
         (tmp_path / name).touch()
     for subcommand in ("check", "learn"):
         complete = ShellComplete(cli, {}, "bench", "_BENCH_COMPLETE")
         assert [item.value for item in complete.get_completions(["hall", subcommand], "si")] == ["sim"]
         found = complete.get_completions(["hall", subcommand], f"{tmp_path}/")
-        assert [item.value for item in found] == [f"{tmp_path}/a.rrd", f"{tmp_path}/b.rrd"]
+        assert [item.value for item in found] == [f"{tmp_path}/a.run", f"{tmp_path}/b.run"]

@@ -138,7 +138,7 @@ def test_a_json_file_has_the_same_numbers_with_their_unit(tmp_path: Path) -> Non
 
 
 def test_a_recording_is_learnt_into_a_file(tmp_path: Path) -> None:
-    run, out = tmp_path / "run.rrd", tmp_path / "edges.json"
+    run, out = tmp_path / "run.run", tmp_path / "edges.json"
     main(["hall", "learn", "sim", "--save", str(run)])
     main(["hall", "learn", str(run), "--out", str(out)])
     up = json.loads(out.read_text())["edge_up"]
@@ -162,7 +162,7 @@ def test_the_hosts_filter_learns_them_without_an_encoder(capsys: pytest.CaptureF
 
 
 def test_a_recording_is_learnt_by_the_filter_and_its_lessons_are_in_the_json(tmp_path: Path) -> None:
-    run, out = tmp_path / "run.rrd", tmp_path / "lessons.json"
+    run, out = tmp_path / "run.run", tmp_path / "lessons.json"
     main(["hall", "learn", "sim", "--save", str(run)])
     main(["hall", "learn", str(run), "--by", "filter", "--json", str(out)])
     data = json.loads(out.read_text())
@@ -270,7 +270,7 @@ def test_what_does_not_go_together_is_said_at_once(
 def test_a_recording_without_what_the_drive_has_learned_says_how_to_record_it(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    run = tmp_path / "run.rrd"
+    run = tmp_path / "run.run"
     main(["hall", "learn", "sim", "--save", str(run)])
     with pytest.raises(SystemExit) as ended:
         main(["hall", "learn", str(run), "--by", "drive"])

@@ -117,7 +117,7 @@ def test_ctrl_c_ends_a_command_at_any_moment(name: str, drive_run: Path, tmp_pat
         known["SIM"] = start_sim("--pty").target  # type: ignore[operator]
 
     def command(file: str) -> list[str]:
-        names = known | {"NEW": str(tmp_path / f"{file}.rrd")}
+        names = known | {"NEW": str(tmp_path / f"{file}.run")}
         return [names.get(word, word) for word in COMMANDS[name]]
 
     whole = interrupted(command("whole"), LONGEST)

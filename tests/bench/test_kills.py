@@ -23,7 +23,7 @@ def test_however_the_host_ends_the_outputs_go_off_and_the_recording_is_whole(tmp
         for n, number in enumerate(RESULTS):
             off, code, result = RESULTS[number]
             for again in range(3):  # who takes both cores for 0.1 s keeps the host from what the drive has sent
-                each = kill(number, moments.uniform(0.0, LATEST), sim, proxy, tmp_path / f"{n}-{again}.rrd")
+                each = kill(number, moments.uniform(0.0, LATEST), sim, proxy, tmp_path / f"{n}-{again}.run")
                 assert (each.off, each.code) == (off, code), each
                 assert result in each.result, each
                 assert not each.outputs_on, each

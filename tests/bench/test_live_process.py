@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from processes import Program, Sim
-from rerun.chunk import RrdReader
 
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 
 Start = Callable[..., Program]
 StartSim = Callable[..., Sim]
@@ -38,7 +37,7 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     start: Start, start_sim: StartSim, tmp_path: Path, where: tuple[str, ...], options: tuple[str, ...]
 ) -> None:
     sim = start_sim(*where, *PATIENT)
-    recording, summary_file = tmp_path / "a.rrd", tmp_path / "a.json"
+    recording, summary_file = tmp_path / "a.run", tmp_path / "a.json"
     for _ in range(3):  # in real time, whoever takes both cores for 0.3 s makes the drive drop samples
         live = start(
             "live", sim.target, "--speed", "500", "--yes", "--duration", "3", "--save", str(recording),
@@ -51,7 +50,7 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
     assert summary["lost"] == {
         "samples_by_index": 0, "edges_by_index": 0, "frames_by_sequence": 0, "frames_by_device": 0,
     }  # fmt: skip
-    run = read_run(recording)
+    run = Run(recording)
     decimation = run.samples.config.decimation
     assert (decimation == 1) == ("--host-observers" in options)
     assert summary["samples"] >= 2.9 * 16000 / decimation
@@ -98,12 +97,11 @@ def small_place(
     subprocess.run(["umount", str(tmp_path)], check=True)
 
 
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")
 def test_a_full_disk_ends_in_stop_and_a_summary(
     start: Start, start_sim: StartSim, small_place: tuple[Path, Callable[[], None] | None, str]
 ) -> None:
     directory, limit, says = small_place
-    recording = directory / "a.rrd"
+    recording = directory / "a.run"
     sim = start_sim("--pty", *PATIENT)
     live = start("live", sim.target, *SPIN, "--save", str(recording), limit_resources=limit)
     sim.line(r"outputs on \(node 1")
@@ -115,8 +113,7 @@ def test_a_full_disk_ends_in_stop_and_a_summary(
     assert summary["faults"] == []
     assert sum(says in line for line in live.err) == 1
     assert not any("Traceback" in line or "re_sdk" in line or "\x1b" in line for line in live.err)
-    assert len(read_run(recording).samples) > 1000  # what fitted is there
-    assert RrdReader(recording).stream().to_chunks()  # and whole: rerun itself refuses half a message
+    assert len(Run(recording).samples) > 1000  # what fitted is there
 
 
 @pytest.mark.parametrize("where", ["--pty", "--slcan"])
@@ -124,7 +121,7 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     start: Start, start_sim: StartSim, tmp_path: Path, where: str
 ) -> None:
     sim = start_sim(where, "--link", str(tmp_path / "tty"))
-    recording = tmp_path / "a.rrd"
+    recording = tmp_path / "a.run"
     live = start("live", sim.target, *SPIN, "--fit", "--save", str(recording))
     live.line(TURNING)
     sim.send(signal.SIGUSR1)
@@ -141,7 +138,7 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     assert summary["link"]["downtime_s"] > 0.05  # from when it was noticed
     assert summary["link"]["reboots"] == 0
     assert summary["faults"] == ["WATCHDOG"]
-    run = read_run(recording)
+    run = Run(recording)
     decimation = run.samples.config.decimation
     assert summary["lost"]["samples_by_index"] > 0.15 * 16000 / decimation
     assert sum("outputs on" in line for line in sim.out) == 1

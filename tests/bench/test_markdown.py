@@ -32,6 +32,6 @@ def test_every_cell_shows_its_text(rows: list[tuple[str, str]]) -> None:
     assert shown == ["name", "", *(printable(text).strip() for row in rows for text in row)]
 
 
-@pytest.mark.parametrize("text", ["run_1.rrd", "theta_vt", "tcp:127.0.0.1:5000", "12.5 kHz"])
+@pytest.mark.parametrize("text", ["run_1.run", "theta_vt", "tcp:127.0.0.1:5000", "12.5 kHz"])
 def test_ordinary_text_stays_as_it_is(text: str) -> None:
     assert markdown.escaped(text) == text

@@ -10,7 +10,7 @@ import pytest
 from virtual_run import WatchedLink, run, simulated
 
 from bench.cli import main
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from bench.rig.settings import Settings
 
 OWN_TEST = """
@@ -27,8 +27,8 @@ def test_a_recording_says_what_it_is_of(tmp_path: Path) -> None:
     config.write_text("[motor]\nR_s = 0.2\n[firmware.speed_loop]\nk_p_speed = 0.05\n")
     settings = Settings(station="bench 3", operator="A. Person", config=config)
     link = WatchedLink(simulated())
-    run(link, save=tmp_path / "a.rrd", settings=settings)
-    about = read_run(tmp_path / "a.rrd").info.identity
+    run(link, save=tmp_path / "a.run", settings=settings)
+    about = Run(tmp_path / "a.run").info.identity
     told = link.device.drive.identity
     assert (about["name"], about["serial"], about["build"]) == (told.name, told.serial, told.build)
     assert (about["station"], about["operator"]) == ("bench 3", "A. Person")
@@ -38,8 +38,8 @@ def test_a_recording_says_what_it_is_of(tmp_path: Path) -> None:
 
 
 def test_what_is_not_told_is_not_there(tmp_path: Path) -> None:
-    run(WatchedLink(simulated()), save=tmp_path / "a.rrd")
-    assert {"station", "operator", "configuration"}.isdisjoint(read_run(tmp_path / "a.rrd").info.identity)
+    run(WatchedLink(simulated()), save=tmp_path / "a.run")
+    assert {"station", "operator", "configuration"}.isdisjoint(Run(tmp_path / "a.run").info.identity)
 
 
 def test_an_acceptance_run_says_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,5 +58,5 @@ def test_an_acceptance_run_says_it_too(tmp_path: Path, monkeypatch: pytest.Monke
     page = Path("out/report.html").read_text()
     assert "bench &lt;3&gt;" in page
     assert "A. Person" in page
-    recorded = read_run("out/recordings/it.rrd").info.identity
+    recorded = Run("out/recordings/it.run").info.identity
     assert (recorded["station"], recorded["operator"], recorded["test"]) == ("bench <3>", "A. Person", "it")

@@ -29,7 +29,7 @@ import bench
 from bench.cli import cli
 from bench.errors import BenchError, NodeError, UnsafeError
 from bench.observers.replay import replay
-from bench.rerunio.recording import read_run
+from bench.recording.reader import Run
 from bench.rig.settings import Settings
 from protocol.messages import DriveState, Fault
 from protocol.signals import DRIVE_CHANNELS, SOURCE_NAMES
@@ -309,13 +309,13 @@ def test_without_a_load_it_says_so() -> None:
 
 
 def test_a_recording_is_not_overwritten_unasked(tmp_path: Path) -> None:
-    file = tmp_path / "run.rrd"
+    file = tmp_path / "run.run"
     with bench.connect("sim", save=file) as rig:
         rig.record(0.05)
-    kept = file.read_bytes()
-    with pytest.raises(BenchError, match=r"run\.rrd exists: .*\(in Python: overwrite=True\)"):
+    kept = (file / "run.jsonl").read_bytes()
+    with pytest.raises(BenchError, match=r"run\.run exists: .*\(in Python: overwrite=True\)"):
         bench.connect("sim", save=file)
-    assert file.read_bytes() == kept
+    assert (file / "run.jsonl").read_bytes() == kept
     with bench.connect("sim", save=str(file), overwrite=True) as rig:
         rig.record(0.2)
     assert len(bench.read(file)) > 3000
@@ -345,7 +345,7 @@ def test_names_that_the_drive_does_not_have() -> None:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[bench.Capture, Path]:
     """0.5 s at 500 r/min with 0.1 N·m, and the recording of all of its run."""
-    path = tmp_path_factory.mktemp("saved") / "run.rrd"
+    path = tmp_path_factory.mktemp("saved") / "run.run"
     with bench.connect("sim", save=path) as rig:
         rig.drive.speed(500, "r/min")
         rig.load.torque(0.1)
@@ -423,7 +423,7 @@ def test_a_recording_reads_as_what_was_recorded(saved: tuple[bench.Capture, Path
 
 def test_what_is_lost_is_told_by_the_capture_and_by_the_recording(tmp_path: Path) -> None:
     link = SpoiltLink(simulated())
-    with connected(link, save=tmp_path / "run.rrd") as rig:
+    with connected(link, save=tmp_path / "run.run") as rig:
         rig.drive.speed(300, "r/min")
         with rig.recording() as stretch:
             rig.wait(0.1)
@@ -436,7 +436,7 @@ def test_what_is_lost_is_told_by_the_capture_and_by_the_recording(tmp_path: Path
         f"{lost.lost_samples} samples were lost before {run.t[lost.position]:.4f} s"
     ]
     assert run.flaws()[0] == run.dropped[0][2]
-    assert bench.read(tmp_path / "run.rrd").dropped == run.dropped
+    assert bench.read(tmp_path / "run.run").dropped == run.dropped
 
 
 # -- estimates and scores -------------------------------------------------------------------------------------------
@@ -450,8 +450,8 @@ def test_estimates_are_those_of_replay(
     drive_run: Path, tmp_path: Path, observer: str, short: str, settings: dict[str, float]
 ) -> None:
     ours = bench.estimate(bench.read(drive_run), observer, **settings)
-    replay(drive_run, (observer,), settings, tmp_path / "out.rrd")
-    theirs = read_run(tmp_path / "out.rrd").samples
+    replay(drive_run, (observer,), settings, tmp_path / "out.run")
+    theirs = Run(tmp_path / "out.run").samples
     assert ours.samples.raw.dtype == theirs.raw.dtype
     assert ours.samples.raw.tobytes() == theirs.raw.tobytes()
     assert ours.units[f"theta_{short}_host"] == "rad"
@@ -479,8 +479,8 @@ def test_captures_without_what_an_observer_needs(run: bench.Capture) -> None:
 
 
 def test_a_decimated_recording_is_not_estimated(tmp_path: Path) -> None:
-    live(WatchedLink(simulated()), rate_hz=8000.0, save=tmp_path / "slow.rrd")
-    slow = bench.read(tmp_path / "slow.rrd")
+    live(WatchedLink(simulated()), rate_hz=8000.0, save=tmp_path / "slow.run")
+    slow = bench.read(tmp_path / "slow.run")
     assert slow.sample_rate == 8000
     assert np.diff(slow.t) == pytest.approx(1 / 8000, rel=1e-9)
     with pytest.raises(BenchError, match="cannot be run on this capture: it has one sample in 2 PWM periods: all"):

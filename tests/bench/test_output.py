@@ -43,28 +43,28 @@ def bench(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
 # -- files: places that cannot be written --------------------------------------------------------------------------
 
 OUTPUTS = {
-    "live --save": (("live", "serial:x", "--viewer", "none", "--save", "{}.rrd"), 3),
+    "live --save": (("live", "serial:x", "--viewer", "none", "--save", "{}.run"), 3),
     "live --json": (("live", "serial:x", "--viewer", "none", "--json", "{}"), 2),
     "accept --report": (("accept", "sim", "--report", "{}"), 2),
     "accept --json": (("accept", "sim", "--json", "{}"), 2),
     "accept --junit": (("accept", "sim", "--junit", "{}"), 2),
     "accept --list": (("accept", "sim", "--list", "--json", "{}"), 2),
     "hall check --save": (("hall", "check", "sim", "--save", "{}"), 3),
-    "hall check --json": (("hall", "check", "run.rrd", "--json", "{}"), 2),
+    "hall check --json": (("hall", "check", "run.run", "--json", "{}"), 2),
     "hall learn --out": (("hall", "learn", "sim", "--out", "{}.toml"), 2),
-    "replay --out": (("replay", "run.rrd", "--out", "{}"), 3),
-    "replay --json": (("replay", "run.rrd", "--json", "{}"), 2),
-    "score --html": (("score", "run.rrd", "--html", "{}"), 2),
-    "score --json": (("score", "run.rrd", "--json", "{}"), 2),
-    "score --csv": (("score", "run.rrd", "--csv", "{}"), 2),
-    "score --write-expect": (("score", "run.rrd", "--write-expect", "{}"), 2),
+    "replay --out": (("replay", "run.run", "--out", "{}"), 3),
+    "replay --json": (("replay", "run.run", "--json", "{}"), 2),
+    "score --html": (("score", "run.run", "--html", "{}"), 2),
+    "score --json": (("score", "run.run", "--json", "{}"), 2),
+    "score --csv": (("score", "run.run", "--csv", "{}"), 2),
+    "score --write-expect": (("score", "run.run", "--write-expect", "{}"), 2),
     "info --json": (("info", "serial:x", "--json", "{}"), 2),
     "devices --json": (("devices", "--json", "{}"), 2),
     "dbc -o": (("protocol", "dbc", "can:virtual/x", "-o", "{}"), 2),
 }
 BAD_PLACES = {
     "missing/x": "there is no directory",
-    "run.rrd/x": "Not a directory",
+    "run.run/x": "Not a directory",
     "loop/x": "Too many levels of symbolic links",
     "n" * 300: "File name too long",
     "closed/x": "Permission denied",
@@ -81,7 +81,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def places(here: Path) -> Iterator[Path]:
     """The present directory, with what `BAD_PLACES` needs."""
-    Path("run.rrd").write_text("precious")
+    Path("run.run").write_text("precious")
     Path("loop").symlink_to("loop")
     Path("closed").mkdir(0o000)
     yield here
@@ -114,18 +114,18 @@ def test_what_is_there_is_neither_replaced_nor_cut_without_overwrite(bench: Call
         path.write_text("precious")
         code, out, err = bench(*(text.format("there") for text in arguments))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
-        assert re.search(r"(exists|holds a report): choose another name, or --overwrite to replace it", err), name
+        assert re.search(r"(exists|holds a report): (choose .*--overwrite to|it is no recorded run)", err), name
         assert path.read_text() == "precious", name
 
 
 def test_a_directory_is_no_file(bench: Callable[..., Ran], places: Path) -> None:
-    Path("a_directory.rrd").mkdir()
+    Path("a_directory.run").mkdir()
     for name, (arguments, _) in OUTPUTS.items():
         if name == "accept --report" or arguments[-1] == "{}.toml":
             continue
-        code, out, err = bench(*arguments[:-1], "a_directory.rrd" if "--json" not in arguments else str(places))
+        code, out, err = bench(*arguments[:-1], "a_directory.run" if "--json" not in arguments else str(places))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
-        assert "is a directory" in err, name
+        assert "is a directory" in err or "is no recorded run" in err, name
 
 
 @pytest.mark.parametrize("place", [place for place in BAD_PLACES if "/" in place])
@@ -135,8 +135,8 @@ def test_an_input_that_cannot_be_reached_is_told(bench: Callable[..., Ran], plac
     for arguments in (
         ("score", place),
         ("replay", place),
-        ("hall", "check", f"{place}.rrd"),
-        ("score", "run.rrd", "--expect", place),
+        ("hall", "check", f"{place}.run"),
+        ("score", "run.run", "--expect", place),
         ("accept", "sim", "--bench", place),
         ("accept", "sim", "--tests", place),
     ):
@@ -184,7 +184,7 @@ def with_json(run: Path) -> dict[str, tuple[str, ...]]:
         "live": ("live", "serial:x", "--viewer", "none", "--duration", "0.1"),
         "hall": ("hall", "check", str(run)),
         "score": ("score", str(run), "--observer", "drive_vt"),
-        "replay": ("replay", str(run), "--observer", "hv", "--overwrite", "--out", "again.rrd"),
+        "replay": ("replay", str(run), "--observer", "hv", "--overwrite", "--out", "again.run"),
         "replay --list": ("replay", "--list"),
         "accept --list": ("accept", "sim", "--list", "-k", "fig08"),
     }
@@ -208,7 +208,7 @@ def test_json_goes_to_standard_output_alone_or_to_a_file(
             assert f"--json {file} exists" in err, name
 
 
-@pytest.mark.parametrize("taken", ["sim", "serial:/dev/ttyACM0", "other.rrd"])
+@pytest.mark.parametrize("taken", ["sim", "serial:/dev/ttyACM0", "other.run"])
 def test_json_does_not_swallow_an_argument(bench: Callable[..., Ran], taken: str) -> None:
     code, out, err = bench("info", "--json", taken)
     assert (code, out) == (2, "")
@@ -219,9 +219,9 @@ def test_only_text_goes_to_a_stream(bench: Callable[..., Ran], places: Path) -> 
     for arguments, says in (
         (("live", "serial:x", "--save", "-"), "--save -: a recording needs a file"),
         (("live", "serial:x", "--save", "/dev/null"), "--save /dev/null exists"),
-        (("replay", "run.rrd", "--out", "-"), "--out -: a recording needs a file"),
+        (("replay", "run.run", "--out", "-"), "--out -: a recording needs a file"),
         (("accept", "sim", "--junit", "-"), "--junit -: only --json goes to standard output"),
-        (("score", "run.rrd", "--json", "--csv", "-"), "--json and --csv are the same file, -"),
+        (("score", "run.run", "--json", "--csv", "-"), "--json and --csv are the same file, -"),
     ):
         code, out, err = bench(*arguments)
         assert (code, out) == (2, "")
@@ -353,10 +353,10 @@ def test_an_error_that_is_not_foreseen_is_one_line_and_no_verdict_on_the_drive(
 
 @pytest.mark.parametrize("command", ["live", "info", "devices", "accept"])
 def test_a_recording_in_place_of_a_target(bench: Callable[..., Ran], command: str) -> None:
-    code, out, err = bench(command, "run.rrd")
+    code, out, err = bench(command, "run.run")
     assert (code, out) == (2, "")
-    for tool in ("rerun", "bench score", "bench replay", "bench hall check"):
-        assert f"`{tool} run.rrd`" in err
+    for tool in ("bench view", "bench score", "bench replay", "bench hall check"):
+        assert f"`{tool} run.run`" in err
 
 
 def test_another_file_in_place_of_a_target(bench: Callable[..., Ran], places: Path) -> None:

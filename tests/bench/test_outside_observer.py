@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from processes import ENVIRONMENT, LIMIT
 
+from bench.recording.reader import Run
 from bench.rerunio import plots
-from bench.rerunio.recording import Run, read_run
 from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, Status
 
 ROOT = Path(__file__).parents[2]
@@ -53,12 +53,12 @@ class Site:
 
     @property
     def run(self) -> Run:
-        return read_run(self.folder / "a.rrd")
+        return Run(self.folder / "a.run")
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    """With a recording a.rrd of the simulated drive, controlled by the observer, which runs on the host as well."""
+    """With a recording a.run of the simulated drive, controlled by the observer, which runs on the host as well."""
     folder = tmp_path_factory.mktemp("site")
     points = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]["hallbench.observers"]
     metadata = folder / "smoothed_average-0.1.dist-info"
@@ -70,7 +70,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     made = Site(folder)
     control, host = ("--observer", NAME.replace("_", "-")), ("--estimate", SHORT)
     made.bench(
-        "live", "sim", "--speed", "500", *control, *host, "--duration", "3", "--viewer", "none", "--save", "a.rrd"
+        "live", "sim", "--speed", "500", *control, *host, "--duration", "3", "--viewer", "none", "--save", "a.run"
     )
     return made
 
@@ -105,10 +105,10 @@ def test_replay_and_score_know_it_and_say_which_cannot_be_used(site: Site) -> No
     listed = {row["observer"]: row for row in json.loads(site.bench("replay", "--list", "--json", "-"))}
     assert listed[NAME]["short"] == SHORT
     assert "No module named 'no_such_module'" in listed["gone"]["source"]
-    site.bench("live", "sim", "--speed", "500", "--duration", "2", "--viewer", "none", "--save", "b.rrd")
-    site.bench("replay", "b.rrd", "--observer", NAME, "-o", "c.rrd")
-    assert f"theta_{SHORT}_host" in read_run(site.folder / "c.rrd").samples.raw.dtype.names
-    scored = json.loads(site.bench("score", "b.rrd", "--json", "-"))["observers"]
+    site.bench("live", "sim", "--speed", "500", "--duration", "2", "--viewer", "none", "--save", "b.run")
+    site.bench("replay", "b.run", "--observer", NAME, "-o", "c.run")
+    assert f"theta_{SHORT}_host" in Run(site.folder / "c.run").samples.raw.dtype.names
+    scored = json.loads(site.bench("score", "b.run", "--json", "-"))["observers"]
     assert scored[NAME]["kind"] == "host"
     assert 0.0 < scored[NAME]["moving"]["rms"] < scored["average_speed"]["moving"]["rms"]
 

@@ -16,8 +16,8 @@ from virtual_run import WatchedLink, simulated
 
 from bench.live.summary import RunStatistics
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, raw_counts
-from bench.rerunio.recording import Run, read_run
-from bench.rerunio.sinks import FileSink
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from protocol.messages import Fault
 from protocol.signals import AngleSource, Status
 from sim.observers.catalogue import CATALOGUE
@@ -57,7 +57,7 @@ def go(source: AngleSource, compensation: int, path: Path) -> tuple[RunStatistic
             drive.set(f"edge_{way}_{sector}", math.radians(delta))
     info = bench.info(ESTIMATES)
     live = RunStatistics(info.node, HostObservers(info.parameters, drive.set_samples(drive.channels(ESTIMATES), 1)))
-    sink = FileSink(path, info, wait=True)
+    sink = RunSink(path, info, wait=True)
     client.sinks = [sink, live]
     client.run_for(0.01)  # past the drive's first period, which initialises them too
     assert bench.stream(ESTIMATES) == 1
@@ -84,8 +84,8 @@ def go(source: AngleSource, compensation: int, path: Path) -> tuple[RunStatistic
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[0].name.lower()}-{case[1]}")
 def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Told:
     source, compensation = request.param
-    path = tmp_path_factory.mktemp("parity") / "run.rrd"
-    return Told(source, *go(source, compensation, path), read_run(path))
+    path = tmp_path_factory.mktemp("parity") / "run.run"
+    return Told(source, *go(source, compensation, path), Run(path))
 
 
 def started(told: Told) -> int:

@@ -15,15 +15,16 @@ from bench.cli import cli
 from bench.errors import BenchError
 from bench.observers.estimators import Estimators, raw_counts
 from bench.observers.replay import replay
-from bench.rerunio.recording import Run, read_run
-from bench.rerunio.sinks import FileSink
+from bench.recording.folder import SegmentFile
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from protocol.signals import Status
 from protocol.streams import Gap
 
 
 @pytest.fixture(scope="module")
 def run(drive_run: Path) -> Run:
-    return read_run(drive_run)
+    return Run(drive_run)
 
 
 def drive_resets(run: Run) -> int:
@@ -34,11 +35,11 @@ def drive_resets(run: Run) -> int:
 
 @pytest.fixture(scope="module")
 def replayed(drive_run: Path, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    out = tmp_path_factory.mktemp("replay") / "out.rrd"
+    out = tmp_path_factory.mktemp("replay") / "out.run"
     result = replay(drive_run, out=out)
     assert result.restarts == {"start": 1, "drive": drive_resets(run), "lost_samples": 0, "lost_edges": 0}
     assert (result.lost_samples, result.lost_edges) == (0, 0)
-    return read_run(out)
+    return Run(out)
 
 
 def test_the_hosts_estimates_are_the_drives_bit_for_bit(replayed: Run) -> None:
@@ -84,16 +85,16 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     else:
         edges[1] = replace(part(run.edges, due + 2, len(run.edges)), gaps=(Gap(0, 2, 1, False),))
         anew = int(np.searchsorted(run.samples.tick, edges[1].tick[0]))
-    sink = FileSink(tmp_path / "gap.rrd", run.info, wait=True)
+    sink = RunSink(tmp_path / "gap.run", run.info, wait=True)
     for edge_chunk, samples in zip(edges, (first, second), strict=True):
         sink.edges(edge_chunk)
         sink.samples(samples)
     sink.close()
-    result = replay(tmp_path / "gap.rrd", out=tmp_path / "out.rrd")
+    result = replay(tmp_path / "gap.run", out=tmp_path / "out.run")
     none = {"start": 1, "drive": drive_resets(run), "lost_samples": 0, "lost_edges": 0}
     assert result.restarts == none | {f"lost_{lost}": 1}
     assert (result.lost_samples, result.lost_edges) == ((width, 0) if lost == "samples" else (0, 2))
-    samples = read_run(tmp_path / "out.rrd").samples
+    samples = Run(tmp_path / "out.run").samples
     assert [(g.position, g.lost_samples) for g in samples.gaps] == ([(gap, width)] if lost == "samples" else [])
     at_once = Estimators(["vector_tracking"], run.info.parameters, run.samples.config)
     rest = part(samples, anew, len(samples))
@@ -124,68 +125,67 @@ def test_settings_and_names_are_checked(
     drive_run: Path, tmp_path: Path, settings: dict[str, float], observers: tuple[str, ...], words: str
 ) -> None:
     with pytest.raises(BenchError) as raised:
-        replay(drive_run, observers, settings, tmp_path / "out.rrd")
+        replay(drive_run, observers, settings, tmp_path / "out.run")
     assert words in str(raised.value)
-    assert not (tmp_path / "out.rrd").exists()
+    assert not (tmp_path / "out.run").exists()
 
 
 def test_a_recording_without_what_observers_need_is_refused(run: Run, tmp_path: Path) -> None:
-    path = tmp_path / "few.rrd"
+    path = tmp_path / "few.run"
     channels = tuple(c for c in run.samples.config.channels if c.name not in ("i_b", "u_beta"))
-    sink = FileSink(path, replace(run.info, channels=channels), wait=True)
+    sink = RunSink(path, replace(run.info, channels=channels), wait=True)
     config = replace(run.samples.config, channels=channels)
     raw = np.empty(100, config.dtype)
     for name in config.dtype.names:
         raw[name] = run.samples.raw[name][:100]
     sink.samples(replace(part(run.samples, 0, 100), config=config, raw=raw))
     sink.close()
-    with pytest.raises(BenchError, match=r"few\.rrd cannot be replayed: it has no channel u_beta, i_b"):
+    with pytest.raises(BenchError, match=r"few\.run cannot be replayed: it has no channel u_beta, i_b"):
         replay(path)
 
 
 def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
-    link = tmp_path / "a.rrd"
+    link = tmp_path / "a.run"
     link.symlink_to(drive_run)
     given = ["replay", str(link), "--observer", "vt", "--set", "k_i=5e4"]
     done = CliRunner().invoke(cli, given)
     assert done.exit_code == 0
-    assert "a.replay.rrd" in done.output
+    assert "a.replay.run" in done.output
     assert "vector_tracking" in done.output
     assert re.search(r"observers began anew +1 at the start, \d+ where the drive initialised them\n", done.output)
-    written = (tmp_path / "a.replay.rrd").read_bytes()
+    written = (tmp_path / "a.replay.run" / "run.jsonl").read_bytes()
     again = CliRunner().invoke(cli, given)
-    assert str(again.exception).startswith(f"{tmp_path / 'a.replay.rrd'} exists")
-    assert (tmp_path / "a.replay.rrd").read_bytes() == written
+    assert str(again.exception).startswith(f"{tmp_path / 'a.replay.run'} exists")
+    assert (tmp_path / "a.replay.run" / "run.jsonl").read_bytes() == written
     itself = CliRunner().invoke(cli, ["replay", str(link), "-o", str(drive_run), "--overwrite"])
     assert f"--out {drive_run} is a file that is read" in itself.output
     with pytest.raises(BenchError, match="is the recording itself"):
         replay(link, out=drive_run, overwrite=True)
-    twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.rrd"), "--observer", "vt"])
+    twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.run"), "--observer", "vt"])
     assert "has theta_vt_host already" in str(twice.exception)
     two = CliRunner().invoke(cli, ["replay", str(link), "--set", "k_i=1", "--set", "k_i=2", "--overwrite"])
     assert "--set k_i is given 2 times" in two.output
-    assert (tmp_path / "a.replay.rrd").read_bytes() == written
+    assert (tmp_path / "a.replay.run" / "run.jsonl").read_bytes() == written
     assert "3 is no" in CliRunner().invoke(cli, ["replay", str(link), "--set", "3 is no"]).output.replace("'", "")
 
 
 def test_a_replay_that_fails_leaves_the_earlier_one(
     drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out.rrd"
+    out = tmp_path / "out.run"
     replay(drive_run, ("vt",), out=out)
-    earlier = out.read_bytes()
-    good = FileSink.event
+    earlier = (out / "run.jsonl").read_bytes()
 
     def interrupted(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(FileSink, "event", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        replay(drive_run, ("la",), out=out, overwrite=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["out.rrd"]
-    assert out.read_bytes() == earlier
-    monkeypatch.setattr(FileSink, "event", good)
+    with monkeypatch.context() as patch:
+        patch.setattr(SegmentFile, "finish", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            replay(drive_run, ("la",), out=out, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.run"]
+    assert (out / "run.jsonl").read_bytes() == earlier
     replay(drive_run, ("la",), out=out, overwrite=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["out.rrd"]
-    names = read_run(out).samples.raw.dtype.names
+    assert [path.name for path in tmp_path.iterdir()] == ["out.run"]
+    names = Run(out).samples.raw.dtype.names
     assert ("theta_la_host" in names, "theta_vt_host" in names) == (True, False)

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +15,12 @@ import pytest
 from click.testing import CliRunner, Result
 from recorded import N_P, PWM_HZ, record_made_up
 
+from bench.analysis.chunks import part
 from bench.analysis.position import wrap
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.observers.replay import part
-from bench.rerunio.recording import read_run
-from bench.rerunio.sinks import FileSink
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.scoring import expect
 from bench.scoring.board import Scoreboard, flat, score
 from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
@@ -48,7 +49,7 @@ def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Estimates that are exact, 2 deg behind, 50 us late, and a sawtooth of 60 deg."""
-    path = tmp_path_factory.mktemp("made_up") / "made_up.rrd"
+    path = tmp_path_factory.mktemp("made_up") / "made_up.run"
     t = np.arange(round(1.7 * PWM_HZ)) / PWM_HZ
     theta, omega = motion(t)
     late, late_speed = motion(t - DELAY)
@@ -117,8 +118,8 @@ def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
     t = np.arange(PWM_HZ) / PWM_HZ
     theta = 200.0 * t
     third = (np.mod(theta, 2 * np.pi) // (np.pi / 3)) == 2
-    record_made_up(tmp_path / "a.rrd", theta, {"x": (theta + np.radians(5.0) * third, np.full(len(t), 200.0))})
-    by_sector = score([tmp_path / "a.rrd"]).pooled["drive_x"]["by_sector"]
+    record_made_up(tmp_path / "a.run", theta, {"x": (theta + np.radians(5.0) * third, np.full(len(t), 200.0))})
+    by_sector = score([tmp_path / "a.run"]).pooled["drive_x"]["by_sector"]
     biases = [by_sector[str(k)]["bias"] for k in range(1, 7)]
     assert biases == pytest.approx([0, 0, -5, 0, 0, 0], abs=0.05)
     assert sum(figures["n"] for figures in by_sector.values()) == len(t)
@@ -139,7 +140,7 @@ def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) ->
 
 
 def test_figures_of_a_drive_are_those_of_its_columns(drive_run: Path, drive_board: Scoreboard) -> None:
-    samples = read_run(drive_run).samples
+    samples = Run(drive_run).samples
     error = np.degrees(wrap(samples.physical("theta_enc") - samples.physical("theta_avg")))
     t = samples.tick / 20e6
     held = (t > t[0] + 0.55) & (t < t[0] + 0.68)  # at 500 r/min, in the middle of one stretch
@@ -154,9 +155,9 @@ def test_figures_of_a_drive_are_those_of_its_columns(drive_run: Path, drive_boar
 
 
 def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None:
-    another(tmp_path / "b.rrd", {"exact": math.radians(1.0)})
-    board = score([made_up, tmp_path / "b.rrd"], ["drive_exact"])
-    first, second = (board.by_file[str(path)]["drive_exact"]["moving"] for path in (made_up, tmp_path / "b.rrd"))
+    another(tmp_path / "b.run", {"exact": math.radians(1.0)})
+    board = score([made_up, tmp_path / "b.run"], ["drive_exact"])
+    first, second = (board.by_file[str(path)]["drive_exact"]["moving"] for path in (made_up, tmp_path / "b.run"))
     pooled = board.pooled["drive_exact"]["moving"]
     assert second["bias"] == pytest.approx(-1.0, abs=1e-3)
     assert pooled["n"] == first["n"] + second["n"]
@@ -167,8 +168,8 @@ def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None
 
 
 def test_who_is_in_some_recordings_only_stands_last(made_up: Path, tmp_path: Path) -> None:
-    another(tmp_path / "b.rrd", {"late": 0.1, "other": 0.2})
-    board = score([made_up, tmp_path / "b.rrd"])
+    another(tmp_path / "b.run", {"late": 0.1, "other": 0.2})
+    board = score([made_up, tmp_path / "b.run"])
     assert list(board.pooled) == ["drive_late", "drive_exact", "drive_biased", "drive_other", "drive_sector"]
     assert [figures["rank"] for figures in board.pooled.values()] == [1, 2, 3, 4, 5]
     assert [figures["recordings"] for figures in board.as_json()["observers"].values()] == [2, 1, 1, 1, 1]
@@ -180,14 +181,14 @@ def test_who_is_in_some_recordings_only_stands_last(made_up: Path, tmp_path: Pat
 
 
 def test_mixed_rates_are_noted(made_up: Path, tmp_path: Path) -> None:
-    run = read_run(made_up)
+    run = Run(made_up)
     few = part(run.samples, 0, len(run.samples))
     every = slice(0, None, 2)
     config = replace(few.config, decimation=2)
-    sink = FileSink(tmp_path / "half.rrd", run.info, wait=True)
+    sink = RunSink(tmp_path / "half.run", run.info, wait=True)
     sink.samples(replace(few, config=config, index=few.index[every], tick=few.tick[every], raw=few.raw[every]))
     sink.close()
-    board = score([made_up, tmp_path / "half.rrd"], ["drive_biased"])
+    board = score([made_up, tmp_path / "half.run"], ["drive_biased"])
     assert board.notes[0].startswith("recorded at 8000, 16000 samples a second: pooled by the sample")
     assert board.pooled["drive_biased"]["moving"]["bias"] == pytest.approx(2.0, abs=1e-3)
     assert not any("samples a second" in note for note in score([made_up], ["drive_biased"]).notes)
@@ -200,7 +201,7 @@ def test_mixed_rates_are_noted(made_up: Path, tmp_path: Path) -> None:
 def test_an_angle_that_turns_too_far_between_samples_is_refused(
     speed: float, omega_told: bool, refused: bool, tmp_path: Path
 ) -> None:
-    path = tmp_path / "a.rrd"
+    path = tmp_path / "a.run"
     t = np.arange(0.0, 4.0, 1 / 500)  # half a turn is 500 pi = 1571 rad/s
     theta = speed * t
     record_made_up(path, theta, {"x": (theta, np.full(len(t), speed))}, decimation=32, omega_told=omega_told)
@@ -215,7 +216,7 @@ def test_an_angle_that_turns_too_far_between_samples_is_refused(
 
 def test_nothing_to_score_is_an_error_with_the_reasons(made_up: Path, tmp_path: Path) -> None:
     with pytest.raises(
-        BenchError, match=r"nothing to score: .*made_up\.rrd: no observer could be run on it: it has no"
+        BenchError, match=r"nothing to score: .*made_up\.run: no observer could be run on it: it has no"
     ):
         score([made_up], ["vector_tracking"])
     t = np.arange(PWM_HZ // 2) / PWM_HZ
@@ -224,27 +225,28 @@ def test_nothing_to_score_is_an_error_with_the_reasons(made_up: Path, tmp_path: 
         ("short", 0.05, "800 in stretches too short to score"),
     ):
         theta = 0.1 * t[: round(seconds * PWM_HZ)]
-        record_made_up(tmp_path / f"{name}.rrd", theta, {"x": (theta, theta)})
+        record_made_up(tmp_path / f"{name}.run", theta, {"x": (theta, theta)})
         with pytest.raises(BenchError, match=f"nothing to score: .*{words}"):
-            score([tmp_path / f"{name}.rrd"])
+            score([tmp_path / f"{name}.run"])
 
 
 def test_a_recording_that_ends_early_is_told(made_up: Path, tmp_path: Path) -> None:
-    whole = made_up.read_bytes()
-    (tmp_path / "cut.rrd").write_bytes(whole[:-200])
-    board = score([made_up, tmp_path / "cut.rrd"], ["drive_exact"])
+    shutil.copytree(made_up, tmp_path / "cut.run")
+    log = tmp_path / "cut.run" / "run.jsonl"
+    log.write_bytes(log.read_bytes()[:-20])
+    board = score([made_up, tmp_path / "cut.run"], ["drive_exact"])
     assert [("the recording ends early" in " ".join(track.notes)) for track in board.tracks] == [False, True]
 
 
 def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Path, tmp_path: Path) -> None:
-    run = read_run(made_up)
-    sink = FileSink(tmp_path / "gaps.rrd", run.info, wait=True)
+    run = Run(made_up)
+    sink = RunSink(tmp_path / "gaps.run", run.info, wait=True)
     n, held = len(run.samples), [(0, 6000), (6100, 6600), (6640, len(run.samples))]  # 500 samples are 31 ms
     for (first, last), lost in zip(held, (0, 100, 40), strict=True):
         gaps = (Gap(0, lost, 4, False),) if lost else ()
         sink.samples(replace(part(run.samples, first, last), gaps=gaps))
     sink.close()
-    board = score([tmp_path / "gaps.rrd"])
+    board = score([tmp_path / "gaps.run"])
     (track,) = board.tracks
     assert (track.lost, track.dropped) == (140, 500)
     assert [len(stretch.t) for stretch in track.stretches] == [6000, n - 6640]
@@ -258,9 +260,9 @@ def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Pat
 
 def test_without_an_encoder_it_says_so(tmp_path: Path) -> None:
     t = np.arange(2000) / PWM_HZ
-    record_made_up(tmp_path / "a.rrd", 100 * t, {"x": (100 * t, t)}, reference=False)
+    record_made_up(tmp_path / "a.run", 100 * t, {"x": (100 * t, t)}, reference=False)
     with pytest.raises(BenchError, match="there must be an encoder"):
-        score([tmp_path / "a.rrd"])
+        score([tmp_path / "a.run"])
 
 
 def test_names_that_are_nowhere_are_errors(made_up: Path) -> None:
@@ -358,10 +360,9 @@ def test_bad_bounds_are_errors(name: str, text: str, words: str, tmp_path: Path)
 def test_no_output_takes_the_place_of_what_is_kept(made_up: Path, tmp_path: Path) -> None:
     bounds, old = tmp_path / "bounds.toml", "drive_exact.moving.rms = [0, 1]\n"
     bounds.write_text(old)
-    recording = made_up.read_bytes()
+    recording = (made_up / "run.jsonl").read_bytes()
     for arguments, words in (
         (("--json", made_up), f"--json takes {made_up} as the file to write"),
-        (("--html", made_up), f"--html {made_up} is a file that is read"),
         (("--expect", bounds, "--write-expect", bounds, "--overwrite"), f"--write-expect {bounds} is a file that is"),
         (("--expect", bounds, "--csv", bounds), f"--csv {bounds} is a file that is read"),
         (("--json", tmp_path / "a", "--csv", tmp_path / "a"), "--json and --csv are the same file"),
@@ -370,7 +371,7 @@ def test_no_output_takes_the_place_of_what_is_kept(made_up: Path, tmp_path: Path
         done = bench_command(made_up, *arguments)
         assert done.exit_code == 2 or isinstance(done.exception, BenchError), arguments
         assert words in " ".join(f"{done.output} {done.exception}".split()), arguments
-        assert (made_up.read_bytes() == recording, bounds.read_text()) == (True, old)
+        assert ((made_up / "run.jsonl").read_bytes() == recording, bounds.read_text()) == (True, old)
     done = bench_command(made_up, "--write-expect", bounds, "--overwrite")
     assert done.exit_code == 0, done.output
     assert "drive_sector" in bounds.read_text()
@@ -393,16 +394,16 @@ def test_bounds_on_what_is_not_scored_name_it(made_up: Path) -> None:
 
 
 def test_the_page_has_a_trace_of_each_recording_and_leaves_out_what_is_not_known(made_up: Path, tmp_path: Path) -> None:
-    another(tmp_path / "b.rrd", {"late": 0.1})
-    text = as_html(score([made_up, tmp_path / "b.rrd"], ["drive_late", "drive_exact"]))
+    another(tmp_path / "b.run", {"late": 0.1})
+    text = as_html(score([made_up, tmp_path / "b.run"], ["drive_late", "drive_exact"]))
     sections = dict(re.findall(r'<section class="test" id="(\w+)">(.*?)</section>', text, re.DOTALL))
     assert {name: section.count("data:image") for name, section in sections.items()} == {
         "drive_late": 3, "drive_exact": 2,
     }  # fmt: skip
-    assert [name in sections["drive_exact"] for name in ("made_up.rrd", "b.rrd")] == [True, False]
+    assert [name in sections["drive_exact"] for name in ("made_up.run", "b.run")] == [True, False]
     assert "in 1 of 2 recordings" in sections["drive_exact"]
     assert set(re.findall(r'<a href="#(\w+)">', text)) == set(sections)
-    assert re.search(r"b\.rrd: 20\S+; 16000 samples, 1\.0 s at 16000 Hz; 0 lost, 0 left out", text)
+    assert re.search(r"b\.run: 20\S+; 16000 samples, 1\.0 s at 16000 Hz; 0 lost, 0 left out", text)
     assert "a step takes" not in text
     one = as_html(score([made_up], ["drive_late"]))
     assert re.search(r"The angle is late by (49\.\d|50(\.\d)?) µs; the speed is late by (49|50)(\.\d)? µs\.<", one)
@@ -412,8 +413,8 @@ def test_the_axis_covers_motion_and_the_peak_is_told(tmp_path: Path) -> None:
     t = np.arange(PWM_HZ) / PWM_HZ
     theta = 200.0 * t
     error = np.radians(np.where((t > 0.5) & (t < 0.5004), 70.0, 2.0))
-    record_made_up(tmp_path / "a.rrd", theta, {"x": (theta - error, np.full(len(t), 200.0))})
-    (track,) = score([tmp_path / "a.rrd"]).tracks
+    record_made_up(tmp_path / "a.run", theta, {"x": (theta - error, np.full(len(t), 200.0))})
+    (track,) = score([tmp_path / "a.run"]).tracks
     axes = draw_error_over_time(track, "drive_x").axes[1]
     assert axes.get_ylim() == pytest.approx((-2.3, 2.3), abs=0.01)
     assert [text.get_text() for text in axes.texts] == ["peak 70.0° at 0.50 s"]

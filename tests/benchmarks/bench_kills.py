@@ -21,7 +21,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.rerunio.recording import read_run
+from bench.recording.folder import remove
+from bench.recording.reader import Run
 from protocol.framing import Deframer, parse_frame
 from protocol.links.target import split_host_port
 from protocol.messages import Heartbeat, MessageType
@@ -136,7 +137,7 @@ def kill(number: signal.Signals, moment: float, sim: Sim, proxy: Proxy, file: Pa
         code = live.end()
         _until(lambda: proxy.heartbeat is not None and not proxy.heartbeat.outputs_on, "outputs off in a heartbeat")
         assert proxy.heartbeat is not None
-        recorded = read_run(file)
+        recorded = Run(file)
         lacking = (sent - int(recorded.samples.tick[-1])) % (1 << 32)
         lacking -= (1 << 32) if lacking >= 1 << 31 else 0
         return Kill(
@@ -174,9 +175,9 @@ def kills(times: int, seed: int = 1) -> Iterator[Kill]:
     moments = random.Random(seed)
     with drive() as (sim, proxy), tempfile.TemporaryDirectory() as folder:
         for n in range(times):
-            file = Path(folder, f"{n}.rrd")
+            file = Path(folder, f"{n}.run")
             yield kill(SIGNALS[n % len(SIGNALS)], moments.uniform(0.0, LATEST), sim, proxy, file)
-            file.unlink(missing_ok=True)
+            remove(file)
 
 
 def rows(short: bool) -> list[Row]:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from bench.rerunio.recording import Run, read_run
+from bench.recording.reader import Run
 from protocol.signals import DRIVE_CHANNELS
 from tests.bench.processes import Sim
 from tests.benchmarks.commands import output
@@ -33,12 +33,12 @@ class Live(NamedTuple):
 def run(seconds: float, where: Sequence[str], options: Sequence[str]) -> Live:
     """Record the simulated drive behind `where` for `seconds`."""
     with tempfile.TemporaryDirectory() as folder, closing(Sim(*where)) as sim:
-        drive, file = psutil.Process(sim.process.pid), Path(folder, "run.rrd")
+        drive, file = psutil.Process(sim.process.pid), Path(folder, "run.run")
         command = [sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", *options]
         before = drive.cpu_times()
         summary = json.loads(output([*command, "--duration", f"{seconds:g}", "--save", str(file), "--json", "-"]))
         after = drive.cpu_times()
-        streamed = streamed_in(read_run(file))
+        streamed = streamed_in(Run(file))
     cpu = 100 * (after.user + after.system - before.user - before.system) / summary["duration_s"]
     return Live(summary, streamed, cpu)
 

@@ -10,11 +10,12 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from bench.analysis.chunks import part
 from bench.observers.estimators import Estimators
-from bench.observers.replay import WINDOW, part, replay
-from bench.rerunio.recording import Run, read_run
-from bench.rerunio.schema import RunInfo
-from bench.rerunio.sinks import FileSink
+from bench.observers.replay import replay
+from bench.recording.info import RunInfo
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.scoring.board import score
 from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
@@ -26,7 +27,7 @@ from tests.benchmarks.table import Quickest, Row, cost, speed
 
 SPEEDS = (10.0, 50.0, 100.0, 200.0, 300.0, -100.0)  # mechanical rad/s, in turn
 GOAL_ALONE = 1000.0  # x real time, each observer on one core
-GOAL_FILES = 50.0
+GOAL_FILES = 100.0
 GOAL_SCORE = 20.0  # s for a minute
 PIECE = 3200  # samples at a time, as a replay has them
 
@@ -36,7 +37,7 @@ def record(path: Path, seconds: float) -> None:
     rig = Bench(VirtualLink.of(load_params()))
     hello, drive = rig.hello, rig.drive
     info = RunInfo(hello.tick_hz, hello.pwm_hz, drive.descriptor.channels, drive.parameters(), node=hello.node)
-    sink = FileSink(path, info, wait=True)
+    sink = RunSink(path, info, wait=True)
     rig.client.sinks = [sink]
     run_against(rig, 0.1, all_channels(rig))
     for omega_m in SPEEDS:
@@ -70,22 +71,13 @@ def best_of(repeat: int, action: Callable[[], object]) -> float:
     return best[""]
 
 
-def write(run: Run, path: Path) -> None:
-    """Write the samples as they are, as a replay does."""
-    sink = FileSink(path, run.info, overwrite=True, wait=True)
-    step = round(WINDOW * run.info.pwm_hz)
-    for k in range(0, len(run.samples), step):
-        sink.samples(part(run.samples, k, min(k + step, len(run.samples))))
-    sink.close()
-
-
 def rows(short: bool) -> Iterator[Row]:
     """The figures, as multiples of real time and in seconds for the recording."""
     seconds, repeat = (1.5, 1) if short else (60.0, 3)
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
-        path, out = Path(folder) / "run.rrd", Path(folder) / "out.rrd"
+        path, out = Path(folder) / "run.run", Path(folder) / "out.run"
         record(path, seconds)
-        run = read_run(path)
+        run = Run(path)
         length = len(run.samples) / run.info.pwm_hz
         what = f"{length:.0f} s of {streamed_in(run)}"
         for name, took in alone(run, repeat).items():
@@ -93,7 +85,6 @@ def rows(short: bool) -> Iterator[Row]:
         took = best_of(repeat, lambda: replay(path, out=out, overwrite=True))
         many = f"replay of {len(CATALOGUE)} observers, {what}"
         yield speed(f"{many}, file to file", length / took, "x real time", GOAL_FILES)
-        yield cost(f"{many}: reading alone", best_of(repeat, lambda: read_run(path)), "s")
-        yield cost(f"{many}: writing alone", best_of(repeat, lambda: write(run, out)), "s")
+        yield cost(f"{many}: reading alone", best_of(repeat, lambda: Run(path).samples), "s")
         board = best_of(repeat, lambda: score([path]))
         yield cost(f"score of {2 * len(CATALOGUE)} estimates, {what}", board, "s", GOAL_SCORE)

@@ -39,7 +39,7 @@ def _first_sample(bench: Sequence[str], cache: Path | None = None) -> float:
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        command = [*bench, "live", "sim", "--viewer", "none", "--save", str(folder / "x.rrd")]
+        command = [*bench, "live", "sim", "--viewer", "none", "--save", str(folder / "x.run")]
         started = time.time()
         summary = output(
             [*command, "--duration", "0.5", "--json", "-"], folder, {"NUMBA_CACHE_DIR": str(cache)} if cache else None

@@ -44,7 +44,7 @@ def main() -> None:
     """Record, score, write."""
     runs: tuple[Callable[[bench.Rig], None], ...] = (steady, reversal)
     for run in runs:
-        path = HERE / f"{run.__name__}.rrd"
+        path = HERE / f"{run.__name__}.run"
         with bench.connect("sim", channels=CHANNELS, save=path, overwrite=True, settings=bench.Settings()) as rig:
             run(rig)
         bounds = ["--write-expect", str(path.with_suffix(".toml")), "--margin", MARGIN, "--overwrite"]

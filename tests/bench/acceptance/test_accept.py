@@ -66,8 +66,8 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     assert run.tests == {"good": "PASS", "bad": "FAIL", "cannot": "SKIPPED"}
     assert repr(run_from_json(json.loads(Path("a.json").read_text()))) == repr(run.result)  # NaN is not itself
     assert Path("out/report/report.html").is_file()
-    assert sorted(path.name for path in Path("out/report/recordings").iterdir()) == ["bad.rrd", "good.rrd"]
-    assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.rrd", "")
+    assert sorted(path.name for path in Path("out/report/recordings").iterdir()) == ["bad.run", "good.run"]
+    assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.run", "")
     assert (run["good"].title, run["good"].about) == ("It turns.", "And more.")
     assert run.result.identity["name"] == "simulated drive"
     assert {p.name: p.value for p in run.result.parameters}["n_p"] == 6
@@ -132,7 +132,10 @@ def test_a_result_that_cannot_be_written_at_the_end_is_no_success(accepting: Acc
 
 
 def files_in(directory: str) -> set[str]:
-    return {str(path.relative_to(directory)) for path in Path(directory).rglob("*") if path.is_file()}
+    """Files, and recorded runs by their folders."""
+    files = [path for path in Path(directory).rglob("*") if path.is_file()]
+    found = {path.parent if path.parent.suffix == ".run" else path for path in files}
+    return {str(path.relative_to(directory)) for path in found}
 
 
 REPORTS = """
@@ -152,16 +155,16 @@ def test_two(drive, measure, figure):
 
 def test_a_second_report_leaves_nothing_of_the_first_and_all_else(accepting: Accepting) -> None:
     accepting(REPORTS, report=Path("out"))
-    made = {"report.html", ".report-files", *(f"recordings/{name}.rrd" for name in ("one", "two")),
+    made = {"report.html", ".report-files", *(f"recordings/{name}.run" for name in ("one", "two")),
             *(f"figures/{name}/angle.png" for name in ("one", "two"))}  # fmt: skip
     assert files_in("out") == made
-    own = {"notes.txt", "recordings/mine.rrd", "figures/two/mine.png"}
+    own = {"notes.txt", "recordings/mine.run", "figures/two/mine.png"}
     for name in own:
         Path("out", name).touch()
-    Path("out/recordings/killed.rrd").touch()  # of a run that came to no end
+    Path("out/recordings/killed.run").touch()  # of a run that came to no end
     Path("outside").touch()
     with Path("out/.report-files").open("a") as names:
-        names.write("recordings/killed.rrd\nrecordings/../../outside\nnotes.txt\n")
+        names.write("recordings/killed.run\nrecordings/../../outside\nnotes.txt\n")
     only_one = REPORTS.replace("test_two", "other")
     accepting(only_one, report=Path("out"))
     assert files_in("out") == {name for name in made if "two" not in name} | own
@@ -319,14 +322,15 @@ def test_third(drive): pass
 """
     file = accepting.write(text)
     before = accepting(file, report=Path("report"))
-    assert [before[name].recording for name in ("second", "third")] == ["recordings/second.rrd", "recordings/third.rrd"]
+    assert [before[name].recording for name in ("second", "third")] == ["recordings/second.run", "recordings/third.run"]
     Path("again").touch()
     run = accepting(file, report=Path("report"))
     assert run.tests["second"] == "ABORTED"
     assert [run[name].recording for name in ("second", "third")] == ["", ""]
-    Path("report/recordings/third.rrd").write_bytes(b"of an earlier run")
+    Path("report/recordings/third.run").mkdir()
+    Path("report/recordings/third.run/run.jsonl").write_bytes(b"of an earlier run")
     assert accepting(file, report=Path("report"), keyword="test_third").tests == {"third": "SKIPPED"}
-    assert Path("report/recordings/third.rrd").read_bytes() == b"of an earlier run"
+    assert Path("report/recordings/third.run/run.jsonl").read_bytes() == b"of an earlier run"
 
 
 # -- several processes ------------------------------------------------------------------------------------------

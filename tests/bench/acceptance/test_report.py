@@ -123,7 +123,7 @@ def test_what_failed_comes_first_and_leads_to_the_test_and_its_recording(tmp_pat
     bad = measurement("test_b.peak", 9.0, Verdict.FAIL, hi=8.0, why="at the step", span=(1.25, 1.5))
     run = a_run(
         a_test("test_a"),
-        a_test("test_b", Verdict.FAIL, bad, recording="recordings/test b.rrd"),
+        a_test("test_b", Verdict.FAIL, bad, recording="recordings/test b.run"),
         a_test("test_c", Verdict.ERROR, why="no heartbeat for 1 s"),
         a_test("test_d", Verdict.SKIPPED, why="no encoder"),
         verdict=Verdict.FAIL,
@@ -135,7 +135,7 @@ def test_what_failed_comes_first_and_leads_to_the_test_and_its_recording(tmp_pat
     assert first.startswith("test_b.peak at the step ≤ 8 A 9.00 A −1.00 (−12 %)")
     assert page.row("no heartbeat for 1 s").endswith("ERROR")
     assert page.links[:5] == ["#test-1", "#test-2", "#test-3", "#test-4", "#test-2"]  # the overview's, the failure's
-    assert "recordings/test%20b.rrd" in page.links
+    assert "recordings/test%20b.run" in page.links
     assert {link[1:] for link in page.links if link.startswith("#")} <= page.ids
     assert "the link was lost" in page.text
     assert "no encoder" in page.text
@@ -227,7 +227,7 @@ def test_markup_in_what_others_say_is_text(tmp_path: Path) -> None:
 def test_figures_are_in_the_file_and_nothing_is_fetched(tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "a.png").write_bytes(b"any bytes")
-    run = a_run(a_test("test_a", figures=(Figure("figures/a.png", "what it shows"),), recording="a.rrd"))
+    run = a_run(a_test("test_a", figures=(Figure("figures/a.png", "what it shows"),), recording="a.run"))
     page = written(run, tmp_path)
     (source,) = page.sources
     kind, _, data = source.partition(",")

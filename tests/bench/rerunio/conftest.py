@@ -6,7 +6,7 @@ import pytest
 import rerun as rr
 import synthetic
 
-from bench.rerunio.sinks import FileSink
+from bench.recording.sink import RunSink
 
 
 @pytest.fixture(autouse=True)
@@ -24,8 +24,8 @@ def made() -> synthetic.SyntheticRun:
 @pytest.fixture(scope="session")
 def recording(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same, recorded."""
-    path = tmp_path_factory.mktemp("recording") / "run.rrd"
-    sink = FileSink(path, synthetic.run_info(), wait=True)
+    path = tmp_path_factory.mktemp("recording") / "run.run"
+    sink = RunSink(path, synthetic.run_info(), wait=True)
     made.feed(sink)
     sink.summary("# Summary\n\nall well")
     sink.close()

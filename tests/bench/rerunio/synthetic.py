@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from bench.recording.info import RunInfo
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.rerunio import schema
-from bench.rerunio.schema import RunInfo
-from bench.rerunio.sinks import FileSink
+from bench.rerunio.viewing import write_rrd
 from protocol.descriptor import Channel, Descriptor
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, AngleSource, RawType
@@ -174,7 +176,7 @@ class SyntheticRun:
 
 def recorded(path: Path, *chunks: SampleChunk | EdgeChunk, **changes) -> Path:
     """A recording of these chunks, in a run with these changes."""
-    sink = FileSink(path, run_info(**changes), wait=True)
+    sink = RunSink(path, run_info(**changes), wait=True)
     for chunk in chunks:
         (sink.samples if isinstance(chunk, SampleChunk) else sink.edges)(chunk)
     sink.close()
@@ -199,10 +201,18 @@ def heartbeat(tick: int, **changes) -> Heartbeat:
     return Heartbeat(**values)
 
 
+def viewed(path: Path) -> Path:
+    """What rerun's viewer is given of a recording: written beside it the first time. An .rrd is that itself."""
+    rrd = path.with_suffix(".rrd")
+    if not rrd.exists():
+        write_rrd(Run(path), rrd)
+    return rrd
+
+
 def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
-    """Times in ns and values of a component, in order of time; of one time the last that was logged comes last."""
+    """Times in ns and values of a component as the viewer has them, in order of time; the last that was logged last."""
     found: list[tuple[int, Any]] = []
-    for chunk in RrdReader(path).stream().filter(content=f"/{entity}").to_chunks():
+    for chunk in RrdReader(viewed(path)).stream().filter(content=f"/{entity}").to_chunks():
         batch = chunk.to_record_batch()
         if component in batch.schema.names and schema.TIMELINE in batch.schema.names:
             times = batch.column(schema.TIMELINE).cast("int64").to_pylist()
@@ -211,9 +221,9 @@ def column(path: Path, entity: str, component: str) -> list[tuple[int, Any]]:
 
 
 def components(path: Path) -> dict[str, dict[str, int]]:
-    """Entities of a recording, their components, and how many values each of them has."""
+    """Entities that the viewer is given of a recording, their components, and how many values each of them has."""
     found: dict[str, dict[str, int]] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
+    for chunk in RrdReader(viewed(path)).stream().to_chunks():
         batch = chunk.to_record_batch()
         entity = found.setdefault(chunk.entity_path, {})
         for name in batch.schema.names:

@@ -53,7 +53,6 @@ def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthet
         "lost:sample_frames": 7,
         "lost:edges": 3,
         "lost:by_device": 7,
-        "lost:live_blocks": 0,
     }
 
 

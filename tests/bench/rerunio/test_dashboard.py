@@ -11,10 +11,10 @@ import synthetic
 from synthetic import components
 from viewers import headless, needs_graphics
 
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.rerunio import schema
 from bench.rerunio.plots import plots
-from bench.rerunio.recording import read_run
-from bench.rerunio.sinks import FileSink
 
 VIEWS = {
     "TimeSeries": len(plots(synthetic.run_info())),
@@ -56,7 +56,7 @@ def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
 @needs_graphics
 def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
-        viewer.client.open(str(recording))
+        viewer.client.open(str(synthetic.viewed(recording)))
         state = viewer.await_recording()
         picture = tmp_path / "dashboard.png"
         viewer.client.save_screenshot(str(picture))
@@ -90,21 +90,21 @@ def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ..
         channels = tuple(replace(channel, name=name) for channel, name in zip(channels, HOSTILE, strict=True))
     features = [] if "hall" not in names else ["edges"]
     run = synthetic.run_info(channels=channels, parameters={}, identity={"features": features})
-    path = tmp_path / "few.rrd"
-    sink = FileSink(path, run, wait=True)
+    path = tmp_path / "few.run"
+    sink = RunSink(path, run, wait=True)
     made = synthetic.SyntheticRun(0.5, config=synthetic.config(channels))
     made.raw[:] = np.arange(len(made.index)) if foreign else made.raw
     for chunk in made.sample_chunks():
         sink.samples(chunk)
     sink.heartbeat(1, synthetic.heartbeat(int(made.tick[-1])))
     sink.close()
-    assert read_run(path).samples.raw.tobytes() == made.raw.tobytes()
+    assert Run(path).samples.raw.tobytes() == made.raw.tobytes()
     found = components(path)
     for plot in plots(run).values():
         assert plot.lines
         assert all(found[f"/{plot.entity}"][line.component] > 0 for line in plot.lines)
     with headless() as viewer:
-        viewer.client.open(str(path))
+        viewer.client.open(str(synthetic.viewed(path)))
         state = viewer.await_recording()
         assert [(view.name, view.reports) for view in state.views if view.reports] == []
     kinds = [view.view_class for view in state.views]

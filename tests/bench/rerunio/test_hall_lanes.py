@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import synthetic
 
+from bench.recording.reader import Run
 from bench.rerunio import schema
-from bench.rerunio.recording import read_run
 
 SENSORS = {code: [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
@@ -45,7 +45,7 @@ def shown_at(found: dict[str, np.ndarray], t: np.ndarray) -> list[list[str]]:
 @pytest.mark.parametrize("edges", [True, False])
 def test_the_present_code_is_shown_from_the_first_sample_on(tmp_path: Path, rpm: float, edges: bool) -> None:
     made = synthetic.SyntheticRun(2.0, rpm)
-    found = record(tmp_path / "a.rrd", made, edges)
+    found = record(tmp_path / "a.run", made, edges)
     samples = made.tick / synthetic.TICK_HZ
     moments = samples[:: 163 if edges else 1]
     assert shown_at(found, moments) == truth(made, moments)
@@ -56,7 +56,7 @@ def test_the_present_code_is_shown_from_the_first_sample_on(tmp_path: Path, rpm:
 @pytest.mark.parametrize("rpm", [0.0, 8.0, 600.0])
 def test_without_the_channel_the_last_edge_tells_the_code(tmp_path: Path, rpm: float) -> None:
     made = synthetic.SyntheticRun(2.0, rpm, config=synthetic.config(synthetic.named("i_a", "u_dc")))
-    found = record(tmp_path / "a.rrd", made)
+    found = record(tmp_path / "a.run", made)
     moments = made.tick[::163] / synthetic.TICK_HZ
     turned = moments >= (made.edge_tick[0] / synthetic.TICK_HZ if len(made.edge_tick) else np.inf)
     shown = shown_at(found, moments)
@@ -66,21 +66,21 @@ def test_without_the_channel_the_last_edge_tells_the_code(tmp_path: Path, rpm: f
 
 def test_a_drive_without_hall_channel_and_edges_has_no_lanes(tmp_path: Path) -> None:
     made = synthetic.SyntheticRun(0.5, config=synthetic.config(synthetic.named("i_a")))
-    assert len(record(tmp_path / "a.rrd", made, edges=False, identity={"features": ["commit"]})["t"]) == 0
+    assert len(record(tmp_path / "a.run", made, edges=False, identity={"features": ["commit"]})["t"]) == 0
 
 
 def test_after_a_reboot_the_code_is_shown_at_once(tmp_path: Path) -> None:
     first, second = synthetic.SyntheticRun(0.5, 600.0, start=100.0), synthetic.SyntheticRun(0.5, 0.0, start=1.0)
-    found = lanes(synthetic.recorded(tmp_path / "a.rrd", *first.chunks(), *second.chunks()))
+    found = lanes(synthetic.recorded(tmp_path / "a.run", *first.chunks(), *second.chunks()))
     moments = second.tick[::163] / synthetic.TICK_HZ
     assert shown_at(found, moments) == truth(second, moments)
 
 
 def test_while_it_turns_the_rows_are_the_edges_to_the_tick(tmp_path: Path) -> None:
     made = synthetic.SyntheticRun(1.0, 3000.0)
-    found = record(tmp_path / "a.rrd", made)
+    found = record(tmp_path / "a.run", made)
     turning = found["t"] > 100.5
     np.testing.assert_array_equal(
         np.rint(found["t"][turning] * synthetic.TICK_HZ), made.edge_tick[made.edge_tick > 100.5 * synthetic.TICK_HZ]
     )
-    assert len(read_run(tmp_path / "a.rrd").edges) == len(made.edge_tick)
+    assert len(Run(tmp_path / "a.run").edges) == len(made.edge_tick)

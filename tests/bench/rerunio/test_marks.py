@@ -11,13 +11,13 @@ from rerun.chunk import RrdReader
 from viewers import headless, needs_graphics
 
 from bench.acceptance.results import Verdict
+from bench.recording.info import Mark
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.rerunio import schema
 from bench.rerunio.plots import plots
-from bench.rerunio.recording import read_run
-from bench.rerunio.schema import Mark
-from bench.rerunio.sinks import FileSink
 
-VIEW = "Acceptance, all that was measured"
+VIEW = "Marks"
 MARKED = (  # seconds after the run's start
     ("start.settling", 0.25, 0.75, Verdict.PASS),
     ("step.overshoot", 1.0, 2.0, Verdict.FAIL),
@@ -44,8 +44,8 @@ def tick(seconds: float) -> int:
 
 @pytest.fixture(scope="module")
 def marked(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("marks") / "run.rrd"
-    sink = FileSink(path, synthetic.run_info(), wait=True)
+    path = tmp_path_factory.mktemp("marks") / "run.run"
+    sink = RunSink(path, synthetic.run_info(), wait=True)
     made.feed(sink)
     for name, first, last, verdict in MARKED:
         sink.mark(name, tick(first), tick(last), verdict)
@@ -54,21 +54,21 @@ def marked(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactor
 
 
 def test_marks_come_back_and_the_samples_with_them(marked: Path, made: synthetic.SyntheticRun) -> None:
-    run = read_run(marked)
+    run = Run(marked)
     assert run.marks == tuple(Mark(name, tick(first), tick(last), verdict) for name, first, last, verdict in MARKED)
     assert run.samples.raw.tobytes() == made.raw.tobytes()
     assert len(run.edges) == len(made.edge_tick)
 
 
 def test_a_run_without_marks_has_none_and_no_lane(recording: Path) -> None:
-    assert read_run(recording).marks == ()
-    assert RrdReader(recording).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks() == []
+    assert Run(recording).marks == ()
+    assert RrdReader(synthetic.viewed(recording)).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks() == []
 
 
 def test_the_log_tells_every_mark_where_it_begins(marked: Path) -> None:
-    notes = {text: at for at, text in read_run(marked).notes}
-    assert notes["FAIL step.overshoot, 101.000 … 102.000 s"] == tick(1.0)
-    assert notes["INVALID hold.ripple, 102.000 … 102.500 s"] == tick(2.0)
+    notes = {text: at for at, (text,) in synthetic.column(marked, schema.NOTES, "TextLog:text")}
+    assert notes["FAIL step.overshoot, 101.000 … 102.000 s"] == 101_000_000_000
+    assert notes["INVALID hold.ripple, 102.000 … 102.500 s"] == 102_000_000_000
     assert len(notes) == len(MARKED) + 1
 
 
@@ -76,7 +76,7 @@ def test_the_lane_shows_the_worst_of_marks_that_overlap(marked: Path) -> None:
     lane = synthetic.column(marked, schema.ACCEPTANCE, "StateChange:state")
     assert [(at / 1e9 - 100, words[0]) for at, words in lane if words] == LANE
     coloured: dict[str, int] = {}
-    for chunk in RrdReader(marked).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks():
+    for chunk in RrdReader(synthetic.viewed(marked)).stream().filter(content=f"/{schema.ACCEPTANCE}").to_chunks():
         batch = chunk.to_record_batch()
         if "StateConfiguration:colors" in batch.schema.names:
             values, colours = (
@@ -89,7 +89,7 @@ def test_the_lane_shows_the_worst_of_marks_that_overlap(marked: Path) -> None:
 
 
 def test_marks_may_be_set_from_several_threads_while_samples_come(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
     setters = [
         threading.Thread(target=lambda n=n: [sink.mark(f"{n}.{k}", tick(0), tick(1), Verdict.PASS) for k in range(50)])
         for n in range(4)
@@ -100,24 +100,24 @@ def test_marks_may_be_set_from_several_threads_while_samples_come(tmp_path: Path
     for setter in setters:
         setter.join()
     sink.close()
-    run = read_run(tmp_path / "a.rrd")
+    run = Run(tmp_path / "a.run")
     assert {mark.name for mark in run.marks} == {f"{n}.{k}" for n in range(4) for k in range(50)}
     assert len(run.marks) == 200
     assert run.samples.raw.tobytes() == made.raw.tobytes()
 
 
 def test_a_mark_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True)
+    sink = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
     with pytest.raises(ValueError, match="mark x: it ends at tick 3, before its first, 4"):
         sink.mark("x", 4, 3, Verdict.FAIL)
     sink.close()
-    assert read_run(tmp_path / "a.rrd").marks == ()
+    assert Run(tmp_path / "a.run").marks == ()
 
 
 @needs_graphics
 def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
-        viewer.client.open(str(marked))
+        viewer.client.open(str(synthetic.viewed(marked)))
         state = viewer.await_recording()
     assert [view.visible for view in state.views if view.name == VIEW] == [True]
     assert [(view.name, view.reports) for view in state.views if view.reports] == []

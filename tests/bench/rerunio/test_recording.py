@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
+import random
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rerun as rr
 import synthetic
 
 from bench.errors import RecordingError
+from bench.recording import layout
+from bench.recording.info import ns_from_tick
+from bench.recording.reader import NotARecordingError, Run
+from bench.recording.sink import RunSink
+from bench.recording.writer import RunWriter
 from bench.rerunio import schema
-from bench.rerunio.recording import NotARecordingError, read_run
-from bench.rerunio.sinks import FileSink
 from bench.rig.outputs import Outputs
 from protocol.descriptor import Descriptor
 from protocol.messages import DeviceEvent, EventCode, StreamEvent
@@ -23,7 +27,7 @@ from protocol.streams import Gap, SampleChunk, StreamConfig
 
 
 def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
-    run = read_run(recording)
+    run = Run(recording)
     samples, edges = run.samples, run.edges
     assert samples.config == made.config
     assert samples.raw.tobytes() == made.raw.tobytes()
@@ -38,7 +42,7 @@ def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic
 
 
 def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
-    run = read_run(recording)
+    run = Run(recording)
     assert run.info.parameters == {"n_p": 6.0, "i_max": 8.0}
     assert run.info.identity["drive"] == "synthetic"
     assert run.info.channels == synthetic.CHANNELS
@@ -52,7 +56,7 @@ def test_the_drives_lanes_follow_its_status_word(recording: Path, made: syntheti
     changed = dict(synthetic.column(recording, schema.DRIVE, "StateChange:state"))
     at = np.array(sorted(changed))
     status = made.raw["status"].astype(int)
-    for sample, t_ns in enumerate(schema.ns_from_tick(made.tick, synthetic.TICK_HZ)):
+    for sample, t_ns in enumerate(ns_from_tick(made.tick, synthetic.TICK_HZ)):
         words = changed[at[np.searchsorted(at, t_ns, side="right") - 1]]
         assert words[0] == "RUNNING"
         assert words[2] == ("angle: average speed", "angle: vector tracking")[(status[sample] >> 5) - 1]
@@ -64,8 +68,8 @@ def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: 
     again = synthetic.config(cfg_id=9)  # as after a reconnect: same stream, another number
     chunks[5] = replace(chunks[5], gaps=(Gap(40, 3, 1, True),), index=chunks[5].index + 3 * (np.arange(100) >= 40))
     sent = chunks[:10] + [replace(chunk, config=again) for chunk in chunks[30:]]
-    run = read_run(synthetic.recorded(tmp_path / "a.rrd", *sent))
-    assert list(run.streams) == ["fast"]
+    run = Run(synthetic.recorded(tmp_path / "a.run", *sent))
+    assert list(run.streams) == ["samples"]
     assert (run.samples.index == np.concatenate([chunk.index for chunk in sent])).all()
     assert (run.samples.raw == np.concatenate([chunk.raw for chunk in sent])).all()
     assert run.samples.gaps == (Gap(540, 3, 1, True), Gap(1000, 2000, 0, False))
@@ -73,9 +77,9 @@ def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: 
 
 def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Path) -> None:
     """Device time starts again at 0: pictures, health and trends go on, and notes stand at the new time."""
-    paths = tmp_path / "once.rrd", tmp_path / "twice.rrd"
+    paths = tmp_path / "once.run", tmp_path / "twice.run"
     for path, starts in zip(paths, ((100.0,), (100.0, 0.5)), strict=True):
-        sink = FileSink(path, synthetic.run_info(), wait=True)
+        sink = RunSink(path, synthetic.run_info(), wait=True)
         for start in starts:
             synthetic.SyntheticRun(3.0, start=start).feed(sink)
         sink.close()
@@ -83,7 +87,7 @@ def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Pa
     for entity in ("/fast", "/stator/vectors", "/trend", "/health"):
         assert max(twice[entity].values()) >= 2 * max(once[entity].values()) - 2 > 0, entity
     last = [(start * synthetic.PWM_HZ + 47_999) * synthetic.TICKS for start in (100, 0.5)]
-    assert [at for at, _ in read_run(paths[1]).notes] == last
+    assert [at for at, _ in Run(paths[1]).notes] == last
 
 
 def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) -> None:
@@ -93,8 +97,8 @@ def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) ->
     raw = np.zeros(len(index), config.dtype)
     raw["i_a"][8000:] = np.inf
     parts = [SampleChunk(config, k, k * synthetic.TICKS, raw[k], ()) for k in np.array_split(index, 100)]
-    path = synthetic.recorded(tmp_path / "a.rrd", *parts, channels=channels)
-    assert read_run(path).samples.raw.tobytes() == raw.tobytes()
+    path = synthetic.recorded(tmp_path / "a.run", *parts, channels=channels)
+    assert Run(path).samples.raw.tobytes() == raw.tobytes()
 
 
 def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> None:
@@ -105,7 +109,7 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
         index = np.array([number * 800], np.int64)
         gaps = (Gap(0, 4, 1, False),) if number == 8 else ()
         chunks.append(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
-    path = synthetic.recorded(tmp_path / "a.rrd", *chunks)
+    path = synthetic.recorded(tmp_path / "a.run", *chunks)
     states = synthetic.column(path, schema.DRIVE, "StateChange:state")
     lanes = {at: row[4] for at, row in states}
     assert lanes[200_000_000] == "TELEMETRY GAP"
@@ -114,10 +118,10 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
 
 
 def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    outputs = Outputs(synthetic.run_info(), tmp_path / "a.rrd", False, "none", None, lambda tick: 0.0)
+    outputs = Outputs(synthetic.run_info(), tmp_path / "a.run", False, "none", None, lambda tick: 0.0)
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
-    run = read_run(tmp_path / "a.rrd")
+    run = Run(tmp_path / "a.run")
     assert run.samples.raw.tobytes() == made.raw.tobytes()
     assert [text for _, text in run.notes] == ["all of it"]
 
@@ -132,63 +136,125 @@ def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Pat
     raw["omega_m"] = np.random.default_rng(0).normal(size=50)
     index = np.arange(50, dtype=np.int64) * 16
     chunks = (*few.chunks(), *more.chunks(), SampleChunk(load, index, index * 1250, raw, ()))
-    run = read_run(synthetic.recorded(tmp_path / "a.rrd", *chunks, channels=few.config.channels))
-    assert set(run.streams) == {"fast", "fast_", "node2/stream0"}
+    run = Run(synthetic.recorded(tmp_path / "a.run", *chunks, channels=few.config.channels))
+    assert set(run.streams) == {"samples", "samples.2", "node2-stream0"}
     assert run.samples.raw.tobytes() == few.raw.tobytes()
-    assert run.streams["fast_"].raw.tobytes() == more.raw.tobytes()
-    assert run.streams["node2/stream0"].raw.tobytes() == raw.tobytes()
-    assert (run.streams["node2/stream0"].index == index).all()
+    assert run.streams["samples.2"].raw.tobytes() == more.raw.tobytes()
+    assert run.streams["node2-stream0"].raw.tobytes() == raw.tobytes()
+    assert (run.streams["node2-stream0"].index == index).all()
 
 
 def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
-    sink = FileSink(tmp_path / "a.rrd", synthetic.run_info())
+    sink = RunSink(tmp_path / "a.run", synthetic.run_info())
     sink.heartbeat(1, synthetic.heartbeat(77))
     sink.close()
-    run = read_run(tmp_path / "a.rrd")
+    run = Run(tmp_path / "a.run")
     assert run.streams == run.edge_streams == {}
-    assert "Run in progress" in run.summary
+    assert run.summary == ""
 
 
 def test_a_file_that_exists_or_cannot_be_made_is_refused_and_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "a.rrd"
+    path = tmp_path / "a.run"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match=r"a\.rrd exists: .*--overwrite"):
-        FileSink(path, synthetic.run_info())
+    with pytest.raises(RecordingError, match=r"a\.run exists: it is no recorded run"):
+        RunSink(path, synthetic.run_info())
+    with pytest.raises(RecordingError, match=r"a\.run exists: it is no recorded run"):
+        RunSink(path, synthetic.run_info(), overwrite=True)
     assert path.read_bytes() == b"precious"
-    FileSink(path, synthetic.run_info(), overwrite=True).close()
-    assert read_run(path).info.n_p == 6
+    run = tmp_path / "b.run"
+    RunSink(run, synthetic.run_info()).close()
+    with pytest.raises(RecordingError, match=r"b\.run exists: .*--overwrite"):
+        RunSink(run, synthetic.run_info())
+    RunSink(run, synthetic.run_info(parameters={"n_p": 4.0}), overwrite=True).close()
+    assert Run(run).info.n_p == 4
     with pytest.raises(RecordingError, match="cannot be created: No such file or directory"):
-        FileSink(tmp_path / "missing" / "a.rrd", synthetic.run_info())
+        RunSink(tmp_path / "missing" / "a.run", synthetic.run_info())
 
 
-def test_files_that_are_no_recordings_of_ours_are_named(tmp_path: Path) -> None:
-    noise = tmp_path / "noise.rrd"
+def test_folders_that_are_no_recordings_of_ours_are_named(tmp_path: Path) -> None:
+    noise, empty, newer = tmp_path / "noise.run", tmp_path / "empty.run", tmp_path / "newer.run"
     noise.write_bytes(os.urandom(4096))
-    foreign = tmp_path / "foreign.rrd"
-    stream = rr.RecordingStream("someone_else")
-    stream.save(foreign)
-    stream.log("x", rr.Scalars(1.0))
-    stream.disconnect()
+    empty.mkdir()
+    newer.mkdir()
+    record = {"kind": "run", "format": layout.FORMAT + 1, "id": "x", **synthetic.run_info().to_json()}
+    (newer / layout.LOG).write_text(layout.line_of(record))
     for path, what in (
-        (noise, "not a rerun recording"),
-        (foreign, "not of this bench"),
-        (tmp_path / "none.rrd", "no such file"),
-        (tmp_path, "no such file"),
+        (noise, "a run is a folder"),
+        (empty, r"has no run\.jsonl"),
+        (newer, "newer version .*update hallbench"),
+        (tmp_path / "none.run", "nothing is there"),
     ):
         with pytest.raises(NotARecordingError, match=what) as caught:
-            read_run(path)
+            Run(path)
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
-def test_a_file_cut_short_reads_up_to_the_cut(
-    recording: Path, made: synthetic.SyntheticRun, tmp_path: Path, share: float
-) -> None:
-    cut = tmp_path / "cut.rrd"
-    cut.write_bytes(recording.read_bytes()[: int(recording.stat().st_size * share)])
-    run = read_run(cut)
+def test_a_journal_cut_short_reads_up_to_the_cut(made: synthetic.SyntheticRun, tmp_path: Path, share: float) -> None:
+    """As kill -9 leaves it, at any byte."""
+    writer = RunWriter(tmp_path / "a.run", synthetic.run_info())
+    for chunk in made.chunks():
+        (writer.samples if isinstance(chunk, SampleChunk) else writer.edges)(chunk)
+    journal = tmp_path / "a.run" / layout.journal_name(1)
+    os.truncate(journal, int(journal.stat().st_size * share))
+    run = Run(tmp_path / "a.run")
     n = len(run.samples)
-    assert 0.2 * share * len(made.index) < n < len(made.index)
+    assert 0.9 * share * len(made.index) < n < len(made.index)
     assert run.samples.raw.tobytes() == made.raw[:n].tobytes()
     assert (run.edges.tick == made.edge_tick[: len(run.edges)]).all()
+    assert not run.damage
+    assert not run.ended
+    assert run.being_written
+    writer.abandon()
+    assert not Run(tmp_path / "a.run").being_written
+
+
+def test_a_flipped_bit_anywhere_is_told_and_costs_its_block_only(recording: Path, tmp_path: Path) -> None:
+    """In every file, at places drawn at random; what still reads is what was written."""
+    whole, places = Run(recording), random.Random(3)
+    for number in range(60):
+        copy = tmp_path / f"{number}.run"
+        shutil.copytree(recording, copy)
+        file = places.choice(sorted(copy.iterdir()))
+        data = bytearray(file.read_bytes())
+        data[places.randrange(len(data))] ^= 1 << places.randrange(8)
+        file.write_bytes(data)
+        try:
+            run = Run(copy)
+            samples, edges = run.streams.get("samples"), run.edge_streams.get("edges")
+            for segment in run.segments:
+                list(segment.tables(layout.OVERVIEW))
+        except NotARecordingError:
+            continue
+        assert run.damage or not run.ended, file.name
+        if samples is not None:
+            at = np.searchsorted(whole.samples.index, samples.index)
+            assert whole.samples.raw[at].tobytes() == samples.raw.tobytes()
+        if edges is not None:
+            assert set(edges.tick.tolist()) <= set(whole.edges.tick.tolist())
+
+
+def test_segments_and_row_groups_join_without_a_seam(tmp_path: Path) -> None:
+    """Two and a half minutes: each part of it reads as the slice that it is."""
+    config = synthetic.config(synthetic.CHANNELS[:3])
+    index = np.arange(150 * synthetic.PWM_HZ, dtype=np.int64)
+    raw = np.zeros(len(index), config.dtype)
+    for name in raw.dtype.names or ():
+        raw[name] = np.random.default_rng(2).integers(0, 255, len(index))
+    writer = RunWriter(tmp_path / "a.run", synthetic.run_info(channels=config.channels))
+    for k in range(0, len(index), 8000):
+        part = slice(k, k + 8000)
+        writer.samples(SampleChunk(config, index[part], index[part] * synthetic.TICKS, raw[part], ()))
+    for _ in range(2):
+        run = Run(tmp_path / "a.run")
+        assert run.samples.raw.tobytes() == raw.tobytes()
+        assert (run.samples.index == index).all()
+        assert run.samples.gaps == ()
+        for first, last in ((0, 10), (950_000, 970_001), (2_300_000, 2_399_999)):
+            piece = run.chunk("samples", first * synthetic.TICKS, last * synthetic.TICKS)
+            assert isinstance(piece, SampleChunk)
+            assert piece.raw.tobytes() == raw[first : last + 1].tobytes()
+        writer.close()
+    assert len(list((tmp_path / "a.run").glob("samples-*.parquet"))) == 3
+    assert not list((tmp_path / "a.run").glob("journal-*"))

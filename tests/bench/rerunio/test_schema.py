@@ -9,11 +9,12 @@ import synthetic
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.recording.info import RunInfo, ns_from_tick, stream_from_json, stream_to_json, tick_from_ns
 from bench.rerunio import schema, states
 from bench.rerunio.log import _Column
-from protocol.descriptor import Channel, Descriptor
+from protocol.descriptor import Channel
 from protocol.messages import DeviceEvent, EventCode
-from protocol.signals import LOAD_CHANNELS, SECTOR_OF_CODE, Flag, RawType, Unit
+from protocol.signals import SECTOR_OF_CODE, Flag, RawType, Unit
 from sim.observers import hall_speed
 
 INTEGERS = [kind for kind in RawType if kind != RawType.F32]
@@ -25,29 +26,6 @@ def column(channel: Channel, raw: np.ndarray) -> np.ndarray:
     return _Column(channel).physical(records)
 
 
-@given(
-    kind=st.sampled_from(INTEGERS),
-    scale=st.floats(2**-20, 2**20, width=32),
-    offset=st.one_of(st.just(0.0), st.floats(-(2**20), 2**20, width=32)),
-    data=st.data(),
-)
-def test_every_raw_integer_comes_back_from_its_physical_column(kind, scale, offset, data) -> None:
-    info = np.iinfo(kind.dtype)
-    values = data.draw(st.lists(st.integers(info.min, info.max), min_size=1, max_size=20))
-    raw = np.array([info.min, info.max, *values], kind.dtype)
-    channel = Channel(1, "x", Unit.A, kind, scale, Flag.CHANNEL, offset)
-    back = schema.raw_from_physical(channel, column(channel, raw))
-    assert back.dtype == raw.dtype
-    assert (back == raw).all()
-
-
-@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1))
-def test_raw_floats_come_back(values: list[float]) -> None:
-    raw = np.array(values, np.float32)
-    for channel in Descriptor.of(LOAD_CHANNELS, ()).channels[:1]:
-        assert schema.raw_from_physical(channel, column(channel, raw)).tobytes() == raw.tobytes()
-
-
 def test_sixteen_bits_are_stored_as_float32_and_thirty_two_as_float64() -> None:
     kinds = {kind: schema.storage(Channel(1, "x", Unit.A, kind, 0.5, Flag.CHANNEL)) for kind in INTEGERS}
     wide = {RawType.U32, RawType.I32}
@@ -57,18 +35,18 @@ def test_sixteen_bits_are_stored_as_float32_and_thirty_two_as_float64() -> None:
 @given(tick_hz=st.integers(1, 999_999_999), seconds=st.floats(0, 9e9))
 def test_ticks_come_back_from_nanoseconds(tick_hz: int, seconds: float) -> None:
     tick = int(seconds * tick_hz)
-    ns = int(schema.ns_from_tick(tick, tick_hz))
+    ns = int(ns_from_tick(tick, tick_hz))
     assert ns == (tick * 10**9 + tick_hz // 2) // tick_hz  # Python's integers do not overflow
-    assert int(schema.tick_from_ns(np.array([ns]), tick_hz)[0]) == tick
+    assert int(tick_from_ns(np.array([ns]), tick_hz)[0]) == tick
 
 
 def test_a_run_and_its_streams_survive_json() -> None:
     run = synthetic.run_info()
-    back = schema.RunInfo.from_json(json.loads(json.dumps(run.to_json())), run.recording_id)
+    back = RunInfo.from_json(json.loads(json.dumps(run.to_json())), run.recording_id)
     assert back == run
     for config in (synthetic.config(), synthetic.EDGE_CONFIG):
-        described = json.loads(json.dumps(schema.stream_to_json(config, "fast")))
-        assert schema.stream_from_json(described, synthetic.run_info()) == config
+        described = json.loads(json.dumps(stream_to_json(config, "fast")))
+        assert stream_from_json(described, synthetic.run_info()) == config
 
 
 @pytest.mark.parametrize("n_p", [None, 0.0, -3.0, 2.5, math.nan, math.inf, -math.inf])

@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import threading
 from pathlib import Path
 
 import pytest
-import rerun as rr
 import synthetic
 from viewers import any_port, headless, needs_graphics
 
 from bench.errors import RecordingError
+from bench.recording import sink, writer
+from bench.recording.reader import Run
+from bench.recording.sink import RunSink
 from bench.rerunio import schema, sinks
 from bench.rerunio.log import RunLog
-from bench.rerunio.recording import read_run
-from bench.rerunio.sinks import FileSink, LiveSink
+from bench.rerunio.sinks import LiveSink
 
 
 def whole(path: Path, made: synthetic.SyntheticRun) -> bool:
-    run = read_run(path)
+    run = Run(path)
     return bool(run.samples.raw.tobytes() == made.raw.tobytes() and len(run.edges) == len(made.edge_tick))
 
 
 def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
     live = LiveSink(synthetic.run_info(), any_port())
-    file = FileSink(tmp_path / "a.rrd", live.run, wait=True, live_drops=lambda: live.dropped_blocks)
+    file = RunSink(tmp_path / "a.run", live.run, wait=True)
     made.feed(live, file)
     file.close()
     assert live.close()
     assert live.error is None
     assert live.logged_samples + live.dropped_samples == len(made.index)
-    assert whole(tmp_path / "a.rrd", made)
+    assert whole(tmp_path / "a.run", made)
     assert file.logged_samples == len(made.index)
     assert file.logged_edges == len(made.edge_tick)
 
@@ -42,7 +44,7 @@ def test_a_stopped_or_killed_viewer_costs_live_frames_only(
     tmp_path: Path, made: synthetic.SyntheticRun, number: signal.Signals
 ) -> None:
     live = LiveSink(synthetic.run_info(), any_port())
-    file = FileSink(tmp_path / "a.rrd", live.run, wait=True)
+    file = RunSink(tmp_path / "a.run", live.run, wait=True)
     with headless("--connect", live.url) as viewer:
         made.feed(live)
         viewer.await_recording()
@@ -52,7 +54,7 @@ def test_a_stopped_or_killed_viewer_costs_live_frames_only(
         file.close()
         live.close()
     assert live.logged_samples + live.dropped_samples <= 2 * len(made.index)
-    assert whole(tmp_path / "a.rrd", later)
+    assert whole(tmp_path / "a.run", later)
 
 
 class Stuck:
@@ -73,13 +75,13 @@ def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(
     monkeypatch.setattr(sinks, "READY_TIMEOUT", 0.05)
     monkeypatch.setattr(sinks, "LIVE_CLOSE_TIMEOUT", 0.05)
     live = LiveSink(synthetic.run_info(), 0)
-    file = FileSink(tmp_path / "a.rrd", live.run, wait=True, live_drops=lambda: live.dropped_blocks)
+    file = RunSink(tmp_path / "a.run", live.run, wait=True)
     made.feed(live, file)  # would hang here
     file.close()
     assert live.close() is False
     assert live.dropped_samples == len(made.index) - 960 * sinks.LIVE_QUEUE  # blocks of 60 ms
     assert live.dropped_blocks == 50 - sinks.LIVE_QUEUE + 1  # the last one holds but a note
-    assert whole(tmp_path / "a.rrd", made)
+    assert whole(tmp_path / "a.run", made)
     stuck.free.set()
 
 
@@ -110,7 +112,7 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
 ) -> None:
     """The live stream goes into a file here, so that it can be looked at."""
     run = synthetic.run_info()
-    stream = sinks._new_stream(run)
+    stream = sinks.new_stream(run)
     stream.save(tmp_path / "live.rrd")
     monkeypatch.setattr(sinks, "_serve", lambda *_: (stream, "file"))
     monkeypatch.setattr(sinks, "TOUCH_PERIOD", 0.01)
@@ -134,7 +136,7 @@ def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
 
 def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
     """While the drive's clock is not known there is none, whatever is known when the block is written."""
-    file = FileSink(tmp_path / "a.rrd", synthetic.run_info(), wait=True, now=lambda: 50.0)
+    file = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True, now=lambda: 50.0)
     chunks = made.sample_chunks(96)[:3]
     clocks = (None, chunks[1].tick[0] / synthetic.TICK_HZ - 49.9, None)
     for chunk, offset in zip(chunks, clocks, strict=True):
@@ -145,21 +147,37 @@ def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made
     assert 0.1 <= file.latency.at(100) <= 0.103
 
 
-def test_a_disk_with_no_room_at_all_is_said_at_once() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("no /dev/full here")
-    with pytest.raises(RecordingError, match="/dev/full: the disk is full"):
-        FileSink("/dev/full", synthetic.run_info(), overwrite=True)
+def test_a_disk_that_takes_no_more_is_told_once_and_what_was_written_reads(
+    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the hundredth chunk on the disk is full."""
+    write, written = writer.write_all, []
+
+    def full(descriptor: int, data: bytes) -> None:
+        written.append(len(data))
+        if len(written) > 100:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(descriptor, data)
+
+    monkeypatch.setattr(writer, "write_all", full)
+    file = RunSink(tmp_path / "a.run", synthetic.run_info(), wait=True)
+    made.feed(file)
+    with pytest.raises(RecordingError, match=r"a\.run: the disk is full"):
+        file.close()
+    file.close()  # it was said
+    run = Run(tmp_path / "a.run")
+    assert run.samples.raw.tobytes() == made.raw[: len(run.samples)].tobytes()
+    assert len(run.samples) > 160 * 40
+    assert not run.ended
 
 
 def test_a_caller_faster_than_the_disk_is_told(
     tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sinks, "BACKLOG_LIMIT", 200_000)
-    monkeypatch.setattr(sinks, "READY_TIMEOUT", 0.05)
-    hold = threading.Event()
-    monkeypatch.setattr(rr.RecordingStream, "flush", lambda *_, **__: hold.wait(20))
-    file = FileSink(tmp_path / "a.rrd", synthetic.run_info())
+    monkeypatch.setattr(sink, "BACKLOG_LIMIT", 200_000)
+    hold, write = threading.Event(), writer.write_all
+    file = RunSink(tmp_path / "a.run", synthetic.run_info())
+    monkeypatch.setattr(writer, "write_all", lambda *given: (hold.wait(20), write(*given)))
     made.feed(file)
     with pytest.raises(RecordingError, match="wait to be written; use a faster disk"):
         file.check()

@@ -1,0 +1,55 @@
+"""`bench view`: a recorded run in rerun's viewer."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from bench.cli.files import RUN, check_files
+from bench.cli.number import Number
+from bench.cli.streams import note
+
+
+@click.command("view")
+@click.argument("run", metavar="RUN", type=RUN)
+@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
+@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
+@click.option("--viewer", type=click.Choice(["auto", "native", "web"]), default="auto",
+              help="auto: native on a display, else web.")  # fmt: skip
+@click.option("--web-port", type=click.IntRange(1, 65535),
+              help="Port of the web viewer (default: the first free one from 9090).")  # fmt: skip
+def command(run: Path, begin: float | None, end: float | None, viewer: str, web_port: int | None) -> None:
+    """Open a recorded run in rerun, with the dashboard that it had live.
+
+    A minute or less is shown sample by sample. More is shown as minima and maxima over 50 ms or longer, and sample by
+    sample around faults and marks; --from and --to look closer. The run may still be being recorded.
+
+    \b
+    Examples:
+      bench view a.run
+      bench view a.run --from 3600 --to 3620
+    """
+    check_files({}, False, [run])
+    from bench.recording.reader import Run
+    from bench.recording.times import ticks_of
+    from bench.rerunio.viewer import chosen, serve_file
+    from bench.rerunio.viewing import write_rrd
+
+    opened = Run(run)
+    first, last = ticks_of(opened, begin, end)
+    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
+        file = Path(folder, f"{run.name}.rrd")
+        write_rrd(opened, file, first, last)
+        for words in opened.damage:
+            note(f"warning: {words}")
+        process, address = serve_file(file, chosen(viewer), web_port)
+        try:
+            if address:
+                note(f"dashboard: {address} (Ctrl-C ends it)")
+            with suppress(KeyboardInterrupt):
+                process.wait()
+        finally:
+            process.close()

@@ -1,0 +1,238 @@
+"""Names of a run's files, schemas of its columns, and checksums: what writer and reader have to agree on.
+
+    RUN/run.jsonl                  the log: one JSON object a line, each with its CRC-32
+    RUN/samples-000001.parquet     a minute of the drive's samples: raw integers; unit, scale and role in the schema
+    RUN/edges-000001.parquet       its Hall edges
+    RUN/overview-000001.parquet    minima and maxima of the samples over 50 ms
+    RUN/node2-stream0-000001.parquet   samples of another node
+    RUN/journal-000002             what is in no Parquet file yet
+
+Raw values are what came over the wire; the value in `unit` is raw * scale + offset. `tick` is the device's clock,
+`tick_hz` of which are a second; `index` counts PWM periods, or edges. Where records are missing before a row, `gap` is
+not 0 (1, or 3 where the device says that it dropped them itself), and `lost` and `lost_frames` say how many.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from bench.analysis.channels import role
+from bench.files import RUN_LOG
+from bench.recording.info import AnyChannel, RunInfo, stream_to_json
+from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
+
+FORMAT = 1
+"""Version of all of this; a reader refuses a newer one."""
+LOG = RUN_LOG
+JOURNAL = "journal-"
+SAMPLES, EDGES, OVERVIEW = "samples", "edges", "overview"
+"""Streams of the drive, and what is made of them."""
+
+GAP_FIELDS = {"gap": np.uint8, "lost": np.int64, "lost_frames": np.int64}
+EDGE_FIELDS = {"hall_old": np.uint8, "hall_new": np.uint8, "illegal": np.bool_, "encoder": np.uint16}
+HERE, OVERRUN = 1, 2  # bits of `gap`
+_CRC = ',"crc":"'
+_CRC_CHARS = len(_CRC) + 8 + len('"}')
+
+
+def file_name(stream: str, number: int) -> str:
+    """Name of the Parquet file of a stream's segment."""
+    return f"{stream}-{number:06d}.parquet"
+
+
+def journal_name(number: int) -> str:
+    """Name of the journal of a segment."""
+    return f"{JOURNAL}{number:06d}"
+
+
+# -- lines of the log -----------------------------------------------------------------------------------------------
+
+
+def line_of(record: Mapping[str, Any]) -> str:
+    """A record as a line of the log, its checksum last. Numbers that JSON has not are strings: "nan", "inf"."""
+    body = json.dumps(_json(record), separators=(",", ":"), allow_nan=False)[:-1]
+    return f'{body}{_CRC}{zlib.crc32(body.encode()):08x}"}}\n'
+
+
+def record_of(line: str) -> dict[str, Any] | None:
+    """The record of a line without its line break; None where it is damaged."""
+    body, crc = line[:-_CRC_CHARS], line[-_CRC_CHARS:]
+    if crc != f'{_CRC}{zlib.crc32(body.encode(errors="surrogateescape")):08x}"}}':
+        return None
+    record: dict[str, Any] = json.loads(body + "}")
+    return record
+
+
+def _json(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _json(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# -- columns --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of a stream: schema, and how each is encoded."""
+
+    schema: pa.Schema
+    encodings: dict[str, str]
+
+    def writer(self, sink: Any) -> Any:
+        """A Parquet writer to a file object."""
+        import pyarrow.parquet as pq
+
+        return pq.ParquetWriter(
+            sink,
+            self.schema,
+            compression="zstd",
+            compression_level=3,
+            use_dictionary=False,
+            column_encoding=self.encodings,
+            write_statistics=True,
+        )
+
+
+def columns_of(fields: Sequence[pa.Field], metadata: Mapping[str, Any]) -> Columns:
+    """Columns of these fields; `metadata` becomes JSON, by name."""
+    told = {f"hallbench:{name}": json.dumps(_json(value)) for name, value in metadata.items()}
+    encodings = {field.name: _encoding(field.type) for field in fields}
+    return Columns(pa.schema(fields, told), encodings)
+
+
+def stream_columns(config: StreamConfig, stream: str, run: RunInfo) -> Columns:
+    """Columns of a stream of samples or edges."""
+    fields = [pa.field("tick", pa.int64(), False, {"unit": "s", "scale": repr(1 / config.tick_hz)})]
+    fields.append(pa.field("index", pa.int64(), False))
+    if config.channels:
+        fields += [channel_field(channel, channel.name) for channel in config.channels]
+    else:
+        fields += [pa.field(name, pa.from_numpy_dtype(dtype), False) for name, dtype in EDGE_FIELDS.items()]
+    fields += [pa.field(name, pa.from_numpy_dtype(dtype), False) for name, dtype in GAP_FIELDS.items()]
+    return columns_of(fields, {"run": run.to_json(), "stream": stream_to_json(config, stream)})
+
+
+def channel_field(channel: AnyChannel, name: str) -> pa.Field:
+    """A column of a channel's raw values."""
+    about = {"unit": channel.unit.symbol, "scale": repr(channel.scale), "offset": repr(channel.offset)}
+    return pa.field(name, pa.from_numpy_dtype(channel.raw.dtype), False, {**about, "role": role(channel)})
+
+
+def _encoding(kind: pa.DataType) -> str:
+    if pa.types.is_integer(kind):
+        return "DELTA_BINARY_PACKED"
+    return "RLE" if pa.types.is_boolean(kind) else "BYTE_STREAM_SPLIT"
+
+
+def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
+    """A chunk as rows of its stream's columns."""
+    n = len(chunk)
+    arrays: dict[str, NDArray[Any]] = {"tick": chunk.tick, "index": chunk.index}
+    if isinstance(chunk, SampleChunk):
+        arrays |= {name: np.ascontiguousarray(chunk.raw[name]) for name in chunk.raw.dtype.names or ()}
+    else:
+        arrays |= {name: getattr(chunk, name) for name in EDGE_FIELDS}
+    gaps = {name: np.zeros(n, dtype) for name, dtype in GAP_FIELDS.items()}
+    for gap in chunk.gaps:
+        gaps["gap"][gap.position] = HERE | (OVERRUN if gap.overrun else 0)
+        gaps["lost"][gap.position] = gap.lost_samples
+        gaps["lost_frames"][gap.position] = gap.lost_frames
+    return pa.table([pa.array(array) for array in (arrays | gaps).values()], schema=columns.schema)
+
+
+def channel_table(chunk: SampleChunk, columns: Columns) -> pa.Table:
+    """The channels of samples that `columns` names, and nothing else."""
+    arrays = [np.ascontiguousarray(chunk.raw[name]) for name in columns.schema.names]
+    return pa.table([pa.array(array) for array in arrays], schema=columns.schema)
+
+
+def to_chunk(table: pa.Table, config: StreamConfig) -> SampleChunk | EdgeChunk:
+    """The inverse of `to_table`. A bool column of edges and all of samples are copied, once."""
+    arrays = {name: numbers(table.column(name)) for name in table.column_names}
+    rows = np.flatnonzero(arrays["gap"])
+    told = zip(*(arrays[name][rows].tolist() for name in GAP_FIELDS), strict=True)
+    gaps = tuple(
+        Gap(int(row), lost, frames, bool(flags & OVERRUN))
+        for row, (flags, lost, frames) in zip(rows, told, strict=True)
+    )
+    if not config.channels:
+        edges = {name: arrays[name] for name in EDGE_FIELDS}
+        return EdgeChunk(config, arrays["tick"], index=arrays["index"], gaps=gaps, **edges)
+    raw = np.empty(table.num_rows, config.dtype)
+    for channel in config.channels:
+        raw[channel.name] = arrays[channel.name]
+    return SampleChunk(config, arrays["index"], arrays["tick"], raw, gaps)
+
+
+def numbers(column: pa.ChunkedArray) -> NDArray[Any]:
+    """A column as an array, (rows,)."""
+    values: NDArray[Any] = column.combine_chunks().to_numpy(zero_copy_only=False)
+    return values
+
+
+# -- checksums ------------------------------------------------------------------------------------------------------
+
+
+class CheckedFile:
+    """A file object for a Parquet writer that notes a CRC-32 of each block: `end_block` ends one."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._crc = 0
+        self.size = 0
+        self.blocks: list[tuple[int, int]] = []
+        """Where each block ends, and its CRC-32."""
+        self.closed = False
+
+    def write(self, data: Any) -> int:
+        """Write it all."""
+        view = memoryview(data)
+        self._file.write(view)
+        self._crc = zlib.crc32(view, self._crc)
+        self.size += view.nbytes
+        return view.nbytes
+
+    def end_block(self) -> None:
+        """What comes next belongs to another block."""
+        self.blocks.append((self.size, self._crc))
+        self._crc = 0
+
+    def tell(self) -> int:
+        """Bytes so far."""
+        return self.size
+
+    def flush(self) -> None:
+        """Nothing is held back here."""
+
+    def close(self) -> None:
+        """The file itself is its owner's to close."""
+        self.closed = True
+
+    def writable(self) -> bool:
+        """It is written."""
+        return True
+
+    def readable(self) -> bool:
+        """Not here."""
+        return False
+
+    def seekable(self) -> bool:
+        """It only grows."""
+        return False
+
+
+def damaged(data: memoryview, start: int, end: int, crc: int) -> bool:
+    """Whether the block of a file from byte `start` to `end` is not as it was written."""
+    return end > len(data) or zlib.crc32(data[start:end]) != crc

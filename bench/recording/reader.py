@@ -1,0 +1,502 @@
+"""Reads a run back: any part of it, exactly as it came over the wire, every block verified. Never writes.
+
+A run that was cut short (kill -9, disk full), or is still being written, reads up to where it ends. What is damaged is
+left out, counted as lost, and named with its time in `Run.damage`.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import mmap
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.analysis.capture import Capture
+from bench.analysis.chunks import between, join, lost_stretches, no_edge_stream, no_edges
+from bench.analysis.verdict import Verdict
+from bench.errors import BenchError
+from bench.files import RRD, is_run, run_folder
+from bench.recording import journal, layout
+from bench.recording.info import Mark, RunInfo, stream_from_json
+from bench.recording.losses import LossAccount
+from bench.recording.overview import Overview
+from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_NUMBERED = re.compile(r"(?P<stream>.+)-(?P<number>\d{6})\.parquet$")
+_HEARTBEAT = tuple(field.name for field in fields(Heartbeat))
+_EVENT = tuple(field.name for field in fields(DeviceEvent))
+
+
+class NotARecordingError(BenchError):
+    """A folder that is no run, or of a newer version than this program reads."""
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter that the host has set, at device tick `tick`."""
+
+    tick: int
+    node: int
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """One stream's part of a segment. `groups`: first and last tick and rows of each row group."""
+
+    name: str
+    groups: tuple[tuple[int, int, int], ...]
+    blocks: tuple[tuple[int, int], ...]
+
+
+class Run:
+    """A recorded run: see the module. Everything but samples and edges is read when it is opened.
+
+    Raises NotARecordingError where `path` holds none.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.damage: list[str] = []
+        """What is not as it was written, as far as it was looked at: what, where, and the time that it costs."""
+        if not self.path.is_dir():
+            raise NotARecordingError(f"{path}: no such run: {_advice(self.path)}")
+        try:
+            data = (self.path / layout.LOG).read_bytes()
+        except OSError:
+            raise NotARecordingError(f"{path} is no recorded run: it has no {layout.LOG}") from None
+        self.info = self._described(data)
+        self._configs: dict[int, StreamConfig] = {}
+        self._numbers: dict[str, int] = {}
+        self._segments: dict[int, dict[str, tuple[StoredFile, ...]]] = {}
+        self.ended = False
+        """Whether it came to its end: it was not cut short, and is not being written."""
+        self.summary = ""
+        """Markdown."""
+        self._data = data
+        self._take(self._records(data))
+        self._look_for_files()
+
+    # -- the log ------------------------------------------------------------------------------------------------
+
+    def _described(self, data: bytes) -> RunInfo:
+        first = layout.record_of(data.partition(b"\n")[0].decode("ascii", "surrogateescape"))
+        if first is None or first.get("kind") != "run":
+            first = self._described_by_files()
+        if first.get("format", layout.FORMAT) > layout.FORMAT:
+            raise NotARecordingError(
+                f"{self.path} was written by a newer version (format {first['format']}, this one reads "
+                f"{layout.FORMAT}): update hallbench"
+            )
+        return RunInfo.from_json(first, first.get("id", self.path.name))
+
+    def _described_by_files(self) -> dict[str, Any]:
+        """What the Parquet files say of the run, where the log does not."""
+        for file in sorted(self.path.glob("*.parquet")):
+            told = _metadata(file).get("run")
+            if told is not None:
+                return dict(told)
+        raise NotARecordingError(f"{self.path}: the first line of {layout.LOG} is damaged: it says what the run is")
+
+    def _records(self, data: bytes) -> Iterator[dict[str, Any]]:
+        """The records of the log; damaged lines are named with the time of those before."""
+        *lines, last = data.decode("ascii", "surrogateescape").split("\n")
+        tick = None
+        for number, line in enumerate([*lines, last] if last else lines, 1):
+            record = layout.record_of(line)
+            if record is not None:
+                tick = record.get("tick", tick)
+                yield record
+            elif number <= len(lines):  # else it was cut while it was written
+                where = "before the first event" if tick is None else f"after {self.at(tick)}"
+                self.damage.append(f"{layout.LOG}, line {number}: damaged, {where}")
+
+    def records(self, without: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """The records of the log as they are, but for those of the kinds `without`."""
+        lines = self._data.decode("ascii", "surrogateescape").split("\n")
+        found = (layout.record_of(line) for line in lines)
+        return (record for record in found if record is not None and record["kind"] not in without)
+
+    def _take(self, records: Iterator[dict[str, Any]]) -> None:
+        events, notes, marks, changes = [], [], [], []
+        self.heartbeats: list[tuple[int, Heartbeat]] = []
+        """By node: each that told anything new."""
+        self.missing: list[tuple[int, int, int, int]] = []
+        """Tick, node, samples and edges that did not come at the end of the streams."""
+        removed: set[int] = set()
+        for record in records:
+            match record["kind"]:
+                case "event":
+                    values = {name: record[name] for name in _EVENT}
+                    events.append(DeviceEvent(**values | {k: float(values[k]) for k in ("arg", "detail")}))
+                case "heartbeat":
+                    self.heartbeats.append((record["from"], _heartbeat(record)))
+                case "note":
+                    notes.append((record["tick"], record["text"], record["level"]))
+                case "mark":
+                    verdict = None if record["verdict"] is None else Verdict(record["verdict"])
+                    marks.append(Mark(record["name"], record["tick"], record["last"], verdict))
+                case "parameter":
+                    value = float(record["value"])
+                    changes.append(ParameterChange(record["tick"], record["from"], record["name"], value))
+                case "missing":
+                    self.missing.append((record["tick"], record["from"], record["samples"], record["edges"]))
+                case "stream":
+                    self._add_stream(record)
+                case "segment":
+                    files: dict[str, tuple[StoredFile, ...]] = {}
+                    for told in record["files"]:
+                        file = StoredFile(told["name"], *(tuple(map(tuple, told[key])) for key in ("groups", "blocks")))
+                        files[told["stream"]] = (*files.get(told["stream"], ()), file)
+                    self._segments[record["number"]] = files
+                case "removed":
+                    removed.add(record["number"])
+                case "summary":
+                    self.summary = record["text"]
+                case "end":
+                    self.ended = True
+        for number in removed:
+            self._segments.pop(number, None)
+        self._removed = removed
+        self.events = tuple(events)
+        self.notes = tuple((tick, text) for tick, text, _ in notes)
+        """Device tick and text of the host's lines."""
+        self.levels = tuple(level for _, _, level in notes)
+        """Of the notes: INFO, WARN, ERROR."""
+        self.marks = tuple(marks)
+        """Stretches that were marked, in the order in which they were."""
+        self.changes = tuple(changes)
+
+    def _add_stream(self, record: Mapping[str, Any]) -> None:
+        number = record.get("number", -1 - len(self._configs))  # of a file whose line in the log is damaged: none
+        self._configs[number] = stream_from_json(record, self.info)
+        self._numbers[record["name"]] = number
+
+    def _look_for_files(self) -> None:
+        """Name files that are not in the log, and segments that are missing."""
+        for number in range(1, max(self._segments, default=0)):
+            if number not in self._segments and number not in self._removed:
+                self.damage.append(f"segment {number} is not in {layout.LOG}: its line is damaged")
+        for file in sorted(self.path.glob("*.parquet")):
+            found = _NUMBERED.match(file.name)
+            if found is None or int(found["number"]) in self._removed:
+                continue
+            number, stream = int(found["number"]), found["stream"]
+            told = self._segments.get(number)
+            if told is None and (self.path / layout.journal_name(number)).exists():
+                continue  # the run was killed before the log had it: the journal has all of it
+            if told is None or stream not in told:
+                self.damage.append(f"{file.name} is not in {layout.LOG}, and is not read")
+            elif stream != layout.OVERVIEW and stream not in self._numbers:
+                told_of = _metadata(file).get("stream")
+                if told_of is not None:
+                    self._add_stream(told_of)
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def at(self, tick: int) -> str:
+        """A device tick as words."""
+        return f"{tick / self.info.tick_hz:.3f} s"
+
+    @cached_property
+    def span(self) -> tuple[int, int]:
+        """First and last device tick of which there are samples or edges; ValueError if there are none."""
+        spans = [segment.span for segment in self.segments]
+        return min(first for first, _ in spans), max(last for _, last in spans)
+
+    @property
+    def being_written(self) -> bool:
+        """Whether a program is recording it."""
+        with (self.path / layout.LOG).open("rb") as log:
+            try:
+                fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                return True
+        return False
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the streams, in the order in which they began."""
+        return tuple(self._numbers)
+
+    @property
+    def drive_streams(self) -> tuple[StreamConfig, StreamConfig | None]:
+        """How the drive's samples and edges came; KeyError without samples, None without edges."""
+        return self.config(layout.SAMPLES), self.config(layout.EDGES) if layout.EDGES in self._numbers else None
+
+    def clock_went_back(self) -> int | None:
+        """The tick at which a stream's time starts again, because the device has rebooted; None if it never does."""
+        for name in self.names:
+            last = -1
+            for segment in self.segments:
+                span = segment.span_of(name)
+                if span is not None and span[0] < last:
+                    return last
+                last = last if span is None else span[1]
+        return None
+
+    def number_of(self, stream: str) -> int:
+        """Number of a stream in the journal."""
+        return self._numbers[stream]
+
+    def config(self, stream: str) -> StreamConfig:
+        """How a stream was configured. KeyError for a name that is not among `names`."""
+        return self._configs[self._numbers[stream]]
+
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """The parts of the run, in order: in each of them the device's time rises."""
+        found = [Segment(self, number, files) for number, files in sorted(self._segments.items())]
+        return (*found, Segment(self, max(self._segments, default=0) + 1, None)) if self.opened else tuple(found)
+
+    def pieces(
+        self, stream: str, first: int | None = None, last: int | None = None
+    ) -> Iterator[SampleChunk | EdgeChunk]:
+        """A stream from tick `first` to `last`, both included, a row group or less at a time, in order.
+
+        What is missing between two pieces is in the gaps of the second.
+        """
+        account = LossAccount()
+        for segment in self.segments:
+            for piece in segment.pieces(stream, first, last):
+                yield account.chunk(piece)
+
+    def chunk(self, stream: str, first: int | None = None, last: int | None = None) -> SampleChunk | EdgeChunk | None:
+        """A stream from tick `first` to `last`, both included, in one piece; None if nothing is there."""
+        found = list(self.pieces(stream, first, last))
+        return join(found) if found else None
+
+    @cached_property
+    def opened(self) -> tuple[tuple[int, SampleChunk | EdgeChunk], ...]:
+        """What the journal holds, by number of the stream."""
+        chunks: list[tuple[int, SampleChunk | EdgeChunk]] = []
+        for file in sorted(self.path.glob(f"{layout.JOURNAL}*")):
+            number = file.name.removeprefix(layout.JOURNAL)
+            if not number.isdigit() or int(number) in self._segments:
+                continue
+            found = journal.read(file.read_bytes(), self._configs)
+            for begin, end, before in found.damage:
+                ticks = [int(chunk.tick[-1]) for _, chunk in found.chunks[:before]]
+                where = f"after {self.at(ticks[-1])}" if ticks else "at its begin"
+                self.damage.append(f"{file.name}: bytes {begin} to {end} are damaged, {where}")
+            chunks += found.chunks
+        return tuple(chunks)
+
+    def groups(self, files: Sequence[StoredFile], chosen: Sequence[int]) -> Iterator[pa.Table]:
+        """The chosen row groups of files with the same rows, as one table each, if they are as they were written."""
+        opened = [opener for file in files if (opener := self._opened_file(file, chosen)) is not None]
+        if len(opened) < len(files):
+            return
+        for k in chosen:
+            tables = [table for read in opened if (table := read(k)) is not None]
+            if len(tables) == len(files):
+                whole, *others = tables
+                for other in others:
+                    for field, column in zip(other.schema, other.columns, strict=True):
+                        whole = whole.append_column(field, column)
+                yield whole
+
+    def intact(self, file: StoredFile) -> bool:
+        """Whether every block of a file is as it was written."""
+        try:
+            data = memoryview((self.path / file.name).read_bytes())
+        except OSError:
+            return False
+        starts = [0, *(stop for stop, _ in file.blocks)]
+        ends = zip(starts, file.blocks, strict=False)
+        return len(data) == starts[-1] and not any(layout.damaged(data, start, *block) for start, block in ends)
+
+    def _opened_file(self, file: StoredFile, chosen: Sequence[int]) -> Callable[[int], pa.Table | None] | None:
+        """What reads a row group of a file, verified; None, and that is noted, where the file is not what it was."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if not chosen:
+            return None
+        try:
+            with (self.path / file.name).open("rb") as opened:
+                data = memoryview(mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
+        except (OSError, ValueError) as error:
+            what = "is missing" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
+            self._lost(file, chosen, what)
+            return None
+        end = file.blocks[-1][0]
+        starts = [0, *(stop for stop, _ in file.blocks)]
+        if len(data) != end:
+            self._note_damage(f"{file.name} has {len(data)} bytes, not {end}")
+        if layout.damaged(data, starts[-2], *file.blocks[-1]):
+            self._lost(file, chosen, "is damaged at its end")
+            return None
+        parquet = pq.ParquetFile(pa.BufferReader(pa.py_buffer(data[:end])))
+
+        def read(group: int) -> pa.Table | None:
+            if layout.damaged(data, starts[group], *file.blocks[group]):
+                self._lost(file, [group], "is damaged")
+                return None
+            return parquet.read_row_group(group)
+
+        return read
+
+    def _lost(self, file: StoredFile, groups: Sequence[int], what: str) -> None:
+        first, last = file.groups[groups[0]][0], file.groups[groups[-1]][1]
+        rows = sum(file.groups[k][2] for k in groups)
+        self._note_damage(f"{file.name} {what}: {rows} rows from {self.at(first)} to {self.at(last)} are lost")
+
+    def _note_damage(self, text: str) -> None:
+        if text not in self.damage:
+            self.damage.append(text)
+
+    # -- all of it ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def streams(self) -> dict[str, SampleChunk]:
+        """All samples, by stream: for runs that fit into memory."""
+        return {name: chunk for name, chunk in self._whole.items() if isinstance(chunk, SampleChunk)}
+
+    @cached_property
+    def edge_streams(self) -> dict[str, EdgeChunk]:
+        """All edges, by stream."""
+        return {name: chunk for name, chunk in self._whole.items() if isinstance(chunk, EdgeChunk)}
+
+    @cached_property
+    def _whole(self) -> dict[str, SampleChunk | EdgeChunk]:
+        found = {name: self.chunk(name) for name in self.names}
+        return {name: chunk for name, chunk in found.items() if chunk is not None}
+
+    @property
+    def samples(self) -> SampleChunk:
+        """The drive's samples. KeyError if none were recorded."""
+        return self.streams[layout.SAMPLES]
+
+    @property
+    def edges(self) -> EdgeChunk:
+        """The drive's Hall edges. KeyError if none were recorded."""
+        return self.edge_streams[layout.EDGES]
+
+
+class Segment:
+    """A part of a run, a minute or less, in which the device's time rises."""
+
+    def __init__(self, run: Run, number: int, files: Mapping[str, tuple[StoredFile, ...]] | None) -> None:
+        """`files`: by stream; None: what is in the journal."""
+        self._run, self._files = run, files
+        self.number = number
+
+    @property
+    def files(self) -> Mapping[str, tuple[StoredFile, ...]]:
+        """Its files, by stream, each with the same rows in other columns; none for what is in the journal."""
+        return self._files or {}
+
+    @cached_property
+    def span(self) -> tuple[int, int]:
+        """First and last device tick of which there are samples or edges."""
+        ends = [span for name in self._run.names if (span := self.span_of(name)) is not None]
+        return min(first for first, _ in ends), max(last for _, last in ends)
+
+    def span_of(self, stream: str) -> tuple[int, int] | None:
+        """First and last tick of a stream in it; None if it has none."""
+        if self._files is None:
+            number = self._run.number_of(stream)
+            chunks = [chunk for its, chunk in self._run.opened if its == number]
+            return (int(chunks[0].tick[0]), int(chunks[-1].tick[-1])) if chunks else None
+        if stream not in self._files:
+            return None
+        groups = self._files[stream][0].groups
+        return groups[0][0], groups[-1][1]
+
+    def pieces(
+        self, stream: str, first: int | None = None, last: int | None = None
+    ) -> Iterator[SampleChunk | EdgeChunk]:
+        """See `Run.pieces`; what is missing between two of them is not in their gaps."""
+        run = self._run
+        if self._files is None:
+            found = [chunk for number, chunk in run.opened if number == run.number_of(stream)]
+            whole: Iterable[SampleChunk | EdgeChunk] = [join(found)] if found else []
+        else:
+            whole = (layout.to_chunk(table, run.config(stream)) for table in self.tables(stream, first, last))
+        for chunk in whole:
+            part = between(chunk, *_bounds(first, last))
+            if len(part):
+                yield part
+
+    def intact(self) -> bool:
+        """Whether every block of its files is as it was written."""
+        return all(self._run.intact(part) for parts in self.files.values() for part in parts)
+
+    def tables(self, stream: str, first: int | None = None, last: int | None = None) -> Iterator[pa.Table]:
+        """The row groups of a stream's file that have ticks from `first` to `last`, as they are stored."""
+        if files := self.files.get(stream):
+            lowest, highest = _bounds(first, last)
+            chosen = [k for k, (a, b, _) in enumerate(files[0].groups) if a <= highest and b >= lowest]
+            yield from self._run.groups(files, chosen)
+
+
+def overviews(run: Run, segment: Segment) -> Iterator[pa.Table]:
+    """Minima and maxima of the drive's samples in a segment, see `bench.recording.overview`: stored, or made here."""
+    if layout.OVERVIEW in segment.files:
+        yield from segment.tables(layout.OVERVIEW)
+        return
+    if layout.SAMPLES in run.names:
+        overview = Overview(replace(run.info, channels=run.config(layout.SAMPLES).channels))
+        for chunk in segment.pieces(layout.SAMPLES):
+            if isinstance(chunk, SampleChunk):
+                yield overview.table(chunk)
+
+
+def _bounds(first: int | None, last: int | None) -> tuple[int, int]:
+    return -1 if first is None else first, 1 << 62 if last is None else last
+
+
+def capture_of(run: Run, first: int | None = None, last: int | None = None) -> Capture:
+    """A recording as a capture, or its part from tick `first` to `last`. BenchError where it holds no samples."""
+    samples = run.chunk(layout.SAMPLES, first, last) if layout.SAMPLES in run.names else None
+    if not isinstance(samples, SampleChunk):
+        raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
+    info = run.info
+    edges = run.chunk(layout.EDGES, first, last) if layout.EDGES in run.names else None
+    if not isinstance(edges, EdgeChunk):
+        known = run.config(layout.EDGES) if layout.EDGES in run.names else None
+        edges = no_edges(known or no_edge_stream(info.node, info.tick_hz, info.pwm_hz))
+    before = int(samples.tick[0])
+    lost = (*lost_stretches(samples, before), *lost_stretches(edges, -1))
+    return Capture(samples, edges, info.parameters, lost)
+
+
+def _heartbeat(record: Mapping[str, Any]) -> Heartbeat:
+    values = {name: record[name] for name in _HEARTBEAT}
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "faults": Fault, "first_fault": Fault, "state": DriveState, "outputs_on": bool
+    }  # fmt: skip
+    return Heartbeat(**values | {name: kind(values[name]) for name, kind in kinds.items()})
+
+
+def _metadata(file: Path) -> dict[str, Any]:
+    """What a Parquet file says of itself; nothing where it cannot be read."""
+    import pyarrow.parquet as pq
+
+    try:
+        told = pq.read_schema(file).metadata or {}
+        return {name.decode().removeprefix("hallbench:"): json.loads(text) for name, text in told.items()
+                if name.startswith(b"hallbench:")}  # fmt: skip
+    except (OSError, ValueError):
+        return {}
+
+
+def _advice(path: Path) -> str:
+    if path.suffix == RRD and is_run(run_folder(path)):
+        return f"{path.name} is for rerun's viewer; what was recorded is {run_folder(path)}"
+    if path.exists():
+        return "a run is a folder, as bench live --save makes one"
+    return "nothing is there"

@@ -1,0 +1,219 @@
+"""Writes a run: chunks, events and marks in, files out. No thread, no queue, no clock of its own.
+
+Whatever arrives is appended at once: chunks to the journal, everything else to the log. Every ten seconds of device
+time become a row group, every minute a segment: a Parquet file for each stream, one line in the log, and a new journal.
+A device whose time goes back has rebooted, and begins a new segment.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from bench.analysis.chunks import join
+from bench.recording import journal, layout
+from bench.recording.folder import RunFolder, SegmentFile, append_to, write_all
+from bench.recording.info import Mark, RunInfo, stream_to_json
+from bench.recording.layout import Columns
+from bench.recording.losses import LossAccount
+from bench.recording.overview import Overview
+from protocol.messages import DeviceEvent, EventCode, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+ROW_GROUP = 10.0  # s of device time
+SEGMENT = 60.0  # s
+StreamKey = tuple[object, ...]
+_TOLD = ("boot_id", "state", "outputs_on", "faults", "first_fault", "tx_dropped", "rx_bad", "setpoints_rejected")
+"""Of a heartbeat: it is logged where one of these has changed."""
+
+
+class RunWriter:
+    """Writes the run `info` to the folder `path`, which appears when it is a run.
+
+    Raises RecordingError where `path` exists (unless `overwrite`, which replaces a run and nothing else) or cannot be
+    made, and OSError out of every other call when the disk does not take what it is given.
+    """
+
+    def __init__(self, path: Path, info: RunInfo, overwrite: bool = False) -> None:
+        self.path, self.info = path, info
+        self.account = LossAccount()
+        self.samples_written = self.edges_written = 0
+        self._streams: dict[StreamKey, _Stream] = {}
+        self._by_config: dict[int, tuple[StreamConfig, _Stream]] = {}
+        self._overview: Overview | None = None
+        self._overview_file: SegmentFile | None = None
+        self._number = 1  # of the segment that is being written
+        self._begun: int | None = None  # its first tick
+        self._newest = 0  # tick
+        self._told: dict[int, tuple[object, ...]] = {}  # of the last heartbeat that was logged, by node
+        self._folder = RunFolder(path, info, overwrite)
+        self._line = self._folder.line
+        self._journal = append_to(self._folder.path / layout.journal_name(1))
+        self._folder.put_in_place()
+
+    # -- what comes ---------------------------------------------------------------------------------------------
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Write samples."""
+        if len(chunk):
+            self._chunk(chunk)
+            self.samples_written += len(chunk)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Write Hall edges."""
+        if len(chunk):
+            self._chunk(chunk)
+            self.edges_written += len(chunk)
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Write an event of a device."""
+        self._seen(event.tick)
+        name = EventCode(event.code).name if event.code in list(EventCode) else str(event.code)
+        self._line({"kind": "event", **asdict(event), "node": node, "name": name})
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Write a heartbeat if it tells anything new."""
+        self._seen(heartbeat.tick)
+        self.account.heartbeat(node, heartbeat)
+        told = tuple(getattr(heartbeat, name) for name in _TOLD)
+        if self._told.get(node) != told:
+            self._told[node] = told
+            self._line({"kind": "heartbeat", "from": node, **asdict(heartbeat)})
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Write that so many records did not come at the end of the streams."""
+        self.account.missing(samples, edges)
+        self._line({"kind": "missing", "tick": self._newest, "from": node, "samples": samples, "edges": edges})
+
+    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
+        """Write a line of the host's, at the newest device time seen or at `tick`."""
+        self._line({"kind": "note", "tick": self._newest if tick is None else tick, "level": level, "text": text})
+
+    def parameter(self, node: int, name: str, value: float) -> None:
+        """Write that a parameter has been set."""
+        self._line({"kind": "parameter", "tick": self._newest, "from": node, "name": name, "value": value})
+
+    def mark(self, mark: Mark) -> None:
+        """Write a mark."""
+        verdict = None if mark.verdict is None else mark.verdict.value
+        self._line({"kind": "mark", "tick": mark.first_tick, "last": mark.last_tick, "name": mark.name,
+                    "verdict": verdict})  # fmt: skip
+
+    def summary(self, markdown: str) -> None:
+        """Write the summary, which replaces an earlier one."""
+        self._line({"kind": "summary", "text": markdown})
+
+    def sync(self) -> None:
+        """Have the disk take what was written, so that a power cut costs no more than what comes after."""
+        os.fdatasync(self._journal)
+        self._folder.sync()
+
+    def close(self) -> None:
+        """End the run."""
+        if self._journal < 0:
+            return
+        try:
+            self._end_segment()
+            lost = {name: n for name, n in self.account.counters.items() if n}
+            self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
+            self.sync()
+            (self.path / layout.journal_name(self._number)).unlink()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Let go of the files, as they are: the run stays readable up to here."""
+        for file in [stream.file for stream in self._streams.values()] + [self._overview_file]:
+            if file is not None:
+                file.discard()
+        if self._journal >= 0:
+            os.close(self._journal)
+            self._journal = -1
+        self._folder.close()
+
+    # -- chunks -------------------------------------------------------------------------------------------------
+
+    def _chunk(self, chunk: SampleChunk | EdgeChunk) -> None:
+        chunk = self.account.chunk(chunk)
+        first, last = int(chunk.tick[0]), int(chunk.tick[-1])
+        known = self._by_config.get(id(chunk.config))
+        stream = known[1] if known else self._stream_of(chunk.config)
+        hz = self.info.tick_hz
+        if first < stream.last or (self._begun is not None and first - self._begun >= SEGMENT * hz):
+            self._end_segment()
+        self._begun = first if self._begun is None else min(self._begun, first)
+        write_all(self._journal, journal.frame(stream.number, chunk))
+        stream.last = last
+        stream.pending.append(chunk)
+        self._seen(last)
+        if last - int(stream.pending[0].tick[0]) >= ROW_GROUP * hz:
+            self._row_group(stream)
+
+    def _row_group(self, stream: _Stream) -> None:
+        """Move what waits of a stream to its file."""
+        if not stream.pending:
+            return
+        whole: SampleChunk | EdgeChunk = join(stream.pending)
+        stream.pending.clear()
+        if stream.file is None:
+            stream.file = SegmentFile(self.path, stream.name, self._number, stream.columns)
+        stream.file.add(layout.to_table(whole, stream.columns), int(whole.tick[0]), int(whole.tick[-1]))
+        if stream.name == layout.SAMPLES and isinstance(whole, SampleChunk):
+            if self._overview is None:
+                self._overview = Overview(replace(self.info, channels=whole.config.channels))
+            if self._overview_file is None:
+                self._overview_file = SegmentFile(self.path, layout.OVERVIEW, self._number, self._overview.columns)
+            self._overview_file.add(self._overview.table(whole), int(whole.tick[0]), int(whole.tick[-1]))
+
+    def _end_segment(self) -> None:
+        """Close the files of this segment, log them, and begin the next."""
+        for stream in self._streams.values():
+            self._row_group(stream)
+        open_files = [stream.file for stream in self._streams.values()] + [self._overview_file]
+        files = [file.finish() for file in open_files if file is not None]
+        self._overview_file = None
+        for stream in self._streams.values():
+            stream.file, stream.last = None, -1
+        if not files:
+            return
+        self._line({"kind": "segment", "number": self._number, "files": files})
+        self._folder.sync()
+        done, self._journal = self._journal, append_to(self.path / layout.journal_name(self._number + 1))
+        os.close(done)
+        (self.path / layout.journal_name(self._number)).unlink()
+        self._number += 1
+        self._begun = None
+
+    def _stream_of(self, config: StreamConfig) -> _Stream:
+        key = (config.node, config.stream, config.event, config.decimation, config.channels)
+        stream = self._streams.get(key)
+        if stream is None:
+            if config.node != self.info.node:
+                name = f"node{config.node}-stream{config.stream}"
+            else:
+                name = layout.SAMPLES if config.channels else layout.EDGES
+            same = sum(known.name.split(".")[0] == name for known in self._streams.values())
+            name = f"{name}.{same + 1}" if same else name
+            columns = layout.stream_columns(config, name, self.info)
+            stream = self._streams[key] = _Stream(name, len(self._streams), columns)
+            self._line({"kind": "stream", "number": stream.number, **stream_to_json(config, name)})
+        self._by_config[id(config)] = config, stream  # the configuration is kept alive, so that its id stays its own
+        return stream
+
+    def _seen(self, tick: int) -> None:
+        if tick > self._newest or tick + self.info.tick_hz < self._newest:  # going back: the drive has rebooted
+            self._newest = tick
+
+
+@dataclass
+class _Stream:
+    """A stream: what waits for the next row group, and the file that it goes to."""
+
+    name: str
+    number: int
+    columns: Columns
+    pending: list[Any] = field(default_factory=list)
+    file: SegmentFile | None = None
+    last: int = -1  # tick, in this segment
