@@ -97,7 +97,11 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     if options.recorded:
         from bench.recording.reader import Run
 
-        yield Source(Turned(recorded(Run(options.source)), "recorded"), None)
+        run = Run(options.source)
+        capture = recorded(run)
+        for words in run.damage:
+            screen.note(f"warning: {words}")
+        yield Source(Turned(capture, "recorded"), None)
         return
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)

@@ -499,7 +499,7 @@ def run(
         target = "sim" if options.target is None else options.target
         if options.embedded:
             if options.save is not None or options.viewer != "none":
-                load_beside()
+                load_beside(options.viewer != "none")
             target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
         link = open_link(target)
         stack.callback(link.close)

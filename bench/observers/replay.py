@@ -109,6 +109,8 @@ def replay(
         augmenter.take(chunk)
 
     def result() -> Replayed:
+        if not counted.samples:
+            raise BenchError(f"{path} holds no samples that could be replayed: {'; '.join(run.damage)}")
         return Replayed(
             path=out,
             observers=names,
@@ -227,6 +229,7 @@ def _unknown(run: Run) -> tuple[str, ...]:
     names = {channel.name for channel in run.drive_streams[0].channels}
     missing = [name for name in INPUTS if name not in names]
     notes = [f"what came after its end: {ENDS_EARLY}"] if not run.ended else []
+    notes += run.damage
     notes.append("parameters that were changed during the run: those of its beginning hold")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")

@@ -31,7 +31,7 @@ class Extension:
     """Writes the run `run` with further channels to `path`, as `info` describes it. Raises RecordingError."""
 
     def __init__(self, run: Run, path: Path, info: RunInfo, overwrite: bool = False) -> None:
-        self._run, self._info = run, info
+        self._run, self._path = run, path
         self._folder = RunFolder(path, info, overwrite)
         config = run.config(layout.SAMPLES)
         self._config = replace(config, channels=info.channels)
@@ -53,13 +53,13 @@ class Extension:
                 self._segment(number, segment, account, more, edges)
             self._folder.line({"kind": "summary", "text": summary()})
             if self._run.ended:
-                self._folder.line({"kind": "end", **self._written, "lost": {}})
+                self._folder.line({"kind": "end", **self._written, "lost": self._run.lost})
             self._folder.sync()
             self._folder.put_in_place()
             self._folder.close()
         except OSError as error:
             self._folder.discard()
-            raise RecordingError(f"{self._folder.path} cannot be written: {error}") from None
+            raise RecordingError(f"{self._path} cannot be written: {error}") from None
         except BaseException:
             self._folder.discard()
             raise
@@ -75,10 +75,12 @@ class Extension:
                 edges(account.chunk(chunk))
                 self._written[layout.EDGES] += len(chunk)
         whole = segment.files and segment.intact()
-        files = self._linked(number, segment, more) if whole else self._rewritten(number, segment, account, more)
+        files = (
+            self._linked(number, segment, account, more) if whole else self._rewritten(number, segment, account, more)
+        )
         self._folder.line({"kind": "segment", "number": number, "files": files})
 
-    def _linked(self, number: int, segment: Segment, more: More) -> list[dict[str, Any]]:
+    def _linked(self, number: int, segment: Segment, account: LossAccount, more: More) -> list[dict[str, Any]]:
         """Link the files of a segment and write one with the new columns beside them."""
         files = []
         for stream, parts in segment.files.items():
@@ -99,7 +101,7 @@ class Extension:
             writing: Future[None] | None = None
             for chunk in segment.pieces(layout.SAMPLES):
                 assert isinstance(chunk, SampleChunk)
-                whole = more(chunk)
+                whole = more(account.chunk(chunk))
                 self._written[layout.SAMPLES] += len(whole)
                 if writing is not None:
                     writing.result()

@@ -237,10 +237,3 @@ def ns_from_tick(tick: NDArray[np.int64] | int, tick_hz: int) -> NDArray[np.int6
     seconds, rest = np.divmod(np.asarray(tick, np.int64), np.int64(tick_hz))
     ns: NDArray[np.int64] = seconds * _NS + (rest * _NS + tick_hz // 2) // tick_hz
     return ns
-
-
-def tick_from_ns(ns: NDArray[np.int64], tick_hz: int) -> NDArray[np.int64]:
-    """The inverse of `ns_from_tick`, exact for `tick_hz` below 1 GHz."""
-    seconds, rest = np.divmod(np.asarray(ns, np.int64), np.int64(_NS))
-    tick: NDArray[np.int64] = seconds * tick_hz + (rest * tick_hz + _NS // 2) // _NS
-    return tick

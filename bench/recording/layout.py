@@ -17,8 +17,9 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,19 @@ _CRC_CHARS = len(_CRC) + 8 + len('"}')
 def file_name(stream: str, number: int) -> str:
     """Name of the Parquet file of a stream's segment."""
     return f"{stream}-{number:06d}.parquet"
+
+
+def stream_key(config: StreamConfig) -> tuple[object, ...]:
+    """What makes two configurations one stream: all but the number that the device gave them."""
+    return config.node, config.stream, config.event, config.decimation, config.channels
+
+
+def stream_name(config: StreamConfig, node: int, taken: Collection[str]) -> str:
+    """Name of a stream in a run of the drive `node`, where those that are `taken` are others."""
+    own = SAMPLES if config.channels else EDGES
+    name = own if config.node == node else f"node{config.node}-stream{config.stream}"
+    others = (f"{name}.{number}" for number in count(2))  # no dash: samples-* is of one stream
+    return name if name not in taken else next(other for other in others if other not in taken)
 
 
 def journal_name(number: int) -> str:

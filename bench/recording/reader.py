@@ -23,7 +23,7 @@ from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.recording import journal, layout
 from bench.recording.info import Mark, RunInfo, stream_from_json
-from bench.recording.losses import LossAccount
+from bench.recording.losses import LOSS_FIELDS, LossAccount
 from bench.recording.overview import Overview
 from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -81,6 +81,8 @@ class Run:
         self._segments: dict[int, dict[str, tuple[StoredFile, ...]]] = {}
         self.ended = False
         """Whether it came to its end: it was not cut short, and is not being written."""
+        self.lost: dict[str, int] | None = None
+        """What was missing of it by its end, see `bench.recording.losses`; None where it came to no end."""
         self.summary = ""
         """Markdown."""
         self._data = data
@@ -165,6 +167,7 @@ class Run:
                     self.summary = record["text"]
                 case "end":
                     self.ended = True
+                    self.lost = dict.fromkeys(LOSS_FIELDS, 0) | record["lost"]
         for number in removed:
             self._segments.pop(number, None)
         self._removed = removed
@@ -463,7 +466,8 @@ def capture_of(run: Run, first: int | None = None, last: int | None = None) -> C
     """A recording as a capture, or its part from tick `first` to `last`. BenchError where it holds no samples."""
     samples = run.chunk(layout.SAMPLES, first, last) if layout.SAMPLES in run.names else None
     if not isinstance(samples, SampleChunk):
-        raise BenchError(f"{run.path} holds no samples: record a run in which the shaft turns")
+        why = "; ".join(run.damage) or "record a run in which the shaft turns"
+        raise BenchError(f"{run.path} holds no samples: {why}")
     info = run.info
     edges = run.chunk(layout.EDGES, first, last) if layout.EDGES in run.names else None
     if not isinstance(edges, EdgeChunk):

@@ -24,7 +24,6 @@ from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 ROW_GROUP = 10.0  # s of device time
 SEGMENT = 60.0  # s
-StreamKey = tuple[object, ...]
 _TOLD = ("boot_id", "state", "outputs_on", "faults", "first_fault", "tx_dropped", "rx_bad", "setpoints_rejected")
 """Of a heartbeat: it is logged where one of these has changed."""
 
@@ -40,7 +39,7 @@ class RunWriter:
         self.path, self.info = path, info
         self.account = LossAccount()
         self.samples_written = self.edges_written = 0
-        self._streams: dict[StreamKey, _Stream] = {}
+        self._streams: dict[object, _Stream] = {}
         self._by_config: dict[int, tuple[StreamConfig, _Stream]] = {}
         self._overview: Overview | None = None
         self._overview_file: SegmentFile | None = None
@@ -187,15 +186,10 @@ class RunWriter:
         self._begun = None
 
     def _stream_of(self, config: StreamConfig) -> _Stream:
-        key = (config.node, config.stream, config.event, config.decimation, config.channels)
+        key = layout.stream_key(config)
         stream = self._streams.get(key)
         if stream is None:
-            if config.node != self.info.node:
-                name = f"node{config.node}-stream{config.stream}"
-            else:
-                name = layout.SAMPLES if config.channels else layout.EDGES
-            same = sum(known.name.split(".")[0] == name for known in self._streams.values())
-            name = f"{name}.{same + 1}" if same else name
+            name = layout.stream_name(config, self.info.node, [known.name for known in self._streams.values()])
             columns = layout.stream_columns(config, name, self.info)
             stream = self._streams[key] = _Stream(name, len(self._streams), columns)
             self._line({"kind": "stream", "number": stream.number, **stream_to_json(config, name)})

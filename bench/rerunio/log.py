@@ -21,7 +21,7 @@ from bench.analysis.chunks import Chunk, index_step, join
 from bench.analysis.position import position_error
 from bench.device.counters import DeviceCounters
 from bench.recording.info import AnyChannel, Mark, RunInfo, ns_from_tick
-from bench.recording.layout import EDGE_FIELDS, numbers
+from bench.recording.layout import EDGE_FIELDS, numbers, stream_key, stream_name
 from bench.recording.overview import ERROR
 from bench.rerunio import markdown, schema, states
 from bench.rerunio.blocks import Block
@@ -163,7 +163,7 @@ class RunLog:
         arrives.
         """
         self._at(self._now_ns)
-        self._stream.log(schema.TOUCH, _any({"touch": np.int64(0)}))
+        self._stream.log(schema.TOUCH, rr.AnyValues(touch=np.int64(0)))
 
     def finish(self) -> None:
         """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
@@ -239,15 +239,10 @@ class RunLog:
         return list(groups.values())
 
     def _stream_of(self, config: StreamConfig) -> _Stream:
-        key = (config.node, config.stream, config.event, config.decimation, config.channels)
+        key = stream_key(config)
         stream = self._streams.get(key)
         if stream is None:
-            if config.node != self.run.node:
-                entity = f"node{config.node}/stream{config.stream}"
-            else:
-                entity = schema.FAST if config.channels else schema.HALL
-            while entity in (known.entity for known in self._streams.values()):
-                entity += "_"
+            entity = stream_name(config, self.run.node, [known.entity for known in self._streams.values()])
             stream = self._streams[key] = _Stream(entity, tuple(map(_Column, config.channels)))
         stream.configs.append(config)  # keeps it alive, so that its id stays its own
         self._by_config[id(config)] = stream
@@ -336,12 +331,8 @@ class RunLog:
         t_ns = int(ns_from_tick(event.tick, self.run.tick_hz))
         self._reach(t_ns)
         self._at(t_ns)
-        raw = (np.int64(event.tick), np.int32(event.code), np.int32(node), np.float64(event.arg))
-        self._stream.log(
-            schema.EVENTS,
-            _line(states.event_text(node, event), states.EVENT_LEVELS.get(event.code, "INFO")),
-            _any(dict(zip(schema.EVENT_FIELDS, raw, strict=True))),
-        )
+        level = states.EVENT_LEVELS.get(event.code, "INFO")
+        self._stream.log(schema.EVENTS, _line(states.event_text(node, event), level))
         state = event.number if event.code == EventCode.STATE_CHANGED else None
         if state is not None and node == self.run.node and self._status is None:
             self._lane(t_ns, state=DriveState(state).name)
@@ -434,10 +425,3 @@ def _markdown(text: str) -> rr.TextDocument:
 
 def _line(text: str, level: str) -> rr.TextLog:
     return rr.TextLog(printable(text), level=level, color=states.LEVEL_COLOURS.get(level, states.LINE_COLOUR))
-
-
-def _any(components: Mapping[str, Any]) -> rr.AnyValues:
-    values = rr.AnyValues()
-    for name, value in components.items():
-        values.with_component_from_data(name, value)
-    return values

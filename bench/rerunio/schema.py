@@ -12,16 +12,17 @@ from functools import cache
 import numpy as np
 
 from bench.recording.info import HOST_SUFFIX, AnyChannel
+from bench.recording.layout import EDGES, SAMPLES
 from protocol.signals import SHORT, RawType
 
 APPLICATION = "hallbench"
 TIMELINE = "device_time"
 
 # entities
-FAST = "fast"  # the drive's samples at full rate, and the position errors
+FAST = SAMPLES  # the drive's samples at full rate, and the position errors
 TREND = "trend"  # minima and maxima over 10 ms of what the long plots show
-HALL = "hall"  # Hall edges, tick-exact
-HALL_LANES = "hall/lanes"  # the Hall code at each edge, and again in between, to look at
+HALL = EDGES  # Hall edges, tick-exact
+HALL_LANES = f"{EDGES}/lanes"  # the Hall code at each edge, and again in between, to look at
 EVENTS = "log/drive"
 NOTES = "log/host"
 HEALTH = "health"  # loss and error counters, once a second
@@ -35,7 +36,6 @@ LEGEND = f"{VECTORS}/legend"
 SUMMARY = "summary"
 
 # components
-EVENT_FIELDS = ("event:tick", "event:code", "event:node", "event:arg")
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
 DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")

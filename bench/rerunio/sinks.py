@@ -7,6 +7,7 @@ never recorded samples.
 
 from __future__ import annotations
 
+import ctypes
 import queue
 import threading
 import time
@@ -179,6 +180,14 @@ def new_stream(run: RunInfo) -> rr.RecordingStream:
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     return stream
+
+
+def abandon(stream: rr.RecordingStream) -> None:
+    """Let nobody tidy `stream` up: rerun (0.41) may wait for a dead writer for ever, at exit or when it is deleted."""
+    import rerun as rr
+
+    rr.unregister_shutdown()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
 
 
 def _serve(run: RunInfo, port: int) -> tuple[rr.RecordingStream, str]:

@@ -23,7 +23,7 @@ from bench.recording.reader import Run, Segment, overviews
 from bench.rerunio import dashboard
 from bench.rerunio.blocks import Block
 from bench.rerunio.log import RunLog
-from bench.rerunio.sinks import new_stream
+from bench.rerunio.sinks import abandon, new_stream
 from protocol.messages import EventCode
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -59,8 +59,11 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
         stream.disconnect()
         part.replace(path)
     except (RuntimeError, OSError) as error:
-        stream.disconnect()
+        abandon(stream)
         raise RecordingError(f"{path} cannot be written: {error}") from None
+    except BaseException:
+        abandon(stream)
+        raise
     finally:
         part.unlink(missing_ok=True)
 
@@ -107,6 +110,8 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
     length = min(last, run.span[1]) - max(first, run.span[0])
     together = max(1, -(-length // (bin_ticks * BINS)))  # bins that are shown as one
     account, said = LossAccount(), _Said(run, first, last)
+    if run.lost is not None:
+        account.counters |= run.lost
     for segment in run.segments:
         begin, end = max(first, segment.span[0]), min(last, segment.span[1])
         if begin > end:
@@ -127,6 +132,8 @@ def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span
         log.block(block)
     rest = Block()
     said.add(rest, account, 1 << 62)
+    if run.lost is None:
+        rest.notes.append((min(last, run.span[1]), "losses are not counted: the run came to no end", "WARN"))
     log.block(rest)
 
 

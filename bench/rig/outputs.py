@@ -22,17 +22,20 @@ if TYPE_CHECKING:
     from bench.rerunio.viewer import LiveView
 
 
-def load_beside() -> None:
-    """Import what recording and view need in a thread of its own, while something else is waited for.
+def load_beside(view: bool) -> None:
+    """Import what a recording, or a `view`, needs in a thread of its own, while something else is waited for.
 
     Not a daemon: an interpreter that ends within the import of an extension may abort.
     """
 
     def load() -> None:
         with suppress(Exception):  # who needs it is told; an interpreter that ends refuses some
-            import bench.rerunio.dashboard
-            import bench.rerunio.log
-            import bench.rerunio.sinks  # noqa: F401
+            import bench.recording.sink
+
+            if view:
+                import bench.rerunio.dashboard
+                import bench.rerunio.log
+                import bench.rerunio.sinks  # noqa: F401
 
     threading.Thread(target=load, name="import").start()
 

@@ -83,7 +83,8 @@ def load(source: Path | Capture, names: Sequence[str] | None) -> Track:
     if isinstance(source, Capture):
         return _track(source, names, "the capture", [])
     run = readable_run(source)
-    track = _track(capture_of(run), names, str(source), [] if run.ended else [ENDS_EARLY])
+    capture = capture_of(run)
+    track = _track(capture, names, str(source), [*([] if run.ended else [ENDS_EARLY]), *run.damage])
     return replace(track, started=run.info.started, recorded_by=str(run.info.identity.get("hallbench", "")))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import bench
 from bench.analysis.chunks import part
 from bench.cli import cli
 from bench.errors import BenchError
@@ -18,6 +20,7 @@ from bench.observers.replay import replay
 from bench.recording.folder import SegmentFile
 from bench.recording.reader import Run
 from bench.recording.sink import RunSink
+from bench.scoring.board import score
 from protocol.signals import Status
 from protocol.streams import Gap
 
@@ -189,3 +192,20 @@ def test_a_replay_that_fails_leaves_the_earlier_one(
     assert [path.name for path in tmp_path.iterdir()] == ["out.run"]
     names = Run(out).samples.raw.dtype.names
     assert ("theta_la_host" in names, "theta_vt_host" in names) == (True, False)
+
+
+def test_damage_is_named_by_whatever_reads_the_run(drive_run: Path, tmp_path: Path) -> None:
+    """A flipped bit in the only row group of samples: no observer is run on what is left, and no empty run is made."""
+    path = tmp_path / "a.run"
+    shutil.copytree(drive_run, path)
+    file = path / "samples-000001.parquet"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 3] ^= 4
+    file.write_bytes(data)
+    words = r"holds no samples.*samples-000001\.parquet is damaged: \d+ rows from 0\.\d+ s to 3\.\d+ s are lost"
+    for reads in (bench.read, lambda run: score([run]), replay):
+        with pytest.raises(BenchError, match=words):
+            reads(path)
+    assert not (tmp_path / "a.replay.run").exists()
+    done = CliRunner().invoke(cli, ["hall", "check", str(path)])
+    assert "samples-000001.parquet is damaged" in str(done.exception or done.output)

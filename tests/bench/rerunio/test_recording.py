@@ -84,7 +84,7 @@ def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Pa
             synthetic.SyntheticRun(3.0, start=start).feed(sink)
         sink.close()
     once, twice = (synthetic.components(path) for path in paths)
-    for entity in ("/fast", "/stator/vectors", "/trend", "/health"):
+    for entity in ("/samples", "/stator/vectors", "/trend", "/health"):
         assert max(twice[entity].values()) >= 2 * max(once[entity].values()) - 2 > 0, entity
     last = [(start * synthetic.PWM_HZ + 47_999) * synthetic.TICKS for start in (100, 0.5)]
     assert [at for at, _ in Run(paths[1]).notes] == last

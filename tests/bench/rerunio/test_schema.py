@@ -9,7 +9,7 @@ import synthetic
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.recording.info import RunInfo, ns_from_tick, stream_from_json, stream_to_json, tick_from_ns
+from bench.recording.info import RunInfo, ns_from_tick, stream_from_json, stream_to_json
 from bench.rerunio import schema, states
 from bench.rerunio.log import _Column
 from protocol.descriptor import Channel
@@ -33,11 +33,10 @@ def test_sixteen_bits_are_stored_as_float32_and_thirty_two_as_float64() -> None:
 
 
 @given(tick_hz=st.integers(1, 999_999_999), seconds=st.floats(0, 9e9))
-def test_ticks_come_back_from_nanoseconds(tick_hz: int, seconds: float) -> None:
+def test_ticks_are_nanoseconds_without_overflow(tick_hz: int, seconds: float) -> None:
     tick = int(seconds * tick_hz)
     ns = int(ns_from_tick(tick, tick_hz))
     assert ns == (tick * 10**9 + tick_hz // 2) // tick_hz  # Python's integers do not overflow
-    assert int(tick_from_ns(np.array([ns]), tick_hz)[0]) == tick
 
 
 def test_a_run_and_its_streams_survive_json() -> None:
