@@ -92,7 +92,8 @@ class Trace:
 def recorded(run: Run) -> Capture:
     """The whole of a recording. BenchError where it holds no samples with Hall codes, or no Hall edges."""
     if not run.edge_streams or not run.streams:
-        raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: record both")
+        why = "; ".join(run.damage) or "record both"
+        raise BenchError(f"{run.path} holds no samples or no Hall edges of a drive: {why}")
     from bench.recording.reader import capture_of
 
     whole = capture_of(run)
