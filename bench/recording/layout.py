@@ -187,6 +187,11 @@ def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
     return pa.table([pa.array(array) for array in (arrays | gaps).values()], schema=columns.schema)
 
 
+def joined(tables: Sequence[pa.Table]) -> pa.Table:
+    """Tables of the same columns, one after the other; nothing is copied."""
+    return pa.concat_tables(tables)
+
+
 def channel_table(chunk: SampleChunk, columns: Columns) -> pa.Table:
     """The channels of samples that `columns` names, and nothing else."""
     arrays = [np.ascontiguousarray(chunk.raw[name]) for name in columns.schema.names]

@@ -25,7 +25,8 @@ from bench.recording.ring import Ring
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
-ROW_GROUP = 10.0  # s of device time
+PIECE = 0.5  # s of device time that become columns at once: what takes longer would keep the rest of a program waiting
+ROW_GROUP = 10.0  # s
 SEGMENT = 60.0  # s
 _TOLD = ("boot_id", "state", "outputs_on", "faults", "first_fault", "tx_dropped", "rx_bad", "setpoints_rejected")
 """Of a heartbeat: it is logged where one of these has changed."""
@@ -170,24 +171,40 @@ class RunWriter:
         stream.last = last
         stream.pending.append(chunk)
         self._seen(last)
-        if last - int(stream.pending[0].tick[0]) >= ROW_GROUP * hz:
+        if last - int(stream.pending[0].tick[0]) >= PIECE * hz:
+            self._piece(stream)
+        if stream.pieces and last - stream.pieces[0].first >= ROW_GROUP * hz:
             self._row_group(stream)
 
-    def _row_group(self, stream: _Stream) -> None:
-        """Move what waits of a stream to its file."""
+    def _piece(self, stream: _Stream) -> None:
+        """Make columns of the chunks that wait."""
         if not stream.pending:
             return
         whole: SampleChunk | EdgeChunk = join(stream.pending)
         stream.pending.clear()
-        if stream.file is None:
-            stream.file = SegmentFile(self.path, stream.name, self._number, stream.columns)
-        stream.file.add(layout.to_table(whole, stream.columns), int(whole.tick[0]), int(whole.tick[-1]))
+        overview = None
         if stream.name == layout.SAMPLES and isinstance(whole, SampleChunk):
             if self._overview is None:
                 self._overview = Overview(replace(self.info, channels=whole.config.channels))
+            overview = self._overview.table(whole)
+        table = layout.to_table(whole, stream.columns)
+        stream.pieces.append(_Piece(int(whole.tick[0]), int(whole.tick[-1]), table, overview))
+
+    def _row_group(self, stream: _Stream) -> None:
+        """Move what waits of a stream to its file."""
+        self._piece(stream)
+        if not stream.pieces:
+            return
+        pieces, stream.pieces = stream.pieces, []
+        span = pieces[0].first, pieces[-1].last
+        if stream.file is None:
+            stream.file = SegmentFile(self.path, stream.name, self._number, stream.columns)
+        stream.file.add(layout.joined([piece.table for piece in pieces]), *span)
+        overviews = [piece.overview for piece in pieces if piece.overview is not None]
+        if overviews and self._overview is not None:
             if self._overview_file is None:
                 self._overview_file = SegmentFile(self.path, layout.OVERVIEW, self._number, self._overview.columns)
-            self._overview_file.add(self._overview.table(whole), int(whole.tick[0]), int(whole.tick[-1]))
+            self._overview_file.add(layout.joined(overviews), *span)
 
     def _end_segment(self) -> None:
         """Close the files of this segment, log them, and begin the next."""
@@ -245,6 +262,16 @@ class RunWriter:
             self._newest = tick
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """Half a second of a stream as columns, and what is seen of it from afar; its first and last tick."""
+
+    first: int
+    last: int
+    table: Any
+    overview: Any
+
+
 @dataclass
 class _Stream:
     """A stream: what waits for the next row group, and the file that it goes to."""
@@ -253,5 +280,6 @@ class _Stream:
     number: int
     columns: Columns
     pending: list[Any] = field(default_factory=list)
+    pieces: list[_Piece] = field(default_factory=list)
     file: SegmentFile | None = None
     last: int = -1  # tick, in this segment
