@@ -1,0 +1,19 @@
+"""A file for rerun's viewer: the dashboard that the run had live. It is a picture, see `bench.rerunio.viewing`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from bench.exports.content import Content
+from bench.rerunio.viewing import write_rrd
+
+
+def files(content: Content, out: Path) -> dict[str, Path]:
+    """The one file."""
+    return {"dashboard": out}
+
+
+def write(content: Content, paths: Mapping[str, Path]) -> None:
+    """Write it to `paths`. Raises RecordingError."""
+    write_rrd(content.run, paths["dashboard"], *content.said)
