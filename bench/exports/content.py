@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.chunks import no_edges
 from bench.analysis.versions import PROGRAM
 from bench.errors import BenchError
 from bench.recording import layout
@@ -86,7 +87,8 @@ class Content:
         self.first, self.last = ticks_of(run, begin, end)
         self.said = (_ALWAYS[0] if begin is None else self.first, _ALWAYS[1] if end is None else self.last)
         _check_names(run, channels)
-        made = [_table(name, run.config(name), channels) for name in run.names]
+        names = sorted(run.names, key=lambda name: name != layout.SAMPLES)  # those first, the others as they began
+        made = [_table(name, run.config(name), channels) for name in names]
         self.streams = tuple(table for table in made if table is not None)
         self.rows: dict[str, int] = {}
         """By table: the rows that have been handed out."""
@@ -100,7 +102,7 @@ class Content:
         return (*self.streams, _MARKS)
 
     def pieces(self, table: Table, raw: bool = False) -> Iterator[Arrays]:
-        """A table's rows in order, ten seconds or less at a time; `marks` in one piece.
+        """A table's rows in order, ten seconds or less at a time, one piece or more; `marks` in one.
 
         Channels are in their units, float64; with `raw`, those that came as integers are as they came.
         """
@@ -113,6 +115,8 @@ class Content:
         for chunk in self.run.pieces(table.name, self.first, self.last):
             self.rows[table.name] += len(chunk)
             yield _arrays(table, chunk, raw)
+        if not self.rows[table.name]:
+            yield _arrays(table, _no_rows(table.config), raw)
 
     def rows_at_most(self, table: Table) -> int:
         """Rows of a stream by the log, some more where the part begins or ends within a block; nothing is read."""
@@ -201,6 +205,11 @@ def _table(name: str, config: StreamConfig, channels: Sequence[str] | None) -> T
 def _free(name: str) -> str:
     """A channel's name, where that is no other column's."""
     return f"{name}_" if name in _RESERVED else name
+
+
+def _no_rows(config: StreamConfig) -> SampleChunk | EdgeChunk:
+    none = np.empty(0, np.int64)
+    return SampleChunk(config, none, none, np.empty(0, config.dtype), ()) if config.channels else no_edges(config)
 
 
 def _arrays(table: Table, chunk: SampleChunk | EdgeChunk, raw: bool) -> Arrays:
