@@ -51,15 +51,14 @@ def command(
         raise click.UsageError("--out -: an export needs a file")
     check_files({"--out": out, "--json": json_file}, overwrite, [run])
     from bench.cli.output import pairs
-    from bench.exports.export import export
+    from bench.exports.export import as_json, export
     from bench.recording.reader import Run
 
     done = export(Run(run), out, named, begin, end, names, overwrite)
     for words in done.notes:
         note(words)
     if json_file is not None:
-        files = {name: str(path) for name, path in done.files.items()}
-        write_json(json_file, {"files": files, "rows": done.rows, "from_s": done.span[0], "to_s": done.span[1]})
+        write_json(json_file, as_json(done))
         return
     rows = [(str(path), _held(name, done.rows)) for name, path in done.files.items()]
     pairs(f"{run} from {done.span[0]:.3f} to {done.span[1]:.3f} s exported to", rows)

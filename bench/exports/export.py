@@ -15,7 +15,6 @@ from bench.exports import ENDINGS
 from bench.exports.content import Content
 from bench.files import check_output, part_of
 from bench.recording.reader import Run
-from bench.rerunio.viewing import closeups
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,18 @@ def export(
             raise BenchError(f"{path} cannot be written: it is no file")
     _write(writer, content, files, out)
     hz = run.info.tick_hz
-    return Exported(files, content.rows, (content.first / hz, content.last / hz), _notes(content, chosen, files, out))
+    return Exported(files, content.rows, (content.first / hz, content.last / hz), _notes(content, writer, files, out))
+
+
+def as_json(done: Exported) -> dict[str, Any]:
+    """The files, counts and notes as plain data, `from_s` and `to_s` of device time."""
+    return {
+        "files": {name: str(path) for name, path in done.files.items()},
+        "rows": dict(done.rows),
+        "from_s": done.span[0],
+        "to_s": done.span[1],
+        "notes": list(done.notes),
+    }
 
 
 def _write(writer: Any, content: Content, files: Mapping[str, Path], out: Path) -> None:
@@ -85,17 +95,17 @@ def _write(writer: Any, content: Content, files: Mapping[str, Path], out: Path) 
                 part.unlink(missing_ok=True)
 
 
-def _notes(content: Content, chosen: str, files: Mapping[str, Path], out: Path) -> tuple[str, ...]:
+def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) -> tuple[str, ...]:
     """What is elsewhere, or not as one would think; damage."""
     run, notes = content.run, []
     if len(files) > 1:
         held = next(name for name, path in files.items() if path == out)
         others = ", ".join(f"{name} in {path.name}" for name, path in files.items() if path != out)
         notes.append(f"{out.name} holds {held} only: {others}")
-    if chosen == "rrd" and closeups(run, content.first, content.last) is not None:
-        notes.append("more than a minute is shown as minima and maxima: --from and --to show a minute sample by sample")
+    if hasattr(writer, "notes"):
+        notes += writer.notes(content)
     back = run.clock_went_back()
-    if chosen != "rrd" and back is not None:
+    if back is not None:
         notes.append(f"the device has rebooted after {run.at(back)}: its time starts again there")
     if not run.ended:
         notes.append(f"warning: {run.path} came to no end: it was cut short, or is being recorded")

@@ -29,7 +29,7 @@ def files(content: Content, out: Path) -> dict[str, Path]:
                 f"{content.run.path}: {table.name} would take {size / 1e9:.3g} GB, and a variable in a .mat file at "
                 f"most {MOST_BYTES / 1e9:.3g} GB: {WAY_OUT}"
             )
-        fields(column.name for column in table.columns)
+        _fields(table)
     check_memory(content)
     return {"all": out}
 
@@ -38,15 +38,13 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
     """Write it to `paths`. Raises OSError."""
     from scipy.io import savemat
 
-    structs = fields(table.name for table in content.tables)
+    structs = _structs(content)
     found: dict[str, Any] = {structs[table.name]: _struct(content, table) for table in content.tables}
-    units: dict[str, dict[str, str]] = {}
-    renamed: dict[str, str] = {}
+    units = {}
     for table in content.tables:
-        names = fields(column.name for column in table.columns)
+        names = _fields(table)
         units[structs[table.name]] = {names[column.name]: column.unit for column in table.columns}
-        renamed |= {f"{structs[table.name]}.{new}": old for old, new in names.items() if new != old}
-    found |= {"units": units, "about": json.dumps({**content.about(), "renamed": renamed})}
+    found |= {"units": units, "about": json.dumps({**content.about(), "renamed": _renamed(content)})}
     with paths["all"].open("wb") as file:
         savemat(file, found, long_field_names=True, oned_as="column")
 
@@ -66,6 +64,26 @@ def fields(names: Iterable[str]) -> dict[str, str]:
     return made
 
 
+def notes(content: Content) -> list[str]:
+    """Which names MATLAB does not take."""
+    return [f"{name} holds the channel {channel}" for name, channel in _renamed(content).items()]
+
+
+def _structs(content: Content) -> dict[str, str]:
+    return fields(table.name for table in content.tables)
+
+
+def _fields(table: Table) -> dict[str, str]:
+    return fields(column.name for column in table.columns)
+
+
+def _renamed(content: Content) -> dict[str, str]:
+    """By struct and field: the name of the channel that has another there."""
+    structs = _structs(content)
+    pairs = ((structs[table.name], old, new) for table in content.tables for old, new in _fields(table).items())
+    return {f"{struct}.{new}": old for struct, old, new in pairs if new != old}
+
+
 def _struct(content: Content, table: Table) -> dict[str, Any]:
-    names = fields(column.name for column in table.columns)
+    names = _fields(table)
     return {names[name]: values for name, values in whole(content, table).items()}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bench.exports.content import Content
-from bench.rerunio.viewing import write_rrd
+from bench.rerunio.viewing import closeups, write_rrd
 
 
 def files(content: Content, out: Path) -> dict[str, Path]:
@@ -17,3 +17,10 @@ def files(content: Content, out: Path) -> dict[str, Path]:
 def write(content: Content, paths: Mapping[str, Path]) -> None:
     """Write it to `paths`. Raises RecordingError."""
     write_rrd(content.run, paths["dashboard"], *content.said)
+
+
+def notes(content: Content) -> list[str]:
+    """What is not shown sample by sample."""
+    if closeups(content.run, *content.said) is None:
+        return []
+    return ["more than a minute is shown as minima and maxima: --from and --to show a minute sample by sample"]
