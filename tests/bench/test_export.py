@@ -29,7 +29,7 @@ from scipy.io import loadmat
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.exports import memory
+from bench.exports import memory, to_mat
 from bench.exports.export import export
 from bench.recording import layout
 from bench.recording.reader import Run
@@ -370,6 +370,23 @@ def test_a_run_of_edges_alone(tmp_path: Path) -> None:
     assert done.files["edges"] == tmp_path / "x.csv"
     wanted = exported.expected(tmp_path / "a.run", "edges")
     assert same(pd.read_csv(tmp_path / "x.csv")["hall_new"].to_numpy(), wanted["hall_new"][0])
+
+
+def test_more_than_a_minute_in_rerun_is_told_to_be_minima_and_maxima(made: Path, tmp_path: Path) -> None:
+    done = export(Run(made), tmp_path / "x.rrd")
+    assert any("minima and maxima" in words for words in done.notes)
+    assert not export(Run(made), tmp_path / "y.rrd", None, 1002, 1005).notes
+    assert (tmp_path / "x.rrd").stat().st_size > 10_000
+
+
+def test_names_that_matlab_does_not_take_stay_apart() -> None:
+    assert to_mat.fields(["i.a", "i_a", "2x", "é", "_"]) == {
+        "i.a": "i_a",
+        "i_a": "i_a_",
+        "2x": "x2x",
+        "é": "x_",
+        "_": "x__",
+    }
 
 
 # -- what goes wrong ------------------------------------------------------------------------------------------------
