@@ -53,8 +53,10 @@ def command(
     from bench.cli.output import pairs
     from bench.exports.export import as_json, export
     from bench.recording.reader import Run
+    from bench.rig.interrupts import signals_as_exceptions
 
-    done = export(Run(run), out, named, begin, end, names, overwrite)
+    with signals_as_exceptions():  # nothing half done is left
+        done = export(Run(run), out, named, begin, end, names, overwrite)
     for words in done.notes:
         note(words)
     if json_file is not None:

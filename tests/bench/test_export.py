@@ -9,9 +9,12 @@ import json
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +26,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from processes import ENVIRONMENT
+from processes import ENVIRONMENT, LIMIT, Program
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
@@ -244,8 +247,8 @@ def test_marks_and_all_that_was_said_come_along(made: Path, reader: str, tmp_pat
             assert texts(values) == list(column), name
         else:
             assert same(values, np.array(column)), name
-    for time, tick in (("time", "tick"), ("until", "until_tick")):
-        assert same(found[time][0], np.asarray(found[tick][0]) / exported.TICK_HZ)
+    for name, tick in (("time", "tick"), ("until", "until_tick")):
+        assert same(found[name][0], np.asarray(found[tick][0]) / exported.TICK_HZ)
 
 
 def about_of(out: Path) -> dict[str, Any]:
@@ -539,22 +542,44 @@ def test_what_memory_does_not_hold_is_refused(tmp_path: Path, capsys: pytest.Cap
     assert 0 < free < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
+def fast_run(path: Path, seconds: int) -> Path:
+    """Seven channels at 16 kHz."""
+    config = replace(exported.SAMPLES, decimation=1)
+    writer = RunWriter(path, exported.info())
+    chunk = exported.samples(config, np.arange(exported.PWM_HZ, dtype=np.int64))
+    for second in range(seconds):
+        index = chunk.index + second * exported.PWM_HZ
+        writer.samples(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return fast_run(tmp_path_factory.mktemp("minute") / "a.run", 60)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mf4"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_whoever_ends_it_finds_nothing_half_done(
+    minute: Path, tmp_path: Path, start: Callable[..., Program], number: signal.Signals, ending: str
+) -> None:
+    program = start("export", str(minute), "-o", str(tmp_path / f"x{ending}"))
+    until = time.monotonic() + LIMIT
+    while not any(path.stat().st_size for path in tmp_path.iterdir()):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    program.process.send_signal(number)
+    assert program.process.wait(LIMIT) == 128 + number
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".mf4", ".parquet"])
 def test_a_long_run_takes_no_more_memory_than_a_short_one(tmp_path: Path, ending: str) -> None:
     peaks = []
     for seconds in (30, 330):
-        run = tmp_path / f"{seconds}.run"
-        config = exported.StreamConfig(
-            1, 0, 7, exported.StreamEvent.PWM, 1, exported.CHANNELS, 9,
-            tick_hz=exported.TICK_HZ, pwm_hz=exported.PWM_HZ,
-        )  # fmt: skip
-        writer = RunWriter(run, exported.info())
-        chunk = exported.samples(config, np.arange(exported.PWM_HZ, dtype=np.int64))
-        for second in range(seconds):
-            index = chunk.index + second * exported.PWM_HZ
-            writer.samples(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
-        writer.close()
+        run = fast_run(tmp_path / f"{seconds}.run", seconds)
         program = (
             "import resource, sys; from bench.cli import main; main(sys.argv[1:]);"
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
