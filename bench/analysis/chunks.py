@@ -96,7 +96,9 @@ def lost_stretches(chunk: SampleChunk | EdgeChunk, before: int) -> list[tuple[in
     for gap in chunk.gaps:
         first = int(chunk.tick[gap.position - 1]) if gap.position else before
         last = int(chunk.tick[gap.position]) if gap.position < len(chunk) else first
-        found.append((first, last, f"{gap.lost_samples} {noun} were lost before {last / chunk.config.tick_hz:.4f} s"))
+        kept = f"{noun} before {last / chunk.config.tick_hz:.4f} s were not kept"
+        lost = f"{gap.lost_samples} {noun} were lost before {last / chunk.config.tick_hz:.4f} s"
+        found.append((first, last, lost if gap.lost_samples or gap.overrun else kept))
     return found
 
 

@@ -11,11 +11,12 @@ import click
 
 from bench.analysis.sources import source_number
 from bench.cli.files import RUN, check_files, config_option, json_option, overwrite_option, write_json
-from bench.cli.number import Number
+from bench.cli.number import Duration, Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
-from bench.files import STANDARD_OUTPUT
+from bench.files import RRD, STANDARD_OUTPUT
+from bench.recording.ring import LEAST, SHORTEST
 from protocol.signals import SOURCE_NAMES
 
 
@@ -49,6 +50,13 @@ class Observer(click.Choice[str]):
 )
 @click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun.")
 @overwrite_option
+@click.option("--keep", metavar="TIME", type=Duration(LEAST),
+              help="Keep the last TIME (such as 2h), and 70 s around faults, triggers and marks.")  # fmt: skip
+@click.option("--split", metavar="TIME", type=Duration(SHORTEST),
+              help="Begin a new run after each TIME: NAME-001.run, …")  # fmt: skip
+@click.option("--trigger", metavar="COND", multiple=True,
+              help="Mark the run where this begins to hold, as 'i_q>8' or 'abs(i_q)>8'; repeatable.")  # fmt: skip
+@click.option("--note", metavar="TEXT", default="", help="What this run is about, for the recording.")
 @click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto",
               help="auto: native on a display, else web.")  # fmt: skip
 @click.option(
@@ -109,11 +117,21 @@ def command(
       bench live sim --speed 1000 --load 4 --observer average-speed
     """
     from bench.live import run as live
+    from bench.live.triggers import Condition
 
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
     if given["observer"] and given["speed_rpm"] is None and given["load_a"] is None:
         raise click.UsageError("--observer goes with --speed or --load: without them the drive is only watched")
+    for option in ("keep", "split", "note"):
+        if given[option] and given["save"] is None:
+            raise click.UsageError(f"--{option} goes with --save: nothing is recorded without it")
+    if given["keep"] and given["split"]:
+        raise click.UsageError("--keep or --split: a ring is one run")
+    if given["split"] and given["save"].suffix == RRD:
+        raise click.UsageError("--split makes runs, such as NAME-001.run: give --save NAME.run; bench view opens them")
+    for text in given["trigger"]:
+        Condition.parse(text)
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
         raise click.UsageError("--channels names none: give names separated by commas")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import click
@@ -27,3 +28,25 @@ class Number(click.ParamType[float]):
         if number <= self._above:
             self.fail(f"must be above {self._above:g}, got {value}", param, ctx)
         return number
+
+
+_SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+class Duration(click.ParamType[float]):
+    """A time as `90`, `90s`, `30min` or `2h`, in s, of `least` s or more."""
+
+    name = "duration"
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it, or say why not."""
+        found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|m|min|h|d)?\s*", str(value))
+        if found is None:
+            self.fail(f"'{value}' is no duration: give a number with s, min, h or d, such as 2h", param, ctx)
+        seconds = float(found[1]) * _SECONDS[found[2] or ""]
+        if not self._least <= seconds < math.inf:
+            self.fail(f"must be {self._least:g} s or more, got {value}", param, ctx)
+        return seconds

@@ -17,6 +17,12 @@ class DeviceCounters:
         """Whether there was a heartbeat."""
         return self._last is not None
 
+    def following(self) -> DeviceCounters:
+        """Counters of what comes next, which begin at 0."""
+        new = DeviceCounters()
+        new._last = self._last
+        return new
+
     def add(self, heartbeat: Heartbeat) -> None:
         """Take the node's next heartbeat."""
         last, self._last = self._last, heartbeat

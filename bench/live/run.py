@@ -26,6 +26,8 @@ from bench.live.gathered import Gathered
 from bench.live.manoeuvres import Act, show, timed
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
+from bench.live.triggers import Condition, Triggers
+from bench.recording.ring import Stored
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
@@ -68,6 +70,14 @@ class LiveOptions:
     yes: bool = False
     clear_faults: bool = False
     host_observers: bool = False
+    keep: float | None = None
+    """Record as a ring of so many s, see `bench.recording.ring`."""
+    split: float | None = None
+    """Begin a new run after so many s."""
+    note: str = ""
+    """What the run is about, for the recording."""
+    trigger: tuple[str, ...] = ()
+    """Conditions that mark the run, see `bench.live.triggers`."""
     estimate: tuple[str, ...] = ()
     """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
     web_port: int | None = None
@@ -248,7 +258,11 @@ class LiveRun:
             augmenter = Augmenter(options.estimate, parameters, stream)
         stats = RunStatistics(self.drive.number, observers)
         streamed = (*stream.channels, *(augmenter.channels if augmenter else ()))
-        info = run_info(self.drive, self.target, streamed, parameters, options.settings)
+        triggers = [Condition.parse(text) for text in options.trigger]
+        for condition in triggers:
+            condition.check([channel.name for channel in streamed])
+        about = {"note": options.note} if options.note else {}
+        info = run_info(self.drive, self.target, streamed, parameters, options.settings, **about)
         self._clock = self.drive.clock_fit()
         outputs = self._outputs = Outputs(
             info,
@@ -257,11 +271,15 @@ class LiveRun:
             options.viewer,
             options.web_port,
             lambda tick: None if self._clock is None else self._clock.host_time(tick),
+            stored=Stored(options.keep, options.split),
         )
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")
-            self._gathered = Gathered([stats, self._judge] if self._judge else [stats])
+            watching: list[Sink] = [stats, *([self._judge] if self._judge else [])]
+            if triggers:
+                watching.append(Triggers(triggers, self.drive.number, self._triggered))
+            self._gathered = Gathered(watching)
             if augmenter is not None:
                 self.client.change = augmenter.take
             self.client.sinks = [self._notes, self._gathered, *outputs.sinks]
@@ -419,6 +437,8 @@ class LiveRun:
     def _look(self, stats: RunStatistics) -> None:
         now = self.client.now()
         if self._outputs is not None:
+            for text, level in self._outputs.news():
+                self.client.note(text, level)
             self._outputs.check()
         if self.client.health.down_since is None:
             while self._rebooted:
@@ -443,6 +463,13 @@ class LiveRun:
         if now >= self._next_progress:
             self._next_progress = now + PROGRESS_PERIOD
             self.screen.progress(self._status(stats))
+
+    def _triggered(self, condition: Condition, tick: int, value: float) -> None:
+        """Mark the run where a condition began to hold."""
+        if self._outputs is not None:
+            self._outputs.mark(f"trigger {condition.text}", tick, tick)
+        at = tick / self.drive.identity.tick_hz
+        self.client.note(f"trigger {condition.text}: {condition.channel} was {value:.6g} at {at:.3f} s", "WARN")
 
     def _look_at_samples(self, now: float, stats: RunStatistics) -> None:
         seen, since = self._last_samples

@@ -266,7 +266,9 @@ def run_rows(summary: Summary) -> list[list[str]]:
             rows.append(["live view", f"failed: {summary.live_view['error']}"])
     if summary.recording:
         kept = summary.recording
-        rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {kept['path']}"])
+        where = f"{kept['path']}" + (f" and {counted(kept['parts'] - 1, 'more part')}" if kept["parts"] > 1 else "")
+        ring = f"; the last {kept['kept_s'] / 60:g} min are kept" if kept["kept_s"] else ""
+        rows.append(["recorded", f"{kept['samples']} samples, {kept['edges']} edges in {where}{ring}"])
     if summary.host_observers:
         rows.append(
             [

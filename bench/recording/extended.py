@@ -44,13 +44,15 @@ class Extension:
     def write(self, more: More, edges: Callable[[EdgeChunk], None], summary: Callable[[], str]) -> None:
         """Write it: the edges of a segment are handed to `edges` before its samples to `more`."""
         try:
-            for record in self._run.records(("end", "run", "segment", "stream", "summary", "removed")):
+            for record in self._run.records(("end", "run", "segment", "stream", "summary")):
                 self._folder.line(record)
             for number, name in enumerate(self._run.names):
                 self._folder.line({"kind": "stream", "number": number, **stream_to_json(self._configured(name), name)})
             account = LossAccount()
-            for number, segment in enumerate(self._run.segments, 1):
-                self._segment(number, segment, account, more, edges)
+            for segment in self._run.segments:
+                if segment.after_removed:
+                    account.not_kept()
+                self._segment(segment.number, segment, account, more, edges)
             self._folder.line({"kind": "summary", "text": summary()})
             if self._run.ended:
                 self._folder.line({"kind": "end", **self._written, "lost": self._run.lost})

@@ -116,7 +116,7 @@ def remove(path: Path) -> None:
     if not path.is_dir() or path.is_symlink():
         path.unlink(missing_ok=True)
         return
-    ours = [layout.LOG, f"{layout.JOURNAL}*", "*-[0-9][0-9][0-9][0-9][0-9][0-9].parquet", ".*.part"]
+    ours = [layout.LOG, layout.ASKED, f"{layout.JOURNAL}*", "*-[0-9][0-9][0-9][0-9][0-9][0-9].parquet", ".*.part"]
     for pattern in ours:
         for file in path.glob(pattern):
             file.unlink()

@@ -6,6 +6,7 @@
     RUN/overview-000001.parquet    minima and maxima of the samples over 50 ms
     RUN/node2-stream0-000001.parquet   samples of another node
     RUN/journal-000002             what is in no Parquet file yet
+    RUN/asked.jsonl                marks that another terminal asks for, while it is being recorded
 
 Raw values are what came over the wire; the value in `unit` is raw * scale + offset. `tick` is the device's clock,
 `tick_hz` of which are a second; `index` counts PWM periods, or edges. Where records are missing before a row, `gap` is
@@ -16,10 +17,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,13 +31,14 @@ from numpy.typing import NDArray
 
 from bench.analysis.channels import role
 from bench.files import RUN_LOG
-from bench.recording.info import AnyChannel, RunInfo, stream_to_json
+from bench.recording.info import AnyChannel, Mark, RunInfo, stream_to_json
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
 FORMAT = 1
 """Version of all of this; a reader refuses a newer one."""
 LOG = RUN_LOG
 JOURNAL = "journal-"
+ASKED = "asked.jsonl"
 SAMPLES, EDGES, OVERVIEW = "samples", "edges", "overview"
 """Streams of the drive, and what is made of them."""
 
@@ -68,7 +72,24 @@ def journal_name(number: int) -> str:
     return f"{JOURNAL}{number:06d}"
 
 
+def part_name(path: Path, number: int) -> Path:
+    """The folder of a part of a run that is split."""
+    return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
+
+
+def parts_of(path: Path) -> list[Path]:
+    """What there is of the parts of a run that is split, in no order."""
+    name = re.compile(rf"{re.escape(path.stem)}-\d{{3,}}{re.escape(path.suffix)}")
+    return [found for found in path.parent.glob("*") if name.fullmatch(found.name)]
+
+
 # -- lines of the log -----------------------------------------------------------------------------------------------
+
+
+def mark_record(mark: Mark) -> dict[str, Any]:
+    """A mark as a record of the log."""
+    verdict = None if mark.verdict is None else mark.verdict.value
+    return {"kind": "mark", "tick": mark.first_tick, "last": mark.last_tick, "name": mark.name, "verdict": verdict}
 
 
 def line_of(record: Mapping[str, Any]) -> str:

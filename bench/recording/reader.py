@@ -135,7 +135,8 @@ class Run:
         """By node: each that told anything new."""
         self.missing: list[tuple[int, int, int, int]] = []
         """Tick, node, samples and edges that did not come at the end of the streams."""
-        removed: set[int] = set()
+        self.removed: set[int] = set()
+        """Numbers of the segments that a ring has let go."""
         for record in records:
             match record["kind"]:
                 case "event":
@@ -162,15 +163,14 @@ class Run:
                         files[told["stream"]] = (*files.get(told["stream"], ()), file)
                     self._segments[record["number"]] = files
                 case "removed":
-                    removed.add(record["number"])
+                    self.removed.add(record["number"])
                 case "summary":
                     self.summary = record["text"]
                 case "end":
                     self.ended = True
                     self.lost = dict.fromkeys(LOSS_FIELDS, 0) | record["lost"]
-        for number in removed:
+        for number in self.removed:
             self._segments.pop(number, None)
-        self._removed = removed
         self.events = tuple(events)
         self.notes = tuple((tick, text) for tick, text, _ in notes)
         """Device tick and text of the host's lines."""
@@ -188,19 +188,19 @@ class Run:
     def _look_for_files(self) -> None:
         """Name files that are not in the log, and segments that are missing."""
         for number in range(1, max(self._segments, default=0)):
-            if number not in self._segments and number not in self._removed:
+            if number not in self._segments and number not in self.removed:
                 self.damage.append(f"segment {number} is not in {layout.LOG}: its line is damaged")
         for file in sorted(self.path.glob("*.parquet")):
             found = _NUMBERED.match(file.name)
-            if found is None or int(found["number"]) in self._removed:
+            if found is None or int(found["number"]) in self.removed:
                 continue
             number, stream = int(found["number"]), found["stream"]
             told = self._segments.get(number)
             if told is None and (self.path / layout.journal_name(number)).exists():
                 continue  # the run was killed before the log had it: the journal has all of it
-            if told is None or stream not in told:
+            if told is None or file.name not in {part.name for parts in told.values() for part in parts}:
                 self.damage.append(f"{file.name} is not in {layout.LOG}, and is not read")
-            elif stream != layout.OVERVIEW and stream not in self._numbers:
+            elif stream in told and stream != layout.OVERVIEW and stream not in self._numbers:
                 told_of = _metadata(file).get("stream")
                 if told_of is not None:
                     self._add_stream(told_of)
@@ -260,7 +260,7 @@ class Run:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """The parts of the run, in order: in each of them the device's time rises."""
+        """The parts of the run that are there, in order: in each of them the device's time rises."""
         found = [Segment(self, number, files) for number, files in sorted(self._segments.items())]
         return (*found, Segment(self, max(self._segments, default=0) + 1, None)) if self.opened else tuple(found)
 
@@ -273,6 +273,8 @@ class Run:
         """
         account = LossAccount()
         for segment in self.segments:
+            if segment.after_removed:
+                account.not_kept()
             for piece in segment.pieces(stream, first, last):
                 yield account.chunk(piece)
 
@@ -396,6 +398,11 @@ class Segment:
         """`files`: by stream; None: what is in the journal."""
         self._run, self._files = run, files
         self.number = number
+
+    @property
+    def after_removed(self) -> bool:
+        """Whether the one before it has been let go."""
+        return self.number - 1 in self._run.removed
 
     @property
     def files(self) -> Mapping[str, tuple[StoredFile, ...]]:

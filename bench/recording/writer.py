@@ -2,12 +2,14 @@
 
 Whatever arrives is appended at once: chunks to the journal, everything else to the log. Every ten seconds of device
 time become a row group, every minute a segment: a Parquet file for each stream, one line in the log, and a new journal.
-A device whose time goes back has rebooted, and begins a new segment.
+A device whose time goes back has rebooted, and begins a new segment. A ring lets old segments go, a whole one at a
+time: first its line `removed` is on the disk, then its files go.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from bench.recording.info import Mark, RunInfo, stream_to_json
 from bench.recording.layout import Columns
 from bench.recording.losses import LossAccount
 from bench.recording.overview import Overview
+from bench.recording.ring import Ring
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
@@ -35,10 +38,21 @@ class RunWriter:
     made, and OSError out of every other call when the disk does not take what it is given.
     """
 
-    def __init__(self, path: Path, info: RunInfo, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        info: RunInfo,
+        overwrite: bool = False,
+        keep: float | None = None,
+        account: LossAccount | None = None,
+    ) -> None:
+        """`keep`: s of device time that a ring holds, see `bench.recording.ring`; `account`: of what went before."""
         self.path, self.info = path, info
-        self.account = LossAccount()
+        self.account = account or LossAccount()
         self.samples_written = self.edges_written = 0
+        self.stored = (0.0, 0)
+        """Seconds of device time in segments that have ended, and the bytes that their files took."""
+        self._ring = None if keep is None else Ring(keep, info.tick_hz)
         self._streams: dict[object, _Stream] = {}
         self._by_config: dict[int, tuple[StreamConfig, _Stream]] = {}
         self._overview: Overview | None = None
@@ -69,6 +83,8 @@ class RunWriter:
     def event(self, node: int, event: DeviceEvent) -> None:
         """Write an event of a device."""
         self._seen(event.tick)
+        if event.code == EventCode.FAULT:
+            self._moment(event.tick, event.tick)
         name = EventCode(event.code).name if event.code in list(EventCode) else str(event.code)
         self._line({"kind": "event", **asdict(event), "node": node, "name": name})
 
@@ -78,6 +94,8 @@ class RunWriter:
         self.account.heartbeat(node, heartbeat)
         told = tuple(getattr(heartbeat, name) for name in _TOLD)
         if self._told.get(node) != told:
+            if heartbeat.faults:  # its event may have been lost with the link
+                self._moment(heartbeat.tick, heartbeat.tick)
             self._told[node] = told
             self._line({"kind": "heartbeat", "from": node, **asdict(heartbeat)})
 
@@ -94,11 +112,15 @@ class RunWriter:
         """Write that a parameter has been set."""
         self._line({"kind": "parameter", "tick": self._newest, "from": node, "name": name, "value": value})
 
-    def mark(self, mark: Mark) -> None:
-        """Write a mark."""
-        verdict = None if mark.verdict is None else mark.verdict.value
-        self._line({"kind": "mark", "tick": mark.first_tick, "last": mark.last_tick, "name": mark.name,
-                    "verdict": verdict})  # fmt: skip
+    def mark(self, mark: Mark, asked: str | None = None) -> None:
+        """Write a mark; `asked`: the number of what was asked for."""
+        self._moment(mark.first_tick, mark.last_tick)
+        self._line(layout.mark_record(mark) | ({} if asked is None else {"id": asked}))
+
+    @property
+    def newest(self) -> int:
+        """The newest device time seen, in ticks."""
+        return self._newest
 
     def summary(self, markdown: str) -> None:
         """Write the summary, which replaces an earlier one."""
@@ -119,6 +141,7 @@ class RunWriter:
             self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
             self.sync()
             (self.path / layout.journal_name(self._number)).unlink()
+            (self.path / layout.ASKED).unlink(missing_ok=True)
         finally:
             self.abandon()
 
@@ -179,11 +202,32 @@ class RunWriter:
             return
         self._line({"kind": "segment", "number": self._number, "files": files})
         self._folder.sync()
+        self._ended_segment(files)
         done, self._journal = self._journal, append_to(self.path / layout.journal_name(self._number + 1))
         os.close(done)
         (self.path / layout.journal_name(self._number)).unlink()
         self._number += 1
         self._begun = None
+
+    def _ended_segment(self, files: Sequence[Mapping[str, Any]]) -> None:
+        """Count what a segment has taken, and let go of those that the ring does not hold."""
+        first = min(groups[0][0] for file in files if (groups := file["groups"]))
+        last = max(groups[-1][1] for file in files if (groups := file["groups"]))
+        seconds, size = self.stored
+        taken = sum(file["blocks"][-1][0] for file in files)
+        self.stored = seconds + (last - first) / self.info.tick_hz, size + taken
+        gone = self._ring.ended(self._number, first, last) if self._ring is not None else []
+        for number in gone:
+            self._line({"kind": "removed", "number": number})
+        if gone:
+            self._folder.sync()
+        for number in gone:
+            for file in self.path.glob(layout.file_name("*", number)):
+                file.unlink()
+
+    def _moment(self, first: int, last: int) -> None:
+        if self._ring is not None:
+            self._ring.moment(first, last)
 
     def _stream_of(self, config: StreamConfig) -> _Stream:
         key = layout.stream_key(config)

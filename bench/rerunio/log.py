@@ -169,7 +169,7 @@ class RunLog:
         """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
         self._send_rest()
         if self.marks:
-            lane, colours = states.mark_lane(self.marks)
+            lane, colours = states.mark_lane(self.marks, self.run.tick_hz)
             self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
             for tick, words in lane:
                 self._at(int(ns_from_tick(tick, self.run.tick_hz)))

@@ -111,15 +111,20 @@ def fault_text(faults: int) -> str:
     return " ".join(fault_names(faults)) or NO_FAULT
 
 
-def mark_lane(marks: Sequence[Mark]) -> tuple[list[tuple[int, str]], dict[str, RGB]]:
+def mark_lane(marks: Sequence[Mark], moment: int) -> tuple[list[tuple[int, str]], dict[str, RGB]]:
     """One lane for marks that may overlap: ticks with the words from there on, and the words' colours.
 
+    A mark of a moment, as one sets it by hand, is drawn as long as `moment` ticks.
     Where marks overlap, the worst verdict of them stands there, with the names that it belongs to.
     """
     lane: list[tuple[int, str]] = []
     colours: dict[str, RGB] = {UNMARKED: OFF}
-    for tick in sorted({tick for mark in marks for tick in (mark.first_tick, mark.last_tick)}):
-        there = [mark for mark in marks if mark.first_tick <= tick < mark.last_tick]
+    spans = [
+        (mark.first_tick, mark.last_tick if mark.last_tick > mark.first_tick else mark.first_tick + moment, mark)
+        for mark in marks
+    ]
+    for tick in sorted({tick for first, last, _ in spans for tick in (first, last)}):
+        there = [mark for first, last, mark in spans if first <= tick < last]
         words = UNMARKED
         if there:
             judged = [mark.verdict for mark in there if mark.verdict is not None]

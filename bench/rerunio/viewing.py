@@ -145,6 +145,8 @@ def _blocks(run: Run, first: int, last: int) -> Iterator[Block]:
         begin, end = max(first, segment.span[0]), min(last, segment.span[1])
         if begin > end:
             continue
+        if segment.after_removed:
+            account.not_kept()
         for block in _windows(run, segment, begin, end):
             block.samples = [account.chunk(chunk) for chunk in block.samples]
             block.edges = [account.chunk(chunk) for chunk in block.edges]

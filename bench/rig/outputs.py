@@ -6,7 +6,7 @@ Imports rerun only when a live view is asked for.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from bench.analysis.percentiles import Percentiles
 from bench.errors import BenchError, RecordingError
 from bench.files import RRD, check_output, run_folder
 from bench.recording.info import RunInfo
+from bench.recording.ring import FOR_EVER, Stored
 
 if TYPE_CHECKING:
     from bench.recording.sink import RunSink
@@ -55,8 +56,12 @@ class Outputs:
         web_port: int | None = None,
         host_time: Callable[[float], float | None] | None = None,
         wait: bool = False,
+        stored: Stored = FOR_EVER,
     ) -> None:
-        """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time."""
+        """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time.
+
+        `stored`: how a recording is kept that goes on for long.
+        """
         self.file: RunSink | None = None
         self._rrd = save if save is not None and save.suffix == RRD else None
         self.view: LiveView | None = None
@@ -64,7 +69,7 @@ class Outputs:
             check_output(save, str(save), overwrite, recording=True)
             from bench.recording.sink import RunSink
 
-            self.file = RunSink(run_folder(save), run, overwrite=overwrite, wait=wait)
+            self.file = RunSink(run_folder(save), run, overwrite=overwrite, wait=wait, stored=stored)
         if viewer != "none":
             from bench.rerunio.viewer import LiveView, chosen
 
@@ -91,6 +96,16 @@ class Outputs:
         """Raise RecordingError, once, if the recording has failed."""
         if self.file is not None:
             self.file.check()
+
+    def news(self) -> Iterator[tuple[str, str]]:
+        """What the recording has to tell a person since the last call: text and level."""
+        while self.file is not None and self.file.news:
+            yield self.file.news.popleft()
+
+    def mark(self, name: str, first_tick: int, last_tick: int) -> None:
+        """Mark a stretch of the recording, if there is one."""
+        if self.file is not None:
+            self.file.mark(name, first_tick, last_tick)
 
     def summary(self, markdown: str) -> None:
         """The text that a reader of recording and view sees first."""
@@ -119,11 +134,14 @@ class Outputs:
         """What the recording holds, as plain data."""
         if self.file is None:
             return {}
+        runs = self.file.parts
         return {
-            "path": str(self.file.path),
+            "path": str(runs[0]),
             "samples": self.file.logged_samples,
             "edges": self.file.logged_edges,
-            "bytes": sum(file.stat().st_size for file in self.file.path.glob("*")),
+            "bytes": sum(file.stat().st_size for run in runs for file in run.glob("*")),
+            "parts": len(runs),
+            "kept_s": self.file.stored.keep,
         }
 
     def viewed(self) -> dict[str, Any]:

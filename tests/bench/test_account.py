@@ -300,8 +300,8 @@ def test_latency_is_never_taken_with_the_clock_of_another_boot(monkeypatch: pyte
     sinks: list[Ages] = []
 
     class WithAges(Outputs):
-        def __init__(self, *args: object) -> None:
-            super().__init__(*args)  # type: ignore[arg-type]
+        def __init__(self, *args: object, **kept: object) -> None:
+            super().__init__(*args, **kept)  # type: ignore[arg-type]
             sinks.append(Ages(args[-1], link.clock))  # type: ignore[arg-type]
 
         @property

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from processes import Program, Sim
 
+from bench.recording import space
 from bench.recording.reader import Run
 
 Start = Callable[..., Program]
@@ -82,14 +83,16 @@ def test_a_run_over_a_pty_loses_nothing_and_is_recorded_whole(
 def small_place(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> Iterator[tuple[Path, Callable[[], None] | None, str]]:
-    """A directory in which a file grows to a megabyte at most, what a child does for it, and what a writer is told."""
+    """A directory in which a megabyte is left to a recording, what a child does for it, and what a writer is told."""
     size = 1 << 20
     if request.param == "a limit on files":
         yield tmp_path, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), "cannot be written"
         return
     mount = shutil.which("mount")
     mounted = mount and subprocess.run(
-        [mount, "-t", "tmpfs", "-o", f"size={size}", "none", str(tmp_path)], capture_output=True, text=True
+        [mount, "-t", "tmpfs", "-o", f"size={size + space.RESERVE}", "none", str(tmp_path)],
+        capture_output=True,
+        text=True,
     )
     if not mounted or mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip() if mounted else 'no mount'}")
@@ -113,7 +116,9 @@ def test_a_full_disk_ends_in_stop_and_a_summary(
     assert summary["faults"] == []
     assert sum(says in line for line in live.err) == 1
     assert not any("Traceback" in line or "re_sdk" in line or "\x1b" in line for line in live.err)
-    assert len(Run(recording).samples) > 1000  # what fitted is there
+    run = Run(recording)
+    assert len(run.samples) > 1000  # what fitted is there
+    assert run.ended == (limit is None)  # a disk that fills is seen before it is full
 
 
 @pytest.mark.parametrize("where", ["--pty", "--slcan"])
@@ -145,3 +150,47 @@ def test_an_unplugged_cable_is_waited_for_and_the_motor_is_not_started_again(
     assert len(run.samples) == summary["samples"]
     steps = np.diff(run.samples.index) // decimation
     assert (steps - 1).sum() == summary["lost"]["samples_by_index"] == sum(g.lost_samples for g in run.samples.gaps)
+
+
+def test_a_ring_with_a_trigger_and_marks_from_another_terminal(
+    start: Start, start_sim: StartSim, tmp_path: Path
+) -> None:
+    sim = start_sim("--pty", *PATIENT)
+    recording = tmp_path / "a.run"
+    live = start(
+        "live", sim.target, *SPIN, "--save", str(recording), "--keep", "1min", "--note", "new bearings",
+        "--trigger", "abs(omega_enc)>=200",
+    )  # fmt: skip
+    live.line(r"trigger abs\(omega_enc\)>=200: omega_enc was 20\d")
+    live.line(TURNING)
+    marked = start("mark", str(recording), "grease heard")
+    assert marked.end() == 0, marked.err
+    live.line("mark: grease heard, at ")
+    live.send(signal.SIGINT)
+    assert live.end() == 130
+    run = Run(recording)
+    trigger, by_hand = run.marks
+    assert (trigger.name, by_hand.name) == ("trigger abs(omega_enc)>=200", "grease heard")
+    omega = run.samples.physical("omega_enc")
+    assert trigger.first_tick == run.samples.tick[np.flatnonzero(abs(omega) >= 200.0)[0]]
+    assert trigger.first_tick < by_hand.first_tick <= run.samples.tick[-1]
+    assert f"marked {run.at(by_hand.first_tick)} of {recording}: grease heard" in "\n".join(marked.out)
+    assert run.info.identity["note"] == "new bearings"
+    summary = json.loads("\n".join(live.out))
+    assert summary["recording"]["kept_s"] == 60.0
+
+
+def test_a_run_in_parts(start: Start, start_sim: StartSim, tmp_path: Path) -> None:
+    sim = start_sim("--pty", *PATIENT)
+    live = start(
+        "live", sim.target, "--duration", "12", "--save", str(tmp_path / "a.run"), "--split", "10s",
+        "--viewer", "none", "--channels", "hall,theta_enc,i_q", "--json", "-",
+    )  # fmt: skip
+    assert live.end() == 0, live.err
+    summary = json.loads("\n".join(live.out))
+    assert summary["recording"]["parts"] == 2
+    first, second = (Run(tmp_path / f"a-00{k}.run") for k in (1, 2))
+    assert 0 <= len(first.samples) - 160_000 < 480  # whole chunks
+    assert second.samples.index[0] == first.samples.index[-1] + 1
+    assert len(first.samples) + len(second.samples) == summary["samples"]
+    assert "# Summary" in second.summary
