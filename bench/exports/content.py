@@ -85,7 +85,9 @@ class Content:
     ) -> None:
         self.run = run
         self.first, self.last = ticks_of(run, begin, end)
-        self.said = (_ALWAYS[0] if begin is None else self.first, _ALWAYS[1] if end is None else self.last)
+        hz = run.info.tick_hz
+        self.said = (_ALWAYS[0] if begin is None else round(begin * hz), _ALWAYS[1] if end is None else round(end * hz))
+        """First and last tick of what was said that belongs to it: it may lie before the samples, or after them."""
         _check_names(run, channels)
         names = sorted(run.names, key=lambda name: name != layout.SAMPLES)  # those first, the others as they began
         made = [_table(name, run.config(name), channels) for name in names]

@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.exports.content import Arrays, Column, Content, Table
+from bench.recording.reader import Run
 
 VERSION = "4.10"
 
@@ -38,7 +39,7 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
         mdf.attach(json.dumps(about, indent=2).encode(), file_name="run.json", mime="application/json",
                    comment="what was recorded")  # fmt: skip
         started = datetime.fromisoformat(content.run.info.started)
-        mdf.header.start_time = started - timedelta(seconds=content.run.span[0] / content.run.info.tick_hz)
+        mdf.header.start_time = started - timedelta(seconds=_began(content.run) / content.run.info.tick_hz)
         mdf.header.comment = f"{about['run']}, exported by {about['exported_by']}"
         with path.open("wb+") as file:
             mdf.save(file)
@@ -50,6 +51,12 @@ def _asammdf() -> Any:
     except ImportError:
         raise BenchError("--format mdf4 needs asammdf: pip install 'hallbench[export]'") from None
     return asammdf
+
+
+def _began(run: Run) -> int:
+    """Tick of the first that the log tells of, which is about when the run was started; of a ring its begin is gone."""
+    ticks = (record.get("tick", 0) for record in run.records(()))
+    return next((tick for tick in ticks if tick), run.span[0])
 
 
 def _by_boot(pieces: Iterator[Arrays]) -> Iterator[tuple[bool, Arrays]]:

@@ -331,6 +331,8 @@ def test_a_part_of_the_time_and_of_the_channels(made: Path, reader: str, tmp_pat
             assert same(values, wanted[name][0][rows]), (stream, name)
     kinds = texts(read(out, "marks")["kind"][0])
     assert kinds == ["mark"]  # the one from 1010 to 1020 s
+    whole = export(Run(made), out, None, 0, 2000, overwrite=True)
+    assert whole.rows["marks"] == len(MARKED)  # the event before the first sample, too
 
 
 def test_a_stream_that_has_nothing_there_has_no_rows(tmp_path: Path) -> None:
