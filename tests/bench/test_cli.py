@@ -19,7 +19,7 @@ from bench.cli.live import Observer
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
-COMMANDS = ["live", "view", "mark", "accept", "hall", "replay", "score", "sim", "devices", "info"]
+COMMANDS = ["live", "view", "export", "mark", "accept", "hall", "replay", "score", "sim", "devices", "info"]
 COMMANDS += ["protocol", "completion"]
 
 

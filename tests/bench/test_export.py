@@ -1,0 +1,595 @@
+"""Exports opened again by pandas, DuckDB, asammdf, scipy, numpy, pyarrow and rerun: all values, units and times equal.
+
+The oracle is the stored Parquet, read by pyarrow and multiplied here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import asammdf
+import duckdb
+import exported
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from processes import ENVIRONMENT, LIMIT, Program
+from rerun.chunk import RrdReader
+from scipy.io import loadmat
+
+from bench.cli import main
+from bench.errors import BenchError
+from bench.exports import memory, to_mat
+from bench.exports.export import export
+from bench.recording import layout
+from bench.recording.reader import Run
+from bench.recording.writer import RunWriter
+
+KEPT = Path(__file__).parents[1] / "data" / "steady.run"
+STREAMS = {"made": ("samples", "edges", "node2-stream0"), "kept": ("samples", "edges")}
+
+EXACT: Any = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
+"""What has pandas read numbers to the last bit: newer ones do anyway."""
+
+Read = Callable[[Path, str], dict[str, tuple[np.ndarray, str | None]]]
+"""Columns of a stream, and units: of an export, by a reader that knows nothing of ours. None: it tells no units."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported.record(tmp_path_factory.mktemp("made") / "a.run")
+
+
+@pytest.fixture(scope="module", params=list(STREAMS))
+def run(request: pytest.FixtureRequest, made: Path) -> Path:
+    return made if request.param == "made" else KEPT
+
+
+def streams(run: Path) -> tuple[str, ...]:
+    return STREAMS["kept" if run == KEPT else "made"]
+
+
+# -- readers --------------------------------------------------------------------------------------------------------
+
+
+def table_file(out: Path, stream: str) -> Path:
+    return out if stream == "samples" else out.with_name(f"{out.stem}-{stream}{out.suffix}")
+
+
+def split(header: str) -> tuple[str, str]:
+    name, bracket, unit = header.partition(" [")
+    return name, unit.removesuffix("]") if bracket else ""
+
+
+def by_pandas_csv(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    frame = pd.read_csv(table_file(out, stream), **EXACT)
+    return {split(header)[0]: (frame[header].to_numpy(), split(header)[1]) for header in frame}
+
+
+def by_duckdb_csv(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    found = duckdb.read_csv(str(table_file(out, stream))).fetchnumpy()
+    return {split(header)[0]: (np.asarray(values), split(header)[1]) for header, values in found.items()}
+
+
+def by_pyarrow(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    table = pq.read_table(table_file(out, stream))
+    return {
+        field.name: (column.to_numpy(), field.metadata[b"unit"].decode())
+        for field, column in zip(table.schema, table.columns, strict=True)
+    }
+
+
+def by_pandas_parquet(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    frame = pd.read_parquet(table_file(out, stream))
+    return {name: (frame[name].to_numpy(), None) for name in frame}
+
+
+def by_duckdb_parquet(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    found = duckdb.read_parquet(str(table_file(out, stream))).fetchnumpy()
+    return {name: (np.asarray(values), None) for name, values in found.items()}
+
+
+def by_asammdf(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    with asammdf.MDF(out) as mdf:
+        (number,) = (k for k, group in enumerate(mdf.groups) if group.channel_group.acq_name == stream)
+        found: dict[str, tuple[np.ndarray, str | None]] = {}
+        for k, channel in enumerate(mdf.groups[number].channels):
+            signal = mdf.get(group=number, index=k)
+            found[channel.name] = signal.samples, signal.unit
+            assert (signal.timestamps == found["time"][0]).all()
+        return found
+
+
+def by_scipy(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    name = stream.replace("-", "_")
+    whole = loadmat(out, simplify_cells=True)
+    renamed = json.loads(whole["about"])["renamed"]
+    units = whole["units"][name]  # an empty text is read as an empty array
+    return {
+        renamed.get(f"{name}.{field}", field): (np.atleast_1d(values), units[field] if len(units[field]) else "")
+        for field, values in whole[name].items()
+    }
+
+
+def by_numpy(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
+    with np.load(out, allow_pickle=False) as whole:
+        units = json.loads(str(whole["units"]))
+        prefix = f"{stream}/"
+        return {k.removeprefix(prefix): (whole[k], units[k]) for k in whole.files if k.startswith(prefix)}
+
+
+READERS: dict[str, tuple[str, Read]] = {
+    "pandas-csv": (".csv", by_pandas_csv),
+    "duckdb-csv": (".csv", by_duckdb_csv),
+    "pyarrow": (".parquet", by_pyarrow),
+    "pandas-parquet": (".parquet", by_pandas_parquet),
+    "duckdb-parquet": (".parquet", by_duckdb_parquet),
+    "asammdf": (".mf4", by_asammdf),
+    "scipy": (".mat", by_scipy),
+    "numpy": (".npz", by_numpy),
+}
+
+
+def same(found: np.ndarray, wanted: np.ndarray) -> bool:
+    """To the last bit; nan is nan."""
+    return bool(np.array_equal(found.astype(np.float64), wanted.astype(np.float64), equal_nan=True))
+
+
+# -- values ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_every_value_unit_and_time_is_equal(run: Path, reader: str, tmp_path: Path) -> None:
+    ending, read = READERS[reader]
+    out = tmp_path / f"x{ending}"
+    export(Run(run), out)
+    for stream in streams(run):
+        found, wanted = read(out, stream), exported.expected(run, stream)
+        assert list(found) == list(wanted)
+        for name, (values, unit) in wanted.items():
+            assert same(found[name][0], values), (stream, name)
+            assert found[name][1] in (unit, None), (stream, name)
+        assert np.rint(found["time"][0] * exported.TICK_HZ).astype(np.int64).tolist() == wanted["tick"][0].tolist()
+
+
+def test_the_oracle_has_what_makes_it_one(made: Path) -> None:
+    """Gaps, an outage, values that are no numbers, offsets, more than one file and row group."""
+    samples = exported.expected(made, "samples")
+    rows = np.flatnonzero(samples["gap"][0])
+    assert [(samples[name][0][rows].tolist()) for name in ("gap", "lost", "lost_frames")] == [[3, 1], [3, 100], [1, 0]]
+    assert np.isnan(samples["temperature"][0]).any()
+    assert np.isinf(samples["i.a"][0]).any()
+    assert samples["u_dc"][0].min() > 1.6
+    assert samples["u_dc"][1] == "V"
+    assert len(samples["tick"][0]) == 74 * 100 - 3
+    assert len(list(made.glob("samples-*.parquet"))) == 2
+    assert pq.ParquetFile(made / "samples-000001.parquet").num_row_groups > 3
+
+
+def test_rerun_has_the_samples_and_the_edges(tmp_path: Path) -> None:
+    """In a viewer's float32, at the same nanosecond."""
+    out = tmp_path / "x.rrd"
+    export(Run(KEPT), out)
+    found: dict[str, list[tuple[int, float]]] = {}
+    for chunk in RrdReader(out).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if name.startswith(("value:", "edge:")) and chunk.entity_path in ("/samples", "/edges"):
+                times = batch.column("device_time").cast("int64").to_pylist()
+                found.setdefault(name, []).extend(zip(times, batch.column(name).flatten().to_pylist(), strict=True))
+    for stream, names in (("samples", ("i_a", "i_q", "omega_vt")), ("edges", ("hall_new", "encoder"))):
+        wanted = exported.expected(KEPT, stream)
+        for name in names:
+            rows = sorted(found[f"{'value' if stream == 'samples' else 'edge'}:{name}"])
+            assert [at for at, _ in rows] == (wanted["tick"][0] * 50).tolist()
+            assert [value for _, value in rows] == wanted[name][0].astype(np.float32).tolist()
+
+
+# -- what was said --------------------------------------------------------------------------------------------------
+
+AT_END = exported.at(75) - exported.EVERY * exported.TICKS
+FIRST = exported.START * exported.TICKS
+MARKED: list[tuple[int, int, str, int, str, float, float, str]] = [
+    (FIRST - 500, FIRST - 500, "event", 1, "STATE_CHANGED", 3.0, 0.25, ""),
+    (FIRST + 5 * exported.TICKS, FIRST + 5 * exported.TICKS, "heartbeat", 1, "", math.nan, math.nan, "…"),
+    (AT_END, AT_END, "parameter", 1, "k_p", math.inf, math.nan, ""),
+    (AT_END, AT_END, "note", 0, "WARN", math.nan, math.nan, exported.NOTE),
+    (exported.at(10), exported.at(20), "mark", 0, "step.rise", math.nan, math.nan, "FAIL"),
+    (exported.at(5), exported.at(6), "mark", 0, "by hand", math.nan, math.nan, ""),
+    (AT_END, AT_END, "missing", 2, "samples", 4.0, math.nan, ""),
+    (AT_END, AT_END, "missing", 2, "edges", 1.0, math.nan, ""),
+]
+NAMES = ("tick", "until_tick", "kind", "node", "name", "value", "detail", "text")
+
+
+def texts(values: np.ndarray) -> list[str]:
+    """Of any reader: an empty text may be none at all."""
+    plain = [value.decode() if isinstance(value, bytes) else value for value in values.tolist()]
+    return ["" if value is None or value is np.ma.masked or len(value) == 0 else str(value) for value in plain]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_marks_and_all_that_was_said_come_along(made: Path, reader: str, tmp_path: Path) -> None:
+    ending, read = READERS[reader]
+    out = tmp_path / f"x{ending}"
+    export(Run(made), out)
+    if reader == "pandas-csv":
+        frame = pd.read_csv(
+            tmp_path / "x-marks.csv", keep_default_na=False, na_values={"value": "nan", "detail": "nan"}
+        )
+        found = {split(header)[0]: (frame[header].to_numpy(), None) for header in frame}
+    else:
+        found = read(out, "marks")
+    wanted = sorted(MARKED, key=lambda row: row[0]) if ending == ".mf4" else MARKED
+    for name, column in zip(NAMES, zip(*wanted, strict=True), strict=True):
+        values = found[name][0]
+        if name == "text":
+            told = texts(values)
+            beat = [row[2] for row in wanted].index("heartbeat")
+            assert json.loads(told[beat])["tx_dropped"] == exported.HEARTBEAT.tx_dropped
+            assert [text for k, text in enumerate(told) if k != beat] == [
+                text for k, text in enumerate(column) if k != beat
+            ]
+        elif isinstance(column[0], str):
+            assert texts(values) == list(column), name
+        else:
+            assert same(values, np.array(column)), name
+    for name, tick in (("time", "tick"), ("until", "until_tick")):
+        assert same(found[name][0], np.asarray(found[tick][0]) / exported.TICK_HZ)
+
+
+def about_of(out: Path) -> dict[str, Any]:
+    match out.suffix:
+        case ".csv":
+            text: Any = out.with_name(f"{out.stem}-run.json").read_text()
+        case ".parquet":
+            text = pq.read_metadata(table_file(out, "edges")).metadata[b"hallbench"]
+        case ".mf4":
+            with asammdf.MDF(out) as mdf:
+                text = bytes(mdf.extract_attachment(index=0)[0])
+        case ".mat":
+            text = loadmat(out, simplify_cells=True)["about"]
+        case _:
+            text = str(np.load(out)["about"])
+    told: dict[str, Any] = json.loads(text)
+    return told
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".mf4", ".mat", ".npz"])
+def test_what_the_run_is_comes_along(made: Path, ending: str, tmp_path: Path) -> None:
+    out = tmp_path / f"x{ending}"
+    export(Run(made), out)
+    told, log = about_of(out), exported.said(made)
+    assert told["run"] == "a.run"
+    assert {name: told[name] for name in ("identity", "parameters", "tick_hz", "started", "channels", "id")} == {
+        name: log[0][name] for name in ("identity", "parameters", "tick_hz", "started", "channels", "id")
+    }
+    assert told["parameters"]["odd"] == "nan"
+    assert [stream["name"] for stream in told["streams"]] == list(STREAMS["made"])
+    assert told["lost"]["samples"] == 3 + 100 + 10 + 4  # in a chunk, in the outage of both nodes, at the end
+    assert (told["summary"], told["ended"], told["damage"]) == ("# Summary", True, [])
+
+
+def test_an_mdf_keeps_the_integers_and_begins_when_the_devices_clock_was_0(made: Path, tmp_path: Path) -> None:
+    export(Run(made), tmp_path / "x.mf4")
+    raw = exported.stored(made, "samples").column("theta_enc").to_numpy()
+    with asammdf.MDF(tmp_path / "x.mf4") as mdf:
+        signal = mdf.get("theta_enc", raw=True)
+        assert signal.samples.dtype == np.int16
+        assert (signal.samples == raw).all()
+        started = datetime.fromisoformat(exported.said(made)[0]["started"])
+        assert (started - mdf.header.start_time).total_seconds() == pytest.approx(1000, abs=1e-3)
+
+
+def test_after_a_reboot_an_mdf_has_a_group_whose_time_begins_again(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "a.run", exported.info())
+    once = exported.START + np.arange(500, dtype=np.int64) * exported.EVERY
+    again = np.arange(300, dtype=np.int64) * exported.EVERY
+    for index in (once, again):
+        writer.samples(exported.samples(exported.SAMPLES, index))
+    writer.close()
+    done = export(Run(tmp_path / "a.run"), tmp_path / "x.mf4")
+    assert any("has rebooted" in words for words in done.notes)
+    with asammdf.MDF(tmp_path / "x.mf4") as mdf:
+        assert [group.channel_group.acq_name for group in mdf.groups] == ["samples", "samples", "marks"]
+        for number, index in enumerate((once, again)):
+            assert (mdf.get("tick", group=number).samples == index * exported.TICKS).all()
+
+
+# -- a part of it ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reader", ["pandas-csv", "pyarrow", "asammdf", "scipy", "numpy"])
+def test_a_part_of_the_time_and_of_the_channels(made: Path, reader: str, tmp_path: Path) -> None:
+    ending, read = READERS[reader]
+    out = tmp_path / f"x{ending}"
+    done = export(Run(made), out, None, 1010.5, 1014.25, ["tau", "u_dc"])
+    lo, hi = round(1010.5 * exported.TICK_HZ), round(1014.25 * exported.TICK_HZ)
+    assert set(done.rows) == {"samples", "edges", "marks"}  # node 2 has none of these channels
+    for stream in ("samples", "edges"):
+        found, wanted = read(out, stream), exported.expected(made, stream)
+        ticks = wanted["tick"][0]
+        rows = (ticks >= lo) & (ticks <= hi)
+        assert 0 < rows.sum() == done.rows[stream]
+        if stream == "samples":
+            assert list(found) == ["time", "tick", "index", "u_dc", "tau", "gap", "lost", "lost_frames"]
+            assert found["lost"][0].sum() == 3
+        for name, (values, _) in found.items():
+            assert same(values, wanted[name][0][rows]), (stream, name)
+    kinds = texts(read(out, "marks")["kind"][0])
+    assert kinds == ["mark"]  # the one from 1010 to 1020 s
+    whole = export(Run(made), out, None, 0, 2000, overwrite=True)
+    assert whole.rows["marks"] == len(MARKED)  # the event before the first sample, too
+
+
+def test_a_stream_that_has_nothing_there_has_no_rows(tmp_path: Path) -> None:
+    """Node 2 and the edges stop early; their columns are there."""
+    writer = RunWriter(tmp_path / "a.run", exported.info())
+    writer.edges(exported.edges(np.arange(3, dtype=np.int64)))
+    index = exported.START + np.arange(800, dtype=np.int64) * exported.EVERY
+    writer.samples(exported.samples(exported.SAMPLES, index))
+    writer.close()
+    for reader in READERS:
+        ending, read = READERS[reader]
+        out = tmp_path / f"x{ending}"
+        export(Run(tmp_path / "a.run"), out, begin=1004.0, overwrite=True)
+        found = read(out, "edges")
+        assert list(found) == list(exported.expected(tmp_path / "a.run", "edges")), reader
+        assert not any(len(values) for values, _ in found.values())
+        assert len(read(out, "samples")["tick"][0]) == 400
+
+
+def test_a_run_that_was_cut_short_is_exported_up_to_there(made: Path, tmp_path: Path) -> None:
+    """What is in no Parquet file yet comes from the journal."""
+    writer = RunWriter(tmp_path / "a.run", exported.info())
+    index = exported.START + np.arange(50, dtype=np.int64) * exported.EVERY
+    chunk = exported.samples(exported.SAMPLES, index)
+    writer.samples(chunk)
+    writer.abandon()
+    for reader in READERS:
+        ending, read = READERS[reader]
+        done = export(Run(tmp_path / "a.run"), tmp_path / f"x{ending}", overwrite=True)
+        found = read(tmp_path / f"x{ending}", "samples")
+        assert same(found["tau"][0], chunk.raw["tau"].astype(np.float64) * (1 / 3))
+        assert any("came to no end" in words for words in done.notes)
+
+
+def test_a_run_of_edges_alone(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "a.run", exported.info())
+    writer.edges(exported.edges(np.arange(10, dtype=np.int64)))
+    writer.close()
+    done = export(Run(tmp_path / "a.run"), tmp_path / "x.csv")
+    assert done.files["edges"] == tmp_path / "x.csv"
+    wanted = exported.expected(tmp_path / "a.run", "edges")
+    assert same(pd.read_csv(tmp_path / "x.csv")["hall_new"].to_numpy(), wanted["hall_new"][0])
+
+
+def test_more_than_a_minute_in_rerun_is_told_to_be_minima_and_maxima(made: Path, tmp_path: Path) -> None:
+    done = export(Run(made), tmp_path / "x.rrd")
+    assert any("minima and maxima" in words for words in done.notes)
+    assert not export(Run(made), tmp_path / "y.rrd", None, 1002, 1005).notes
+    assert (tmp_path / "x.rrd").stat().st_size > 10_000
+
+
+def test_names_that_matlab_does_not_take_stay_apart() -> None:
+    assert to_mat.fields(["i.a", "i_a", "2x", "é", "_"]) == {
+        "i.a": "i_a",
+        "i_a": "i_a_",
+        "2x": "x2x",
+        "é": "x_",
+        "_": "x__",
+    }
+
+
+# -- what goes wrong ------------------------------------------------------------------------------------------------
+
+
+def failing(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The error of `bench export`, which ends with 2."""
+    with pytest.raises(SystemExit) as ended:
+        main(["export", *map(str, arguments)])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert told.startswith("error: ")
+    return told
+
+
+def test_damage_is_told_and_the_rest_exported(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = tmp_path / "a.run"
+    shutil.copytree(made, copy)
+    file = copy / "samples-000001.parquet"
+    data = bytearray(file.read_bytes())
+    data[2000] ^= 1
+    file.write_bytes(data)
+    main(["export", str(copy), "-o", str(tmp_path / "x.parquet")])
+    told = capsys.readouterr().err
+    assert "warning: samples-000001.parquet is damaged: " in told
+    found, wanted = by_pyarrow(tmp_path / "x.parquet", "samples"), exported.expected(made, "samples")
+    rows = np.isin(wanted["tick"][0], found["tick"][0])
+    assert 0 < rows.sum() < len(rows)
+    assert same(found["tau"][0], wanted["tau"][0][rows])
+    assert about_of(tmp_path / "x.parquet")["damage"]
+
+
+def test_the_command_says_what_it_wrote(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["export", str(made), "-o", str(tmp_path / "x.csv"), "--channels", "tau, hall", "--json", "-"])
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert told["rows"] == {"samples": 7397, "edges": 444, "marks": len(MARKED)}
+    assert sorted(told["files"].values()) == sorted(map(str, tmp_path.glob("x*")))
+    assert err == "x.csv holds samples only: edges in x-edges.csv, marks in x-marks.csv, run in x-run.json\n"
+    main(["export", str(made), "-o", str(tmp_path / "x.dat"), "--format", "npz"])
+    out, err = capsys.readouterr()
+    assert "samples: 7397 rows, edges: 444 rows, node2-stream0: 740 rows, marks: 8 rows" in out
+    assert not err
+    assert by_numpy(tmp_path / "x.dat", "edges")
+
+
+def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "x.csv"
+    for arguments, what in (
+        ((made, "-o", tmp_path / "x.txt"), "end it in .csv, .mf4, .mat, .npz, .rrd or .parquet, or give --format"),
+        ((made, "-o", tmp_path / "x.mat", "--format", "csv"), "x.mat ends as mat does, and --format says csv"),
+        ((made, "-o", out, "--from", 2000), "has nothing from 2000 to 1074.99 s: it is from 1000.000 to 1074.990 s"),
+        ((made, "-o", out, "--from", 1030.1, "--to", 1030.12, "--channels", "tau"), "has nothing from 1030.100 s"),
+        ((made, "-o", out, "--channels", "tao"), "has no channel 'tao'; did you mean tau?"),
+        (
+            (made, "-o", out, "--channels", "xyz"),
+            "there are: hall, theta_enc, u_dc, temperature, time, tau, i.a, omega_m",
+        ),
+        ((made, "-o", out, "--channels", ","), "--channels names none"),
+        ((made, "-o", "-", "--format", "csv"), "an export needs a file"),
+        ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "leave --channels out"),
+        ((made, "-o", tmp_path / "none" / "x.csv"), "there is no directory"),
+        ((tmp_path / "none.run", "-o", out), "no such file"),
+        ((tmp_path, "-o", out), "is no recorded run"),
+    ):
+        assert what in failing(capsys, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("there", ["x.csv", "x-edges.csv", "x-run.json"])
+def test_files_that_exist_are_left_alone(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], there: str
+) -> None:
+    (tmp_path / there).write_text("precious")
+    told = failing(capsys, made, "-o", tmp_path / "x.csv")
+    assert f"{there} exists: choose another name, or --overwrite" in told
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "precious")]
+    main(["export", str(made), "-o", str(tmp_path / "x.csv"), "--overwrite"])
+    assert (tmp_path / there).read_text() != "precious"
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mf4", ".mat", ".npz", ".parquet"])
+def test_a_full_disk_leaves_nothing(made: Path, tmp_path: Path, ending: str) -> None:
+    """As a limit on the size of files does."""
+    program = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
+        "from bench.cli import main; main(sys.argv[1:])"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program, "export", str(made), "-o", f"{tmp_path}/x{ending}"],
+        capture_output=True, text=True, env=ENVIRONMENT, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert ended.returncode == 2, ended.stderr
+    assert f"error: {tmp_path}/x{ending} cannot be written: " in ended.stderr
+    assert "File too large" in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_asammdf_it_says_what_to_install(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    assert "pip install 'hallbench[export]'" in failing(capsys, made, "-o", tmp_path / "x.mf4")
+    assert not list(tmp_path.iterdir())
+
+
+def long_run(path: Path, rows: int) -> Path:
+    """A run whose log says that it has so many samples: limits are looked at before anything is read."""
+    exported.record(path, 3)
+    lines = (path / layout.LOG).read_text().splitlines()
+    for k, line in enumerate(lines):
+        record = layout.record_of(line)
+        assert record is not None
+        if record["kind"] == "segment":
+            for file in record["files"]:
+                file["groups"][-1][2] = rows
+        lines[k] = layout.line_of(record)
+    (path / layout.LOG).write_text("".join(lines))
+    return path
+
+
+def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = long_run(tmp_path / "a.run", 22_500_000)
+    told = failing(capsys, run, "-o", tmp_path / "x.mat")
+    assert "samples would take 2.18 GB, and a variable in a .mat file at" in told
+    assert "at most 2.15 GB: take less with --from, --to or --channels" in told
+    assert not (tmp_path / "x.mat").exists()
+    for name in ("x" * 63, "x" * 64):
+        channels = (exported.Channel(1, name, exported.Unit.A, exported.RawType.U8, 1.0, exported.Flag.CHANNEL),)
+        config = exported.StreamConfig(1, 0, 7, exported.StreamEvent.PWM, 1, channels, 9, tick_hz=1000, pwm_hz=100)
+        info = exported.RunInfo(1000, 100, channels)
+        writer = RunWriter(tmp_path / f"{len(name)}.run", info)
+        index = np.arange(5, dtype=np.int64)
+        writer.samples(exported.SampleChunk(config, index, index * 10, np.zeros(5, config.dtype), ()))
+        writer.close()
+    export(Run(tmp_path / "63.run"), tmp_path / "63.mat")
+    assert "x" * 63 in loadmat(tmp_path / "63.mat", simplify_cells=True)["samples"]
+    with pytest.raises(BenchError, match="at most 63 characters"):
+        export(Run(tmp_path / "64.run"), tmp_path / "64.mat")
+
+
+def test_what_memory_does_not_hold_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = long_run(tmp_path / "a.run", 10**12)
+    told = failing(capsys, run, "-o", tmp_path / "x.npz")
+    assert "e+05 GB where" in told
+    assert "--format mdf4 or parquet" in told
+    free = memory.available()
+    assert free is not None
+    assert 0 < free < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def fast_run(path: Path, seconds: int) -> Path:
+    """Seven channels at 16 kHz."""
+    config = replace(exported.SAMPLES, decimation=1)
+    writer = RunWriter(path, exported.info())
+    chunk = exported.samples(config, np.arange(exported.PWM_HZ, dtype=np.int64))
+    for second in range(seconds):
+        index = chunk.index + second * exported.PWM_HZ
+        writer.samples(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return fast_run(tmp_path_factory.mktemp("minute") / "a.run", 60)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".mf4"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_whoever_ends_it_finds_nothing_half_done(
+    minute: Path, tmp_path: Path, start: Callable[..., Program], number: signal.Signals, ending: str
+) -> None:
+    program = start("export", str(minute), "-o", str(tmp_path / f"x{ending}"))
+    until = time.monotonic() + LIMIT
+    while not any(path.stat().st_size for path in tmp_path.iterdir()):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    program.process.send_signal(number)
+    assert program.process.wait(LIMIT) == 128 + number
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [".csv", ".mf4", ".parquet"])
+def test_a_long_run_takes_no_more_memory_than_a_short_one(tmp_path: Path, ending: str) -> None:
+    peaks = []
+    for seconds in (30, 330):
+        run = fast_run(tmp_path / f"{seconds}.run", seconds)
+        program = (
+            "import resource, sys; from bench.cli import main; main(sys.argv[1:]);"
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        told = subprocess.run(
+            [sys.executable, "-c", program, "export", str(run), "-o", f"{tmp_path}/{seconds}{ending}"],
+            capture_output=True, text=True, check=True, env=ENVIRONMENT, cwd=Path(__file__).parents[2],
+        )  # fmt: skip
+        peaks.append(int(told.stdout.splitlines()[-1]) * 1024)
+    held = 300 * exported.PWM_HZ * 13 * 8  # what the rest would take at once
+    assert peaks[1] - peaks[0] < 0.2 * held
