@@ -14,12 +14,12 @@ from pathlib import Path
 
 from bench.files import write
 from tests.benchmarks.last import Last, Measured, read, slower, text_of
-from tests.benchmarks.page import with_tables
-from tests.benchmarks.parts import PARTS, measure
+from tests.benchmarks.page import PAGES, with_tables
+from tests.benchmarks.parts import LONG, PARTS, measure
 from tests.benchmarks.table import LeftOut
 
 LAST = Path(__file__).with_name("last.json")
-PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def show(measured: Measured) -> None:
@@ -31,9 +31,11 @@ def show(measured: Measured) -> None:
 
 
 def keep(last: Last) -> None:
-    """Write last.json and the page's tables, each as a whole."""
+    """Write last.json and the pages' tables, each as a whole."""
     write(LAST, text_of(last), LAST.name)
-    write(PAGE, with_tables(PAGE.read_text("utf-8"), last), PAGE.name)
+    for name, parts in PAGES.items():
+        page = DOCS / name
+        write(page, with_tables(page.read_text("utf-8"), {part: last[part] for part in parts if part in last}), name)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     last = read(LAST.read_text("utf-8")) if LAST.exists() else {}
     now: dict[str, Measured] = {}
     found: list[str] = []  # what keeps the exit code from being 0
-    for part in given.parts or PARTS:
+    every = [part for part in PARTS if given.short or part not in LONG]
+    for part in given.parts or every:
         print(f"\n{PARTS[part]} ({part})", flush=True)
         try:
             now[part] = measure(part, given.short)

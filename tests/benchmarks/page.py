@@ -1,4 +1,4 @@
-"""The tables of docs/benchmarks.md, made from the last figures."""
+"""The tables of docs/benchmarks.md and docs/reliability.md, made from the last figures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from collections.abc import Iterator
 from tests.benchmarks.last import Last, Measured
 from tests.benchmarks.parts import PARTS
 
+PAGES = {
+    "benchmarks.md": [part for part in PARTS if part != "reliability"],
+    "reliability.md": ["reliability"],
+}
+"""Which parts' tables stand on which page of docs."""
 BEGIN, END = "<!-- benchmarks: begin -->", "<!-- benchmarks: end -->"
 
 

@@ -30,7 +30,10 @@ PARTS = {
     "accept": "Acceptance: the whole suite in virtual time, of whole processes",
     "kills": "Killed, stopped or told to end at a random moment",
     "start": "Start-up",
+    "reliability": "What a recording stands",
 }
+LONG = {"reliability"}
+"""Parts that take hours: run in full where they are named only."""
 
 
 def measure(part: str, short: bool) -> Measured:

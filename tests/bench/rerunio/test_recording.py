@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import random
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import synthetic
+from damage import Whole, unfinished
 
 from bench.errors import RecordingError
 from bench.recording import layout
@@ -210,29 +210,16 @@ def test_a_journal_cut_short_reads_up_to_the_cut(made: synthetic.SyntheticRun, t
     assert not Run(tmp_path / "a.run").being_written
 
 
-def test_a_flipped_bit_anywhere_is_told_and_costs_its_block_only(recording: Path, tmp_path: Path) -> None:
-    """In every file, at places drawn at random; what still reads is what was written."""
-    whole, places = Run(recording), random.Random(3)
-    for number in range(60):
-        copy = tmp_path / f"{number}.run"
-        shutil.copytree(recording, copy)
-        file = places.choice(sorted(copy.iterdir()))
-        data = bytearray(file.read_bytes())
-        data[places.randrange(len(data))] ^= 1 << places.randrange(8)
-        file.write_bytes(data)
-        try:
-            run = Run(copy)
-            samples, edges = run.streams.get("samples"), run.edge_streams.get("edges")
-            for segment in run.segments:
-                list(segment.tables(layout.OVERVIEW))
-        except NotARecordingError:
-            continue
-        assert run.damage or not run.ended, file.name
-        if samples is not None:
-            at = np.searchsorted(whole.samples.index, samples.index)
-            assert whole.samples.raw[at].tobytes() == samples.raw.tobytes()
-        if edges is not None:
-            assert set(edges.tick.tolist()) <= set(whole.edges.tick.tolist())
+@pytest.mark.parametrize("ended", [True, False])
+def test_damage_anywhere_is_told_and_what_still_reads_is_what_was_written(
+    recording: Path, tmp_path: Path, ended: bool
+) -> None:
+    """A bit flipped or a file cut, at places drawn at random, of a run that has ended and of one that was killed."""
+    whole = Whole(recording if ended else unfinished(Run(recording), tmp_path / "a.run"))
+    assert whole.run.ended == ended
+    places = random.Random(3)
+    trials = [whole.trial(places, tmp_path) for _ in range(40)]
+    assert not [trial for trial in trials if not (trial.told and trial.same)]
 
 
 def test_segments_and_row_groups_join_without_a_seam(tmp_path: Path) -> None:
