@@ -37,7 +37,9 @@ class Extension:
         self._config = replace(config, channels=info.channels)
         self._added = info.channels[len(config.channels) :]
         self._columns = {name: layout.stream_columns(self._configured(name), name, info) for name in run.names}
-        self._more = layout.columns_of([layout.channel_field(c, c.name) for c in self._added], {"of": layout.SAMPLES})
+        self._more = layout.columns_of(
+            [layout.channel_field(c, layout.column_of(c.name)) for c in self._added], {"of": layout.SAMPLES}
+        )
         self._overview, self._more_overview = Overview(info), Overview(info, self._added)
         self._written = dict.fromkeys((layout.SAMPLES, layout.EDGES), 0)
 

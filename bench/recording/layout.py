@@ -10,7 +10,8 @@
 
 Raw values are what came over the wire; the value in `unit` is raw * scale + offset. `tick` is the device's clock,
 `tick_hz` of which are a second; `index` counts PWM periods, or edges. Where records are missing before a row, `gap` is
-not 0 (1, or 3 where the device says that it dropped them itself), and `lost` and `lost_frames` say how many.
+not 0 (1, or 3 where the device says that it dropped them itself), and `lost` and `lost_frames` say how many. A channel
+that is itself called `tick` has the column `tick_`.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ SAMPLES, EDGES, OVERVIEW = "samples", "edges", "overview"
 
 GAP_FIELDS = {"gap": np.uint8, "lost": np.int64, "lost_frames": np.int64}
 EDGE_FIELDS = {"hall_old": np.uint8, "hall_new": np.uint8, "illegal": np.bool_, "encoder": np.uint16}
+_OTHERS = {"tick", "index", *GAP_FIELDS}
 HERE, OVERRUN = 1, 2  # bits of `gap`
 _CRC = ',"crc":"'
 _CRC_CHARS = len(_CRC) + 8 + len('"}')
@@ -152,11 +154,16 @@ def stream_columns(config: StreamConfig, stream: str, run: RunInfo) -> Columns:
     fields = [pa.field("tick", pa.int64(), False, {"unit": "s", "scale": repr(1 / config.tick_hz)})]
     fields.append(pa.field("index", pa.int64(), False))
     if config.channels:
-        fields += [channel_field(channel, channel.name) for channel in config.channels]
+        fields += [channel_field(channel, column_of(channel.name)) for channel in config.channels]
     else:
         fields += [pa.field(name, pa.from_numpy_dtype(dtype), False) for name, dtype in EDGE_FIELDS.items()]
     fields += [pa.field(name, pa.from_numpy_dtype(dtype), False) for name, dtype in GAP_FIELDS.items()]
     return columns_of(fields, {"run": run.to_json(), "stream": stream_to_json(config, stream)})
+
+
+def column_of(channel: str) -> str:
+    """Name of a channel's column: its own, with _ at the end where that would be taken for one of the others'."""
+    return f"{channel}_" if channel.rstrip("_") in _OTHERS else channel
 
 
 def channel_field(channel: AnyChannel, name: str) -> pa.Field:
@@ -176,7 +183,7 @@ def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
     n = len(chunk)
     arrays: dict[str, NDArray[Any]] = {"tick": chunk.tick, "index": chunk.index}
     if isinstance(chunk, SampleChunk):
-        arrays |= {name: np.ascontiguousarray(chunk.raw[name]) for name in chunk.raw.dtype.names or ()}
+        arrays |= {column_of(name): np.ascontiguousarray(chunk.raw[name]) for name in chunk.raw.dtype.names or ()}
     else:
         arrays |= {name: getattr(chunk, name) for name in EDGE_FIELDS}
     gaps = {name: np.zeros(n, dtype) for name, dtype in GAP_FIELDS.items()}
@@ -193,8 +200,9 @@ def joined(tables: Sequence[pa.Table]) -> pa.Table:
 
 
 def channel_table(chunk: SampleChunk, columns: Columns) -> pa.Table:
-    """The channels of samples that `columns` names, and nothing else."""
-    arrays = [np.ascontiguousarray(chunk.raw[name]) for name in columns.schema.names]
+    """The channels of samples that have a column in `columns`, and nothing else."""
+    names = {column_of(name): name for name in chunk.raw.dtype.names or ()}
+    arrays = [np.ascontiguousarray(chunk.raw[names[column]]) for column in columns.schema.names]
     return pa.table([pa.array(array) for array in arrays], schema=columns.schema)
 
 
@@ -212,7 +220,7 @@ def to_chunk(table: pa.Table, config: StreamConfig) -> SampleChunk | EdgeChunk:
         return EdgeChunk(config, arrays["tick"], index=arrays["index"], gaps=gaps, **edges)
     raw = np.empty(table.num_rows, config.dtype)
     for channel in config.channels:
-        raw[channel.name] = arrays[channel.name]
+        raw[channel.name] = arrays[column_of(channel.name)]
     return SampleChunk(config, arrays["index"], arrays["tick"], raw, gaps)
 
 

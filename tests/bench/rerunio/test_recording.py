@@ -245,3 +245,18 @@ def test_segments_and_row_groups_join_without_a_seam(tmp_path: Path) -> None:
         writer.close()
     assert len(list((tmp_path / "a.run").glob("samples-*.parquet"))) == 3
     assert not list((tmp_path / "a.run").glob("journal-*"))
+
+
+def test_channels_may_be_called_as_other_columns_are(tmp_path: Path) -> None:
+    names = ("tick", "tick_", "tick__", "index", "gap", "lost", "lost_frames", "edges")
+    channels = tuple(replace(channel, name=name) for channel, name in zip(synthetic.CHANNELS, names, strict=False))
+    config = synthetic.config(channels)
+    raw = np.zeros(50, config.dtype)
+    for name in names:
+        raw[name] = np.random.default_rng(6).integers(0, 100, 50)
+    index = np.arange(50, dtype=np.int64)
+    chunk = SampleChunk(config, index, index * synthetic.TICKS, raw, ())
+    run = Run(synthetic.recorded(tmp_path / "a.run", chunk, channels=channels))
+    assert run.samples.raw.tobytes() == raw.tobytes()
+    assert (run.samples.index == index).all()
+    assert not run.damage
