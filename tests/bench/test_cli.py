@@ -19,7 +19,10 @@ from bench.cli.live import Observer
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
-COMMANDS = ["live", "view", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol", "completion"]
+COMMANDS = [
+    "live", "view", "plot", "compare", "accept", "hall", "replay", "score", "sim", "devices", "info", "protocol",
+    "completion",
+]  # fmt: skip
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:
