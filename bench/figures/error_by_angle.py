@@ -129,13 +129,11 @@ def draw(found: Mapping[str, ByAngle]) -> Figure:
         for edge in range(60, 360, 60):
             ax.axvline(edge, color="0.75", linewidth=0.5, linestyle=":")
         ax.set_xlim(0, 360)
-        ax.set_ylim(-1.12 * largest or -1.0, 1.12 * largest or 1.0)
+        ax.set_ylim(-1.3 * largest or -1.0, 1.3 * largest or 1.0)
         ax.set_xticks(range(0, 361, 60))
         all_of_it = of.overall
-        ax.text(
-            1.0, 1.02, f"{all_of_it['mean']:+.2f}° ± {all_of_it['std']:.2f}°", transform=ax.transAxes, ha="right",
-            va="bottom", fontsize=FONT_SIZE,
-        )  # fmt: skip
+        told = f"{all_of_it['mean']:+.2f}° ± {all_of_it['std']:.2f}°"
+        ax.text(0.99, 0.97, told, transform=ax.transAxes, ha="right", va="top", fontsize=FONT_SIZE)
         legend_above(ax)
     for ax in axes[len(found) :]:
         ax.set_visible(False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -89,8 +89,8 @@ class Motion:
             return Piece(now, running[new], None, None, None if theta is None else theta[new])
         usable = running if n >= LEAST * self._rate else np.zeros(n, bool)
         found = phases_of(omega, usable, self._rate, self._n_p)
-        masks = (mask[new] for mask in (found.moving, found.steady, found.transient, found.start_up, found.reversal))
-        phases = Phases(*masks, found.starts, found.reversals)
+        masks = ("moving", "steady", "transient", "start_up", "reversal")
+        phases = replace(found, **{name: getattr(found, name)[new] for name in masks})
         return Piece(now, running[new], omega[new] / (RPM * self._n_p), phases, None if theta is None else theta[new])
 
     def _omega(self, chunk: SampleChunk, theta: F64 | None) -> F64 | None:
