@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.argument("a", metavar="A", type=RUN)
 @click.argument("b", metavar="B", type=RUN)
 @click.option("--align", metavar="NAME", default="begin", show_default=True,
-              help="What is time 0 in both: a mark, an event (START, FAULT, IDLE, …), NAME#2 for the second one.")  # fmt: skip
+              help="Time 0 of both: a mark, an event (START, FAULT, IDLE, …); NAME#2: the second one.")  # fmt: skip
 @click.option("--from", "begin", metavar="S", type=Number(), help="From so many s after time 0; may be negative.")
 @click.option("--to", "end", metavar="S", type=Number(), help="Up to so many s after time 0.")
 @click.option("--channels", metavar="NAMES", help="Compare only these, separated by commas (default: all in common).")
@@ -48,8 +48,8 @@ def command(
     """Lay two recorded runs over each other, and tell which differences are more than noise.
 
     Prints B less A of every channel that both have in the same unit, and of every position error, over the time that
-    both have, with the standard error of the difference; beyond 3 of them it "differs". Then the events and parameters
-    in which the runs differ. The table is all, unless --viewer or --save asks for pictures.
+    both have, with the standard error of the difference by batch means; beyond 3 of them it "differs". Then the events
+    and parameters in which the runs differ. The table is all, unless --viewer or --save asks for pictures.
 
     \b
     Examples:
@@ -68,14 +68,41 @@ def command(
     sides = alignment.aligned(runs[0], runs[1], align, begin, end)
     names = [name.strip() for name in (channels or "").split(",") if name.strip()]
     found = compare(*sides, names)
-    for run in runs:
-        for words in run.damage:
-            note(f"warning: {run.path}: {words}")
-    if json_file is not None:
-        write_json(json_file, {"aligned_at": align, **as_json(found)})
-    if json_file != STANDARD_OUTPUT:
-        _print(found, align)
-    _show(sides, save, str(shown["viewer"]), shown["web_port"])
+    viewer, web_port = str(shown["viewer"]), shown["web_port"]
+    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
+        file = save or (Path(folder, "compare.rrd") if viewer != "none" else None)
+        if file is not None:
+            _write(file, sides)
+        for run in runs:
+            for words in run.damage:
+                note(f"warning: {run.path}: {words}")
+        if json_file is not None:
+            write_json(json_file, {"aligned_at": align, **as_json(found)})
+        if json_file != STANDARD_OUTPUT:
+            _print(found, align)
+        if file is not None and viewer != "none":
+            _open(file, viewer, web_port if isinstance(web_port, int) else None)
+
+
+def _write(file: Path, sides: tuple[Side, Side]) -> None:
+    from bench.rerunio.overlay import Laid, write_overlay
+
+    a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
+    write_overlay(file, a, b)
+
+
+def _open(file: Path, viewer: str, web_port: int | None) -> None:
+    """Show a file until the viewer is closed, or Ctrl-C."""
+    from bench.rerunio.viewer import chosen, serve_file
+
+    process, address = serve_file(file, chosen(viewer), web_port)
+    try:
+        if address:
+            note(f"both runs: {address} (Ctrl-C ends it)")
+        with suppress(KeyboardInterrupt):
+            process.wait()
+    finally:
+        process.close()
 
 
 def _print(found: Comparison, align: str) -> None:
@@ -98,30 +125,3 @@ def _print(found: Comparison, align: str) -> None:
         table(["parameters that differ", "A", "B"], rows)
     if not found.events and not found.parameters:
         echo("events and parameters: the same")
-
-
-def _show(sides: tuple[Side, Side], save: Path | None, viewer: str, web_port: object) -> None:
-    """Write both for rerun's viewer, and open it, as asked."""
-    if save is None and viewer == "none":
-        return
-    from bench.rerunio.overlay import Laid, write_overlay
-
-    laid = [Laid(side.run, side.zero, side.first, side.last) for side in sides]
-    if save is not None:
-        write_overlay(save, *laid)
-    if viewer == "none":
-        return
-    from bench.rerunio.viewer import chosen, serve_file
-
-    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
-        file = save or Path(folder, "compare.rrd")
-        if save is None:
-            write_overlay(file, *laid)
-        process, address = serve_file(file, chosen(viewer), web_port if isinstance(web_port, int) else None)
-        try:
-            if address:
-                note(f"both runs: {address} (Ctrl-C ends it)")
-            with suppress(KeyboardInterrupt):
-                process.wait()
-        finally:
-            process.close()

@@ -3,7 +3,8 @@
 Samples that follow each other are alike, so their scatter says little about that of their mean. Means over long
 batches are nearly independent: their scatter does. Two aligned runs are compared batch by batch, so that what both
 went through, a start or a step, cancels. Where the differences of neighbouring batches are still alike, the
-standard error is widened as that of a first-order autoregression.
+standard error is widened as that of a first-order autoregression; where they are very much alike the difference is no
+noise about a mean, and nothing is said of the mean but what is beyond all doubt.
 
 Batch means: Law, Simulation Modeling and Analysis, 5th ed. 2015, ch. 9.5.3. All quantities are in their own unit.
 """
@@ -25,6 +26,8 @@ LEAST_BATCHES = 8  # in which both runs have samples
 LEAST = 10  # samples of a batch, in the mean
 SURE = 3.0  # standard errors beyond which a difference is none of the noise
 MOST_ALIKE = 0.9  # correlation of neighbouring batches that is believed at most
+DRIFT = 0.5  # correlation beyond which a difference is no noise: 1 in 300 of white noise has it by chance
+TOO_FEW, DRIFTS = "too few samples", "drifts"
 ROUNDING = 1e-9  # of the larger mean: no difference
 
 
@@ -33,7 +36,7 @@ class Verdict(StrEnum):
 
     DIFFERS = "differs"
     SAME = "same within noise"
-    UNKNOWN = "unknown"  # too few samples
+    UNKNOWN = "unknown"  # too few samples, or the difference drifts
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Difference:
     error: float
     """Standard error of b - a."""
     verdict: Verdict
+    why: str = ""
+    """Of what is unknown."""
 
     @property
     def value(self) -> float:
@@ -80,7 +85,7 @@ def of_means(a: F64, b: F64) -> Difference:
     """Difference of the means of a quantity; `a`, `b`: sums (3, BATCHES) of the runs A and B."""
     used = _used(a, b)
     if not used.any():
-        return Difference(_mean(a), _mean(b), math.nan, Verdict.UNKNOWN)
+        return Difference(_mean(a), _mean(b), math.nan, Verdict.UNKNOWN, TOO_FEW)
     return _judged(a[1, used] / a[0, used], b[1, used] / b[0, used])
 
 
@@ -101,13 +106,12 @@ def _of_roots(a: F64, b: F64, about_a: float, about_b: float) -> Difference:
         (sums[2, used] - 2 * about * sums[1, used]) / sums[0, used] + about**2
         for sums, about in ((a, about_a), (b, about_b))
     ]
-    roots = [_root(a, about_a), _root(b, about_b)]
     if not used.any():
-        return Difference(*roots, math.nan, Verdict.UNKNOWN)
+        return Difference(_root(a, about_a), _root(b, about_b), math.nan, Verdict.UNKNOWN, TOO_FEW)
     found = _judged(*squares)
-    roots = [math.sqrt(max(found.a, 0.0)), math.sqrt(max(found.b, 0.0))]
-    total = sum(roots)
-    return Difference(*roots, found.error / total if total else 0.0, found.verdict)
+    root_a, root_b = math.sqrt(max(found.a, 0.0)), math.sqrt(max(found.b, 0.0))
+    total = root_a + root_b
+    return Difference(root_a, root_b, found.error / total if total else 0.0, found.verdict, found.why)
 
 
 def _used(a: F64, b: F64) -> NDArray[np.bool_]:
@@ -130,19 +134,22 @@ def _root(sums: F64, about: float) -> float:
 def _judged(a: F64, b: F64) -> Difference:
     """Of means of the same batches (k,), k >= 2."""
     rest = b - a
-    error = standard_error(rest)
+    error, alike = standard_error(rest)
     mean_a, mean_b = float(a.mean()), float(b.mean())
     size = abs(mean_b - mean_a)
-    differs = size > SURE * error and size > ROUNDING * max(abs(mean_a), abs(mean_b))
-    return Difference(mean_a, mean_b, error, Verdict.DIFFERS if differs else Verdict.SAME)
+    if size > SURE * error and size > ROUNDING * max(abs(mean_a), abs(mean_b)):
+        return Difference(mean_a, mean_b, error, Verdict.DIFFERS)
+    if alike > DRIFT:
+        return Difference(mean_a, mean_b, error, Verdict.UNKNOWN, DRIFTS)
+    return Difference(mean_a, mean_b, error, Verdict.SAME)
 
 
-def standard_error(batches: F64) -> float:
-    """Of the mean of `batches` (k,), wider where neighbours are alike."""
+def standard_error(batches: F64) -> tuple[float, float]:
+    """Of the mean of `batches` (k,), wider where neighbours are alike; and their correlation, 0 where it is below."""
     k = len(batches)
     rest = batches - batches.mean()
     square = float(rest @ rest)
-    if square == 0.0:
-        return 0.0
+    if square <= k * (ROUNDING * float(np.abs(batches).max())) ** 2:
+        return 0.0, 0.0
     alike = min(max(float(rest[1:] @ rest[:-1]) / square, 0.0), MOST_ALIKE)
-    return math.sqrt(square / (k - 1) / k * (1 + alike) / (1 - alike))
+    return math.sqrt(square / (k - 1) / k * (1 + alike) / (1 - alike)), alike

@@ -121,7 +121,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
             {
                 "quantity": row.name, "unit": row.unit, "a": row.difference.a, "b": row.difference.b,
                 "difference": row.difference.value, "standard_error": row.difference.error,
-                "verdict": row.difference.verdict.value,
+                "verdict": row.difference.verdict.value, "why": row.difference.why or None,
             }
             for row in found.rows
         ],
@@ -140,7 +140,7 @@ def cells(row: Row) -> list[str]:
     """A row of the table."""
     of = row.difference
     numbers = [_number(of.a), _number(of.b), _number(of.value), _number(of.error)]
-    return [row.name, row.unit or "–", *numbers, of.verdict.value]
+    return [row.name, row.unit or "–", *numbers, f"{of.verdict}: {of.why}" if of.why else of.verdict.value]
 
 
 def _number(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Two aligned runs in one rerun recording: all of A below /a, all of B below /b, on the time after what they are aligned at.
+"""Two aligned runs in one rerun recording: A below /a, B below /b, on the time after what they are aligned at.
 
 The views are those of the dashboard, one for each quantity, with the lines of both: A as ever, B paler.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -50,7 +50,8 @@ def write_overlay(path: Path, a: Laid, b: Laid) -> None:
         span = [float(ns_from_tick(tick - a.zero, a.run.info.tick_hz)) / 1e9 for tick in (a.first, a.last)]
         stream.send_blueprint(_blueprint(_common(*infos), *span))
         for entity, laid, info in ((A, a, infos[0]), (B, b, infos[1])):
-            log = RunLog(_Shifted(stream, entity, int(ns_from_tick(laid.zero, info.tick_hz))), info, LOT)
+            shifted = _Shifted(stream, entity, int(ns_from_tick(laid.zero, info.tick_hz)))
+            log = RunLog(cast(rr.RecordingStream, shifted), info, LOT)
             log.start()
             show(laid.run, log, laid.first, laid.last, closeups(laid.run, laid.first, laid.last))
             log.finish()
