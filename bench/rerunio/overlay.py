@@ -19,7 +19,7 @@ from bench.analysis.colours import RGB
 from bench.recording.info import RunInfo, ns_from_tick
 from bench.recording.reader import Run
 from bench.rerunio import schema
-from bench.rerunio.dashboard import Span, time_series
+from bench.rerunio.dashboard import LEGEND_SHARE, Span, time_series
 from bench.rerunio.log import RunLog
 from bench.rerunio.plots import Line, Plot, plots
 from bench.rerunio.viewing import LOT, closeups, rrd_file, show
@@ -95,7 +95,9 @@ def _common(a: RunInfo, b: RunInfo) -> RunInfo:
 
 def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
     """The views of both runs; `first`, `last`: s, what they show."""
-    span: Span = tuple(rrb.TimeRangeBoundary.absolute(seconds=at) for at in (first, last))  # type: ignore[assignment]
+    span = _absolute(first, last)
+    room = (last - first) * LEGEND_SHARE / (1 - LEGEND_SHARE)
+    wide = _absolute(first - room, last)
     views = [
         time_series(
             plot,
@@ -106,7 +108,7 @@ def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
                 ],
             },
             span,
-            span,
+            wide,
         )
         for plot in _once(plots(run).values())
     ]
@@ -120,10 +122,14 @@ def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
     )
 
 
+def _absolute(first: float, last: float) -> Span:
+    return rrb.TimeRangeBoundary.absolute(seconds=first), rrb.TimeRangeBoundary.absolute(seconds=last)
+
+
 def _once(found: Iterable[Plot]) -> list[Plot]:
-    """One plot for each quantity: the long one where there are two of the same channels."""
+    """One plot for each quantity: the first, which is the long one, where there are two of the same channels."""
     shown: dict[tuple[tuple[str, bool], ...], Plot] = {}
-    for plot in sorted(found, key=lambda plot: plot.entity != schema.TREND):
+    for plot in found:
         shown.setdefault(_lines(plot.lines), replace(plot, name=plot.name.rpartition(", last")[0]))
     return list(shown.values())
 
