@@ -158,6 +158,12 @@ def draw(found: Mapping[str, BySpeed], unit: str) -> Figure:
             for ax, values in zip(axes, (of.mean, of.rms, of.percentile), strict=True):
                 ax.plot(of.rpm[side], values[side], look.dash, color=look.paper, label=words, **style)
     axes[0].axhline(0.0, color="black", linewidth=0.5)
+    means, highest = (
+        max(float(np.abs(row).max()) for row in rows)
+        for rows in ([of.mean for of in found.values()], [of.rms for of in found.values()])
+    )
+    reach = max(1.15 * means, 0.1 * highest, 1e-3)  # not a magnified nothing
+    axes[0].set_ylim(-reach, reach)
     for ax, what in zip(axes, ("mean", "rms", f"{PERCENT:g} %"), strict=True):
         axis_labels(ax, "", f"error, {what}", unit_y="el. °")
         if what != "mean":
