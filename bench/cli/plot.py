@@ -61,7 +61,8 @@ def command(
         for file in files.values():
             check_output(file, str(file), overwrite)
     opened = Run(run)
-    drawn = draw_all(opened, *ticks_of(opened, begin, end))
+    first, last = ticks_of(opened, begin, end)
+    drawn = draw_all(opened, first, last)
     for words in opened.damage:
         note(f"warning: {words}")
     if not any(each.figure for each in drawn):
@@ -73,13 +74,14 @@ def command(
                 write(each, files[each.name])
             except OSError as error:
                 raise BenchError(f"{files[each.name]} cannot be written: {error.strerror}") from None
-    told = [
-        {"figure": one.name, "file": str(files[one.name]) if one.figure else None, "why_not": one.why or None,
-         "says": one.words or None, "numbers": one.numbers}
-        for one in drawn
-    ]  # fmt: skip
     if json_file is not None:
-        write_json(json_file, told)
+        figures = [
+            {"figure": one.name, "file": str(files[one.name]) if one.figure else None, "why_not": one.why or None,
+             "says": one.words or None, "numbers": one.numbers}
+            for one in drawn
+        ]  # fmt: skip
+        span = {"from_s": first / opened.info.tick_hz, "to_s": last / opened.info.tick_hz}
+        write_json(json_file, {"run": str(run), **span, "damage": opened.damage, "figures": figures})
     if json_file != STANDARD_OUTPUT:
         from bench.cli.output import table
 

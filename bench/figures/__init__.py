@@ -6,6 +6,7 @@
     error_by_speed     position errors over the speed
     current_plane      i_d and i_q as a plane, with their references and the limit
     hall_edges         where the Hall edges lie, and where they belong
+    looks              colours of estimates
     plot               all of them, to files
 
 Each figure has something that `add`s pieces and knows numbers, and a function that draws these numbers. Angles and

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.analysis.position import position_error
+from bench.figures.looks import looks
 from bench.figures.motion import Piece
-from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, colour, legend_above, new_figure
+from bench.reports.style import FONT_SIZE, LINE_WIDTH, axis_labels, legend_above, new_figure
 from bench.rerunio.schema import label
 
 F64 = NDArray[np.float64]
@@ -111,25 +112,26 @@ def words(found: Mapping[str, ByAngle]) -> str:
 
 
 def draw(found: Mapping[str, ByAngle]) -> Figure:
-    """Mean and band of one standard deviation, an estimate a panel; a shaft that turned back is dashed."""
+    """Mean and band of one standard deviation, an estimate a panel with its own scale; turning back is dashed."""
     columns = 1 if len(found) == 1 else 2
     rows = -(-len(found) // columns)
     figure, axes = new_figure(rows, columns, height=0.6 + (2.4 if rows == 1 else 1.75 * rows))
-    both = any(of.n[BACKWARDS].any() for of in found.values())
-    largest = max(float(np.nanmax(np.abs(of.mean) + of.std)) for of in found.values())
+    look_of = looks(found)
     for ax, (name, of) in zip(axes, found.items(), strict=False):
-        for way, dash, word in ((FORWARDS, "-", "forwards"), (BACKWARDS, "--", "backwards")):
-            if not of.n[way].any():
+        own, met = look_of[name].paper, [bool(n.any()) for n in of.n]
+        for way, dash, words in ((FORWARDS, "-", label(name)), (BACKWARDS, "--", "backwards")):
+            if not met[way]:
                 continue
             mean, std = of.mean[way], of.std[way]
-            ax.fill_between(angles(), mean - std, mean + std, color=colour(name), alpha=0.22, linewidth=0)
-            ends = f", {word}" if both else ""
-            ax.plot(angles(), mean, dash, color=colour(name), linewidth=LINE_WIDTH, label=f"{label(name)}{ends}")
+            ax.fill_between(angles(), mean - std, mean + std, color=own, alpha=0.22, linewidth=0)
+            words = words if met[FORWARDS] else f"{label(name)}, {words}"
+            ax.plot(angles(), mean, dash, color=own, linewidth=LINE_WIDTH, label=words)
         ax.axhline(0.0, color="black", linewidth=0.5)
         for edge in range(60, 360, 60):
             ax.axvline(edge, color="0.75", linewidth=0.5, linestyle=":")
         ax.set_xlim(0, 360)
-        ax.set_ylim(-1.3 * largest or -1.0, 1.3 * largest or 1.0)
+        reach = 1.3 * float(np.nanmax(np.abs(of.mean) + of.std)) or 1.0
+        ax.set_ylim(-reach, reach)
         ax.set_xticks(range(0, 361, 60))
         all_of_it = of.overall
         told = f"{all_of_it['mean']:+.2f}° ± {all_of_it['std']:.2f}°"

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.analysis.colours import apart, quantity
 from bench.analysis.position import position_error
+from bench.figures.looks import looks
 from bench.figures.motion import Piece
 from bench.reports.style import LINE_WIDTH, axis_labels, legend_above, new_figure
 from bench.rerunio.schema import label
@@ -146,9 +146,9 @@ def words(found: Mapping[str, BySpeed]) -> str:
 def draw(found: Mapping[str, BySpeed], unit: str) -> Figure:
     """Mean, rms and percentile over the speed in `unit`, one below the other, a line for each estimate."""
     figure, axes = new_figure(3, height=5.4)
-    looks = apart({name: quantity(name) for name in found})
+    look_of = looks(found)
     for name, of in found.items():
-        look = looks[name]
+        look = look_of[name]
         style: dict[str, Any] = {"marker": look.mark, "markersize": 4, "linewidth": LINE_WIDTH * 0.8}
         for sign in (-1, 1):
             side = of.rpm * sign > 0

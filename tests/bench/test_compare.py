@@ -288,6 +288,22 @@ def test_both_runs_are_in_the_viewers_file_on_one_time(shifted: tuple[Path, Path
     assert {"/a/trend", "/b/trend", "/a/log/drive"} <= entities
 
 
+def test_long_runs_are_shown_as_extremes(tmp_path: Path) -> None:
+    n, decimation = 70_000, 16  # 70 s
+    values = np.random.default_rng(6).normal(size=n)
+    for name in "ab":
+        make(tmp_path / f"{name}.run", {"i_q": values}, decimation=decimation, start=16 * (name == "b"))
+    rrd = tmp_path / "both.rrd"
+    assert run_compare(tmp_path / "a.run", tmp_path / "b.run", "--save", rrd).exit_code == 0
+    t_a, a = shown(rrd, "a/samples", schema.value_component("i_q"))
+    assert len(a) == 2 * 70 / 0.05
+    assert a[:2] == pytest.approx([values[:50].min(), values[:50].max()], rel=1e-6)
+    t_b, b = shown(rrd, "b/samples", schema.value_component("i_q"))
+    assert abs(len(b) - len(a)) <= 20  # a bin that is in two row groups is shown twice
+    assert t_b[0] == 0
+    assert t_a[0] == 0
+
+
 def test_the_command_prints_and_writes_the_same(tmp_path: Path) -> None:
     a, b = noisy(tmp_path / "a.run", 0.0, 0.2, 1), noisy(tmp_path / "b.run", 0.1, 0.2, 2)
     result = run_compare(a, b, "--json", tmp_path / "a.json")

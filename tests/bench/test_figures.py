@@ -16,15 +16,20 @@ from click.testing import CliRunner, Result
 from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
 
 from bench.analysis.chunks import part
+from bench.analysis.colours import OBSERVERS
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.figures.current_plane import CurrentPlane
 from bench.figures.error_by_angle import BINS, ErrorByAngle, angles
 from bench.figures.error_by_speed import MOST, ErrorBySpeed
+from bench.figures.hall_edges import HallEdges
+from bench.figures.looks import looks
 from bench.figures.motion import Motion
 from bench.figures.plot import NAMES, Drawn, draw_all
 from bench.recording.reader import Run
 from bench.recording.times import ticks_of
+from bench.recording.writer import RunWriter
+from protocol.streams import EdgeChunk
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
@@ -216,6 +221,60 @@ def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
     assert sum(edge[way]["n"] for edge in found for way in ("forwards", "backwards")) >= len(edges[0]) - 12
 
 
+def test_very_many_edges_are_thinned_by_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rpm = np.concatenate([np.full(N, 600.0), np.full(N, -600.0)])
+    theta = turning(rpm) + 0.5
+    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
+    run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
+    monkeypatch.setattr("bench.figures.hall_edges.MOST", 200)
+    collected = HallEdges()
+    samples = run.samples
+    for k in range(0, len(samples), N // 4):
+        piece = part(samples, k, k + N // 4)
+        its = run.chunk("edges", collected.before(), int(piece.tick[-1]))
+        assert isinstance(its, EdgeChunk)
+        collected.add(piece, its)
+    found = collected.result()
+    assert found is not None
+    kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]
+    assert 50 < sum(kept) <= 300
+    assert min(kept) > 0  # of every edge, both ways
+    assert [-math.degrees(edge.delta(edge.up)) for edge in found.edges] == pytest.approx(LATE, abs=0.02)
+
+
+def test_a_gap_is_in_no_stretch_and_between_no_edge_and_its_angle(tmp_path: Path) -> None:
+    """A second of steady turning, of which a tenth is lost at 0.7 s: the longest stretch ends there."""
+    rpm = np.full(N, 500.0)
+    theta = turning(rpm)
+    codes, edges = hall(theta, np.arange(N) * (TICK_HZ // PWM_HZ))
+    columns = {"hall": codes, "theta_enc": theta, "theta_vt": theta - 0.1, **currents(theta)}
+    whole = Run(make(tmp_path / "whole.run", columns, edges))
+    path = tmp_path / "lossy.run"
+    writer = RunWriter(path, whole.info)
+    samples, first, last = whole.samples, round(0.7 * N), round(0.8 * N)
+    writer.edges(whole.edges)
+    writer.samples(part(samples, 0, first))
+    writer.samples(part(samples, last, N))
+    writer.close()
+    found = drawn(path)
+    spectrum = found["spectrum"].numbers
+    assert spectrum["to_s"] == pytest.approx(0.7, abs=0.001)
+    assert spectrum["phases"]["i_a"]["thd_percent"] == pytest.approx(100 * math.hypot(FIFTH, SEVENTH), rel=2e-3)
+    assert found["error_by_angle"].numbers["estimates"]["theta_vt"]["mean"] == pytest.approx(
+        math.degrees(0.1), abs=1e-4
+    )
+    met = sum(edge["forwards"]["n"] for edge in found["hall_edges"].numbers["edges"])
+    lost = np.count_nonzero((edges[0] > samples.tick[first - 1]) & (edges[0] < samples.tick[last]))
+    assert lost > 10
+    assert met == len(edges[0]) - lost
+
+
+def test_a_hosts_estimate_has_its_observers_colour_unless_the_drives_own_is_beside_it() -> None:
+    own = looks(["theta_ek_host", "theta_vt_host", "theta_vt"])
+    assert (own["theta_ek_host"], own["theta_vt"]) == (OBSERVERS["ek"], OBSERVERS["vt"])
+    assert len({look.paper for look in own.values()}) == 3
+
+
 # -- a kept run, by other means -------------------------------------------------------------------------------------
 
 
@@ -303,7 +362,9 @@ def test_files_json_and_the_table(tmp_path: Path) -> None:
     assert isinstance(again.exception, BenchError)
     assert "--overwrite" in str(again.exception)
     result = plot(DATA / "steady.run", "-o", tmp_path / "out", "--overwrite", "--svg", "--json=-")
-    told = {each["figure"]: each for each in json.loads(result.stdout)}
+    said = json.loads(result.stdout)
+    assert (said["from_s"], said["to_s"]) == (0.12, 1.4199375)
+    told = {each["figure"]: each for each in said["figures"]}
     assert told["current_plane"]["file"] is None
     assert "i_d" in told["current_plane"]["why_not"]
     assert told["spectrum"]["numbers"]["phases"]["i_a"]["thd_percent"] < 1
