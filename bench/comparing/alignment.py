@@ -61,7 +61,8 @@ def aligned(a: Run, b: Run, to: str, begin: float | None, end: float | None) -> 
             f"{run.path} from {float(span[0]):.3f} to {float(span[1]):.3f} s"
             for run, span in zip((a, b), spans, strict=True)
         )
-        asked = "" if begin is None and end is None else f" within --from {begin or ''} --to {end or ''}"
+        limits = [f"{option} {at:g}" for option, at in (("--from", begin), ("--to", end)) if at is not None]
+        asked = f" within {' '.join(limits)}" if limits else ""
         raise BenchError(f"the runs have no time in common{asked}: aligned at {to} {told}")
     sides = []
     for run, zero in zip((a, b), zeros, strict=True):

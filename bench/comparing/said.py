@@ -57,7 +57,8 @@ def parameters(a: Side, b: Side) -> list[ParameterPair]:
     """Parameters of the drive that differ, as they are where the stretch begins."""
     one, other = _parameters(a), _parameters(b)
     names = dict.fromkeys([*one, *other])
-    return [ParameterPair(name, one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)]
+    pairs = [ParameterPair(name, one.get(name), other.get(name)) for name in names]
+    return [pair for pair in pairs if str(pair.a) != str(pair.b)]  # NaN is no other value than NaN
 
 
 def _parameters(side: Side) -> dict[str, float]:
