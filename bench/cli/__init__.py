@@ -23,8 +23,10 @@ from protocol.text import printable
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
     "view": "Open a recorded run in rerun, any part of it.",
-    "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "mark": "Mark a moment in a run that another terminal records.",
+    "plot": "Draw the standard figures of a recorded run.",
+    "compare": "Lay two recorded runs over each other: differences beyond noise.",
+    "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
     "hall": "Hall sensors: check their health, learn where their edges lie.",
     "replay": "Run observers again on a recording, beside the drive's own.",

@@ -7,7 +7,7 @@ cannot fill is left out. Nothing here logs data.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import rerun as rr
@@ -18,7 +18,7 @@ from bench.analysis.colours import GROUND
 from bench.recording.info import Mark, RunInfo, ns_from_tick
 from bench.rerunio import schema
 from bench.rerunio.plane import X_RANGE, Y_RANGE, Plane
-from bench.rerunio.plots import TREND, Plot, plots
+from bench.rerunio.plots import TREND, Line, Plot, plots
 
 HALL = 0.1  # seconds that the Hall view shows
 HALL_QUERIED = 0.3  # of which it is told, for the code that its first moments begin with
@@ -126,28 +126,34 @@ def _lanes(name: str, entity: str, queried: Span, shown: Span) -> rrb.StateTimel
 
 def _view(plot: Plot, whole: Span | None) -> rrb.TimeSeriesView:
     """A plot of the last moments, or of the span `whole`."""
-    lines = [
-        rr.SeriesLines(names=line.name, colors=line.colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
-            mappings=[
-                VisualizerComponentMapping(
-                    target="Scalars:scalars",
-                    source_kind=ComponentSourceKind.SourceComponent,
-                    source_component=line.component,
-                )
-            ]
-        )
-        for line in plot.lines
-    ]
+    shown = whole or _span(plot.seconds / (1 - LEGEND_SHARE))
+    return time_series(plot, {plot.entity: plot.lines}, whole or _span(plot.seconds), shown)
+
+
+def time_series(plot: Plot, lines: Mapping[str, Sequence[Line]], queried: Span, shown: Span) -> rrb.TimeSeriesView:
+    """A view with the name and range of `plot`, of `lines` by entity, over the time `shown`."""
     return rrb.TimeSeriesView(
         name=plot.name,
         origin="/",
-        contents=[f"/{plot.entity}"],
-        overrides={plot.entity: lines},
+        contents=[f"/{entity}" for entity in lines],
+        overrides={entity: [_series(line) for line in its] for entity, its in lines.items()},
         axis_y=rrb.ScalarAxis(range=plot.y_range) if plot.y_range else None,
         background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
-        time_ranges=_queried(whole or _span(plot.seconds)),
-        axis_x=_shown(whole or _span(plot.seconds / (1 - LEGEND_SHARE))),
+        time_ranges=_queried(queried),
+        axis_x=_shown(shown),
+    )
+
+
+def _series(line: Line) -> rrb.Visualizer:
+    return rr.SeriesLines(names=line.name, colors=line.colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                target="Scalars:scalars",
+                source_kind=ComponentSourceKind.SourceComponent,
+                source_component=line.component,
+            )
+        ]
     )
 
 

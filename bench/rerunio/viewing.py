@@ -7,15 +7,18 @@ sample only around faults and marks: rerun's memory holds minutes of samples, no
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import rerun as rr
 from numpy.typing import NDArray
 
 from bench.analysis.chunks import between
 from bench.errors import RecordingError
 from bench.files import part_of
+from bench.recording.info import RunInfo
 from bench.recording.layout import numbers
 from bench.recording.losses import LossAccount
 from bench.recording.overview import BIN, coarser
@@ -43,18 +46,28 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
 
     The file appears, or replaces an earlier one, when it is whole.
     """
-    part = part_of(path)
     begin, end = -1 if first is None else first, 1 << 62 if last is None else last
     near = closeups(run, begin, end)
-    stream = new_stream(run.info)
-    try:
-        stream.save(part)
+    with rrd_file(path, run.info) as stream:
         whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
         stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, coarse=near is not None))
         log = RunLog(stream, run.info, LOT)
         log.start()
-        _show(run, log, begin, end, near)
+        show(run, log, begin, end, near)
         log.finish()
+
+
+@contextmanager
+def rrd_file(path: Path, info: RunInfo) -> Iterator[rr.RecordingStream]:
+    """A rerun stream of the run `info` to a file, which appears, or replaces an earlier one, when it is whole.
+
+    Raises RecordingError.
+    """
+    part = part_of(path)
+    stream = new_stream(info)
+    try:
+        stream.save(part)
+        yield stream
         stream.flush(timeout_sec=FLUSH_TIMEOUT)
         stream.disconnect()
         part.replace(path)
@@ -90,7 +103,7 @@ def closeups(run: Run, first: int, last: int) -> list[Span] | None:
     return found
 
 
-def _show(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span] | None) -> None:
+def show(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span] | None) -> None:
     """Log the ticks `first` to `last` of a run: sample by sample within the spans `near`, or all where that is None."""
     for mark in run.marks:
         if mark.first_tick <= last and mark.last_tick >= first:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
+from bench.figures.error_by_angle import FORWARDS, ErrorByAngle, angles
 from bench.reports.style import axis_labels, colour, legend_above, new_figure
 
 OBSERVERS = {
@@ -17,7 +18,6 @@ OBSERVERS = {
     "vector_tracking": "theta_vt",
     "edge_kalman": "theta_ek",
 }  # by name: the channel of its angle
-BINS = np.arange(0, 361, 3)  # electrical degrees
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:
@@ -30,10 +30,10 @@ figure, (ax,) = new_figure(1, height=3.2)
 for name, theta in OBSERVERS.items():
     late = bench.estimate(run, name).between(run.t[-1] - 1.0, run.t[-1])
     error = np.degrees(late.position_error(f"{theta}_host"))
-    angle = np.degrees(late.theta) % 360
-    mean, _ = np.histogram(angle, BINS, weights=error)
-    n, _ = np.histogram(angle, BINS)
-    ax.plot(BINS[:-1] + 1.5, mean / n, color=colour(theta), linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
+    sums = ErrorByAngle([name])
+    sums.add_errors(name, late[late.reference], late[f"{theta}_host"], np.zeros(len(late), bool))
+    mean = sums.result()[name].mean[FORWARDS]
+    ax.plot(angles(), mean, color=colour(theta), linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
     print(f"{name}: mean {error.mean():.3f}, std {error.std():.3f} el. deg")
 ax.set_xlim(0, 360)
 ax.set_xticks(range(0, 361, 60))

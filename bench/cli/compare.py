@@ -1,0 +1,127 @@
+"""`bench compare`: two recorded runs laid over each other."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
+from bench.cli.number import Number
+from bench.cli.streams import echo, note
+from bench.files import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from bench.comparing.alignment import Side
+    from bench.comparing.compare import Comparison
+
+
+@click.command("compare")
+@click.argument("a", metavar="A", type=RUN)
+@click.argument("b", metavar="B", type=RUN)
+@click.option("--align", metavar="NAME", default="begin", show_default=True,
+              help="Time 0 of both: a mark, an event (START, FAULT, IDLE, …); NAME#2: the second one.")  # fmt: skip
+@click.option("--from", "begin", metavar="S", type=Number(), help="From so many s after time 0; may be negative.")
+@click.option("--to", "end", metavar="S", type=Number(), help="Up to so many s after time 0.")
+@click.option("--channels", metavar="NAMES", help="Compare only these, separated by commas (default: all in common).")
+@click.option("--viewer", type=click.Choice(["none", "auto", "native", "web"]), default="none", show_default=True,
+              help="Show both in rerun too; auto: native on a display, else web.")  # fmt: skip
+@click.option("--web-port", type=click.IntRange(1, 65535),
+              help="Port of the web viewer (default: the first free one from 9090).")  # fmt: skip
+@click.option("--save", metavar="FILE", type=FILE, help="Write both as an .rrd for rerun's viewer.")
+@json_option("the differences")
+@overwrite_option
+def command(
+    a: Path,
+    b: Path,
+    align: str,
+    begin: float | None,
+    end: float | None,
+    channels: str | None,
+    json_file: Path | None,
+    overwrite: bool,
+    **shown: str | int | Path | None,
+) -> None:
+    """Lay two recorded runs over each other, and tell which differences are more than noise.
+
+    Prints B less A of every channel that both have in the same unit, and of every position error, over the time that
+    both have, with the standard error of the difference by batch means; beyond 3 of them it "differs". Then the events
+    and parameters in which the runs differ. The table is all, unless --viewer or --save asks for pictures.
+
+    \b
+    Examples:
+      bench compare before.run after.run
+      bench compare a.run b.run --align START --from 0.5 --to 2
+      bench compare a.run b.run --align "load step" --viewer web
+    """
+    save = shown["save"]
+    assert save is None or isinstance(save, Path)
+    check_files({"--json": json_file, "--save": save}, overwrite, [a, b])
+    from bench.comparing import alignment
+    from bench.comparing.compare import as_json, compare
+    from bench.recording.reader import Run
+
+    runs = [alignment.readable(Run(path)) for path in (a, b)]
+    sides = alignment.aligned(runs[0], runs[1], align, begin, end)
+    names = [name.strip() for name in (channels or "").split(",") if name.strip()]
+    found = compare(*sides, names)
+    viewer, web_port = str(shown["viewer"]), shown["web_port"]
+    with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
+        file = save or (Path(folder, "compare.rrd") if viewer != "none" else None)
+        if file is not None:
+            _write(file, sides)
+        for run in runs:
+            for words in run.damage:
+                note(f"warning: {run.path}: {words}")
+        if json_file is not None:
+            write_json(json_file, {"aligned_at": align, **as_json(found)})
+        if json_file != STANDARD_OUTPUT:
+            _print(found, align)
+        if file is not None and viewer != "none":
+            _open(file, viewer, web_port if isinstance(web_port, int) else None)
+
+
+def _write(file: Path, sides: tuple[Side, Side]) -> None:
+    from bench.rerunio.overlay import Laid, write_overlay
+
+    a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
+    write_overlay(file, a, b)
+
+
+def _open(file: Path, viewer: str, web_port: int | None) -> None:
+    """Show a file until the viewer is closed, or Ctrl-C."""
+    from bench.rerunio.viewer import chosen, serve_file
+
+    process, address = serve_file(file, chosen(viewer), web_port)
+    try:
+        if address:
+            note(f"both runs: {address} (Ctrl-C ends it)")
+        with suppress(KeyboardInterrupt):
+            process.wait()
+    finally:
+        process.close()
+
+
+def _print(found: Comparison, align: str) -> None:
+    from bench.cli.output import table
+    from bench.comparing.compare import cells
+
+    a, b = found.a, found.b
+    for letter, side in (("A", a), ("B", b)):
+        echo(f"{letter}: {side.run.path}, time 0 ({align}) is at {side.run.at(side.zero)}")
+    echo(f"from {a.seconds(a.first):.3f} to {a.seconds(a.last):.3f} s")
+    table(["quantity", "unit", "A", "B", "B - A", "std. error", ""], [cells(row) for row in found.rows])
+    if found.left_out:
+        echo(f"not compared: {', '.join(found.left_out)}")
+    if found.events:
+        rows = [[pair.words, *("–" if at is None else f"{at:.4f}" for at in (pair.a, pair.b))] for pair in found.events]
+        table(["events that differ", "A [s]", "B [s]"], rows)
+    if found.parameters:
+        values = ((pair.name, pair.a, pair.b) for pair in found.parameters)
+        rows = [[name, *("–" if value is None else f"{value:g}" for value in pair)] for name, *pair in values]
+        table(["parameters that differ", "A", "B"], rows)
+    if not found.events and not found.parameters:
+        echo("events and parameters: the same")

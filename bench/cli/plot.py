@@ -1,0 +1,90 @@
+"""`bench plot`: the standard figures of a recorded run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from bench.cli.files import DIRECTORY, RUN, check_files, json_option, overwrite_option, write_json
+from bench.cli.number import Number
+from bench.cli.streams import note
+from bench.errors import BenchError
+from bench.files import RUN as SUFFIX
+from bench.files import STANDARD_OUTPUT, check_directory, check_output
+
+
+@click.command("plot")
+@click.argument("run", metavar="RUN", type=RUN)
+@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
+@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
+@click.option("-o", "--output", metavar="DIR", type=DIRECTORY, help="Where to (default: RUN.figures); made if needed.")
+@click.option("--svg", is_flag=True, help="Write SVG in place of PNG.")
+@json_option("what the figures show")
+@overwrite_option
+def command(
+    run: Path,
+    begin: float | None,
+    end: float | None,
+    output: Path | None,
+    svg: bool,
+    json_file: Path | None,
+    overwrite: bool,
+) -> None:
+    """Draw the standard figures of a recorded run, each a file.
+
+    \b
+    spectrum        currents over frequency: harmonics and distortion, over the
+                    longest stretch of steady speed
+    error_by_angle  error of each position estimate over the electrical angle
+    error_by_speed  the same over the speed
+    current_plane   i_d and i_q, their references and the limit
+    hall_edges      where the Hall edges lie, and where they belong
+
+    A figure that the run's channels do not allow is left out, and why is said. An error if none can be drawn.
+
+    \b
+    Examples:
+      bench plot a.run
+      bench plot a.run --from 2 --to 8 -o figures --svg
+    """
+    check_files({"--json": json_file}, overwrite, [run])
+    from bench.figures.plot import NAMES, draw_all, write
+    from bench.recording.reader import Run
+    from bench.recording.times import ticks_of
+
+    folder = output or run.absolute().parent / f"{run.name.removesuffix(SUFFIX)}.figures"
+    ending = "svg" if svg else "png"
+    files = {name: folder / f"{name}.{ending}" for name in NAMES}
+    check_directory(folder, f"--output {folder}", make=True)
+    if folder.is_dir():
+        for file in files.values():
+            check_output(file, str(file), overwrite)
+    opened = Run(run)
+    first, last = ticks_of(opened, begin, end)
+    drawn = draw_all(opened, first, last)
+    for words in opened.damage:
+        note(f"warning: {words}")
+    if not any(each.figure for each in drawn):
+        raise BenchError(f"no figure of {run} can be drawn: {'; '.join(f'{one.name}: {one.why}' for one in drawn)}")
+    for each in drawn:
+        if each.figure is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                write(each, files[each.name])
+            except OSError as error:
+                raise BenchError(f"{files[each.name]} cannot be written: {error.strerror}") from None
+    if json_file is not None:
+        figures = [
+            {"figure": one.name, "file": str(files[one.name]) if one.figure else None, "why_not": one.why or None,
+             "says": one.words or None, "numbers": one.numbers}
+            for one in drawn
+        ]  # fmt: skip
+        span = {"from_s": first / opened.info.tick_hz, "to_s": last / opened.info.tick_hz}
+        write_json(json_file, {"run": str(run), **span, "damage": opened.damage, "figures": figures})
+    if json_file != STANDARD_OUTPUT:
+        from bench.cli.output import table
+
+        shown = [[one.name, files[one.name].name if one.figure else "–", one.words or f"not drawn: {one.why}"]
+                 for one in drawn]  # fmt: skip
+        table(("figure", f"in {folder}", "what it says"), shown)

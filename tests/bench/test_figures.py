@@ -1,0 +1,393 @@
+"""The standard figures say what formulas say of made up runs, and what plain numpy says of a kept one."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import made_runs
+import matplotlib.image
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner, Result
+from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
+
+from bench.analysis.chunks import part
+from bench.analysis.colours import OBSERVERS
+from bench.cli import cli
+from bench.errors import BenchError
+from bench.figures.current_plane import CurrentPlane
+from bench.figures.error_by_angle import BINS, ErrorByAngle, angles
+from bench.figures.error_by_speed import MOST, ErrorBySpeed
+from bench.figures.hall_edges import HallEdges
+from bench.figures.looks import looks
+from bench.figures.motion import Motion
+from bench.figures.plot import NAMES, Drawn, draw_all
+from bench.recording.reader import Run
+from bench.recording.times import ticks_of
+from bench.recording.writer import RunWriter
+from protocol.streams import EdgeChunk
+
+DATA = Path(__file__).parents[1] / "data"
+N = PWM_HZ  # samples of a second
+FIFTH, SEVENTH = 0.05, 0.03
+
+
+def drawn(path: Path, begin: float | None = None, end: float | None = None) -> dict[str, Drawn]:
+    run = Run(path)
+    return {each.name: each for each in draw_all(run, *ticks_of(run, begin, end))}
+
+
+def plot(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["plot", *map(str, arguments)])
+
+
+def currents(theta: np.ndarray) -> dict[str, np.ndarray]:
+    """Phases with a 5th and a 7th harmonic."""
+    found = {}
+    for k, name in enumerate(("i_a", "i_b", "i_c")):
+        angle = theta + math.pi / 2 - k * 2 * math.pi / 3
+        found[name] = 3.0 * (np.cos(angle) + FIFTH * np.cos(5 * angle + 1) + SEVENTH * np.sin(7 * angle))
+    return found
+
+
+# -- spectrum -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("encoder", [True, False])
+def test_the_distortion_is_that_of_the_harmonics(encoder: bool, tmp_path: Path) -> None:
+    """At rest, then two steady stretches, of which the longer one counts, with a ramp between them."""
+    rpm = np.concatenate([np.zeros(N // 2), np.full(N, 300.0), np.linspace(300, 507, N // 10), np.full(2 * N, 507.0)])
+    theta = turning(rpm)
+    angle = {"theta_enc": theta} if encoder else {"omega_vt": rpm * RPM * N_P}
+    found = drawn(make(tmp_path / "a.run", {**angle, **currents(theta)}))["spectrum"]
+    numbers = found.numbers
+    assert numbers["fundamental_hz"] == pytest.approx(507 / 60 * N_P, rel=1e-4)
+    assert numbers["rpm"] == pytest.approx(507, abs=0.1)
+    assert 1.69 < numbers["from_s"] < 1.76  # 0.1 s after the ramp, to a block of 0.05 s
+    assert numbers["to_s"] == pytest.approx(3.6, abs=0.01)
+    for phase in numbers["phases"].values():
+        assert phase["thd_percent"] == pytest.approx(100 * math.hypot(FIFTH, SEVENTH), rel=2e-3)
+        wanted = np.zeros(20)
+        wanted[[0, 4, 6]] = 3.0, 3.0 * FIFTH, 3.0 * SEVENTH
+        assert phase["harmonics_a"] == pytest.approx(wanted, abs=2e-3)
+    assert "507 r/min" in found.words
+
+
+def test_a_spectrum_without_a_fundamental_is_drawn_without_a_distortion(tmp_path: Path) -> None:
+    theta = turning(np.full(N, 500.0))
+    noise = np.random.default_rng(1).normal(size=N)
+    found = drawn(make(tmp_path / "a.run", {"theta_enc": theta, "i_a": noise}))["spectrum"]
+    assert found.figure is not None
+    assert found.numbers["phases"] == {}
+    assert "no fundamental" in found.numbers["without_thd"]["i_a"]
+
+
+# -- position errors ------------------------------------------------------------------------------------------------
+
+
+def test_an_error_of_the_sixth_harmonic_is_found_in_each_bin(tmp_path: Path) -> None:
+    rpm = np.full(4 * N, 443.0)
+    rpm[2 * N :] = -443.0
+    theta = turning(rpm)
+    size = np.where(rpm > 0, 3.0, 5.0)  # degrees; one direction errs more
+    estimate = theta - np.radians(size * np.cos(6 * theta) + 1.0)
+    found = drawn(make(tmp_path / "a.run", {"theta_enc": theta, "theta_vt": estimate}))["error_by_angle"]
+    numbers = found.numbers["estimates"]["theta_vt"]
+    width = 2 * math.pi / BINS
+    share = math.sin(3 * width) / (3 * width)  # of the amplitude, in the mean over a bin
+    shape = share * np.cos(6 * np.radians(angles()))
+    assert numbers["forwards"]["mean"] == pytest.approx(3.0 * shape + 1.0, abs=0.06)
+    assert numbers["backwards"]["mean"] == pytest.approx(5.0 * shape + 1.0, abs=0.1)
+    within = np.sqrt(0.5 - share**2 / 2)  # scatter that the slope within a bin makes, in the rms over the bins
+    assert np.sqrt(np.mean(np.square(numbers["forwards"]["std"]))) == pytest.approx(3.0 * within, rel=0.05)
+    assert numbers["mean"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_is_no_number_counts_for_nothing() -> None:
+    sums = ErrorByAngle(["theta_vt"])
+    angle = np.linspace(0, 1, 100)
+    broken = angle.copy()
+    broken[[3, 50]] = np.nan, np.inf
+    sums.add_errors("theta_vt", angle, broken, np.zeros(100, bool))
+    assert sums.result()["theta_vt"].n.sum() == 98
+
+
+def test_a_bias_that_goes_with_the_speed_is_found_at_each_speed(tmp_path: Path) -> None:
+    speeds = (-600.0, 200.0, 400.0, 800.0)
+    rpm = np.repeat(speeds, N)
+    theta = turning(rpm)
+    noise = np.random.default_rng(2).normal(0, 1.5, len(rpm))
+    error = rpm / 200.0 + noise
+    path = make(tmp_path / "a.run", {"theta_enc": theta, "theta_vt": theta - np.radians(error)})
+    found = drawn(path)["error_by_speed"].numbers["estimates"]["theta_vt"]
+    assert found["rpm"] == list(speeds)
+    for k, speed in enumerate(speeds):
+        there = error[rpm == speed]
+        assert found["mean"][k] == pytest.approx(speed / 200, abs=0.05)
+        assert found["rms"][k] == pytest.approx(math.hypot(speed / 200, 1.5), abs=0.05)
+        assert found["p95"][k] == pytest.approx(np.percentile(np.abs(there), 95), abs=0.1)
+
+
+def test_bins_of_the_speed_stay_few_and_lose_nothing() -> None:
+    sums = ErrorBySpeed(["theta_vt"], 1000.0, 1)
+    rng = np.random.default_rng(3)
+    rpm = rng.uniform(-6000, 6000, 50_000)
+    for some in np.split(rpm, 50):
+        sums.add_errors("theta_vt", some, some / 1000.0)
+    found = sums.result()["theta_vt"]
+    assert len(found.rpm) <= MOST
+    assert found.n.sum() == np.count_nonzero(np.abs(np.floor(rpm / sums.width + 0.5)) > 0)  # without the one about 0
+    inner = slice(1, -1)  # those at the ends are not full
+    assert found.mean[inner] == pytest.approx(found.rpm[inner] / 1000.0, abs=sums.width / 1000.0 / 8)
+
+
+def test_phases_do_not_depend_on_how_a_run_is_cut(tmp_path: Path) -> None:
+    rpm = np.concatenate([np.zeros(N // 2), np.full(N, 300.0), np.linspace(300, 900, N // 4), np.full(N, 900.0)])
+    run = Run(make(tmp_path / "a.run", {"theta_enc": turning(rpm)}))
+    whole = run.samples
+    (once,) = Motion(run).pieces(whole)
+    motion, steady = Motion(run), []
+    for k in range(0, len(whole), 1777):
+        for piece in motion.pieces(part(whole, k, min(k + 1777, len(whole)))):
+            assert piece.phases is not None
+            steady.append(piece.phases.steady)
+    assert once.phases is not None
+    differ = np.concatenate(steady) != once.phases.steady
+    assert once.phases.steady.sum() > N
+    assert differ.mean() < 0.01  # a slope is known from one side only where a piece ends
+
+
+# -- currents and edges ---------------------------------------------------------------------------------------------
+
+
+def test_currents_are_counted_where_they_are(tmp_path: Path) -> None:
+    i_d, i_q = np.repeat([0.0, -3.0, 0.0], 100), np.repeat([2.0, 4.0, 8.5], 100)
+    columns = {"i_d": i_d, "i_q": i_q, "i_d_ref": i_d, "i_q_ref": i_q + 1}
+    run = Run(make(tmp_path / "a.run", columns))
+    sums = CurrentPlane(8.0, True)
+    sums.add_samples(run.samples, np.arange(300) >= 50)
+    found = sums.result()
+    assert found is not None
+    side = found.cell
+    assert found.counts == {(0, round(2 / side)): 50, (round(-3 / side), round(4 / side)): 100,
+                            (0, round(8.5 / side)): 100}  # fmt: skip
+    assert {m for _, m in found.references} == {round(i / side) for i in (3.0, 5.0, 9.5)}
+    assert found.beyond == 100
+    assert found.largest == 8.5
+    assert found.mean == pytest.approx((i_d[50:].mean(), i_q[50:].mean()))
+    assert found.std == pytest.approx((i_d[50:].std(), i_q[50:].std()))
+    shown = drawn(tmp_path / "a.run")["current_plane"]
+    assert shown.numbers["n"] == 300
+
+
+LATE = np.array([1.2, 3.0, -7.2, 3.3, -0.6, -5.6])  # degrees by which each edge comes, turning forwards
+HYSTERESIS = 0.8  # degrees that it comes earlier, turning backwards
+
+
+def hall(theta: np.ndarray, tick: np.ndarray) -> tuple[np.ndarray, made_runs.Edges]:
+    """Codes (n,) and edges of a shaft at `theta` (n,), which turns forwards and then backwards."""
+    top = int(np.argmax(theta))
+    edges, codes = [], np.empty(len(theta), np.uint8)
+    for rows, late in ((slice(0, top + 1), LATE), (slice(top, None), LATE - HYSTERESIS)):
+        its, at = theta[rows], tick[rows]
+        k = np.arange(int(theta.max() / (math.pi / 3)) + 2)
+        places = k * math.pi / 3 + np.radians(late[k % 6])
+        codes[rows] = CODES[(np.searchsorted(places, its, side="right") - 1) % 6]
+        met = k[(places > its.min()) & (places < its.max())]
+        forwards = its[-1] > its[0]
+        order = 1 if forwards else -1
+        when = np.interp(places[met], its[::order], at[::order])
+        for sector, moment in zip(met, when, strict=True):
+            before, after = CODES[(sector - 1) % 6], CODES[sector % 6]
+            edges.append((moment, before, after) if forwards else (moment, after, before))
+    edges.sort()
+    when, old, new = zip(*edges, strict=True)
+    return codes, (np.rint(when).astype(np.int64), np.array(old, np.uint8), np.array(new, np.uint8))
+
+
+def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
+    rpm = np.concatenate([np.full(N, 300.0), np.full(N, -300.0)])
+    theta = turning(rpm) + 0.5
+    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
+    path = make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges)
+    found = drawn(path)["hall_edges"].numbers["edges"]
+    assert [edge["ideal"] for edge in found] == pytest.approx([0, 60, 120, 180, 240, 300])
+    assert [edge["forwards"]["late"] for edge in found] == pytest.approx(LATE, abs=0.02)
+    assert [edge["backwards"]["late"] for edge in found] == pytest.approx(LATE - HYSTERESIS, abs=0.02)
+    assert sum(edge[way]["n"] for edge in found for way in ("forwards", "backwards")) >= len(edges[0]) - 12
+
+
+def test_very_many_edges_are_thinned_by_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rpm = np.concatenate([np.full(N, 600.0), np.full(N, -600.0)])
+    theta = turning(rpm) + 0.5
+    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
+    run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
+    monkeypatch.setattr("bench.figures.hall_edges.MOST", 200)
+    collected = HallEdges()
+    samples = run.samples
+    for k in range(0, len(samples), N // 4):
+        piece = part(samples, k, k + N // 4)
+        its = run.chunk("edges", collected.before(), int(piece.tick[-1]))
+        assert isinstance(its, EdgeChunk)
+        collected.add(piece, its)
+    found = collected.result()
+    assert found is not None
+    kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]
+    assert 50 < sum(kept) <= 300
+    assert min(kept) > 0  # of every edge, both ways
+    assert [-math.degrees(edge.delta(edge.up)) for edge in found.edges] == pytest.approx(LATE, abs=0.02)
+
+
+def test_a_gap_is_in_no_stretch_and_between_no_edge_and_its_angle(tmp_path: Path) -> None:
+    """A second of steady turning, of which a tenth is lost at 0.7 s: the longest stretch ends there."""
+    rpm = np.full(N, 500.0)
+    theta = turning(rpm)
+    codes, edges = hall(theta, np.arange(N) * (TICK_HZ // PWM_HZ))
+    columns = {"hall": codes, "theta_enc": theta, "theta_vt": theta - 0.1, **currents(theta)}
+    whole = Run(make(tmp_path / "whole.run", columns, edges))
+    path = tmp_path / "lossy.run"
+    writer = RunWriter(path, whole.info)
+    samples, first, last = whole.samples, round(0.7 * N), round(0.8 * N)
+    writer.edges(whole.edges)
+    writer.samples(part(samples, 0, first))
+    writer.samples(part(samples, last, N))
+    writer.close()
+    found = drawn(path)
+    spectrum = found["spectrum"].numbers
+    assert spectrum["to_s"] == pytest.approx(0.7, abs=0.001)
+    assert spectrum["phases"]["i_a"]["thd_percent"] == pytest.approx(100 * math.hypot(FIFTH, SEVENTH), rel=2e-3)
+    assert found["error_by_angle"].numbers["estimates"]["theta_vt"]["mean"] == pytest.approx(
+        math.degrees(0.1), abs=1e-4
+    )
+    met = sum(edge["forwards"]["n"] for edge in found["hall_edges"].numbers["edges"])
+    lost = np.count_nonzero((edges[0] > samples.tick[first - 1]) & (edges[0] < samples.tick[last]))
+    assert lost > 10
+    assert met == len(edges[0]) - lost
+
+
+def test_a_hosts_estimate_has_its_observers_colour_unless_the_drives_own_is_beside_it() -> None:
+    own = looks(["theta_ek_host", "theta_vt_host", "theta_vt"])
+    assert (own["theta_ek_host"], own["theta_vt"]) == (OBSERVERS["ek"], OBSERVERS["vt"])
+    assert len({look.paper for look in own.values()}) == 3
+
+
+# -- a kept run, by other means -------------------------------------------------------------------------------------
+
+
+def raw(name: str, begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Ticks and values of the file as it is, without the reader."""
+    table = pq.read_table(DATA / f"{name}.run" / "samples-000001.parquet")
+    tick = table["tick"].to_numpy()
+    where = (tick >= begin * TICK_HZ) & (tick <= end * TICK_HZ)
+    scales = {field.name: float((field.metadata or {}).get(b"scale", b"1")) for field in table.schema}
+    return tick[where], {
+        name: table[name].to_numpy()[where] * scales[name] for name in ("theta_enc", "theta_vt", "i_a")
+    }
+
+
+def test_a_kept_run_by_plain_numpy() -> None:
+    """From 0.7 to 1 s its shaft turns at one speed, so all samples count."""
+    found = drawn(DATA / "steady.run", 0.7, 1.0)
+    tick, values = raw("steady", 0.7, 1.0)
+    error = np.degrees(np.angle(np.exp(1j * (values["theta_enc"] - values["theta_vt"]))))
+    angle = found["error_by_angle"].numbers["estimates"]["theta_vt"]
+    assert angle["n"] == len(error) == 4801
+    assert (angle["mean"], angle["rms"]) == pytest.approx((error.mean(), math.sqrt(np.mean(error**2))), abs=1e-9)
+    degrees = np.degrees(values["theta_enc"]) % 360
+    for k in (0, 40, 119):
+        there = error[(degrees >= 3 * k) & (degrees < 3 * k + 3)]
+        assert angle["forwards"]["mean"][k] == pytest.approx(there.mean(), abs=1e-9)
+        assert angle["forwards"]["std"][k] == pytest.approx(there.std(), abs=1e-6)
+    speed = found["error_by_speed"].numbers["estimates"]["theta_vt"]
+    assert speed["rpm"] == [500.0]
+    assert speed["p95"] == pytest.approx([np.percentile(np.abs(error), 95)], abs=0.05)
+    theta = np.unwrap(values["theta_enc"])
+    turns = int((theta[-1] - theta[0]) / (2 * np.pi))
+    whole = theta < theta[0] + 2 * np.pi * turns
+    first, fifth = (2 * abs(np.mean(values["i_a"][whole] * np.exp(-1j * n * theta[whole]))) for n in (1, 5))
+    spectrum = found["spectrum"].numbers
+    assert spectrum["phases"]["i_a"]["harmonics_a"][0] == pytest.approx(first, rel=1e-3)
+    assert spectrum["phases"]["i_a"]["harmonics_a"][4] == pytest.approx(fifth, abs=1e-3)
+    hz = (theta[-1] - theta[0]) / (2 * np.pi) / ((tick[-1] - tick[0]) / TICK_HZ)
+    assert spectrum["fundamental_hz"] == pytest.approx(hz, rel=5e-4)
+    edges = pq.read_table(DATA / "steady.run" / "edges-000001.parquet")["tick"].to_numpy()
+    met = np.count_nonzero((edges >= tick[0]) & (edges <= tick[-1]))
+    assert sum(edge["forwards"]["n"] for edge in found["hall_edges"].numbers["edges"]) == met
+
+
+# -- what cannot be drawn, and files --------------------------------------------------------------------------------
+
+
+def test_each_figure_that_is_not_drawn_says_why(tmp_path: Path) -> None:
+    rest = {"theta_enc": np.zeros(N), "theta_vt": np.zeros(N), "i_a": np.zeros(N), "hall": np.ones(N)}
+    codes = np.array([1], np.uint8)
+    still = drawn(make(tmp_path / "rest.run", rest, (np.array([5]), codes, codes + 2)))
+    assert all(each.figure is None for each in still.values())
+    for name in ("spectrum", "error_by_angle", "error_by_speed"):
+        assert "never turns" in still[name].why
+    assert still["current_plane"].why.startswith("no i_d, i_q in A")
+    assert "at rest" in still["hall_edges"].why
+    plain = drawn(make(tmp_path / "plain.run", {"i_d": np.ones(N), "i_q": np.ones(N)}))
+    assert plain["current_plane"].figure is not None
+    assert "encoder" in plain["error_by_angle"].why
+    assert "needs an encoder's angle, or a speed" in plain["spectrum"].why
+    encoder = drawn(make(tmp_path / "encoder.run", {"theta_enc": turning(np.full(N, 500.0))}))
+    assert "ESTIMATE" in encoder["error_by_speed"].why
+    assert "no Hall edges" in encoder["hall_edges"].why
+
+
+def test_an_angle_that_turns_too_far_between_samples_is_not_believed(tmp_path: Path) -> None:
+    rpm = np.full(N, 4000.0)
+    columns = {"theta_enc": turning(rpm), "omega_enc": rpm * RPM * N_P * 100, "theta_vt": turning(rpm)}
+    found = drawn(make(tmp_path / "a.run", columns))
+    assert "ambiguous" in found["error_by_angle"].why
+
+
+def test_files_json_and_the_table(tmp_path: Path) -> None:
+    result = plot(DATA / "steady.run", "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "current_plane   –" in result.output
+    assert "no i_d in A" in result.output
+    names = set(NAMES) - {"current_plane"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {f"{name}.png" for name in names}
+    for name in names:
+        height, width, _ = matplotlib.image.imread(tmp_path / "out" / f"{name}.png").shape
+        assert width == 1432
+        assert height > 500
+    again = plot(DATA / "steady.run", "-o", tmp_path / "out")
+    assert isinstance(again.exception, BenchError)
+    assert "--overwrite" in str(again.exception)
+    result = plot(DATA / "steady.run", "-o", tmp_path / "out", "--overwrite", "--svg", "--json=-")
+    said = json.loads(result.stdout)
+    assert (said["from_s"], said["to_s"]) == (0.12, 1.4199375)
+    told = {each["figure"]: each for each in said["figures"]}
+    assert told["current_plane"]["file"] is None
+    assert "i_d" in told["current_plane"]["why_not"]
+    assert told["spectrum"]["numbers"]["phases"]["i_a"]["thd_percent"] < 1
+    assert "<svg" in (tmp_path / "out" / "spectrum.svg").read_text()
+
+
+def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
+    path = make(tmp_path / "a.run", {"u_dc": np.ones(N)})
+    result = plot(path, "-o", tmp_path / "out")
+    assert isinstance(result.exception, BenchError)
+    assert "no figure of" in str(result.exception)
+    assert "spectrum: no phase current" in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_damage_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.run"
+    shutil.copytree(DATA / "steady.run", path)
+    file = path / "edges-000001.parquet"
+    data = bytearray(file.read_bytes())
+    data[100] ^= 1
+    file.write_bytes(data)
+    result = plot(path, "-o", tmp_path / "out")
+    assert "warning: edges-000001.parquet is damaged" in result.stderr
+    assert (tmp_path / "out" / "spectrum.png").exists()
+    assert not (tmp_path / "out" / "hall_edges.png").exists()
