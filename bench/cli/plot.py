@@ -18,7 +18,7 @@ from bench.files import STANDARD_OUTPUT, check_directory, check_output
 @click.argument("run", metavar="RUN", type=RUN)
 @click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
 @click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
-@click.option("-o", "--output", metavar="DIR", type=DIRECTORY, help="Where to (default: RUN.figures); made if needed.")
+@click.option("-o", "--out", metavar="DIR", type=DIRECTORY, help="Where to (default: RUN.figures); made if needed.")
 @click.option("--svg", is_flag=True, help="Write SVG in place of PNG.")
 @json_option("what the figures show")
 @overwrite_option
@@ -26,7 +26,7 @@ def command(
     run: Path,
     begin: float | None,
     end: float | None,
-    output: Path | None,
+    out: Path | None,
     svg: bool,
     json_file: Path | None,
     overwrite: bool,
@@ -53,10 +53,10 @@ def command(
     from bench.recording.reader import Run
     from bench.recording.times import ticks_of
 
-    folder = output or run.absolute().parent / f"{run.name.removesuffix(SUFFIX)}.figures"
+    folder = out or run.absolute().parent / f"{run.name.removesuffix(SUFFIX)}.figures"
     ending = "svg" if svg else "png"
     files = {name: folder / f"{name}.{ending}" for name in NAMES}
-    check_directory(folder, f"--output {folder}", make=True)
+    check_directory(folder, f"--out {folder}", make=True)
     if folder.is_dir():
         for file in files.values():
             check_output(file, str(file), overwrite)

@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from bench.analysis.channels import role
@@ -129,8 +130,6 @@ class Columns:
 
     def writer(self, sink: Any) -> Any:
         """A Parquet writer to a file object."""
-        import pyarrow.parquet as pq
-
         return pq.ParquetWriter(
             sink,
             self.schema,
@@ -191,7 +190,19 @@ def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
         gaps["gap"][gap.position] = HERE | (OVERRUN if gap.overrun else 0)
         gaps["lost"][gap.position] = gap.lost_samples
         gaps["lost_frames"][gap.position] = gap.lost_frames
-    return pa.table([pa.array(array) for array in (arrays | gaps).values()], schema=columns.schema)
+    return table_of(columns, list((arrays | gaps).values()))
+
+
+def table_of(columns: Columns, arrays: Sequence[NDArray[Any]]) -> pa.Table:
+    """Contiguous arrays of one length as a table; only bools are copied.
+
+    By their buffers, since `pyarrow.array` (26) imports pandas where it is installed: half a second, in mid-recording.
+    """
+    found = []
+    for field, array in zip(columns.schema, arrays, strict=True):
+        bits = np.packbits(array, bitorder="little") if array.dtype == np.bool_ else array
+        found.append(pa.Array.from_buffers(field.type, len(array), [None, pa.py_buffer(bits)]))
+    return pa.Table.from_arrays(found, schema=columns.schema)
 
 
 def joined(tables: Sequence[pa.Table]) -> pa.Table:
@@ -203,7 +214,7 @@ def channel_table(chunk: SampleChunk, columns: Columns) -> pa.Table:
     """The channels of samples that have a column in `columns`, and nothing else."""
     names = {column_of(name): name for name in chunk.raw.dtype.names or ()}
     arrays = [np.ascontiguousarray(chunk.raw[names[column]]) for column in columns.schema.names]
-    return pa.table([pa.array(array) for array in arrays], schema=columns.schema)
+    return table_of(columns, arrays)
 
 
 def to_chunk(table: pa.Table, config: StreamConfig) -> SampleChunk | EdgeChunk:

@@ -53,7 +53,7 @@ class Overview:
             columns += [np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)]
         for error in self._errors(chunk):
             columns += [np.minimum.reduceat(error, starts), np.maximum.reduceat(error, starts)]
-        return pa.table([pa.array(column) for column in columns], schema=self.columns.schema)
+        return layout.table_of(self.columns, columns)
 
     def _errors(self, chunk: SampleChunk) -> Iterator[F32]:
         """Each estimate's error in degrees."""
