@@ -138,6 +138,11 @@ def stream_columns(config: StreamConfig, stream: str, run: RunInfo) -> Columns:
     return columns_of(fields, {"run": run.to_json(), "stream": stream_to_json(config, stream)})
 
 
+def column_names(config: StreamConfig) -> frozenset[str]:
+    """Columns of samples that `to_chunk` needs."""
+    return frozenset(("tick", "index", *GAP_FIELDS, *(channel.name for channel in config.channels)))
+
+
 def channel_field(channel: AnyChannel, name: str) -> pa.Field:
     """A column of a channel's raw values."""
     about = {"unit": channel.unit.symbol, "scale": repr(channel.scale), "offset": repr(channel.offset)}
