@@ -5,7 +5,7 @@ A `Capture` is what measurements are made from. It knows no link and never waits
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle, speed_channel
-from bench.analysis.chunks import between, streams_none
+from bench.analysis.chunks import between, join, streams_none
 from bench.analysis.position import position_error
 from bench.errors import BenchError
 from protocol.signals import Flag
@@ -238,3 +238,13 @@ class Capture:
                     f"{self.t[int(np.argmax(full))]:.4f} s"
                 )
         return flaws
+
+
+def joined(captures: Sequence[Capture]) -> Capture:
+    """Captures of one drive, one or more, that follow each other, as one."""
+    if len(captures) == 1:
+        return captures[0]
+    edges = [capture.edges for capture in captures if len(capture.edges)] or [captures[0].edges]
+    dropped = tuple(stretch for capture in captures for stretch in capture.dropped)
+    samples = join([capture.samples for capture in captures])
+    return replace(captures[0], samples=samples, edges=join(edges), dropped=dropped)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.analysis.capture import Capture
+from bench.analysis.capture import Capture, joined
 from bench.analysis.chunks import between, join, lost_stretches, narrowed, no_edge_stream, no_edges, of_channels, part
 from bench.analysis.verdict import Verdict
 from bench.errors import BenchError
@@ -617,15 +617,6 @@ class _Edges:
         rest = part(whole, now, len(whole))
         self._held = [rest] if len(rest) else []
         return part(whole, 0, now)
-
-
-def joined(pieces: Sequence[Capture]) -> Capture:
-    """Captures, one or more, that follow each other, as one."""
-    if len(pieces) == 1:
-        return pieces[0]
-    edges = [piece.edges for piece in pieces if len(piece.edges)] or [pieces[0].edges]
-    dropped = tuple(stretch for piece in pieces for stretch in piece.dropped)
-    return replace(pieces[0], samples=join([piece.samples for piece in pieces]), edges=join(edges), dropped=dropped)
 
 
 def _lost_at_the_ends(

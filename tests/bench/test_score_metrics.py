@@ -7,12 +7,33 @@ import math
 import numpy as np
 import pytest
 
-from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
+from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime
 from bench.scoring.phases import phases_of, speed_bins, speed_of
 
 RATE = 16_000.0
 N_P = 6
 TO_RPM = 60 / (2 * math.pi) / N_P
+
+
+def error_figures(error: np.ndarray) -> dict:
+    errors = Errors()
+    errors.add(error)
+    return errors.figures()
+
+
+def lag_by_speed(omega: np.ndarray, error: np.ndarray) -> float | None:
+    lag = LagBySpeed()
+    lag.add(omega, error)
+    return lag.lag()
+
+
+def lag_in_time(*stretches: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float | None:
+    """Of stretches (actual, estimate, where)."""
+    lag = LagInTime()
+    for actual, estimate, where in stretches:
+        changes = Changes(actual, where, RATE)
+        lag.add(changes, changes.against(estimate))
+    return lag.lag()
 
 
 def test_a_sawtooth_has_its_figures() -> None:
@@ -51,22 +72,22 @@ def test_a_delay_is_found_between_samples(tau: float) -> None:
     changing = (np.abs(t - 0.3) < 0.2) | (np.abs(t - 0.7) < 0.1)
     estimate = speed(t - tau) + 0.5 * rng.standard_normal(len(t))
     halves = [
-        Pair(speed(part), estimate[k : k + 8000], changing[k : k + 8000], RATE)
+        (speed(part), estimate[k : k + 8000], changing[k : k + 8000])
         for k, part in ((0, t[:8000]), (8000, t[8000:]))
     ]
-    found = lag_in_time(halves)
+    found = lag_in_time(*halves)
     assert found == pytest.approx(tau, abs=25e-6)  # four times what the noise makes of it
-    exact = lag_in_time([Pair(speed(t), speed(t - tau), changing, RATE)])
+    exact = lag_in_time((speed(t), speed(t - tau), changing))
     assert exact == pytest.approx(tau, abs=0.2e-6)
 
 
 def test_no_delay_is_told_without_a_change_or_beyond_reason() -> None:
     t = np.arange(16_000) / RATE
     still, everywhere = np.full(len(t), 300.0), np.ones(len(t), bool)
-    assert lag_in_time([Pair(still, still, everywhere, RATE)]) is None
-    assert lag_in_time([Pair(speed(t), speed(t), np.zeros(len(t), bool), RATE)]) is None
-    assert lag_in_time([Pair(1000.0 * t, 1000.0 * (t - 0.2), everywhere, RATE)]) is None
-    assert lag_in_time([]) is None
+    assert lag_in_time((still, still, everywhere)) is None
+    assert lag_in_time((speed(t), speed(t), np.zeros(len(t), bool))) is None
+    assert lag_in_time((1000.0 * t, 1000.0 * (t - 0.2), everywhere)) is None
+    assert lag_in_time() is None
 
 
 def test_the_speed_is_that_of_a_wrapped_angle() -> None:
