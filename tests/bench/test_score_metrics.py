@@ -72,8 +72,7 @@ def test_a_delay_is_found_between_samples(tau: float) -> None:
     changing = (np.abs(t - 0.3) < 0.2) | (np.abs(t - 0.7) < 0.1)
     estimate = speed(t - tau) + 0.5 * rng.standard_normal(len(t))
     halves = [
-        (speed(part), estimate[k : k + 8000], changing[k : k + 8000])
-        for k, part in ((0, t[:8000]), (8000, t[8000:]))
+        (speed(part), estimate[k : k + 8000], changing[k : k + 8000]) for k, part in ((0, t[:8000]), (8000, t[8000:]))
     ]
     found = lag_in_time(*halves)
     assert found == pytest.approx(tau, abs=25e-6)  # four times what the noise makes of it
