@@ -56,7 +56,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
                      help="Energise nothing: the shaft is turned by hand."),
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
                      help="With --passive: watch for S seconds at most."),
-        click.option("--from", "begin", metavar="S", type=Number(), help="Of a recording: from this device time on, s."),
+        click.option("--from", "begin", metavar="S", type=Number(), help="Of a recording: from this device time, s."),
         click.option("--to", "end", metavar="S", type=Number(), help="Of a recording: up to this device time, s."),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
         click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun."),

@@ -85,8 +85,8 @@ def dead(trace: Trace, turns: Turns) -> list[Finding]:
                 "dead",
                 f"sensor {name} open (always 1)" if level else f"sensor {name} shorted (always 0)",
                 (
-                    f"input {name} reads {level} in {_percent(high if level else 1.0 - high)} of {trace.samples} samples, over "
-                    f"{turns.total:.1f} electrical turns",
+                    f"input {name} reads {level} in {_percent(high if level else 1.0 - high)} of {trace.samples} "
+                    f"samples, over {turns.total:.1f} electrical turns",
                     f"changes of the inputs: {told}",
                 ),
                 f"measure the wire of sensor {name}, its supply and its pull-up"

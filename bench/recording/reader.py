@@ -591,7 +591,7 @@ def require_memory(
         a, b = run.span
         raise BenchError(
             f"{run.path}: {in_words(size)} from {run.at(a if first is None else first)} to "
-            f"{run.at(b if last is None else last)} do not fit into memory ({in_words(needed)} are needed to read them, "
+            f"{run.at(b if last is None else last)} do not fit into memory (to read them takes {in_words(needed)}, "
             f"{in_words(free)} are free): read a part of the time or some channels, bench.read(path, begin, end, "
             f"channels), or piece by piece, bench.pieces(path)"
         )

@@ -103,8 +103,9 @@ def score(
 ) -> Scoreboard:
     """Score recordings or captures: all estimates in them and all observers, or those named.
 
-    `begin`, `end`: of recordings, device time in s; None: all of it. Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
-    cannot be read or scored, and for a name that is nowhere.
+    `begin`, `end`: of recordings, device time in s; None: from the beginning, to the end. Names are the catalogue's,
+    long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what cannot be read or scored,
+    and for a name that is nowhere.
     """
     if not sources:
         raise BenchError("nothing to score: give a recording or a capture")

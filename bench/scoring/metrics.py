@@ -90,7 +90,7 @@ class LagBySpeed:
             part._n = len(omega)
             part._mean = np.array([omega.mean(), error.mean()])
             off = omega - part._mean[0]
-            part._square, part._product = float(off @ off), float(off @ (error - part._mean[1]))
+            part._square, part._product = float((off * off).sum()), float((off * (error - part._mean[1])).sum())
             part._span = float(omega.min()), float(omega.max())
             self.merge(part)
 
@@ -138,7 +138,7 @@ class Changes:
 
     def _windows(self, values: F64, ahead: int) -> F64:
         """Stretches of `values`, `ahead` samples later, each with all that a hop of estimates is compared with."""
-        far, size, hop = sizes(self.rate)
+        far, _, hop = sizes(self.rate)
         n = -(-len(values) // hop) * hop
         padded = np.pad(values, (far, n - len(values) + far + 2), "edge")[ahead:]
         return np.lib.stride_tricks.sliding_window_view(padded, hop + 2 * far)[:n:hop]

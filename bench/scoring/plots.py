@@ -143,7 +143,7 @@ def _words(bin: str) -> str:
 
 
 def _line(t: F64, envelope: Envelope, points: slice) -> tuple[F64, F64]:
-    """The least and the largest at each point, as a line that goes through both; through one where they are the same."""
+    """The least and the largest at each point, as a line through both, or through one where they are the same."""
     lo, hi = envelope.lo[points], envelope.hi[points]
     if np.array_equal(lo, hi, equal_nan=True):
         return t, lo

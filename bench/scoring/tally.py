@@ -105,9 +105,8 @@ class Tally:
         self._angle_lag, self._speed_lag = LagBySpeed(), LagInTime()
         self.by_angle = ByAngle()
 
-    def add(self, block: Block, estimate: Estimate, radians: F64) -> None:
+    def add(self, block: Block, estimate: Estimate, degrees: F64) -> None:
         """Add a block, with the estimate of its own samples and the error of that angle, (n,)."""
-        degrees = np.degrees(radians)
         for name, at in block.phased.items():
             self._phases[name].add(degrees[at])
         for name, at in block.by_sector.items():
@@ -118,7 +117,7 @@ class Tally:
         self.by_angle.add(block.by_angle, degrees[steady])
         slip = (omega - estimate.omega)[steady] * block.rpm_by
         self._speed.add(slip[np.isfinite(slip)])
-        self._angle_lag.add(omega[steady], radians[steady])
+        self._angle_lag.add(omega[steady], np.radians(degrees[steady]))
         known = np.isfinite(estimate.omega)
         changes = block.changes if known.all() else block.changes_where(known)
         if changes is not None:
@@ -203,16 +202,15 @@ class Envelope:
 
 
 class OverTime:
-    """What a plot over time shows of an observer: error in electrical degrees, speed in r/min, and the largest error."""
+    """What a plot over time shows of an observer: error in electrical degrees, speed in r/min, the largest error."""
 
     def __init__(self, points: int) -> None:
         self.error, self.speed = Envelope(points), Envelope(points)
         self.peak = self.peak_t = 0.0
         """Electrical degrees, s of device time."""
 
-    def add(self, block: Block, estimate: Estimate, radians: F64) -> None:
+    def add(self, block: Block, estimate: Estimate, degrees: F64) -> None:
         """Add a block, see `Tally.add`."""
-        degrees = np.degrees(radians)
         self.error.add(block.points, degrees)
         self.speed.add(block.points, estimate.omega * block.rpm_by)
         at = int(np.abs(degrees).argmax())
@@ -221,9 +219,9 @@ class OverTime:
 
 
 def error_of(block: Block, estimate: Estimate) -> F64:
-    """The error of an estimate of a block's own samples, rad, (n,)."""
-    radians: F64 = position_error(block.theta[block.own], estimate.theta)
-    return radians
+    """The error of an estimate of a block's own samples, electrical degrees, (n,)."""
+    degrees: F64 = np.degrees(position_error(block.theta[block.own], estimate.theta))
+    return degrees
 
 
 def _merged(*errors: Errors) -> Errors:

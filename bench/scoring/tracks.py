@@ -238,9 +238,9 @@ class _Scored:
                 self.encoder.add(block.points, block.omega[block.own] * block.rpm_by)
                 for name, estimate in estimates.items():
                     part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
-                    radians = error_of(block, part)
-                    self.tallies[name].add(block, part, radians)
-                    self.over_time[name].add(block, part, radians)
+                    degrees = error_of(block, part)
+                    self.tallies[name].add(block, part, degrees)
+                    self.over_time[name].add(block, part, degrees)
         self._seen += window.own.stop - begin
 
     def _block(
