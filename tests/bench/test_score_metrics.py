@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime
+from bench.analysis.percentiles import Sizes
+from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime, reach
 from bench.scoring.phases import phases_of, speed_bins, speed_of
 
 RATE = 16_000.0
@@ -59,6 +60,92 @@ def test_no_lag_is_told_from_one_speed() -> None:
     assert lag_by_speed(np.linspace(300.0, 330.0, 100), np.ones(100)) is None
     assert lag_by_speed(np.zeros(100), np.zeros(100)) is None
     assert lag_by_speed(np.empty(0), np.empty(0)) is None
+
+
+@pytest.mark.parametrize("n", [10, 5000, 8192, 100_000, 700_000])
+@pytest.mark.parametrize("cuts", [1, 7])
+def test_percentiles_of_any_number_are_those_of_numpy(n: int, cuts: int) -> None:
+    """Exact up to 8192 numbers and for 99 % of up to a hundred times as many; else within 0.2 %."""
+    values = np.abs(np.random.default_rng(4).standard_cauchy(n))
+    parts = np.array_split(values, cuts)
+    whole, merged = Sizes(), Sizes()
+    for k, part in enumerate(parts):
+        whole.add(part)
+        one = Sizes()
+        one.add(part)
+        merged.merge(one)
+        if k == 2:
+            merged.merge(Sizes())
+    for sizes in (whole, merged):
+        assert sizes.n == n
+        assert sizes.at(99.0) == pytest.approx(np.percentile(values, 99.0), rel=1e-12)
+        assert sizes.at(99.9) == pytest.approx(np.percentile(values, 99.9), rel=1e-12)
+        for percent in (1.0, 50.0, 90.0):
+            exact = np.percentile(values, percent)
+            assert sizes.at(percent) == pytest.approx(exact, rel=1e-12 if n <= 8192 else 0.002 + 1e-3)
+    assert math.isnan(Sizes().at(99.0))
+
+
+def test_of_more_than_that_99_percent_is_known_to_a_fifth_of_a_percent() -> None:
+    rng = np.random.default_rng(5)
+    sizes, parts = Sizes(), [np.abs(rng.standard_normal(500_000)) for _ in range(4)]
+    for part in parts:
+        sizes.add(part)
+    exact = np.percentile(np.concatenate(parts), 99.0)
+    assert sizes.at(99.0) != exact
+    assert sizes.at(99.0) == pytest.approx(exact, rel=2e-3)
+
+
+def test_errors_and_lags_of_parts_are_those_of_the_whole() -> None:
+    rng = np.random.default_rng(6)
+    omega, error = 300.0 + 200.0 * rng.random(30_000), 5.0 + rng.standard_normal(30_000)
+    errors, lag = Errors(), LagBySpeed()
+    for part in (slice(0, 1), slice(1, 1), slice(1, 9000), slice(9000, None)):
+        one, late = Errors(), LagBySpeed()
+        one.add(error[part])
+        late.add(omega[part], error[part])
+        errors.merge(one)
+        lag.merge(late)
+    assert errors.figures() == pytest.approx(
+        {
+            "n": 30_000,
+            "bias": error.mean(),
+            "std": error.std(),
+            "rms": np.sqrt((error**2).mean()),
+            "max": np.abs(error).max(),
+            "p99": np.percentile(np.abs(error), 99.0),
+        },
+        rel=1e-12,
+    )
+    assert lag.lag() == pytest.approx(np.polyfit(omega, error, 1)[0], rel=1e-9)
+
+
+def by_interpolation(actual: np.ndarray, estimate: np.ndarray, where: np.ndarray) -> float:
+    """The lag by what it is defined by, on all samples at once: Gauss and Newton's iteration on interpolated values."""
+    at, index, slope, tau = np.flatnonzero(where), np.arange(len(actual)), np.gradient(actual) * RATE, 0.0
+    for _ in range(12):
+        shifted, change = (np.interp(at - tau * RATE, index, values) for values in (actual, slope))
+        tau += float(change @ (shifted - estimate[at]) / (change @ change))
+    return tau
+
+
+@pytest.mark.parametrize("tau", [0.4e-3, -12e-3, 30e-3])
+def test_a_delay_told_from_parts_is_that_of_all_samples(tau: float) -> None:
+    t = np.arange(40_000) / RATE
+    actual = speed(t - 0.5) + speed(t - 1.6)
+    estimate = speed(t - 0.5 - tau) + speed(t - 1.6 - tau) + np.random.default_rng(7).standard_normal(len(t))
+    where = np.abs(np.gradient(actual)) > 0.02
+    where[:50] = where[-50:] = True  # at the ends the speed is taken to stay
+    lag, size, far = LagInTime(), 6000, reach(RATE)
+    for first in range(0, len(t), size):
+        part = slice(max(0, first - far - 1), min(len(t), first + size + far + 1))
+        own = where & (np.arange(len(t)) >= first) & (np.arange(len(t)) < first + size)
+        changes = Changes(actual[part], own[part], RATE)
+        lag.add(changes, changes.against(estimate[part]))
+    expected = by_interpolation(actual, estimate, where)
+    assert expected == pytest.approx(tau, abs=1e-4)
+    assert lag.lag() == pytest.approx(expected, abs=1e-10)
+    assert lag_in_time((actual, estimate, where)) == pytest.approx(expected, abs=1e-10)
 
 
 def speed(t: np.ndarray) -> np.ndarray:
