@@ -135,5 +135,9 @@ def _concatenated(parts: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
     dtype = parts[0].dtype
     if dtype.names is None:
         return np.concatenate(parts)
-    plain = np.dtype((np.void, dtype.itemsize))
-    return np.concatenate([np.ascontiguousarray(part).view(plain) for part in parts]).view(dtype)
+    return np.concatenate([as_bytes(part) for part in parts]).view(dtype)
+
+
+def as_bytes(records: NDArray[np.generic]) -> NDArray[np.void]:
+    """Records (n,) as plain bytes, which numpy moves at once; a view where they are contiguous."""
+    return np.ascontiguousarray(records).view(np.dtype((np.void, records.dtype.itemsize)))

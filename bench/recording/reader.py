@@ -12,13 +12,13 @@ import mmap
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.analysis.capture import Capture, joined
+from bench.analysis.capture import Capture, gathered
 from bench.analysis.chunks import between, join, lost_stretches, narrowed, no_edge_stream, no_edges, of_channels, part
 from bench.analysis.verdict import Verdict
 from bench.errors import BenchError
@@ -34,6 +34,7 @@ from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 if TYPE_CHECKING:
     import pyarrow as pa
 
+BESIDE = 50_000_000  # bytes that reading takes beside what is read: a row group or two, and files
 _NUMBERED = re.compile(r"(?P<stream>.+)-(?P<number>\d{6})\.parquet$")
 _HEARTBEAT = tuple(field.name for field in fields(Heartbeat))
 _EVENT = tuple(field.name for field in fields(DeviceEvent))
@@ -333,15 +334,19 @@ class Run:
         """
         opened = [opener for file in files if (opener := self._opened_file(file, chosen, columns)) is not None]
         if len(opened) < len(files):
-            return
-        for k in chosen:
+            return iter(())
+
+        def together(k: int) -> pa.Table | None:
             tables = [table for read in opened if (table := read(k)) is not None]
-            if len(tables) == len(files):
-                whole, *others = tables
-                for other in others:
-                    for field, column in zip(other.schema, other.columns, strict=True):
-                        whole = whole.append_column(field, column)
-                yield whole
+            if len(tables) < len(files):
+                return None
+            whole, *others = tables
+            for other in others:
+                for field, column in zip(other.schema, other.columns, strict=True):
+                    whole = whole.append_column(field, column)
+            return whole
+
+        return filter(lambda table: table is not None, map(together, chosen))  # which hold no table that was taken
 
     def intact(self, file: StoredFile) -> bool:
         """Whether every block of a file is as it was written."""
@@ -383,7 +388,8 @@ class Run:
             if layout.damaged(data, starts[group], *file.blocks[group]):
                 self._lost(file, [group], "is damaged")
                 return None
-            return parquet.read_row_group(group, columns=names)
+            pa.default_memory_pool().release_unused()  # what was kept of the group before: more than this one takes
+            return parquet.read_row_group(group, columns=names, use_threads=False)
 
         return read
 
@@ -485,7 +491,8 @@ class Segment:
             whole: Iterable[SampleChunk | EdgeChunk] = [of_channels(join(found), config)] if found else []
         else:
             columns = None if config is whole_config else layout.column_names(config)
-            whole = (layout.to_chunk(table, config) for table in self.tables(stream, first, last, columns))
+            tables = self.tables(stream, first, last, columns)
+            whole = map(partial(layout.to_chunk, config=config), tables)  # which holds no table
         for chunk in whole:
             part = between(chunk, *_bounds(first, last))
             if len(part):
@@ -536,7 +543,7 @@ def capture_of(
     BenchError where it holds no samples, lacks a channel, or takes more memory than there is.
     """
     require_memory(run, first, last, channels)
-    return joined(list(captures(run, first, last, channels)))
+    return gathered(captures(run, first, last, channels), run.rows(layout.SAMPLES, first, last))
 
 
 def captures(
@@ -586,14 +593,13 @@ def require_memory(
     config = narrowed(run.config(layout.SAMPLES), channels)
     of_index_and_tick = 16
     size = run.rows(layout.SAMPLES, first, last) * (config.dtype.itemsize + of_index_and_tick)
-    needed = 2 * size  # its pieces, and the whole that is made of them
+    needed = size + BESIDE
     if needed > (free := available()):
         a, b = run.span
         raise BenchError(
             f"{run.path}: {in_words(size)} from {run.at(a if first is None else first)} to "
-            f"{run.at(b if last is None else last)} do not fit into memory (to read them takes {in_words(needed)}, "
-            f"{in_words(free)} are free): read a part of the time or some channels, bench.read(path, begin, end, "
-            f"channels), or piece by piece, bench.pieces(path)"
+            f"{run.at(b if last is None else last)} do not fit into memory ({in_words(free)} are free): read a part of "
+            f"the time or some channels, bench.read(path, begin, end, channels), or piece by piece, bench.pieces(path)"
         )
 
 

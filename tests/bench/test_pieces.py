@@ -179,7 +179,7 @@ from bench.recording.reader import Run
 path = sys.argv[1]
 assert len(bench.read(path, 0.2, 0.5))  # everything is imported
 taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (taken + (64 << 20), resource.RLIM_INFINITY))
+resource.setrlimit(resource.RLIMIT_AS, (taken + (100 << 20), resource.RLIM_INFINITY))
 try:
     bench.read(path)
 except bench.BenchError as error:
@@ -191,13 +191,13 @@ print(len(bench.read(path, 30.0, 31.0)))
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a limit of the address space")
 def test_more_than_fits_into_memory_is_refused_and_read_in_pieces(tmp_path: Path) -> None:
-    """A process that may take 64 MB more, and a run of 62 MB that takes twice that to read."""
-    path = repeated(tmp_path / "long.run", 75)
+    """A process that may take 100 MB more, and a run of 124 MB."""
+    path = repeated(tmp_path / "long.run", 150)
     done = subprocess.run([sys.executable, "-c", LIMITED, path], capture_output=True, text=True, check=True)
     refused, samples, part_of = done.stdout.splitlines()
     assert "do not fit into memory" in refused
     assert "bench.read(path, begin, end, channels)" in refused
-    assert (int(samples), int(part_of)) == (75 * len(Run(REVERSAL).samples), 16_001)
+    assert (int(samples), int(part_of)) == (150 * len(Run(REVERSAL).samples), 16_001)
 
 
 # -- scoring --------------------------------------------------------------------------------------------------------
