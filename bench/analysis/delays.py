@@ -163,11 +163,6 @@ def blame(found: Delays) -> tuple[Late, str]:
     )
 
 
-def by_back_emf(capture: Capture) -> float:
-    """By how many s the back-EMF is later than the encoder; NaN where that is not known as well as `AGREE`."""
-    return delays(capture).back_emf
-
-
 def _passages(capture: Capture, speeds: F64, wanted: NDArray[np.bool_]) -> Passages:
     """The edges that are `wanted` and of a shaft that turns, among samples."""
     edges, at = capture.edges, capture.samples.tick

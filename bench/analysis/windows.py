@@ -45,7 +45,7 @@ class Window:
 def windows(captures: Iterable[Capture], around: float, most: int = 0) -> Iterator[Window]:
     """Captures one after the other as windows, with the samples of `around` s and more, if there are, around their own.
 
-    `most`: samples in one, about; 0: `PIECE`.
+    `most`: samples in one, about; 0: `PIECE`. Of no samples there is none.
     """
     before: Capture | None = None
     now: Capture | None = None
@@ -70,7 +70,7 @@ def _cut(captures: Iterable[Capture], least: float, most: int) -> Iterator[Captu
         if len(held) >= few:
             yield held
             held = None
-    if held is not None:
+    if held is not None and len(held):
         yield held
 
 

@@ -339,3 +339,11 @@ def test_a_run_without_edges_is_refused(tmp_path: Path) -> None:
     out.close()
     with pytest.raises(BenchError, match="holds no samples or no Hall edges of a drive: record both"):
         Recorded(Run(tmp_path / "b.run"))
+
+
+def test_nothing_is_scored_of_no_samples() -> None:
+    read = bench.read(STEADY)
+    with pytest.raises(BenchError, match="cannot be scored: it holds no samples"):
+        score([replace(read, samples=part(read.samples, 0, 0))])
+    with pytest.raises(BenchError, match="'hall' was not recorded"):
+        trace(replace(read, samples=part(read.samples, 0, 0)))
