@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from bench.analysis.capture import Capture
     from bench.errors import BenchError
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BenchError", "Capture", "DriveTripped", "Envelope", "Rig", "Settings", "__version__", "connect", "estimate",
-    "read", "score",
+    "pieces", "read", "score",
 ]  # fmt: skip
 
 _HOMES = {
@@ -98,14 +98,39 @@ def connect(
     return open_rig(target, settings, limits or Envelope(), yes, channels, recording)
 
 
-def read(path: str | Path) -> Capture:
-    """A recording (.rrd) as a capture: samples and Hall edges exactly as they came, and where some were lost.
+def read(
+    path: str | Path, begin: float | None = None, end: float | None = None, channels: Sequence[str] | None = None
+) -> Capture:
+    """A recording as a capture: samples and Hall edges exactly as they came, and where some were lost.
 
-    Raises BenchError for what is no recording, or has no samples.
+    Args:
+        path: a recorded run.
+        begin, end: device time in s, both included; None: from its beginning, to its end.
+        channels: names of those that are read; None: all. A few are read faster, and take less memory.
+
+    Raises:
+        BenchError: no recording, no samples in that time, a channel that it does not have, or more than fits into
+            memory.
     """
     from bench.recording.reader import Run, capture_of
+    from bench.recording.times import ticks_between
 
-    return capture_of(Run(path))
+    run = Run(path)
+    return capture_of(run, *ticks_between(run, begin, end), channels)
+
+
+def pieces(
+    path: str | Path, begin: float | None = None, end: float | None = None, channels: Sequence[str] | None = None
+) -> Iterator[Capture]:
+    """The same as captures of ten seconds or less, one after the other, for recordings of any length.
+
+    Each has the Hall edges up to its last sample, and in `dropped` what was lost since the one before.
+    """
+    from bench.recording.reader import Run, captures
+    from bench.recording.times import ticks_between
+
+    run = Run(path)
+    return captures(run, *ticks_between(run, begin, end), channels)
 
 
 def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:

@@ -5,7 +5,7 @@ A `Capture` is what measurements are made from. It knows no link and never waits
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle, speed_channel
-from bench.analysis.chunks import between, streams_none
+from bench.analysis.chunks import as_bytes, between, join, part, streams_none
 from bench.analysis.position import position_error
 from bench.errors import BenchError
 from protocol.signals import Flag
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import EdgeChunk, Gap, SampleChunk
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -238,3 +238,34 @@ class Capture:
                     f"{self.t[int(np.argmax(full))]:.4f} s"
                 )
         return flaws
+
+
+def joined(captures: Sequence[Capture]) -> Capture:
+    """Captures of one drive, one or more, that follow each other, as one."""
+    if len(captures) == 1:
+        return captures[0]
+    edges = [capture.edges for capture in captures if len(capture.edges)] or [captures[0].edges]
+    dropped = tuple(stretch for capture in captures for stretch in capture.dropped)
+    samples = join([capture.samples for capture in captures])
+    return replace(captures[0], samples=samples, edges=join(edges), dropped=dropped)
+
+
+def gathered(captures: Iterable[Capture], most: int) -> Capture:
+    """The same of one or more that are made as they are taken, `most` samples in all at most: none is held twice."""
+    rest: list[Capture] = []  # without samples
+    gaps: list[Gap] = []
+    n = 0
+    for capture in captures:
+        samples = capture.samples
+        if not rest:
+            index, tick = np.empty((2, most), np.int64)
+            raw = np.empty(most, samples.raw.dtype)
+        rows = slice(n, n + len(samples))
+        index[rows], tick[rows] = samples.index, samples.tick
+        as_bytes(raw)[rows] = as_bytes(samples.raw)  # numpy copies field by field otherwise
+        gaps += [replace(gap, position=n + gap.position) for gap in samples.gaps]
+        rest.append(replace(capture, samples=part(samples, 0, 0)))
+        n += len(samples)
+    whole = joined(rest)
+    config = whole.samples.config
+    return replace(whole, samples=SampleChunk(config, index[:n], tick[:n], raw[:n], tuple(gaps)))

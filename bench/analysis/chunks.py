@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
 from protocol.messages import StreamEvent
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
@@ -45,6 +46,31 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
         name: _concatenated([getattr(chunk, name) for chunk in chunks]) for name in _fields(chunks[0])
     }
     return replace(chunks[0], gaps=tuple(gaps), **joined)
+
+
+def narrowed(config: StreamConfig, channels: Collection[str] | None) -> StreamConfig:
+    """The stream with these of its channels only, in its own order; None: all, and for edges, which have none.
+
+    BenchError for a channel that it does not have.
+    """
+    if channels is None or not config.channels:
+        return config
+    there = [channel.name for channel in config.channels]
+    if not channels:
+        raise BenchError(f"no channel is asked for; there are {', '.join(there)}")
+    if lacking := [name for name in channels if name not in there]:
+        raise BenchError(f"channel '{lacking[0]}' is not in the stream; there are {', '.join(there)}")
+    return replace(config, channels=tuple(channel for channel in config.channels if channel.name in channels))
+
+
+def of_channels(chunk: Chunk, config: StreamConfig) -> Chunk:
+    """A chunk as `config`, one of `narrowed`, has it."""
+    if config is chunk.config or not isinstance(chunk, SampleChunk):
+        return chunk
+    raw = np.empty(len(chunk), config.dtype)
+    for channel in config.channels:
+        raw[channel.name] = chunk.raw[channel.name]
+    return replace(chunk, config=config, raw=raw)
 
 
 def no_edges(config: StreamConfig) -> EdgeChunk:
@@ -111,5 +137,9 @@ def _concatenated(parts: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
     dtype = parts[0].dtype
     if dtype.names is None:
         return np.concatenate(parts)
-    plain = np.dtype((np.void, dtype.itemsize))
-    return np.concatenate([np.ascontiguousarray(part).view(plain) for part in parts]).view(dtype)
+    return np.concatenate([as_bytes(part) for part in parts]).view(dtype)
+
+
+def as_bytes(records: NDArray[np.generic]) -> NDArray[np.void]:
+    """Records (n,) as plain bytes, which numpy moves at once; a view where they are contiguous."""
+    return np.ascontiguousarray(records).view(np.dtype((np.void, records.dtype.itemsize)))

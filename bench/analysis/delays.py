@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
 from bench.analysis.position import states, wrap
+from bench.analysis.waveforms.sectors import SECTORS
 from protocol.codes import DriveState
 from protocol.signals import SECTOR_OF_CODE
 
@@ -41,8 +42,8 @@ SPREAD = 0.1
 """Of speeds about their mean, as a share of them, below which no delay is fitted."""
 UNSURE = 0.03
 """V across the back-EMF, by which the inverter may be off: what a dead time's compensation leaves."""
-LEAST, MOST = 200, 2_000_000  # samples, and
-LEAST_EDGES = 36  # edges, that a delay is fitted to
+LEAST, MOST = 200, 500_000  # samples, and
+LEAST_EDGES, MOST_EDGES = 36, 300_000  # edges, that a delay is fitted to
 FAR = math.radians(30.0)  # from the others of its kind, from which on an edge is none of them
 ALIKE = 0.97  # correlation of speed and q current from which on their shares cannot be told apart
 LATE = 30e-6
@@ -74,7 +75,60 @@ class Late(Enum):
 
 def delays(capture: Capture) -> Delays:
     """Measure them, over all samples and edges of a shaft that turns."""
-    return Delays(by_edges(capture), by_back_emf(capture))
+    evidence = Evidence(len(capture), len(capture.edges))
+    evidence.add(capture)
+    return evidence.delays()
+
+
+class Evidence:
+    """What the delays of a recording are told from, gathered piece by piece, in bounded memory.
+
+    `samples`, `edges`: about how many there are: of more than `MOST` and `MOST_EDGES`, so many evenly spread ones are
+    looked at.
+    """
+
+    def __init__(self, samples: int, edges: int) -> None:
+        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
+        self._samples = 0
+        self._passages: list[Passages] = []
+        self._emf: list[InFrame] = []
+
+    def add(self, capture: Capture, own: slice = slice(None)) -> None:
+        """Add the edges of a capture, and of its samples `own`, with as many as `SLOPE` takes on either side."""
+        rows = np.arange(len(capture))[own]
+        some = rows[-self._samples % self._every :: self._every]
+        self._samples += len(rows)
+        if not reference_angle(capture.samples.config.channels):
+            return
+        omega = speed(capture.theta, capture.t)
+        turn = capture.edges.index // SECTORS
+        self._passages.append(_passages(capture, omega, turn % self._every_turn == 0))
+        if (in_frame := _in_frame(capture, omega, some)) is not None:
+            self._emf.append(in_frame)
+
+    def delays(self) -> Delays:
+        """What they tell."""
+        if self._samples < LEAST:
+            return Delays(math.nan, math.nan)
+        edges = _by_edges(_together(Passages, self._passages)) if self._passages else math.nan
+        return Delays(edges, _by_back_emf(_together(InFrame, self._emf)) if self._emf else math.nan)
+
+
+class Passages(NamedTuple):
+    """Hall edges of a shaft that turns, (n,) each: which edge and way, angle by the encoder, speed."""
+
+    kind: NDArray[np.int64]
+    place: F64
+    omega: F64
+
+
+class InFrame(NamedTuple):
+    """The back-EMF in the encoder's frame, (n,) each: as a complex number, V; electrical speed; q current."""
+
+    still: NDArray[np.complex128]
+    omega: F64
+    size: F64
+    torque: F64
 
 
 def blame(found: Delays) -> tuple[Late, str]:
@@ -109,21 +163,24 @@ def blame(found: Delays) -> tuple[Late, str]:
     )
 
 
-def by_edges(capture: Capture) -> float:
-    """By how many s Hall edges are later than the encoder; NaN where that is not known as well as `AGREE`."""
-    if not reference_angle(capture.samples.config.channels) or len(capture) < LEAST:
-        return math.nan
-    edges, at, theta = capture.edges, capture.samples.tick, capture.theta
+def _passages(capture: Capture, speeds: F64, wanted: NDArray[np.bool_]) -> Passages:
+    """The edges that are `wanted` and of a shaft that turns, among samples."""
+    edges, at = capture.edges, capture.samples.tick
     sector = np.array(SECTOR_OF_CODE)
     old, new = sector[edges.hall_old & 7], sector[edges.hall_new & 7]
-    place, omega = capture.theta_at_edges(), np.interp(edges.tick, at, speed(theta, capture.t))
+    omega = np.interp(edges.tick, at, speeds)
     way = np.select([(new - old) % 6 == 1, (old - new) % 6 == 1], [1, -1])
-    good = (old >= 0) & (new >= 0) & (way * omega > SLOW) & (edges.tick >= at[0]) & (edges.tick <= at[-1])
-    if np.count_nonzero(good) < LEAST_EDGES:
+    good = (old >= 0) & (new >= 0) & (way * omega > SLOW) & (edges.tick >= at[0]) & (edges.tick <= at[-1]) & wanted
+    return Passages((old * 6 + new)[good], wrap(capture.theta_at_edges()[good]), omega[good])
+
+
+def _by_edges(passages: Passages) -> float:
+    kinds, place, omega = passages
+    if len(kinds) < LEAST_EDGES:
         return math.nan
     groups = []
-    for kind in np.unique((old * 6 + new)[good]):
-        of = good & (old * 6 + new == kind)
+    for kind in np.unique(kinds):
+        of = kinds == kind
         off = wrap(place[of] - np.angle(np.exp(1j * place[of]).mean()))
         near = np.abs(off - np.median(off)) < FAR
         groups.append((off[near], omega[of][near]))
@@ -131,31 +188,39 @@ def by_edges(capture: Capture) -> float:
     return delay if 2.0 * error < AGREE else math.nan
 
 
-def by_back_emf(capture: Capture) -> float:
-    """By how many s the back-EMF is later than the encoder; NaN where that is not known as well as `AGREE`."""
+def _in_frame(capture: Capture, speeds: F64, some: NDArray[np.int64]) -> InFrame | None:
+    """Of the samples `some` those of a shaft that is driven and turns; None where the drive does not tell enough."""
     resistance, inductance = (capture.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
-    if resistance is None or inductance is None or len(capture) < LEAST:
-        return math.nan
-    if not reference_angle(capture.samples.config.channels) or any(name not in capture for name in STATOR):
-        return math.nan
-    some = slice(None, None, max(1, len(capture) // MOST))
-    theta, omega = capture.theta[some], speed(capture.theta, capture.t)[some]
+    if resistance is None or inductance is None or any(name not in capture for name in STATOR):
+        return None
+    theta, omega = capture.theta[some], speeds[some]
     u, i = (vector[some] for vector in stator(capture))
     e = u - (resistance + 1j * omega * inductance) * i
     size = np.abs(e)
     use = driven(capture)[some] & (np.abs(omega) > SLOW) & (size > UNSURE)
-    if np.count_nonzero(use) < LEAST or omega[use].std() < SPREAD * np.abs(omega[use]).max():
-        return math.nan
     # the voltage is that of the period that ends at the sample: it is half a period old
     at_samples = theta - 0.5 * omega / capture.samples.config.pwm_hz
     still = (e * np.exp(-1j * at_samples) * np.sign(omega) / 1j)[use]
-    omega, size, torque = omega[use], size[use], (i * np.exp(-1j * theta)).imag[use]
+    return InFrame(still, omega[use], size[use], (i * np.exp(-1j * theta)).imag[use])
+
+
+def _by_back_emf(emf: InFrame) -> float:
+    still, omega, size, torque = emf
+    if len(omega) < LEAST or omega.std() < SPREAD * np.abs(omega).max():
+        return math.nan
     terms = [np.ones(len(omega)), omega]
     if torque.std() > 0.0 and abs(np.corrcoef(torque, omega)[0, 1]) < ALIKE:
         terms.append(torque)
     angles = [-np.angle(still / still.mean()), UNSURE / size, UNSURE / size * np.sign(omega)]
     slope, *errors = _fitted(terms, angles, size)[1]
     return float(slope) if np.abs(errors).max() < AGREE else math.nan
+
+
+Parts = TypeVar("Parts", Passages, InFrame)
+
+
+def _together(kind: type[Parts], parts: Sequence[Parts]) -> Parts:
+    return kind(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def speed(theta: F64, t: F64) -> F64:

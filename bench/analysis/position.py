@@ -62,17 +62,20 @@ class Moments:
 
     def add(self, values: NDArray[np.float64]) -> None:
         """Add `values`, shape (n,)."""
-        n = len(values)
-        if n == 0:
+        if len(values):
+            mean = float(values.mean())
+            self.merge(Moments(len(values), mean, float(((values - mean) ** 2).sum()), float(np.abs(values).max())))
+
+    def merge(self, other: Moments) -> None:
+        """Add those of other values."""
+        total = self.n + other.n
+        if not other.n:
             return
-        mean = float(values.mean())
-        m2 = float(((values - mean) ** 2).sum())
-        delta = mean - self.mean
-        total = self.n + n
-        self.m2 += m2 + delta * delta * self.n * n / total
-        self.mean += delta * n / total
+        delta = other.mean - self.mean
+        self.m2 += other.m2 + delta * delta * self.n * other.n / total
+        self.mean += delta * other.n / total
         self.n = total
-        self.peak = max(self.peak, float(np.abs(values).max()))
+        self.peak = max(self.peak, other.peak)
 
     @property
     def std(self) -> float:

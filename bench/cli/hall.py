@@ -56,6 +56,8 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
                      help="Energise nothing: the shaft is turned by hand."),
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
                      help="With --passive: watch for S seconds at most."),
+        click.option("--from", "begin", metavar="S", type=Number(), help="Of a recording: from this device time, s."),
+        click.option("--to", "end", metavar="S", type=Number(), help="Of a recording: up to this device time, s."),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
         click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun."),
         overwrite_option,
@@ -94,6 +96,7 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
       bench hall check serial:/dev/ttyACM0
       bench hall check tcp:192.168.0.7:7000 --passive
       bench hall check run.run --json health.json
+      bench hall check day.run --from 3600 --to 7200
     """
     from bench.cli.output import Progress
 
@@ -194,6 +197,8 @@ def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]
         raise click.UsageError(f"--config is for the simulated drive, not for {source}")
     if options.recorded and (options.save is not None or options.passive):
         raise click.UsageError(f"{source} is a recording: --save and --passive are for a drive")
+    if not options.recorded and (options.begin, options.end) != (None, None):
+        raise click.UsageError(f"{source} is a drive: --from and --to are for a recording")
     return options
 
 

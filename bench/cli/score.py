@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
+from bench.cli.number import Number
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
@@ -29,6 +30,8 @@ def share(value: Any) -> float:
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=RUN)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Score only these: a name of `bench replay --list`, or drive_vt, …; repeatable.")  # fmt: skip
+@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
+@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
 @click.option("--html", metavar="FILE", type=FILE, help="Write all figures and plots as one HTML file.")
 @json_option("all figures")
 @click.option("--csv", "csv_file", metavar="FILE", type=FILE, help="Write all figures as CSV, one a row.")
@@ -39,6 +42,8 @@ def share(value: Any) -> float:
 def command(
     runs: tuple[Path, ...],
     observers: tuple[str, ...],
+    begin: float | None,
+    end: float | None,
     expect: Path | None,
     overwrite: bool,
     margin: float,
@@ -56,6 +61,7 @@ def command(
       bench score a.run
       bench score a.run b.run --html score.html --json score.json
       bench score a.run --expect bounds.toml
+      bench score day.run --from 3600 --to 7200
     """
     html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
@@ -65,7 +71,7 @@ def command(
     from bench.scoring.table import as_csv, as_text
 
     expected = None if expect is None else bounds.read(expect)
-    board = score(runs, observers)
+    board = score(runs, observers, begin, end)
     say = note if STANDARD_OUTPUT in outputs.values() else echo
     for line in as_text(board):
         say(line)

@@ -73,21 +73,20 @@ class Codes:
 def dead(trace: Trace, turns: Turns) -> list[Finding]:
     """Inputs that never change while others, or the encoder, tell that the shaft turns."""
     found = []
-    changed = trace.edges.old ^ trace.edges.new
-    changes = [int(np.count_nonzero(changed >> number & 1)) for number in range(len(INPUTS))]
+    changes, codes = trace.changes(), np.arange(8)
     told = ", ".join(f"{name} {n}" for name, n in zip(INPUTS, changes, strict=True))
     for number, name in enumerate(INPUTS):
-        high = trace.hall >> number & 1
-        if changes[number] > STILL * max(*changes, 1) or STILL < high.mean() < 1.0 - STILL:
+        high = float(trace.codes[codes >> number & 1 == 1].sum()) / trace.samples
+        if changes[number] > STILL * max(*changes, 1) or STILL < high < 1.0 - STILL:
             continue
-        level = round(float(high.mean()))
+        level = round(high)
         found.append(
             Finding(
                 "dead",
                 f"sensor {name} open (always 1)" if level else f"sensor {name} shorted (always 0)",
                 (
-                    f"input {name} reads {level} in {_percent(np.mean(high == level))} of {len(high)} samples, over "
-                    f"{turns.total:.1f} electrical turns",
+                    f"input {name} reads {level} in {_percent(high if level else 1.0 - high)} of {trace.samples} "
+                    f"samples, over {turns.total:.1f} electrical turns",
                     f"changes of the inputs: {told}",
                 ),
                 f"measure the wire of sensor {name}, its supply and its pull-up"
@@ -100,8 +99,9 @@ def dead(trace: Trace, turns: Turns) -> list[Finding]:
 
 def inverted_by_codes(trace: Trace) -> list[Finding]:
     """An inverted input makes 000 and 111 of two codes, which then never come."""
-    counts = np.bincount(trace.edges.new, minlength=8)
-    if min(counts[0], counts[7]) < 0.1 * len(trace.edges.new):
+    counts = trace.changed.sum(axis=0)
+    n = int(counts.sum())
+    if min(counts[0], counts[7]) < 0.1 * n:
         return []
     for number, name in enumerate(INPUTS):
         alone = 1 << number
@@ -111,7 +111,7 @@ def inverted_by_codes(trace: Trace) -> list[Finding]:
                     "wiring",
                     f"sensor {name} inverted",
                     (
-                        f"{counts[0]} edges to 000 and {counts[7]} to 111 of {len(trace.edges.new)}, "
+                        f"{counts[0]} edges to 000 and {counts[7]} to 111 of {n}, "
                         f"none to {alone:03b} or {7 - alone:03b} (c b a)",
                     ),
                     f"correct the polarity of sensor {name}",
@@ -237,7 +237,7 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
         )
         return [Finding("wiring", wiring.best, tuple(evidence), advice)]
     nearest = f"the nearest of the known wirings, {next_best} of {wiring.n} samples"
-    moving = np.abs(np.asarray(trace.omega)) >= SLOW
+    moving = np.abs(trace.some.omega) >= SLOW
     for backwards in (False, True):
         fit = _shifted(-theta if backwards else theta, trace, moving)
         if fit is None:
@@ -388,7 +388,7 @@ def _shifted(theta: Floats, trace: Trace, moving: NDArray[np.bool_]) -> Diagnosi
     None where that is not well enough.
     """
     few = np.flatnonzero(moving)[:: max(1, np.count_nonzero(moving) // FEW)]
-    fits = [diagnose(theta[few] - math.tau * k / SHIFTS, trace.hall[few]) for k in range(SHIFTS)]
+    fits = [diagnose(theta[few] - math.tau * k / SHIFTS, trace.some.hall[few]) for k in range(SHIFTS)]
     return max((fit for fit in fits if fit.best == AS_SPECIFIED), key=lambda fit: fit.share, default=None)
 
 

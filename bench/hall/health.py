@@ -16,7 +16,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from bench.analysis.delays import AGREE, SLOW, Delays, by_back_emf
+from bench.analysis.delays import AGREE, SLOW, Delays
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
@@ -73,7 +73,7 @@ def examine(trace: Trace, further: str = "") -> Health:
         )
     elif dead := causes.dead(trace, turns):
         findings += dead
-    elif trace.theta is None:
+    elif not trace.encoder:
         findings += causes.inverted_by_codes(trace)
         missing.append(
             "no encoder was recorded: exchanged wires and displaced sensors do not show without one; "
@@ -83,13 +83,14 @@ def examine(trace: Trace, further: str = "") -> Health:
         findings += pole_pairs
     else:
         emf = reference.back_emf(trace)
-        delays = delays._replace(back_emf=by_back_emf(trace.capture))
+        delays = delays._replace(back_emf=trace.evidence.delays().back_emf)
         findings += causes.encoder(emf) + causes.late(delays, _fastest(trace))
         # that of the rotor flux, where the back-EMF says that the encoder's is another
-        theta = emf.zero - trace.theta if emf is not None and emf.reversed else trace.theta - causes.ahead(emf)
-        moving = np.abs(np.asarray(trace.omega)) >= SLOW
+        some = trace.some
+        theta = emf.zero - some.theta if emf is not None and emf.reversed else some.theta - causes.ahead(emf)
+        moving = np.abs(some.omega) >= SLOW
         try:
-            wiring = diagnose(theta[moving], trace.hall[moving])
+            wiring = diagnose(theta[moving], some.hall[moving])
         except ValueError as error:
             missing.append(f"the wiring is not known: {error}")
         else:
@@ -108,21 +109,21 @@ def examine(trace: Trace, further: str = "") -> Health:
 
 def _fastest(trace: Trace) -> float:
     """The largest speed that the drive allows, electrical rad/s; inf where it does not tell."""
-    parameters = trace.capture.parameters
+    parameters = trace.parameters
     return parameters.get("n_p", math.inf) * parameters.get("omega_m_max", math.inf)
 
 
 def _codes(trace: Trace) -> Codes:
     sector = np.array(SECTOR_OF_CODE)
-    leaves, enters = sector[trace.edges.old], sector[trace.edges.new]
+    leaves, enters = sector[:, None], sector
     illegal = (leaves < 0) | (enters < 0)
     neighbours = np.isin((enters - leaves) % SECTORS, (1, SECTORS - 1))
     return Codes(
-        int(np.count_nonzero((trace.hall == 0) | (trace.hall == 7))),
-        len(trace.hall),
-        int(np.count_nonzero(illegal)),
-        int(np.count_nonzero(~illegal & ~neighbours)),
-        len(leaves),
+        int(trace.codes[[0, 7]].sum()),
+        trace.samples,
+        int(trace.changed[illegal].sum()),
+        int(trace.changed[~illegal & ~neighbours].sum()),
+        int(trace.changed.sum()),
     )
 
 

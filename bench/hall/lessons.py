@@ -7,7 +7,7 @@ anything.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.errors import BenchError
-from bench.hall.trace import INPUTS
-from bench.observers.estimators import Estimators
+from bench.hall import trace
+from bench.hall.trace import Recorded, pieces_of
+from bench.observers.estimators import INPUTS, Estimators
 from bench.observers.replay import not_replayable
 from bench.rig.rig import Rig
 from protocol.descriptor import Channel
@@ -65,40 +66,62 @@ def read(rig: Rig) -> Capture:
             return capture
 
 
-def learned(capture: Capture, by: str) -> Lessons:
+def learned(whole: Capture | Recorded, by: str) -> Lessons:
     """What the `drive`'s own filter has told, or the host's `filter` learns. BenchError where neither can be."""
-    return _of_drive(capture) if by == "drive" else _of_host(capture)
+    return _of_drive(whole) if by == "drive" else _of_host(whole)
 
 
-def _of_drive(capture: Capture) -> Lessons:
-    if lacking := [name for name in TOLD_BY if name not in capture]:
-        asked = ",".join(f"+{name}" for name in TOLD_BY)
-        raise BenchError(f"no edges learnt: {', '.join(lacking)} was not recorded (bench live --channels {asked})")
-    return _lessons([capture[name] for name in TOLD_BY], "the drive's own filter", capture.parameters)
+def _of_drive(whole: Capture | Recorded) -> Lessons:
+    last = _Last("the drive's own filter")
+    for capture in pieces_of(whole, TOLD_BY):
+        if lacking := [name for name in TOLD_BY if name not in capture]:
+            asked = ",".join(f"+{name}" for name in TOLD_BY)
+            raise BenchError(f"no edges learnt: {', '.join(lacking)} was not recorded (bench live --channels {asked})")
+        last.add(*(capture[name] for name in TOLD_BY))
+    return last.lessons(capture.parameters)
 
 
-def _of_host(capture: Capture) -> Lessons:
-    if why := not_replayable(capture.samples.config, capture.edges.config):
-        raise BenchError(f"no edges learnt: the Kalman filter cannot be run on this: {why}")
-    estimators = Estimators([OBSERVER], capture.parameters, capture.samples.config, follow=False)
-    estimators.edges(capture.edges)
-    found = estimators.records(capture.samples)[OBSERVER]
-    columns = [found[name] for name in ("lesson", "learned", "learned_sd", "sensors")]
-    return _lessons(columns, "the host's filter, over what was recorded", capture.parameters)
+def _of_host(whole: Capture | Recorded) -> Lessons:
+    last = _Last("the host's filter, over what was recorded")
+    estimators: Estimators | None = None
+    for capture in pieces_of(whole, INPUTS):
+        config = capture.samples.config
+        if estimators is None:
+            if why := not_replayable(config, capture.edges.config):
+                raise BenchError(f"no edges learnt: the Kalman filter cannot be run on this: {why}")
+            estimators = Estimators([OBSERVER], capture.parameters, config, follow=False)
+        estimators.edges(capture.edges)
+        found = estimators.records(capture.samples)[OBSERVER]
+        last.add(*(found[name] for name in ("lesson", "learned", "learned_sd", "sensors")))
+    return last.lessons(capture.parameters)
 
 
-def _lessons(columns: Sequence[NDArray[Any]], whose: str, before: Mapping[str, float]) -> Lessons:
-    """What came last of each. BenchError where one of the edges never came, or a sensor is not believed."""
-    number, value, sd, sensors = columns
-    last = {int(k): int(at) for at, k in enumerate(number)}
-    of = {LESSONS[k]: Lesson(float(value[at]), float(sd[at])) for k, at in sorted(last.items()) if k < len(LESSONS)}
-    of = {name: one for name, one in of.items() if math.isfinite(one.value) and 0.0 <= one.sd < math.inf}
-    if missing := [name for name in EDGES if name not in of]:
-        raise BenchError(f"no edges learnt: {whose} told nothing of {', '.join(missing)}")
-    if wrong := int(sensors[-1]) & NOT_BELIEVED:
-        which = [name for bit, name in enumerate(INPUTS) if wrong >> bit & 1]
-        raise BenchError(f"no edges learnt: {whose} does not believe sensor {', '.join(which)}: bench hall check")
-    return Lessons(of, whose, before)
+class _Last:
+    """What `whose` filter told last of each lesson."""
+
+    def __init__(self, whose: str) -> None:
+        self._whose = whose
+        self._of: dict[int, Lesson] = {}
+        self._sensors = 0
+
+    def add(self, number: NDArray[Any], value: NDArray[Any], sd: NDArray[Any], sensors: NDArray[Any]) -> None:
+        """Add samples, (n,) each: which lesson, what it is, its standard deviation; the sensors not believed."""
+        numbers, back = np.unique(number[::-1], return_index=True)
+        newest = zip(numbers.tolist(), (len(number) - 1 - back).tolist(), strict=True)
+        self._of |= {int(k): Lesson(float(value[at]), float(sd[at])) for k, at in newest}
+        self._sensors = int(sensors[-1])
+
+    def lessons(self, before: Mapping[str, float]) -> Lessons:
+        """All of them. BenchError where one of the edges never came, or a sensor is not believed."""
+        whose = self._whose
+        of = {LESSONS[k]: lesson for k, lesson in sorted(self._of.items()) if k < len(LESSONS)}
+        of = {name: one for name, one in of.items() if math.isfinite(one.value) and 0.0 <= one.sd < math.inf}
+        if missing := [name for name in EDGES if name not in of]:
+            raise BenchError(f"no edges learnt: {whose} told nothing of {', '.join(missing)}")
+        if wrong := self._sensors & NOT_BELIEVED:
+            which = [name for bit, name in enumerate(trace.INPUTS) if wrong >> bit & 1]
+            raise BenchError(f"no edges learnt: {whose} does not believe sensor {', '.join(which)}: bench hall check")
+        return Lessons(of, whose, before)
 
 
 def as_json(lessons: Lessons) -> dict[str, dict[str, float]]:

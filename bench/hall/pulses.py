@@ -56,8 +56,8 @@ def count(trace: Trace) -> Pulses:
     n = len(pulses.input)
     bins: list[CurrentBin] = []
     excess = math.nan
-    if np.isfinite(trace.current).all():
-        bounds = np.unique(np.quantile(trace.current, np.linspace(0.0, 1.0, BINS + 1)))
+    if np.isfinite(trace.some.current).all():
+        bounds = np.unique(np.quantile(trace.some.current, np.linspace(0.0, 1.0, BINS + 1)))
         if len(bounds) == BINS + 1:
             per_bin = np.bincount(
                 np.clip(np.searchsorted(bounds, pulses.current, "right") - 1, 0, BINS - 1), minlength=BINS

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.delays import SLOW, STATOR, driven, stator
+from bench.analysis.delays import SLOW
 from bench.hall.trace import INPUTS, Edges, Trace
 
 CLEAR = 0.8
@@ -68,20 +69,17 @@ class BackEmf:
 
 def turns(trace: Trace) -> Turns:
     """How far the shaft turned."""
-    n_p = trace.capture.parameters.get("n_p")
+    n_p = trace.parameters.get("n_p")
     pole_pairs = None if n_p is None else round(n_p)
-    by_hall = _hall_turns(trace.edges)
-    if trace.omega is None:
+    by_hall = _hall_turns(trace.changes())
+    if not trace.encoder:
         half = by_hall / 2.0
         return Turns(half, half, by_hall, pole_pairs)
-    way = trace.omega * trace.sample_time / math.tau
-    moving = np.abs(trace.omega) >= SLOW
-    return Turns(float(way[moving & (way > 0)].sum()), abs(float(way[moving & (way < 0)].sum())), by_hall, pole_pairs)
+    return Turns(trace.up, trace.down, by_hall, pole_pairs)
 
 
-def _hall_turns(edges: Edges) -> float:
+def _hall_turns(changes: Sequence[int]) -> float:
     """Half the changes of an input, in the mean over those that change."""
-    changes = [int(np.count_nonzero((edges.old ^ edges.new) >> k & 1)) for k in range(len(INPUTS))]
     alive = [n for n in changes if n > 0.2 * max(changes)]
     return float(np.mean(alive)) / 2.0 if alive else math.nan
 
@@ -105,28 +103,24 @@ def repeats(edges: Edges, factor: float) -> float:
 
 def back_emf(trace: Trace) -> BackEmf | None:
     """Where the back-EMF stands; None where the outputs were off, too little is known, or it has no clear angle."""
-    capture = trace.capture
-    resistance, inductance = (capture.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
-    if trace.theta is None or trace.omega is None or resistance is None or inductance is None:
+    resistance, inductance = (trace.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
+    some = trace.some
+    if not trace.encoder or resistance is None or inductance is None or np.isnan(some.u).all():
         return None
-    if any(name not in capture for name in STATOR):
-        return None
-    u, i = stator(capture)
-    settled = driven(capture)
-    fast = np.abs(trace.omega) > 0.5 * np.abs(trace.omega[settled]).max(initial=0.0)
-    use = settled & fast & (np.abs(trace.omega) > SLOW)
+    fast = np.abs(some.omega) > 0.5 * np.abs(some.omega[some.settled]).max(initial=0.0)
+    use = some.settled & fast & (np.abs(some.omega) > SLOW)
     if np.count_nonzero(use) < LEAST_SAMPLES:
         return None
-    theta, omega, way = trace.theta[use], trace.omega[use], np.sign(trace.omega[use])
-    pwm_period = trace.sample_time / capture.samples.config.decimation
+    u, i, theta, omega = some.u[use], some.i[use], some.theta[use], some.omega[use]
+    way = np.sign(omega)
     best: BackEmf | None = None
     for backwards in (False, True):
         turning = -omega if backwards else omega  # of the rotor flux
-        e = u[use] - (resistance + 1j * turning * inductance) * i[use]
+        e = u - (resistance + 1j * turning * inductance) * i
         size = float(np.abs(e).mean())
         flux = -theta if backwards else theta
         # the voltage is that of the period that ends at the sample: it is half a period old
-        still = e * np.exp(-1j * (flux - 0.5 * turning * pwm_period)) * (-way if backwards else way) / 1j
+        still = e * np.exp(-1j * (flux - 0.5 * turning / trace.pwm_hz)) * (-way if backwards else way) / 1j
         mean = complex(still.mean())
         if size < LEAST_EMF or abs(mean) < CLEAR * size:
             continue

@@ -64,10 +64,10 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     codes, turns, measured, emf = health.codes, health.turns, health.measured, health.emf
     rows = [
         ["turned", f"{turned.how}: {turns.up:.1f} electrical turns up, {turns.down:.1f} down"],
-        ["data", f"{len(trace.hall)} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
+        ["data", f"{trace.samples} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
         ["illegal codes", f"{codes.illegal_samples} samples, {codes.illegal} edges; {codes.skipped} sectors skipped"],
     ]
-    if turns.n_p is not None and trace.theta is not None and not math.isnan(turns.ratio):
+    if turns.n_p is not None and trace.encoder and not math.isnan(turns.ratio):
         rows.append(["pole pairs", f"{turns.n_p} in the drive; {turns.n_p * turns.ratio:.2f} by the Hall edges"])
     if not math.isnan(measured.delay):
         within = measured.delay_half_width * 1e6
@@ -89,7 +89,7 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     ]
     if left_out:
         rows.append(["left out", ", ".join(left_out)])
-    dropped = trace.capture.dropped
+    dropped = trace.dropped
     if dropped:
         rows.append(["lost", f"{dropped[0][2]}" + (f", and {len(dropped) - 1} more" if len(dropped) > 1 else "")])
     return rows
@@ -126,7 +126,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
         "turned": turned.how,
         "remarks": list(turned.remarks),
         "seconds": trace.seconds,
-        "samples": len(trace.hall),
+        "samples": trace.samples,
         "turns_up": turns.up,
         "turns_down": turns.down,
         "n_p": turns.n_p,
@@ -160,7 +160,7 @@ def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[s
             "n": emf.n,
         },
         "left_out": {"unplaced": trace.unplaced, "slow": trace.slow, "outliers": measured.outliers},
-        "lost": [words for _, _, words in trace.capture.dropped],
+        "lost": [words for _, _, words in trace.dropped],
     }
 
 

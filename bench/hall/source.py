@@ -19,7 +19,7 @@ from bench.errors import BenchError
 from bench.files import RRD, RUN, check_output
 from bench.hall import lessons
 from bench.hall.passive import watch, watched
-from bench.hall.trace import recorded
+from bench.hall.trace import Recorded
 from bench.hall.turning import Turned, Turner
 from bench.observers.estimators import unfit
 from bench.rig.connection import SIM, open_target
@@ -59,6 +59,10 @@ class Options:
     by: str = "encoder"
     """What says where they lie: `encoder`, `filter` (the host's Kalman filter) or `drive` (its own filter)."""
 
+    begin: float | None = None
+    end: float | None = None
+    """The part of a recording that is looked at, device time in s; None: from its beginning, to its end."""
+
     @property
     def recorded(self) -> bool:
         """Whether the source is a recording."""
@@ -97,11 +101,8 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     if options.recorded:
         from bench.recording.reader import Run
 
-        run = Run(options.source)
-        capture = recorded(run)
-        for words in run.damage:
-            screen.note(f"warning: {words}")
-        yield Source(Turned(capture, "recorded"), None)
+        recorded = Recorded(Run(options.source), options.begin, options.end, screen.note)
+        yield Source(Turned(recorded, "recorded"), None)
         return
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)

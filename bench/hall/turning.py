@@ -23,6 +23,7 @@ from bench.analysis.capture import Capture
 from bench.analysis.units import RPM
 from bench.analysis.waveforms.sectors import SECTORS, sector_of_code
 from bench.errors import BenchError
+from bench.hall.trace import Recorded
 from bench.rig.loads import SPEED
 from bench.rig.needs import offers
 from bench.rig.recorder import Recorder
@@ -49,9 +50,9 @@ LOOKS = 100.0  # Hz at which the way is looked at: a shaft at rest trembles by a
 
 @dataclass(frozen=True)
 class Turned:
-    """What was recorded, and how the shaft was turned, in words."""
+    """What was captured or recorded, and how the shaft was turned, in words."""
 
-    capture: Capture
+    capture: Capture | Recorded
     how: str
     remarks: tuple[str, ...] = ()
     """Trips, and ways that did not turn the motor."""

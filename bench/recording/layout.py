@@ -165,6 +165,11 @@ def column_of(channel: str) -> str:
     return f"{channel}_" if channel.rstrip("_") in _OTHERS else channel
 
 
+def column_names(config: StreamConfig) -> frozenset[str]:
+    """Columns of samples that `to_chunk` needs."""
+    return frozenset((*_OTHERS, *(column_of(channel.name) for channel in config.channels)))
+
+
 def channel_field(channel: AnyChannel, name: str) -> pa.Field:
     """A column of a channel's raw values."""
     about = {"unit": channel.unit.symbol, "scale": repr(channel.scale), "offset": repr(channel.offset)}

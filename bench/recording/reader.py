@@ -10,20 +10,23 @@ import fcntl
 import json
 import mmap
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.analysis.capture import Capture
-from bench.analysis.chunks import between, join, lost_stretches, no_edge_stream, no_edges
+import numpy as np
+
+from bench.analysis.capture import Capture, gathered
+from bench.analysis.chunks import between, join, lost_stretches, narrowed, no_edge_stream, no_edges, of_channels, part
 from bench.analysis.verdict import Verdict
 from bench.errors import BenchError
 from bench.files import RRD, is_run, run_folder
 from bench.recording import journal, layout
 from bench.recording.info import Mark, RunInfo, stream_from_json
 from bench.recording.losses import LOSS_FIELDS, LossAccount
+from bench.recording.memory import available, in_words
 from bench.recording.overview import Overview
 from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -31,6 +34,7 @@ from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 if TYPE_CHECKING:
     import pyarrow as pa
 
+BESIDE = 50_000_000  # bytes that reading takes beside what is read: a row group or two, and files
 _NUMBERED = re.compile(r"(?P<stream>.+)-(?P<number>\d{6})\.parquet$")
 _HEARTBEAT = tuple(field.name for field in fields(Heartbeat))
 _EVENT = tuple(field.name for field in fields(DeviceEvent))
@@ -79,6 +83,7 @@ class Run:
         self._configs: dict[int, StreamConfig] = {}
         self._numbers: dict[str, int] = {}
         self._segments: dict[int, dict[str, tuple[StoredFile, ...]]] = {}
+        self._lost_groups: set[tuple[str, int, int, int]] = set()  # file, first and last tick, rows
         self.ended = False
         """Whether it came to its end: it was not cut short, and is not being written."""
         self.lost: dict[str, int] | None = None
@@ -265,23 +270,46 @@ class Run:
         return (*found, Segment(self, max(self._segments, default=0) + 1, None)) if self.opened else tuple(found)
 
     def pieces(
-        self, stream: str, first: int | None = None, last: int | None = None
+        self,
+        stream: str,
+        first: int | None = None,
+        last: int | None = None,
+        channels: Collection[str] | None = None,
     ) -> Iterator[SampleChunk | EdgeChunk]:
         """A stream from tick `first` to `last`, both included, a row group or less at a time, in order.
 
-        What is missing between two pieces is in the gaps of the second.
+        `channels`: of samples, those that are read; None: all. What is missing between two pieces is in the gaps of
+        the second.
         """
         account = LossAccount()
+        config = narrowed(self.config(stream), channels)
         for segment in self.segments:
             if segment.after_removed:
                 account.not_kept()
-            for piece in segment.pieces(stream, first, last):
+            for piece in segment.pieces(stream, first, last, config):
                 yield account.chunk(piece)
 
-    def chunk(self, stream: str, first: int | None = None, last: int | None = None) -> SampleChunk | EdgeChunk | None:
-        """A stream from tick `first` to `last`, both included, in one piece; None if nothing is there."""
-        found = list(self.pieces(stream, first, last))
+    def chunk(
+        self,
+        stream: str,
+        first: int | None = None,
+        last: int | None = None,
+        channels: Collection[str] | None = None,
+    ) -> SampleChunk | EdgeChunk | None:
+        """A stream from tick `first` to `last`, both included, in one piece, see `pieces`; None if nothing is there."""
+        found = list(self.pieces(stream, first, last, channels))
         return join(found) if found else None
+
+    def rows(self, stream: str, first: int | None = None, last: int | None = None) -> int:
+        """How many records of a stream the files hold from tick `first` to `last`, by their row groups: rather more."""
+        return sum(segment.rows(stream, first, last) for segment in self.segments) if stream in self.names else 0
+
+    def damaged(self, stream: str, first: int | None = None, last: int | None = None) -> list[tuple[int, int, int]]:
+        """First and last tick and rows of what was found damaged of a stream and is not read, as far as it was read."""
+        low, high = _bounds(first, last)
+        files = {file.name for segment in self.segments for file in segment.files.get(stream, ())}
+        found = {(a, b, rows) for name, a, b, rows in self._lost_groups if name in files and a <= high and b >= low}
+        return sorted(found)
 
     @cached_property
     def opened(self) -> tuple[tuple[int, SampleChunk | EdgeChunk], ...]:
@@ -299,19 +327,28 @@ class Run:
             chunks += found.chunks
         return tuple(chunks)
 
-    def groups(self, files: Sequence[StoredFile], chosen: Sequence[int]) -> Iterator[pa.Table]:
-        """The chosen row groups of files with the same rows, as one table each, if they are as they were written."""
-        opened = [opener for file in files if (opener := self._opened_file(file, chosen)) is not None]
+    def groups(
+        self, files: Sequence[StoredFile], chosen: Sequence[int], columns: Collection[str] | None = None
+    ) -> Iterator[pa.Table]:
+        """The chosen row groups of files with the same rows, as one table each, if they are as they were written.
+
+        `columns`: those that are read; None: all.
+        """
+        opened = [opener for file in files if (opener := self._opened_file(file, chosen, columns)) is not None]
         if len(opened) < len(files):
-            return
-        for k in chosen:
+            return iter(())
+
+        def together(k: int) -> pa.Table | None:
             tables = [table for read in opened if (table := read(k)) is not None]
-            if len(tables) == len(files):
-                whole, *others = tables
-                for other in others:
-                    for field, column in zip(other.schema, other.columns, strict=True):
-                        whole = whole.append_column(field, column)
-                yield whole
+            if len(tables) < len(files):
+                return None
+            whole, *others = tables
+            for other in others:
+                for field, column in zip(other.schema, other.columns, strict=True):
+                    whole = whole.append_column(field, column)
+            return whole
+
+        return filter(lambda table: table is not None, map(together, chosen))  # which hold no table that was taken
 
     def intact(self, file: StoredFile) -> bool:
         """Whether every block of a file is as it was written."""
@@ -323,7 +360,9 @@ class Run:
         ends = zip(starts, file.blocks, strict=False)
         return len(data) == starts[-1] and not any(layout.damaged(data, start, *block) for start, block in ends)
 
-    def _opened_file(self, file: StoredFile, chosen: Sequence[int]) -> Callable[[int], pa.Table | None] | None:
+    def _opened_file(
+        self, file: StoredFile, chosen: Sequence[int], columns: Collection[str] | None
+    ) -> Callable[[int], pa.Table | None] | None:
         """What reads a row group of a file, verified; None, and that is noted, where the file is not what it was."""
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -345,18 +384,21 @@ class Run:
             self._lost(file, chosen, "is damaged at its end")
             return None
         parquet = pq.ParquetFile(pa.BufferReader(pa.py_buffer(data[:end])))
+        names = None if columns is None else [name for name in parquet.schema_arrow.names if name in columns]
 
         def read(group: int) -> pa.Table | None:
             if layout.damaged(data, starts[group], *file.blocks[group]):
                 self._lost(file, [group], "is damaged")
                 return None
-            return parquet.read_row_group(group)
+            pa.default_memory_pool().release_unused()  # what was kept of the group before: more than this one takes
+            return parquet.read_row_group(group, columns=names, use_threads=False)
 
         return read
 
     def _lost(self, file: StoredFile, groups: Sequence[int], what: str) -> None:
         first, last = file.groups[groups[0]][0], file.groups[groups[-1]][1]
         rows = sum(file.groups[k][2] for k in groups)
+        self._lost_groups.add((file.name, first, last, rows))
         self._note_damage(f"{file.name} {what}: {rows} rows from {self.at(first)} to {self.at(last)} are lost")
 
     def _note_damage(self, text: str) -> None:
@@ -426,16 +468,38 @@ class Segment:
         groups = self._files[stream][0].groups
         return groups[0][0], groups[-1][1]
 
+    def rows(self, stream: str, first: int | None = None, last: int | None = None) -> int:
+        """See `Run.rows`."""
+        low, high = _bounds(first, last)
+        if self._files is None:
+            number = self._run.number_of(stream)
+            chunks = [chunk for its, chunk in self._run.opened if its == number]
+            groups = [(int(chunk.tick[0]), int(chunk.tick[-1]), len(chunk)) for chunk in chunks]
+        else:
+            groups = list(self._files[stream][0].groups) if stream in self._files else []
+        return sum(n for a, b, n in groups if a <= high and b >= low)
+
     def pieces(
-        self, stream: str, first: int | None = None, last: int | None = None
+        self,
+        stream: str,
+        first: int | None = None,
+        last: int | None = None,
+        config: StreamConfig | None = None,
     ) -> Iterator[SampleChunk | EdgeChunk]:
-        """See `Run.pieces`; what is missing between two of them is not in their gaps."""
+        """See `Run.pieces`; what is missing between two of them is not in their gaps.
+
+        `config`: with those of the stream's channels that are read; None: all.
+        """
         run = self._run
+        whole_config = run.config(stream)
+        config = config or whole_config
         if self._files is None:
             found = [chunk for number, chunk in run.opened if number == run.number_of(stream)]
-            whole: Iterable[SampleChunk | EdgeChunk] = [join(found)] if found else []
+            whole: Iterable[SampleChunk | EdgeChunk] = [of_channels(join(found), config)] if found else []
         else:
-            whole = (layout.to_chunk(table, run.config(stream)) for table in self.tables(stream, first, last))
+            columns = None if config is whole_config else layout.column_names(config)
+            tables = self.tables(stream, first, last, columns)
+            whole = map(partial(layout.to_chunk, config=config), tables)  # which holds no table
         for chunk in whole:
             part = between(chunk, *_bounds(first, last))
             if len(part):
@@ -445,12 +509,21 @@ class Segment:
         """Whether every block of its files is as it was written."""
         return all(self._run.intact(part) for parts in self.files.values() for part in parts)
 
-    def tables(self, stream: str, first: int | None = None, last: int | None = None) -> Iterator[pa.Table]:
-        """The row groups of a stream's file that have ticks from `first` to `last`, as they are stored."""
+    def tables(
+        self,
+        stream: str,
+        first: int | None = None,
+        last: int | None = None,
+        columns: Collection[str] | None = None,
+    ) -> Iterator[pa.Table]:
+        """The row groups of a stream's file that have ticks from `first` to `last`, as they are stored.
+
+        `columns`: those that are read; None: all.
+        """
         if files := self.files.get(stream):
             lowest, highest = _bounds(first, last)
             chosen = [k for k, (a, b, _) in enumerate(files[0].groups) if a <= highest and b >= lowest]
-            yield from self._run.groups(files, chosen)
+            yield from self._run.groups(files, chosen, columns)
 
 
 def overviews(run: Run, segment: Segment) -> Iterator[pa.Table]:
@@ -469,20 +542,110 @@ def _bounds(first: int | None, last: int | None) -> tuple[int, int]:
     return -1 if first is None else first, 1 << 62 if last is None else last
 
 
-def capture_of(run: Run, first: int | None = None, last: int | None = None) -> Capture:
-    """A recording as a capture, or its part from tick `first` to `last`. BenchError where it holds no samples."""
-    samples = run.chunk(layout.SAMPLES, first, last) if layout.SAMPLES in run.names else None
-    if not isinstance(samples, SampleChunk):
+def capture_of(
+    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+) -> Capture:
+    """A recording as a capture, or its part from tick `first` to `last`; `channels`: those that are read, None: all.
+
+    BenchError where it holds no samples, lacks a channel, or takes more memory than there is.
+    """
+    require_memory(run, first, last, channels)
+    return gathered(captures(run, first, last, channels), run.rows(layout.SAMPLES, first, last))
+
+
+def captures(
+    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+) -> Iterator[Capture]:
+    """The same a piece at a time, some ten seconds or less, in bounded memory: their sum is the whole.
+
+    A piece has the Hall edges up to its last sample, the last piece those after it too. What is missing between two
+    pieces is in the `dropped` of the second, and what is missing at the ends in that of the last.
+    """
+    info = run.info
+    has_edges = layout.EDGES in run.names
+    none = no_edges(run.config(layout.EDGES) if has_edges else no_edge_stream(info.node, info.tick_hz, info.pwm_hz))
+    edges = _Edges(run.pieces(layout.EDGES, first, last) if has_edges else iter(()), none)
+    seen: dict[str, tuple[int, int]] = {}  # oldest and newest tick that were handed out, by stream
+
+    def capture(samples: SampleChunk, until: int | None) -> Capture:
+        covered = edges.until(until)
+        lost: list[tuple[int, int, str]] = []
+        for stream, chunk, before in ((layout.SAMPLES, samples, int(samples.tick[0])), (layout.EDGES, covered, -1)):
+            oldest, newest = seen.get(stream, (None, before))
+            lost += lost_stretches(chunk, newest)
+            if len(chunk):
+                seen[stream] = int(chunk.tick[0]) if oldest is None else oldest, int(chunk.tick[-1])
+        if until is None:
+            lost += _lost_at_the_ends(run, first, last, seen)
+        return Capture(samples, covered, info.parameters, tuple(lost))
+
+    waiting: SampleChunk | None = None
+    for piece in run.pieces(layout.SAMPLES, first, last, channels) if layout.SAMPLES in run.names else ():
+        assert isinstance(piece, SampleChunk)
+        if waiting is not None:
+            yield capture(waiting, int(waiting.tick[-1]))
+        waiting = piece
+    if waiting is None:
         why = "; ".join(run.damage) or "record a run in which the shaft turns"
         raise BenchError(f"{run.path} holds no samples: {why}")
-    info = run.info
-    edges = run.chunk(layout.EDGES, first, last) if layout.EDGES in run.names else None
-    if not isinstance(edges, EdgeChunk):
-        known = run.config(layout.EDGES) if layout.EDGES in run.names else None
-        edges = no_edges(known or no_edge_stream(info.node, info.tick_hz, info.pwm_hz))
-    before = int(samples.tick[0])
-    lost = (*lost_stretches(samples, before), *lost_stretches(edges, -1))
-    return Capture(samples, edges, info.parameters, lost)
+    yield capture(waiting, None)
+
+
+def require_memory(
+    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+) -> None:
+    """BenchError where a part of a run does not fit into memory at once."""
+    if layout.SAMPLES not in run.names:
+        return
+    config = narrowed(run.config(layout.SAMPLES), channels)
+    of_index_and_tick = 16
+    size = run.rows(layout.SAMPLES, first, last) * (config.dtype.itemsize + of_index_and_tick)
+    needed = size + BESIDE
+    if needed > (free := available()):
+        a, b = run.span
+        raise BenchError(
+            f"{run.path}: {in_words(size)} from {run.at(a if first is None else first)} to "
+            f"{run.at(b if last is None else last)} do not fit into memory ({in_words(free)} are free): read a part of "
+            f"the time or some channels, bench.read(path, begin, end, channels), or piece by piece, bench.pieces(path)"
+        )
+
+
+class _Edges:
+    """Hall edges, handed out up to a tick."""
+
+    def __init__(self, pieces: Iterator[SampleChunk | EdgeChunk], none: EdgeChunk) -> None:
+        self._pieces, self._none = pieces, none
+        self._held: list[EdgeChunk] = []
+
+    def until(self, tick: int | None) -> EdgeChunk:
+        """Those up to `tick` that were not handed out yet; None: all that are left."""
+        last = 1 << 62 if tick is None else tick
+        while not self._held or int(self._held[-1].tick[-1]) <= last:
+            piece = next(self._pieces, None)
+            if not isinstance(piece, EdgeChunk):
+                break
+            self._held.append(piece)
+        whole = join(self._held) if self._held else self._none
+        now = int(np.searchsorted(whole.tick, last, "right"))
+        rest = part(whole, now, len(whole))
+        self._held = [rest] if len(rest) else []
+        return part(whole, 0, now)
+
+
+def _lost_at_the_ends(
+    run: Run, first: int | None, last: int | None, seen: Mapping[str, tuple[int, int]]
+) -> Iterator[tuple[int, int, str]]:
+    """What no gap between two records tells: damaged before the first or after the last, or never come at the end."""
+    for stream, noun in ((layout.SAMPLES, "samples"), (layout.EDGES, "Hall edges")):
+        oldest, newest = seen.get(stream, (1 << 62, -1))
+        for a, b, rows in run.damaged(stream, first, last):
+            if a > newest or b < oldest:
+                yield a, b, f"{rows} {noun} are damaged from {run.at(a)} to {run.at(b)}"
+    low, high = _bounds(first, last)
+    for tick, node, samples, edges in run.missing:
+        lost = [f"{n} {noun}" for n, noun in ((samples, "samples"), (edges, "Hall edges")) if n]
+        if node == run.info.node and low <= tick <= high and lost:
+            yield min(seen[layout.SAMPLES][1], tick), tick, f"{' and '.join(lost)} did not come, at {run.at(tick)}"
 
 
 def _heartbeat(record: Mapping[str, Any]) -> Heartbeat:

@@ -20,3 +20,8 @@ def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int
         asked = f"{wanted[0] / hz:g} to {wanted[1] / hz:g} s"
         raise BenchError(f"{run.path} has nothing from {asked}: it is from {first / hz:.3f} to {last / hz:.3f} s")
     return max(first, wanted[0]), min(last, wanted[1])
+
+
+def ticks_between(run: Run, begin: float | None, end: float | None) -> tuple[int | None, int | None]:
+    """The same, but None, None for all of a run, also of one that holds nothing: its reader says why."""
+    return (None, None) if begin is None and end is None else ticks_of(run, begin, end)

@@ -14,13 +14,15 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from bench.analysis.chunks import join
+import numpy as np
+
+from bench.analysis.chunks import join, part
 from bench.recording import journal, layout
 from bench.recording.folder import RunFolder, SegmentFile, append_to, write_all
 from bench.recording.info import Mark, RunInfo, stream_to_json
 from bench.recording.layout import Columns
 from bench.recording.losses import LossAccount
-from bench.recording.overview import Overview
+from bench.recording.overview import BIN, Overview
 from bench.recording.ring import Ring
 from protocol.messages import DeviceEvent, EventCode, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -172,16 +174,23 @@ class RunWriter:
         stream.pending.append(chunk)
         self._seen(last)
         if last - int(stream.pending[0].tick[0]) >= PIECE * hz:
-            self._piece(stream)
+            self._piece(stream, last - last % round(BIN * hz))
         if stream.pieces and last - stream.pieces[0].first >= ROW_GROUP * hz:
             self._row_group(stream)
 
-    def _piece(self, stream: _Stream) -> None:
-        """Make columns of the chunks that wait."""
+    def _piece(self, stream: _Stream, end: int | None = None) -> None:
+        """Make columns of what waits, up to tick `end`: a bin of the overview is of one piece."""
         if not stream.pending:
             return
         whole: SampleChunk | EdgeChunk = join(stream.pending)
         stream.pending.clear()
+        if end is not None:
+            n = int(np.searchsorted(whole.tick, end))
+            if n < len(whole):
+                stream.pending.append(part(whole, n, len(whole)))
+            if not n:
+                return
+            whole = part(whole, 0, n)
         overview = None
         if stream.name == layout.SAMPLES and isinstance(whole, SampleChunk):
             if self._overview is None:
@@ -191,8 +200,7 @@ class RunWriter:
         stream.pieces.append(_Piece(int(whole.tick[0]), int(whole.tick[-1]), table, overview))
 
     def _row_group(self, stream: _Stream) -> None:
-        """Move what waits of a stream to its file."""
-        self._piece(stream)
+        """Move the pieces of a stream to its file."""
         if not stream.pieces:
             return
         pieces, stream.pieces = stream.pieces, []
@@ -209,6 +217,7 @@ class RunWriter:
     def _end_segment(self) -> None:
         """Close the files of this segment, log them, and begin the next."""
         for stream in self._streams.values():
+            self._piece(stream)
             self._row_group(stream)
         open_files = [stream.file for stream in self._streams.values()] + [self._overview_file]
         files = [file.finish() for file in open_files if file is not None]

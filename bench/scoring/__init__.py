@@ -1,7 +1,9 @@
 """How good position estimates are on a recording, with the encoder as the reference: figures, a rank, a report.
 
-    metrics   statistics of an error, lags; pure functions of numpy arrays
+    metrics   statistics of an error, lags, of any number of samples
     phases    when the shaft stands, starts, runs steadily, changes speed, turns round
+    course    what the shaft does over a whole recording: a first pass over its angle
+    tally     figures and plots of one observer, put together block by block
     tracks    a recording with the estimates of the drive and of observers run again on it
     board     all figures of every observer, by file and pooled, ranked
     table     the board as lines of text, JSON and CSV

@@ -11,29 +11,23 @@ from __future__ import annotations
 import math
 import os
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
-from bench.analysis.position import position_error
-from bench.analysis.units import RPM
-from bench.analysis.waveforms import sector_of_angle
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.observers.estimators import did_you_mean, entry_of
 from bench.scoring import phases
-from bench.scoring.metrics import Pair, error_figures, lag_by_speed, lag_in_time
-from bench.scoring.phases import speed_bins
-from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Stretch, Track, load
+from bench.scoring.tally import Tally
+from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Track, load
 from protocol import __version__
 from sim.observers.catalogue import CATALOGUE
 
-F64 = NDArray[np.float64]
 Figures = dict[str, Any]
 PHASES = ("moving", "error", "transient", "start_up", "reversal")
 """Keys of the position error's figures by phase; `error` is that of steady running."""
@@ -101,18 +95,24 @@ class Scoreboard:
         }
 
 
-def score(sources: Sequence[Path | Capture], observers: Sequence[str] = ()) -> Scoreboard:
+def score(
+    sources: Sequence[Path | Capture],
+    observers: Sequence[str] = (),
+    begin: float | None = None,
+    end: float | None = None,
+) -> Scoreboard:
     """Score recordings or captures: all estimates in them and all observers, or those named.
 
-    Names are the catalogue's, long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what
-    cannot be read or scored, and for a name that is nowhere.
+    `begin`, `end`: of recordings, device time in s; None: from the beginning, to the end. Names are the catalogue's,
+    long or short, and those of recorded estimates, as drive_vt. Raises BenchError for what cannot be read or scored,
+    and for a name that is nowhere.
     """
     if not sources:
         raise BenchError("nothing to score: give a recording or a capture")
     recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
     again = [_observer(name) for name in observers if not _is_recorded(name)]
     apart = list({id(source) if isinstance(source, Capture) else source: source for source in sources}.values())
-    tracks = tuple(load(source, again if observers else None) for source in apart)
+    tracks = tuple(load(source, again if observers else None, begin, end) for source in apart)
     if len({track.path for track in tracks}) < len(tracks):  # captures
         tracks = tuple(replace(track, path=f"{track.path} {k}") for k, track in enumerate(tracks, 1))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
@@ -155,16 +155,8 @@ def flat(figures: Figures) -> Iterator[tuple[str, float | None]]:
 
 
 def _ranked(names: Sequence[str], tracks: Sequence[Track]) -> dict[str, Figures]:
-    pools: dict[tuple[int, ...], _Pool] = {}
-    found: dict[str, Figures] = {}
-    for name in names:
-        having = [track for track in tracks if name in track.kinds]
-        if not having:
-            continue
-        key = tuple(map(id, having))
-        if key not in pools:
-            pools[key] = _Pool(having)
-        found[name] = pools[key].figures(name)
+    having = {name: [track for track in tracks if name in track.kinds] for name in names}
+    found = {name: _figures(name, tracks) for name, tracks in having.items() if tracks}
     ranked = sorted(found, key=lambda name: _place(found[name], len(tracks)))
     return {name: {"rank": place, **found[name]} for place, name in enumerate(ranked, 1)}
 
@@ -174,63 +166,19 @@ def _place(figures: Figures, recordings: int) -> tuple[bool, float]:
     return figures["recordings"] < recordings, math.inf if rms is None else rms
 
 
-class _Pool:
-    """Samples of some recordings put together, and where in them is what."""
-
-    def __init__(self, tracks: Sequence[Track]) -> None:
-        self._tracks = tracks
-        self._parts = [(track, stretch) for track in tracks for stretch in track.stretches]
-        self._theta = self._join(lambda track, stretch: stretch.theta)
-        self._omega = self._join(lambda track, stretch: stretch.omega)
-        self._rpm_by = self._join(lambda track, stretch: np.full(len(stretch.t), 1.0 / (RPM * track.pole_pairs)))
-        self._where = {}
-        for name in ("moving", "steady", "transient", "start_up", "reversal"):
-            masks = [getattr(stretch.phases, name) for _, stretch in self._parts]
-            self._where[name] = np.flatnonzero(np.concatenate([np.empty(0, bool), *masks]))
-        steady = self._where["steady"]
-        sector = sector_of_angle(self._theta[steady])
-        self._by_sector = {str(k + 1): steady[sector == k] for k in range(6)}
-        rpm = (self._omega * self._rpm_by)[steady]
-        self._by_speed = {name: steady[at] for name, at in speed_bins(rpm).items()}
-
-    def _join(self, of: Callable[[Track, Stretch], F64]) -> F64:
-        return np.concatenate([np.empty(0), *(of(track, stretch) for track, stretch in self._parts)])
-
-    def figures(self, name: str) -> Figures:
-        """All figures of one observer."""
-        radians = position_error(self._theta, self._join(lambda track, stretch: stretch.estimates[name].theta))
-        degrees = np.degrees(radians)
-        slip = (self._omega - self._join(lambda track, stretch: stretch.estimates[name].omega)) * self._rpm_by
-        steady = self._where["steady"]
-        known = steady[np.isfinite(slip[steady])]
-        pairs = [
-            Pair(s.omega, s.estimates[name].omega, s.phases.transient | s.phases.start_up | s.phases.reversal, t.rate)
-            for t, s in self._parts
-            if np.isfinite(s.estimates[name].omega).all()
-        ]
-        kind = self._tracks[0].kinds[name]
-        steps = [t.step_ns[name] for t in self._tracks if name in t.step_ns]
-        starts = sum(s.phases.starts for _, s in self._parts)
-        reversals = sum(s.phases.reversals for _, s in self._parts)
-        return {
-            "kind": kind,
-            "recordings": len(self._tracks),
-            "source": CATALOGUE[name].source if kind == HOST else f"channel of the recording, {kind}",
-            "moving": error_figures(degrees[self._where["moving"]]),
-            "error": error_figures(degrees[steady]),
-            "transient": error_figures(degrees[self._where["transient"]]),
-            "start_up": {"events": starts, **error_figures(degrees[self._where["start_up"]])},
-            "reversal": {"events": reversals, **error_figures(degrees[self._where["reversal"]])},
-            "speed": error_figures(slip[known]),
-            "lag": {
-                "angle_us": _microseconds(lag_by_speed(self._omega[steady], radians[steady])),
-                "speed_us": _microseconds(lag_in_time(pairs)),
-            },
-            "by_speed": {bin: error_figures(degrees[at]) for bin, at in self._by_speed.items()},
-            "by_sector": {sector: error_figures(degrees[at]) for sector, at in self._by_sector.items()},
-            "step_ns": float(np.mean(steps)) if steps else None,
-        }
-
-
-def _microseconds(seconds: float | None) -> float | None:
-    return None if seconds is None else 1e6 * seconds
+def _figures(name: str, tracks: Sequence[Track]) -> Figures:
+    """All figures of an observer over recordings that have it, put together."""
+    kind = tracks[0].kinds[name]
+    steps = [track.step_ns[name] for track in tracks if name in track.step_ns]
+    tally = tracks[0].tallies[name]
+    if len(tracks) > 1:
+        tally = Tally()
+        for track in tracks:
+            tally.merge(track.tallies[name])
+    return {
+        "kind": kind,
+        "recordings": len(tracks),
+        "source": CATALOGUE[name].source if kind == HOST else f"channel of the recording, {kind}",
+        **tally.figures(sum(track.starts for track in tracks), sum(track.reversals for track in tracks)),
+        "step_ns": float(np.mean(steps)) if steps else None,
+    }

@@ -1,18 +1,23 @@
-"""Statistics of an error, and by how long an estimate is late. Pure functions of numpy arrays, which know no unit.
+"""Statistics of an error, and by how long an estimate is late: put together piece by piece, in bounded memory.
 
-What cannot be told is None: a statistic of no samples, a lag without a change of speed.
+Samples may come in any pieces, and what was found of some can be merged with what was found of others: the result is
+that of all of them at once. What cannot be told is None: a statistic of no samples, a lag without a change of speed.
+Nothing here knows a unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.percentiles import Sizes
+from bench.analysis.position import Moments
+
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Spectra = NDArray[np.complex128]
 Figures = dict[str, float | int | None]
 
 PERCENTILE = 99.0
@@ -21,67 +26,180 @@ MAX_LAG = 0.05  # s, the longest that is looked for
 ITERATIONS = 12
 
 
-def error_figures(error: F64) -> Figures:
-    """Figures of an error (n,) in its own unit.
+class Errors:
+    """Figures of an error in its own unit."""
 
-    n: number of samples; bias: mean; std: standard deviation of the population about it; rms: about zero; max: largest
-    magnitude; p99: magnitude that 99 % of the samples do not exceed.
-    """
-    if not len(error):
-        return {"n": 0, "bias": None, "std": None, "rms": None, "max": None, "p99": None}
-    size = np.abs(error)
-    return {
-        "n": len(error),
-        "bias": float(error.mean()),
-        "std": float(error.std()),
-        "rms": float(np.sqrt(np.mean(error * error))),
-        "max": float(size.max()),
-        "p99": float(np.percentile(size, PERCENTILE)),
-    }
+    def __init__(self) -> None:
+        self._moments, self._sizes = Moments(), Sizes()
+
+    def add(self, error: F64) -> None:
+        """Add samples of it, (n,)."""
+        self._moments.add(error)
+        self._sizes.add(np.abs(error))
+
+    def merge(self, other: Errors) -> None:
+        """Add those that another has."""
+        self._moments.merge(other._moments)
+        self._sizes.merge(other._sizes)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self._moments.n
+
+    def size(self, percent: float) -> float:
+        """The magnitude that `percent` of the samples do not exceed, see `Sizes`; NaN of none."""
+        return self._sizes.at(percent)
+
+    def figures(self) -> Figures:
+        """All of them by name.
+
+        n: number of samples; bias: mean; std: standard deviation of the population about it; rms: about zero; max:
+        largest magnitude; p99: magnitude that 99 % of the samples do not exceed.
+        """
+        m = self._moments
+        if not m.n:
+            return {"n": 0, "bias": None, "std": None, "rms": None, "max": None, "p99": None}
+        return {
+            "n": m.n,
+            "bias": m.mean,
+            "std": m.std,
+            "rms": math.sqrt(m.m2 / m.n + m.mean * m.mean),
+            "max": m.peak,
+            "p99": self.size(PERCENTILE),
+        }
 
 
-def lag_by_speed(omega: F64, error: F64) -> float | None:
-    """By how many seconds an angle is late: the slope of its error (n,) rad over the speed `omega` (n,) rad/s.
+class LagBySpeed:
+    """By how many seconds an angle is late: the slope of its error in rad over the speed in rad/s.
 
     An angle that is tau late errs by omega tau, so the slope of the straight line nearest to the samples is tau; what
-    does not depend on speed, such as a misplaced zero, drops out. None where the speeds span too little.
+    does not depend on speed, such as a misplaced zero, drops out.
     """
-    if len(omega) < 2 or np.ptp(omega) < LAG_SPAN * np.abs(omega).max():
-        return None
-    x = omega - omega.mean()
-    square = float(x @ x)
-    return float(x @ error / square) if square > 0.0 else None
+
+    def __init__(self) -> None:
+        self._n = 0
+        self._mean = np.zeros(2)  # of speed and error
+        self._square = self._product = 0.0  # about the means: speed by speed, speed by error
+        self._span = math.inf, -math.inf
+
+    def add(self, omega: F64, error: F64) -> None:
+        """Add samples, (n,) each."""
+        if len(omega):
+            part = LagBySpeed()
+            part._n = len(omega)
+            part._mean = np.array([omega.mean(), error.mean()])
+            off = omega - part._mean[0]
+            part._square, part._product = float((off * off).sum()), float((off * (error - part._mean[1])).sum())
+            part._span = float(omega.min()), float(omega.max())
+            self.merge(part)
+
+    def merge(self, other: LagBySpeed) -> None:
+        """Add those that another has."""
+        total = self._n + other._n
+        if not other._n:
+            return
+        delta = other._mean - self._mean
+        weight = self._n * other._n / total
+        self._square += other._square + weight * float(delta[0] ** 2)
+        self._product += other._product + weight * float(delta[0] * delta[1])
+        self._mean = self._mean + delta * other._n / total
+        self._n = total
+        self._span = min(self._span[0], other._span[0]), max(self._span[1], other._span[1])
+
+    def lag(self) -> float | None:
+        """s; None where the speeds span too little."""
+        lo, hi = self._span
+        if self._n < 2 or hi - lo < LAG_SPAN * max(abs(lo), abs(hi)):
+            return None
+        return self._product / self._square if self._square > 0.0 else None
 
 
-class Pair(NamedTuple):
-    """A quantity and its estimate, (n,) each, `rate` samples a second without a gap; `where` (n,): those that count."""
+class Changes:
+    """A stretch of a quantity that changes: what the lag of any estimate of it is told from.
 
-    actual: F64
-    estimate: F64
-    where: Flags
-    rate: float
+    `actual` (n,): `rate` samples a second without a gap. `where` (n,): those whose estimates count; on either side of
+    them are `reach(rate)` samples more, or the quantity stays as it is at the ends.
+    """
+
+    def __init__(self, actual: F64, where: Flags, rate: float) -> None:
+        self.rate, self.where = rate, where
+        slope = np.gradient(actual) * rate if len(actual) > 1 else np.zeros(len(actual))
+        self._slope = self._windows(slope, 0)
+        a, b, s, t = self._windows(actual, 0), self._windows(actual, 1), self._slope, self._windows(slope, 1)
+        count = where.astype(np.float64)
+        self._own = np.stack([self._correlated(count, of) for of in (s * a, s * b + t * a, s * s, s * t)])
+
+    def against(self, estimate: F64) -> Spectra:
+        """What `LagInTime` takes of an estimate (n,), finite `where` it counts."""
+        weighted = np.zeros(len(estimate))
+        weighted[self.where] = estimate[self.where]
+        return np.concatenate([self._own, self._correlated(weighted, self._slope)[None]])
+
+    def _windows(self, values: F64, ahead: int) -> F64:
+        """Stretches of `values`, `ahead` samples later, each with all that a hop of estimates is compared with."""
+        far, _, hop = sizes(self.rate)
+        n = -(-len(values) // hop) * hop
+        padded = np.pad(values, (far, n - len(values) + far + 2), "edge")[ahead:]
+        return np.lib.stride_tricks.sliding_window_view(padded, hop + 2 * far)[:n:hop]
+
+    def _correlated(self, weights: F64, windows: F64) -> Spectra:
+        """Spectrum of the sums over t of weights[t] values[t + m], for m from -far up."""
+        _, size, hop = sizes(self.rate)
+        rows = np.pad(weights, (0, len(windows) * hop - len(weights))).reshape(-1, hop)
+        used = rows.any(axis=1)
+        found: Spectra = (np.conj(np.fft.rfft(rows[used], size)) * np.fft.rfft(windows[used], size)).sum(axis=0)
+        return found
 
 
-def lag_in_time(pairs: Sequence[Pair]) -> float | None:
-    """By how many seconds the estimates are late behind the actual quantities.
+def reach(rate: float) -> int:
+    """Samples on either side that a lag is looked for in, one more included."""
+    return math.ceil(MAX_LAG * rate) + 2
+
+
+def sizes(rate: float) -> tuple[int, int, int]:
+    """`reach`, length of a transform, and how many estimates are compared in one."""
+    far = reach(rate)
+    size = 1 << (4 * 2 * far - 1).bit_length()
+    return far, size, size - 2 * far
+
+
+class LagInTime:
+    """By how many seconds estimates are late behind the actual quantity.
 
     The shift tau that makes the sum of (estimate(t) - actual(t - tau))^2 least, which is where their cross-correlation
-    is largest; found between samples, by Gauss and Newton's iteration. None where nothing changes, and for a shift
-    beyond `MAX_LAG`.
+    is largest; found between samples, by Gauss and Newton's iteration. All its sums are quadratic in the share of a
+    sample that is left, with coefficients that are correlations at whole samples: these are what is kept, as spectra.
     """
-    known = [(p, np.flatnonzero(p.where), np.gradient(p.actual) * p.rate) for p in pairs if np.any(p.where)]
-    tau = 0.0
-    for _ in range(ITERATIONS):
-        square = product = 0.0
-        for pair, at, slope in known:
-            index = np.arange(len(slope))
-            shifted = np.interp(at - tau * pair.rate, index, pair.actual)
-            change = np.interp(at - tau * pair.rate, index, slope)
-            square += float(change @ change)
-            product += float(change @ (shifted - pair.estimate[at]))
-        if square == 0.0:
-            return None
-        tau += product / square
-        if abs(tau) > MAX_LAG:
-            return None
-    return tau
+
+    def __init__(self) -> None:
+        self._spectra: dict[float, Spectra] = {}  # by rate
+
+    def add(self, changes: Changes, spectra: Spectra) -> None:
+        """Add what `changes.against` an estimate has told."""
+        known = self._spectra.get(changes.rate)
+        self._spectra[changes.rate] = spectra if known is None else known + spectra
+
+    def merge(self, other: LagInTime) -> None:
+        """Add what another has."""
+        for rate, spectra in other._spectra.items():
+            self._spectra[rate] = spectra + self._spectra.get(rate, 0.0)
+
+    def lag(self) -> float | None:
+        """s; None where nothing changes, and for a shift beyond `MAX_LAG`."""
+        known = [(rate, reach(rate), np.fft.irfft(spectra)) for rate, spectra in self._spectra.items()]
+        tau = 0.0
+        for _ in range(ITERATIONS):
+            square = product = 0.0
+            for rate, far, (sa, mixed, ss, next_s, se) in known:
+                whole = math.floor(-tau * rate)
+                m, f = whole + far, -tau * rate - whole
+                g = 1.0 - f
+                square += g * g * ss[m] + 2.0 * f * g * next_s[m] + f * f * ss[m + 1]
+                product += g * g * sa[m] + f * g * mixed[m] + f * f * sa[m + 1] - g * se[m] - f * se[m + 1]
+            if not square > 0.0:
+                return None
+            tau += float(product / square)
+            if abs(tau) > MAX_LAG:
+                return None
+        return tau

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -11,8 +10,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.analysis.colours import Look, apart
-from bench.analysis.position import position_error
-from bench.analysis.units import RPM
 from bench.reports.style import (
     FONT_SIZE,
     GREY,
@@ -25,12 +22,11 @@ from bench.reports.style import (
     new_figure,
 )
 from bench.scoring.board import Figures
+from bench.scoring.tally import ANGLE_BINS, ByAngle, Envelope
 from bench.scoring.tracks import Track
 from sim.observers.catalogue import CATALOGUE
 
 F64 = NDArray[np.float64]
-POINTS = 3000  # of a line over time: minimum and maximum of as many stretches, so that no peak is lost
-ANGLE_BINS = 120
 SHOWN = 99.9  # percentile of the error in motion that the axis over time covers; the peak is told in words
 
 
@@ -43,17 +39,21 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
 def draw_error_over_time(track: Track, name: str) -> Figure:
     """Speed and position error of an observer over a whole recording; the start of a recording is t = 0."""
     figure, (speed, error) = new_figure(2, height=3.6)
-    begin = float(track.stretches[0].t[0])
+    begin = track.stretches[0].t
     own = looks(track.kinds)[name].paper
+    over_time = track.over_time[name]
+    first = 0
     for k, stretch in enumerate(track.stretches):
-        t = stretch.t - begin
-        degrees = np.degrees(position_error(stretch.theta, stretch.estimates[name].theta))
-        rpm = 1.0 / (RPM * track.pole_pairs)
-        by_encoder = stretch.omega, colour("omega_enc"), "encoder"
-        for omega, hue, words in ((stretch.estimates[name].omega, own, name), by_encoder):
+        points = slice(first, first + -(-stretch.n // track.every))
+        first = points.stop
+        t = stretch.t - begin + np.arange(points.stop - points.start) * track.every / track.rate
+        for envelope, hue, words in (
+            (over_time.speed, own, name),
+            (track.encoder, colour("omega_enc"), "encoder"),
+        ):
             label = "" if k else words
-            speed.plot(*_envelope(t, omega * rpm), color=hue, linewidth=LINE_WIDTH, label=label)
-        error.plot(*_envelope(t, degrees), color=own, linewidth=0.6)
+            speed.plot(*_line(t, envelope, points), color=hue, linewidth=LINE_WIDTH, label=label)
+        error.plot(*_line(t, over_time.error, points), color=own, linewidth=0.6)
     _limit(error, track, name, begin)
     axis_labels(speed, "", "speed", unit_y="r/min")
     axis_labels(error, "t", "error", "s", "el. °")
@@ -64,16 +64,12 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
 
 def _limit(ax: Axes, track: Track, name: str, begin: float) -> None:
     """Make the axis of the error cover `SHOWN` percent of the samples in motion, and tell a peak beyond it."""
-    sizes = [np.abs(np.degrees(position_error(s.theta, s.estimates[name].theta))) for s in track.stretches]
-    moving = np.concatenate([size[s.phases.moving] for size, s in zip(sizes, track.stretches, strict=True)])
-    if not len(moving):
+    moving, over_time = track.tallies[name].moving, track.over_time[name]
+    if not moving.n:
         return
-    limit = max(1.15 * float(np.percentile(moving, SHOWN)), 0.1)
-    highest = max(range(len(sizes)), key=lambda k: float(sizes[k].max()))
-    at = int(sizes[highest].argmax())
-    if (peak := float(sizes[highest][at])) > limit:
-        when = float(track.stretches[highest].t[at]) - begin
-        words = f"peak {peak:.1f}° at {when:.2f} s"
+    limit = max(1.15 * moving.size(SHOWN), 0.1)
+    if over_time.peak > limit:
+        words = f"peak {over_time.peak:.1f}° at {over_time.peak_t - begin:.2f} s"
         ax.text(1.0, 1.0, words, transform=ax.transAxes, ha="right", va="bottom", fontsize=FONT_SIZE)
     degrees_axis(ax, "error", limit)
 
@@ -83,26 +79,22 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
 
     Over the steady samples of all `tracks` that have the estimate.
     """
-    stretches = [s for track in tracks if name in track.kinds for s in track.stretches]
-    theta = np.concatenate([s.theta[s.phases.steady] for s in stretches])
-    estimated = np.concatenate([s.estimates[name].theta[s.phases.steady] for s in stretches])
-    error = np.degrees(position_error(theta, estimated))
+    whole = ByAngle()
+    for track in tracks:
+        if name in track.kinds:
+            whole.merge(track.tallies[name].by_angle)
     figure, (ax,) = new_figure(height=2.4)
-    width = 2.0 * math.pi / ANGLE_BINS
-    bins = np.minimum((np.mod(theta, 2.0 * math.pi) / width).astype(np.int64), ANGLE_BINS - 1)
-    order = np.argsort(bins, kind="stable")
-    present, starts = np.unique(bins[order], return_index=True)
+    present = np.flatnonzero(whole.n)
     if len(present):
-        sorted_ = error[order]
-        n = np.diff(np.append(starts, len(sorted_)))
-        mean = np.add.reduceat(sorted_, starts) / n
-        std = np.sqrt(np.maximum(np.add.reduceat(sorted_**2, starts) / n - mean**2, 0.0))
-        x = np.degrees((present + 0.5) * width)
+        n, lo, hi = whole.n[present], whole.lo[present], whole.hi[present]
+        mean = whole.sum[present] / n
+        std = np.sqrt(np.maximum(whole.squares[present] / n - mean**2, 0.0))
+        x = (present + 0.5) * 360.0 / ANGLE_BINS
         own = looks(kind for track in tracks for kind in track.kinds)[name].paper
         ax.fill_between(x, mean - std, mean + std, color=own, alpha=0.25, linewidth=0, label="± one std")
         ax.plot(x, mean, color=own, linewidth=LINE_WIDTH, label="mean")
-        for extreme, words in ((np.minimum, ""), (np.maximum, "extremes")):
-            ax.plot(x, extreme.reduceat(sorted_, starts), color=GREY, linewidth=0.6, label=words)
+        for extreme, words in ((lo, ""), (hi, "extremes")):
+            ax.plot(x, extreme, color=GREY, linewidth=0.6, label=words)
     ax.set_xlim(0, 360)
     ax.set_xticks(range(0, 361, 60))
     axis_labels(ax, "electrical angle", "error", "°", "el. °")
@@ -150,14 +142,12 @@ def _words(bin: str) -> str:
     return bin.replace("_to_", " … ")
 
 
-def _envelope(t: F64, values: F64) -> tuple[F64, F64]:
-    """Fewer points with the same peaks: minimum and maximum of each of `POINTS` stretches, or all points."""
-    n = len(values) // (2 * POINTS)
-    if n < 2:
-        return t, values
-    rows = values[: len(values) // n * n].reshape(-1, n)
-    points = np.column_stack([rows.min(axis=1), rows.max(axis=1)]).ravel()
-    return np.repeat(t[: len(rows) * n : n], 2), points
+def _line(t: F64, envelope: Envelope, points: slice) -> tuple[F64, F64]:
+    """The least and the largest at each point, as a line through both, or through one where they are the same."""
+    lo, hi = envelope.lo[points], envelope.hi[points]
+    if np.array_equal(lo, hi, equal_nan=True):
+        return t, lo
+    return np.repeat(t, 2), np.column_stack([lo, hi]).ravel()
 
 
 def _lowest(bin: str) -> float:

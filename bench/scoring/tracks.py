@@ -1,49 +1,43 @@
-"""A recording as the scoreboard sees it: the encoder's angle, the shaft's phases, and every estimate beside them.
+"""A recording as the scoreboard sees it: every estimate against the encoder's angle, by what the shaft does.
 
-The estimates are the drive's own channels, those that a replay has added, and those of observers that are run here.
+The estimates are the drive's own channels, those that a replay has added, and those of observers that are run here. A
+recording is gone through twice, piece by piece: `bench.scoring.course` first, then the estimates. Nothing keeps its
+samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
-from bench.analysis.chunks import contiguous, part
-from bench.analysis.delays import blame, delays
-from bench.analysis.position import states
+from bench.analysis.chunks import narrowed, no_edge_stream, of_channels
+from bench.analysis.delays import STATOR, Evidence, blame
 from bench.analysis.units import pole_pairs
+from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
-from bench.observers.estimators import Estimate, Estimators, all_for
+from bench.observers.estimators import INPUTS, Estimate, Estimators, all_for
 from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
 from bench.recording.info import HOST_SUFFIX
-from bench.recording.reader import capture_of
-from bench.scoring.phases import Phases, phases_of, speed_of
-from protocol.messages import DriveState
+from bench.recording.reader import captures
+from bench.recording.times import ticks_between
+from bench.scoring.course import Course, Stretch, survey
+from bench.scoring.phases import CONTEXT, phases_with, speed_of
+from bench.scoring.tally import Block, Envelope, OverTime, Tally, error_of
 from protocol.signals import Flag, Unit
-from protocol.streams import SampleChunk
+from protocol.streams import SampleChunk, StreamConfig
 
 F64 = NDArray[np.float64]
-PIECE = 1 << 17  # samples that observers are run on at a time: what bounds the memory
+POINTS = 6000  # of a plot over time, about
 LEAST = 0.1  # s, shorter stretches between two losses are left out
 DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """n samples without a gap. Angles in electrical rad, speeds in electrical rad/s, (n,) each."""
-
-    t: F64  # s of device time
-    theta: F64
-    omega: F64
-    phases: Phases
-    estimates: dict[str, Estimate]
 
 
 @dataclass(frozen=True)
@@ -55,13 +49,20 @@ class Track:
     """Samples a second."""
     pole_pairs: int
     stretches: tuple[Stretch, ...]
+    """Those that are scored: without a gap."""
     kinds: dict[str, str]
+    tallies: dict[str, Tally]
     step_ns: dict[str, float]
     """What a step of each observer run here took on this machine, beside the front end's."""
     front_ns: float | None
     dropped: int
     """Samples in stretches too short to be of use."""
     lost: int
+    every: int
+    """Samples to a point of a plot over time; a stretch begins with a new point."""
+    encoder: Envelope
+    """Speed by the encoder over time, r/min."""
+    over_time: dict[str, OverTime]
     started: str = ""
     """Date and time of the recording, as it tells them."""
     recorded_by: str = ""
@@ -72,127 +73,239 @@ class Track:
     @property
     def samples(self) -> int:
         """How many are scored, those at rest included."""
-        return sum(len(stretch.t) for stretch in self.stretches)
+        return sum(stretch.n for stretch in self.stretches)
+
+    @property
+    def starts(self) -> int:
+        """How often the shaft started."""
+        return sum(len(stretch.turns.starts) for stretch in self.stretches)
+
+    @property
+    def reversals(self) -> int:
+        """How often it turned round."""
+        return sum(len(stretch.turns.reversals) for stretch in self.stretches)
 
 
-def load(source: Path | Capture, names: Sequence[str] | None) -> Track:
+class Recorded(Protocol):
+    """What can be scored: a recording, or a capture."""
+
+    path: str
+    samples: StreamConfig
+    edges: StreamConfig
+    parameters: Mapping[str, float]
+
+    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
+        """It, with these channels, piece by piece, as often as it is asked for."""
+
+
+class _OfRun:
+    def __init__(self, path: Path, begin: float | None, end: float | None) -> None:
+        self.path, self.run = str(path), readable_run(path)
+        self._part = ticks_between(self.run, begin, end)
+        info = self.run.info
+        self.samples, edges = self.run.drive_streams
+        self.edges = edges or no_edge_stream(info.node, info.tick_hz, info.pwm_hz)
+        self.parameters = info.parameters
+
+    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
+        return captures(self.run, *self._part, channels)
+
+
+class _OfCapture:
+    path = "the capture"
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+        self.samples, self.edges, self.parameters = capture.samples.config, capture.edges.config, capture.parameters
+
+    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
+        chosen = of_channels(self._capture.samples, narrowed(self.samples, channels))
+        return (replace(self._capture, samples=chosen),)
+
+
+def load(
+    source: Path | Capture, names: Sequence[str] | None, begin: float | None = None, end: float | None = None
+) -> Track:
     """Take a recording or a capture and run the observers `names` on it; None: all that its parameters suffice for.
 
-    Raises BenchError where it has no encoder, no samples, or a clock that goes back.
+    `begin`, `end`: of a recording, device time in s. Raises BenchError where it has no encoder, no samples, or a clock
+    that goes back.
     """
     if isinstance(source, Capture):
-        return _track(source, names, "the capture", [])
-    run = readable_run(source)
-    capture = capture_of(run)
-    track = _track(capture, names, str(source), [*([] if run.ended else [ENDS_EARLY]), *run.damage])
-    return replace(track, started=run.info.started, recorded_by=str(run.info.identity.get("hallbench", "")))
+        return _track(_OfCapture(source), names)
+    recorded = _OfRun(source, begin, end)
+    track = _track(recorded, names)
+    run = recorded.run
+    return replace(
+        track,
+        started=run.info.started,
+        recorded_by=str(run.info.identity.get("hallbench", "")),
+        notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *track.notes),
+    )
 
 
-def _track(capture: Capture, names: Sequence[str] | None, path: str, notes: list[str]) -> Track:
-    samples, parameters = capture.samples, capture.parameters
-    reference = reference_angle(samples.config.channels)
+def _track(source: Recorded, names: Sequence[str] | None) -> Track:
+    config, parameters, path = source.samples, source.parameters, source.path
+    reference = reference_angle(config.channels)
     if not reference:
         raise BenchError(f"{path} cannot be scored: no reference angle; there must be an encoder: record theta_enc")
     n_p = pole_pairs(parameters)
-    rate = capture.sample_rate
-    if (fastest := _fastest(capture)) >= math.pi * rate:
-        raise BenchError(
-            f"{path} cannot be scored: at {rate:g} samples a second an electrical speed of {fastest:.0f} rad/s is half "
-            f"a turn or more from one to the next, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
-        )
-    found, kinds = _recorded(samples)
+    there = [channel.name for channel in config.channels]
+    status = [name for name in ("status",) if name in there]
+    speeds = _speeds(config)
+    course = survey(source.pieces({reference, *speeds, *status}), reference, speeds, n_p or 1)
+    if not course.samples:
+        raise BenchError(f"{path} cannot be scored: it holds no samples")
+    _require_unambiguous(course, path, config.rate, (n_p or 1) * parameters.get("omega_m_max", 0.0))
+    notes: list[str] = []
+    recorded = _recorded(config)
+    kinds = {name: kind for name, (kind, _, _) in recorded.items()}
     estimators = None
-    if why := not_replayable(samples.config, capture.edges.config):
+    if why := not_replayable(config, source.edges):
         notes.append(f"no observer could be run on it: {why}")
     else:
         if names is None:
             names, left_out = all_for(parameters)
             notes += [f"left out, {words}" for words in left_out]
         if names:
-            estimators = Estimators(names, parameters, samples.config)
-            found |= _run_again(capture, estimators)
-            kinds |= dict.fromkeys(names, HOST)
-    if not found:
+            estimators = Estimators(names, parameters, config)
+            kinds |= dict.fromkeys((entry.name for entry in estimators.entries), HOST)
+    if not kinds:
         raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
-    usable = np.ones(len(samples), bool)
-    if (told := states(samples)) is not None:
-        running = told == DriveState.RUNNING
-        if running.any():
-            usable = running
-        else:
-            notes.append("the drive was never RUNNING: all samples count")
-    if words := blame(delays(capture))[1]:
+    if course.ran is False:
+        notes.append("the drive was never RUNNING: all samples count")
+    estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
+    wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
+    scored = _Scored(course, kinds, reference, config.rate, n_p or 1)
+    evidence = Evidence(course.samples, course.edges)
+    for window in windows(source.pieces(wanted), CONTEXT):
+        evidence.add(window.capture, window.own)
+        found = _estimates(window.samples, recorded)
+        if estimators is not None:
+            estimators.edges(window.capture.edges)
+            found |= estimators.samples(window.samples)
+        scored.add(window, found)
+    if words := blame(evidence.delays())[1]:
         notes.append(f"angles differ in time: {words}")
     if n_p is None:
         notes.append("the pole pairs are not known: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels
-    stretches, dropped = _stretches(capture, capture[reference], usable, found, n_p or 1)
     return Track(
         path=path,
-        rate=rate,
+        rate=config.rate,
         pole_pairs=n_p or 1,
-        stretches=stretches,
+        stretches=tuple(stretch for stretch in course.stretches if scored.takes(stretch)),
         kinds=kinds,
+        tallies=scored.tallies,
         step_ns={} if kernels is None else {name: 1e9 * s / kernels.steps for name, s in kernels.seconds.items()},
         front_ns=None if kernels is None else 1e9 * kernels.front_seconds / kernels.steps,
-        dropped=dropped,
-        lost=sum(gap.lost_samples for gap in samples.gaps),
+        dropped=sum(stretch.n for stretch in course.stretches if not scored.takes(stretch)),
+        lost=course.lost,
+        every=scored.every,
+        encoder=scored.encoder,
+        over_time=scored.over_time,
         restarts={} if estimators is None else estimators.restarts,
         notes=tuple(notes),
     )
 
 
-def _stretches(
-    capture: Capture, theta: F64, usable: NDArray[np.bool_], found: dict[str, Estimate], n_p: int
-) -> tuple[tuple[Stretch, ...], int]:
-    """The stretches without a gap that are long enough, and how many samples are in others."""
-    rate, stretches, dropped = capture.sample_rate, [], 0
-    for rows in contiguous(capture.samples):
-        if rows.stop - rows.start < LEAST * rate:
-            dropped += rows.stop - rows.start
-            continue
-        omega = speed_of(theta[rows], rate)
-        estimates = {name: Estimate(e.theta[rows], e.omega[rows]) for name, e in found.items()}
-        phases = phases_of(omega, usable[rows], rate, n_p)
-        stretches.append(Stretch(capture.t[rows], theta[rows], omega, phases, estimates))
-    return tuple(stretches), dropped
+class _Scored:
+    """The estimates of a recording against its encoder, window by window."""
+
+    def __init__(self, course: Course, kinds: Iterable[str], reference: str, rate: float, n_p: int) -> None:
+        self._course, self._reference, self._rate, self._pole_pairs = course, reference, rate, n_p
+        self._seen = 0  # samples
+        self._number = -1  # of the stretch
+        self.every = max(1, sum(stretch.n for stretch in course.stretches if self.takes(stretch)) // POINTS)
+        points = [-(-stretch.n // self.every) if self.takes(stretch) else 0 for stretch in course.stretches]
+        self._first_points = np.cumsum([0, *points])
+        self.tallies = {name: Tally() for name in kinds}
+        self.over_time = {name: OverTime(sum(points)) for name in kinds}
+        self.encoder = Envelope(sum(points))
+
+    def takes(self, stretch: Stretch) -> bool:
+        """Whether it is long enough."""
+        return stretch.n >= LEAST * self._rate
+
+    def add(self, window: Window, estimates: Mapping[str, Estimate]) -> None:
+        """Add a window, with the estimates of its own samples."""
+        theta = window.capture.samples.physical(self._reference)
+        usable = self._course.usable(window.capture.samples)
+        begin = window.own.start
+        for rows, own in window.stretches():
+            self._number += own.start == rows.start
+            stretch = self._course.stretches[self._number]
+            if self.takes(stretch):
+                block = self._block(stretch, theta[rows], usable[rows], rows, own, self._seen + own.start - begin)
+                self.encoder.add(block.points, block.omega[block.own] * block.rpm_by)
+                for name, estimate in estimates.items():
+                    part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
+                    degrees = error_of(block, part)
+                    self.tallies[name].add(block, part, degrees)
+                    self.over_time[name].add(block, part, degrees)
+        self._seen += window.own.stop - begin
+
+    def _block(
+        self, stretch: Stretch, theta: F64, usable: NDArray[np.bool_], rows: slice, own: slice, first: int
+    ) -> Block:
+        """`first`: number of the first of its `own` rows, counted from the recording's first sample."""
+        since = first - stretch.first  # of its own rows, in the stretch
+        omega = speed_of(theta, self._rate)
+        turns = stretch.turns.since(since - (own.start - rows.start))
+        number = since + np.arange(own.stop - own.start)
+        return Block(
+            theta,
+            omega,
+            phases_with(turns, omega, usable, self._rate, self._pole_pairs),
+            slice(own.start - rows.start, own.stop - rows.start),
+            self._rate,
+            self._pole_pairs,
+            stretch.t + since / self._rate,
+            self._first_points[self._number] + number // self.every,
+        )
 
 
-def _fastest(capture: Capture) -> float:
-    """The largest electrical speed that the recording tells, rad/s: the reference's, or the largest estimate.
+def _require_unambiguous(course: Course, path: str, rate: float, allowed: float) -> None:
+    """BenchError where the angle may turn half a turn from sample to sample.
 
-    Without either it is what the drive permits, and 0 where it does not tell.
+    By the largest speed that the recording tells: the reference's, or the largest estimate; without either by that
+    which the drive allows, electrical rad/s.
     """
-    channels = [c for c in capture.samples.config.channels if c.unit == Unit.RAD_PER_S]
-    for flag in (Flag.REFERENCE, Flag.ESTIMATE):
-        if told := [c.name for c in channels if c.flags & flag]:
-            return max(float(np.abs(capture[name]).max()) for name in told)
-    return (pole_pairs(capture.parameters) or 1) * capture.parameters.get("omega_m_max", 0.0)
+    fastest = max(course.fastest.values(), default=allowed)
+    if fastest >= math.pi * rate:
+        raise BenchError(
+            f"{path} cannot be scored: at {rate:g} samples a second an electrical speed of {fastest:.0f} rad/s is half "
+            f"a turn or more from one to the next, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
+        )
 
 
-def _recorded(samples: SampleChunk) -> tuple[dict[str, Estimate], dict[str, str]]:
-    """The estimates that are in the stream: those of the drive as drive_<short>, a replay's as replayed_<short>."""
-    channels = samples.config.channels
-    speeds = {c.name for c in channels if c.flags & Flag.ESTIMATE and c.unit == Unit.RAD_PER_S}
-    found: dict[str, Estimate] = {}
-    kinds: dict[str, str] = {}
-    for channel in channels:
-        if not (channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD):
-            continue
-        short = channel.name.removeprefix("theta_")
-        kind = REPLAYED if short.endswith(HOST_SUFFIX) else DRIVE
-        omega = f"omega_{short}"
-        known = samples.physical(omega) if omega in speeds else np.full(len(samples), np.nan)
-        name = f"{kind}_{short.removesuffix(HOST_SUFFIX)}"
-        found[name], kinds[name] = Estimate(samples.physical(channel.name), known), kind
-    return found, kinds
+def _speeds(config: StreamConfig) -> list[str]:
+    """The channels that tell the largest speed: the reference's, else the estimates'."""
+    channels = [c for c in config.channels if c.unit == Unit.RAD_PER_S]
+    flagged = ([c.name for c in channels if c.flags & flag] for flag in (Flag.REFERENCE, Flag.ESTIMATE))
+    return next((names for names in flagged if names), [])
 
 
-def _run_again(capture: Capture, estimators: Estimators) -> dict[str, Estimate]:
-    estimators.edges(capture.edges)
-    n = len(capture)
-    pieces = [estimators.samples(part(capture.samples, k, min(k + PIECE, n))) for k in range(0, n, PIECE)]
+def _recorded(config: StreamConfig) -> dict[str, tuple[str, str, str]]:
+    """The estimates that are in a stream: who made it, channels of its angle and its speed, or "" for none.
+
+    Those of the drive are named drive_<short>, a replay's replayed_<short>.
+    """
+    speeds = {c.name for c in config.channels if c.flags & Flag.ESTIMATE and c.unit == Unit.RAD_PER_S}
+    found: dict[str, tuple[str, str, str]] = {}
+    for channel in config.channels:
+        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD:
+            short = channel.name.removeprefix("theta_")
+            kind = REPLAYED if short.endswith(HOST_SUFFIX) else DRIVE
+            omega = f"omega_{short}"
+            name = f"{kind}_{short.removesuffix(HOST_SUFFIX)}"
+            found[name] = kind, channel.name, omega if omega in speeds else ""
+    return found
+
+
+def _estimates(samples: SampleChunk, recorded: Mapping[str, tuple[str, str, str]]) -> dict[str, Estimate]:
+    unknown = np.full(len(samples), np.nan)
     return {
-        name: Estimate(np.concatenate([p[name].theta for p in pieces]), np.concatenate([p[name].omega for p in pieces]))
-        for name in (entry.name for entry in estimators.entries)
+        name: Estimate(samples.physical(angle), samples.physical(speed) if speed else unknown)
+        for name, (_, angle, speed) in recorded.items()
     }

@@ -249,7 +249,7 @@ def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Pat
     board = score([tmp_path / "gaps.run"])
     (track,) = board.tracks
     assert (track.lost, track.dropped) == (140, 500)
-    assert [len(stretch.t) for stretch in track.stretches] == [6000, n - 6640]
+    assert [stretch.n for stretch in track.stretches] == [6000, n - 6640]
     assert any("140 samples lost" in note for note in board.notes)
     assert any("500 in stretches too short to score" in note for note in board.notes)
     late = board.pooled["drive_late"]
