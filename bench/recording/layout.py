@@ -199,13 +199,13 @@ def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
 
 
 def table_of(columns: Columns, arrays: Sequence[NDArray[Any]]) -> pa.Table:
-    """Contiguous arrays of one length as a table; only bools are copied.
+    """Arrays of one length as a table; what is contiguous and no bool is not copied.
 
     By their buffers, since `pyarrow.array` (26) imports pandas where it is installed: half a second, in mid-recording.
     """
     found = []
     for field, array in zip(columns.schema, arrays, strict=True):
-        bits = np.packbits(array, bitorder="little") if array.dtype == np.bool_ else array
+        bits = np.packbits(array, bitorder="little") if array.dtype == np.bool_ else np.ascontiguousarray(array)
         found.append(pa.Array.from_buffers(field.type, len(array), [None, pa.py_buffer(bits)]))
     return pa.Table.from_arrays(found, schema=columns.schema)
 

@@ -40,6 +40,7 @@ SECOND = 20_000_000  # ticks
 @pytest.fixture
 def small_groups(monkeypatch: pytest.MonkeyPatch) -> None:
     """A row group every 0.1 s, a file every 0.35 s."""
+    monkeypatch.setattr(writer, "PIECE", 0.05)
     monkeypatch.setattr(writer, "ROW_GROUP", 0.1)
     monkeypatch.setattr(writer, "SEGMENT", 0.35)
 
@@ -255,7 +256,7 @@ def test_memory_does_not_grow_with_the_run(
     use(runs[0])  # compiles
     short, long = (peak(lambda path=path: use(path)) for path in runs)  # type: ignore[misc]
     samples = 24 * len(Run(REVERSAL).samples)
-    assert long < 1.3 * short
+    assert long < 1.5 * short  # six times as long: of each window a few numbers are kept
     assert long < samples * 8 * 3  # angle, estimate and error alone would be that
 
 
