@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.rig.interrupts import ctrl_c_kills
+from bench.rig.interrupts import ctrl_c_kills, killed_by_ctrl_c
 
 
 def main() -> None:
@@ -10,7 +10,10 @@ def main() -> None:
     ctrl_c_kills()
     from bench.cli import main as run
 
-    run()
+    try:
+        run()
+    except KeyboardInterrupt:  # it came when all was done, and handlers were being put back
+        killed_by_ctrl_c()
 
 
 if __name__ == "__main__":

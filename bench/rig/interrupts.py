@@ -25,6 +25,12 @@ def ctrl_c_kills() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def killed_by_ctrl_c() -> None:
+    """End this process as Ctrl-C does where nobody catches it, without a word."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
 @contextmanager
 def none_dropped() -> Iterator[None]:
     """Ctrl-C raises KeyboardInterrupt in the main thread, and it does so again where Python drops that exception.

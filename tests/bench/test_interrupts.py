@@ -199,3 +199,24 @@ def test_ctrl_c_ends_what_an_import_itself_runs(tmp_path: Path, monkeypatch: pyt
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         importlib.import_module(name)
+
+
+LATE = """
+import os, signal, sys
+from contextlib import contextmanager
+import bench.cli as cli
+def late(handled=cli.none_dropped):
+    with handled():
+        yield
+        os.kill(os.getpid(), signal.SIGINT)
+cli.none_dropped = contextmanager(late)
+from bench.__main__ import main
+main()
+"""
+
+
+def test_ctrl_c_when_all_is_done_ends_without_a_word() -> None:
+    """As handlers are put back."""
+    done = subprocess.run([sys.executable, "-c", LATE, "--version"], capture_output=True, text=True, env=ENVIRONMENT)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+    assert done.stdout.startswith("bench, version ")
