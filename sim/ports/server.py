@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sim.ports.networks import Network
 
 STEP = 0.01  # s between portions
-RETRY = 0.002  # s until a port that took only a part is tried again
+RETRY = 0.001  # s until a port that took only a part is tried again: a pty takes 4 kB, and every channel is 2 MB/s
 LATE = 0.05  # s of delay that is worth a word
 LATE_PERIOD = 5.0  # s between such words
 WARNING = 4  # level of a LOG
