@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
 import synthetic
+from viewers import any_port
 
 from bench.errors import BenchError
 from bench.recording import layout
@@ -102,3 +107,20 @@ def test_an_overview_is_made_where_none_is_stored(long: tuple[Path, np.ndarray],
         shown(tmp_path / "made.rrd", component), shown(tmp_path / "stored.rrd", component), strict=True
     ):
         assert (mine == theirs).all()
+
+
+def test_the_command_serves_the_dashboard_until_ctrl_c(long: tuple[Path, np.ndarray]) -> None:
+    command = [sys.executable, "-m", "bench", "view", str(long[0]), "--from", "10", "--to", "11"]
+    command += ["--viewer", "web", "--web-port", str(any_port())]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as view:
+        try:
+            assert view.stderr is not None
+            said = next(line for line in view.stderr if "dashboard" in line)
+            address = said.split()[1]
+            with urllib.request.urlopen(address, timeout=10) as page:
+                assert b"re_viewer" in page.read()
+            view.send_signal(signal.SIGINT)
+            assert view.wait(30) == 0
+            assert "Traceback" not in view.stderr.read()
+        finally:
+            view.kill()
