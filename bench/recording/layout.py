@@ -240,10 +240,23 @@ def to_chunk(table: pa.Table, config: StreamConfig) -> SampleChunk | EdgeChunk:
     return SampleChunk(config, arrays["index"], arrays["tick"], raw, gaps)
 
 
+_FLOATS = {"halffloat": "f2", "float": "f4", "double": "f8"}  # what pyarrow calls them
+
+
 def numbers(column: pa.ChunkedArray) -> NDArray[Any]:
-    """A column as an array, (rows,)."""
-    values: NDArray[Any] = column.combine_chunks().to_numpy(zero_copy_only=False)
-    return values
+    """A column of numbers or bools as an array, (rows,).
+
+    By its buffer, since pyarrow's own `to_numpy` (26) imports pandas where it is installed, which takes half a second.
+    """
+    whole = column.combine_chunks()
+    if whole.null_count:  # no recording of ours has any
+        values: NDArray[Any] = whole.to_numpy(zero_copy_only=False)
+        return values
+    data, first, n = whole.buffers()[1] or b"", whole.offset, len(whole)
+    if pa.types.is_boolean(whole.type):
+        return np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")[first : first + n].astype(bool)
+    dtype = np.dtype(_FLOATS.get(str(whole.type), str(whole.type)))
+    return np.frombuffer(data, dtype, n, first * dtype.itemsize) if n else np.empty(0, dtype)
 
 
 # -- checksums ------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Ten times real time for ten minutes, through a virtual link: python -m tests.benchmarks ten_times
+"""Ten times real time for ten minutes, on a virtual link, and any minute of it: python -m tests.benchmarks ten_times
 
 In this process, drive and host: the part runs first, because memory that others have left would be let go meanwhile.
 """
@@ -6,6 +6,8 @@ In this process, drive and host: the part runs first, because memory that others
 from __future__ import annotations
 
 import os
+import random
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -17,10 +19,22 @@ from sim.config.params import load_params
 from sim.ports.virtual import VirtualLink
 from tests.bench.collect import Bench
 from tests.benchmarks.bench_sim import run_against
-from tests.benchmarks.memory import FLAT, Memory
-from tests.benchmarks.table import Row
+from tests.benchmarks.commands import output
+from tests.benchmarks.memory import FLAT, MB, Memory
+from tests.benchmarks.table import Row, cost
 
 FASTER = 10.0  # x real time
+MINUTE, MEMORY = 1.0, 300.0  # s and MB to read any minute
+READ = """
+import sys, time
+from pathlib import Path
+import bench
+started = time.perf_counter()
+found = bench.read(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]))
+took = time.perf_counter() - started
+peak = Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]  # getrusage has the parent's too
+print(took, 1024 * int(peak), len(found.samples))
+"""
 
 
 def faster(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
@@ -54,7 +68,23 @@ def faster(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
     yield Row(f"memory of drive and host from {warm:g} s on, most less least", flat, "MB", FLAT, at_most=True)
 
 
+def minutes(file: Path, seconds: float, times: int) -> Iterator[Row]:
+    """Any minute of it, read in a process of its own."""
+    dice, length = random.Random(5), min(60.0, seconds / 2)
+    begin, end = (tick / Run(file).info.tick_hz for tick in Run(file).span)
+    found = []
+    for _ in range(times):
+        first = dice.uniform(begin, end - length)
+        words = output([sys.executable, "-c", READ, str(file), repr(first), repr(first + length)]).split()
+        assert int(words[2]) > 0.99 * length * 16000
+        found.append((float(words[0]), float(words[1])))
+    yield cost(f"any {length:g} s of it read, worst of {times}", max(took for took, _ in found), "s", MINUTE)
+    yield Row("memory of the process that reads it", max(size for _, size in found) / MB, "MB", MEMORY, at_most=True)
+
+
 def rows(short: bool) -> Sequence[Row]:
-    """The run."""
+    """The run, then ten minutes of it."""
     with tempfile.TemporaryDirectory() as name:
-        return list(faster(2.0 if short else 600.0, 1.0 if short else 60.0, Path(name)))
+        seconds, folder = 2.0 if short else 600.0, Path(name)
+        made = list(faster(seconds, 1.0 if short else 60.0, folder))
+        return [*made, *minutes(folder / "faster.run", FASTER * seconds, 1 if short else 10)]
