@@ -9,8 +9,11 @@ runs ahead of its input: an edge is used once a sample at or after it has arrive
 from __future__ import annotations
 
 import difflib
+import os
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +35,7 @@ OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
 """Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
 CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
 """The channels that carry an observer's results: its name, and the field of its estimates."""
+WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
 MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -132,16 +136,27 @@ class _Kernels:
         measured["i_q_err"] = self._current_error.of(chunk, reset)
         used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
         due, self._edges = self._edges[:used], self._edges[used:]
-        found = {}
         begun = time.thread_time()
         samples = self._front.run(measured, due, reset)
         self.front_seconds += time.thread_time() - begun
-        for name, observing in self._observers.items():
+
+        def observe(name: str) -> Records:
             begun = time.thread_time()
-            found[name] = observing.run(samples, reset)
+            found = self._observers[name].run(samples, reset)
             self.seconds[name] += time.thread_time() - begun
+            return found
+
+        # the first time they are compiled or loaded, which is this thread's to do
+        side_by_side = self.steps > 0 and len(reset) >= WORTH_THREADS
+        found = _threads().map(observe, self._observers) if side_by_side else map(observe, self._observers)
+        estimates = dict(zip(self._observers, found, strict=True))
         self.steps += len(reset)
-        return found
+        return estimates
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count())
 
 
 class Estimate(NamedTuple):

@@ -123,7 +123,7 @@ def replay(
             unknown=_unknown(run),
         )
 
-    extension = Extension(run, out, info, overwrite)
+    extension = Extension(run, out, info, overwrite, INPUTS)
     extension.write(more, edges, lambda: f"{run.summary}\n\n{as_markdown(result())}")
     return result()
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -28,13 +28,22 @@ More = Callable[[SampleChunk], SampleChunk]
 
 
 class Extension:
-    """Writes the run `run` with further channels to `path`, as `info` describes it. Raises RecordingError."""
+    """Writes the run `run` with further channels to `path`, as `info` describes it. Raises RecordingError.
 
-    def __init__(self, run: Run, path: Path, info: RunInfo, overwrite: bool = False) -> None:
+    `needed`: names of the channels that the further ones are made of; None: all.
+    """
+
+    def __init__(
+        self, run: Run, path: Path, info: RunInfo, overwrite: bool = False, needed: Collection[str] | None = None
+    ) -> None:
         self._run, self._path = run, path
         self._folder = RunFolder(path, info, overwrite)
         config = run.config(layout.SAMPLES)
         self._config = replace(config, channels=info.channels)
+        looked_at = None if needed is None else {*needed, info.position_reference}  # from which errors are taken
+        self._narrow = replace(
+            config, channels=tuple(c for c in config.channels if looked_at is None or c.name in looked_at)
+        )
         self._added = info.channels[len(config.channels) :]
         self._columns = {name: layout.stream_columns(self._configured(name), name, info) for name in run.names}
         self._more = layout.columns_of(
@@ -101,10 +110,13 @@ class Extension:
             added.add(layout.channel_table(chunk, self._more), first, last)
             overview.add(self._more_overview.table(chunk), first, last)
 
-        with ThreadPoolExecutor(1) as beside:  # the next piece is made while one is written
+        with ThreadPoolExecutor(1) as ahead, ThreadPoolExecutor(1) as beside:  # one is read, one made, one written
+            pieces = segment.pieces(layout.SAMPLES, config=self._narrow)
+            reading = ahead.submit(next, pieces, None)
             writing: Future[None] | None = None
-            for chunk in segment.pieces(layout.SAMPLES):
+            while (chunk := reading.result()) is not None:
                 assert isinstance(chunk, SampleChunk)
+                reading = ahead.submit(next, pieces, None)
                 whole = more(account.chunk(chunk))
                 self._written[layout.SAMPLES] += len(whole)
                 if writing is not None:
