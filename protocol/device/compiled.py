@@ -146,7 +146,7 @@ def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
         ("shim_link_bytes", _SIZE),
         ("shim_can_bytes", _SIZE),
         ("shim_device_bytes", _SIZE),
-        ("shim_ticks", None, _ANY, _ANY, _SIZE, _SIZE),
+        ("shim_ticks", None, _ANY, _U64, _ANY, _SIZE, _SIZE),
         ("shim_edges", None, _ANY, _ANY, _SIZE),
         ("shim_running", _U32, _ANY),
         ("shim_channels", None, _ANY, _ANY),
@@ -178,8 +178,10 @@ def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
 class CompiledSession:
     """One device of a link: has what the owner of a `session.DeviceSession` needs of it, its streams and its states.
 
-    `raised`: an exception out of the app, which C cannot pass on; the link raises it.
+    `raised`: an exception out of the app, which C cannot pass on; the link raises it. `nodes` is C's own affair.
     """
+
+    nodes = 1
 
     def __init__(self, lib: ctypes.CDLL, app: DeviceApp, identity: Identity) -> None:
         self.app, self.identity = app, identity
@@ -240,11 +242,11 @@ class CompiledSession:
         return int(self._lib.shim_watchdog_ms(self.at))
 
     def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
-        """See `DeviceSession.push_samples`; C counts index and tick itself."""
+        """See `DeviceSession.push_samples`; C makes the ticks itself."""
         if raw.dtype != self._dtype:
             raise TypeError(f"samples of {raw.dtype}, the channels make {self._dtype}")
         rows = np.ascontiguousarray(raw)
-        self._lib.shim_ticks(self.at, rows.ctypes.data, rows.itemsize, len(rows))
+        self._lib.shim_ticks(self.at, index0, rows.ctypes.data, rows.itemsize, len(rows))
 
     def push_edges(self, records: NDArray[np.void]) -> None:
         """See `DeviceSession.push_edges`."""
@@ -359,6 +361,10 @@ class CompiledLink:
         self._tick = tick
         self._lib.hbp_poll(self._at, tick)
         self._check()
+
+    def __len__(self) -> int:
+        """Bytes that wait for the link: those in one piece."""
+        return int(self._lib.hbp_tx_peek(self._at, ctypes.byref(ctypes.c_void_p())))
 
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""

@@ -7,9 +7,10 @@ size_t shim_link_bytes(void) { return sizeof(struct hbp_link); }
 size_t shim_can_bytes(void) { return sizeof(struct hbp_can); }
 size_t shim_device_bytes(void) { return sizeof(struct hbp); }
 
-/* `n` samples, `stride` bytes from one to the next. */
-void shim_ticks(struct hbp *h, const uint8_t *samples, size_t stride, size_t n)
+/* `n` samples from PWM period `index` on, `stride` bytes from one to the next. While no stream runs, periods may be left out. */
+void shim_ticks(struct hbp *h, uint64_t index, const uint8_t *samples, size_t stride, size_t n)
 {
+    h->index = index;
     for (size_t k = 0; k < n; k++) hbp_tick(h, samples + k * stride);
 }
 
