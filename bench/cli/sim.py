@@ -45,7 +45,7 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
 @click.option("--seed", type=int, help="Seed of noise and jitter (default: another one each time).")
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
 @click.option("--device", type=click.Choice(["python", "c"]), default="python", show_default=True,
-              help="Whose device side of HBP answers: the one in C (protocol/c) is compiled by the system's compiler.")
+              help="Device side of HBP; the one in C (protocol/c) is compiled by the system's compiler.")  # fmt: skip
 @click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,
               help="List the motors that are shipped, and exit.")  # fmt: skip
 @click.option("--exit-with-parent", is_flag=True, hidden=True)

@@ -1,7 +1,8 @@
 """The device side in C (protocol/c) behind a `DeviceApp`: what a firmware runs, with a drive in Python.
 
 It is compiled when it is first used, by the system's C compiler, and kept in the user's cache directory. `CompiledLink`
-and `CompiledCan` take the places of `session.DeviceLink` and `canmap.device.CanDevice`. No I/O, no clock.
+takes the place of `session.DeviceLink`, and `protocol.canmap.compiled.CompiledCan` that of `CanDevice`. No I/O, no
+clock.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.canmap.frame import BRS, CAN_RECORD, FDF, RECORD, RECORD_BYTES, BusRates
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Identity
 from protocol.errors import Refused
@@ -137,10 +137,6 @@ class _Config(ctypes.Structure):
     )  # fmt: skip
 
 
-class _Bus(ctypes.Structure):
-    _fields_ = (("bitrate", _U32), ("data_bitrate", _U32), ("extended", _U8))
-
-
 def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
     for name, result, *arguments in (
         ("shim_link_bytes", _SIZE),
@@ -164,7 +160,7 @@ def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
         ("hbp_tx_advance", None, _ANY, _SIZE),
         ("hbp_fault", None, _ANY, _U32),
         ("hbp_log", None, _ANY, _U8, _TEXT),
-        ("hbp_can_init", _U16, _ANY, ctypes.POINTER(_Bus)),
+        ("hbp_can_init", _U16, _ANY, _ANY),
         ("hbp_can_add", _U16, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
         ("hbp_can_rx", None, _ANY, _U64, _U32, _TEXT, _SIZE),
         ("hbp_can_poll", None, _ANY, _U64),
@@ -272,7 +268,7 @@ class CompiledSession:
 
     def _make_config(self) -> _Config:
         app, identity = self.app, self.identity
-        offsets = self._dtype.fields or {}
+        offsets: dict[str, Any] = dict(self._dtype.fields or {})
         channels = [
             _Channel(s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode())
             for s in app.channels
@@ -385,56 +381,3 @@ class CompiledLink:
     def _check(self) -> None:
         for session in self.sessions.values():
             session.check()
-
-
-class CompiledCan:
-    """One node on a CAN bus; see `canmap.device.CanDevice`. `frames`: stream frames that may wait, a power of two."""
-
-    def __init__(
-        self, app: DeviceApp, identity: Identity, rates: BusRates, extended: bool = False, frames: int = 1024
-    ) -> None:
-        self._lib = library(1 << 16, frames)
-        self._memory = ctypes.create_string_buffer(self._lib.shim_can_bytes())
-        self._at = ctypes.addressof(self._memory)
-        self._tick = 0
-        self._bus = _Bus(rates.bitrate, rates.data_bitrate or 0, extended)
-        self._flags = FDF | BRS if rates.fd else 0
-        self.session = CompiledSession(self._lib, app, identity)
-        code = self._lib.hbp_can_init(self._at, ctypes.byref(self._bus))
-        code = code or self._lib.hbp_can_add(self._at, self.session.at, self.session.config, identity.boot_id)
-        if code:
-            raise ValueError(f"node {identity.node}: hbp_can_add returns {code}")
-
-    def receive(self, frames: bytes) -> None:
-        """Take CAN_RECORDs from the bus, those of others too."""
-        for record in np.frombuffer(frames, CAN_RECORD):
-            number = int(record["id"])
-            if number & 0x60000000:  # an error frame or a remote frame: no data frame of anybody's
-                continue
-            data = record["data"][: record["length"]].tobytes()
-            self._lib.hbp_can_rx(self._at, self._tick, number, data, len(data))
-        self.session.check()
-
-    def advance(self, tick: int) -> None:
-        """Let time pass up to the device's 64-bit `tick`."""
-        self._tick = tick
-        self._lib.hbp_can_poll(self._at, tick)
-        self.session.check()
-
-    def take(self) -> bytes:
-        """Return and forget the next CAN_RECORD that is to be sent, nothing if there is none."""
-        number, data = ctypes.c_uint32(), ctypes.create_string_buffer(64)
-        length = self._lib.shim_can_take(self._at, ctypes.byref(number), data)
-        if length < 0:
-            self._lib.hbp_can_poll(self._at, self._tick)  # what waits in the pools moves up
-            length = self._lib.shim_can_take(self._at, ctypes.byref(number), data)
-        if length < 0:
-            return b""
-        return RECORD.pack(number.value, length, self._flags, 0, 0.0, data.raw[:length])
-
-    def gave_up(self) -> None:
-        """A stream frame was taken back from the controller's mailbox."""
-        self._lib.hbp_can_gave_up(self._at)
-
-
-assert RECORD_BYTES == RECORD.size

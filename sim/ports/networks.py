@@ -9,10 +9,11 @@ from collections import deque
 
 import numpy as np
 
+from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import MAX_AGE, CanDevice
 from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_OVERFLOW, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
-from protocol.device.compiled import CompiledCan, CompiledLink, CompiledSession
+from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.device.session import DeviceApp, DeviceLink, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.wire import ByteWire, HostWire

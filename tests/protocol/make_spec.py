@@ -1,6 +1,6 @@
-"""Writes the generated tables of SPEC.md, between `<!-- name -->` and `<!-- end -->`, and the numbers in c/hbp.h; a test compares.
+"""Writes the generated tables of SPEC.md, between `<!-- name -->` and `<!-- end -->`, and the numbers in c/hbp.h.
 
-Channels and parameters come from `protocol.signals`, codes from `protocol.codes`.
+A test compares. Channels and parameters come from `protocol.signals`, codes from `protocol.codes`.
 """
 
 from __future__ import annotations

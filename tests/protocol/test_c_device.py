@@ -6,31 +6,29 @@ import json
 import shutil
 import struct
 from pathlib import Path
-from zlib import crc32
 
 import can_rows
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_drive import CHANNELS, TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link, wire_of
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, wire_of
 
 from protocol import messages
+from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.canmap.transport import CanCounters, Reassembler
-from protocol.device.compiled import CompiledCan, CompiledLink, CompiledSession
+from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame, parse_frame
 from protocol.messages import (
-    REQUESTS,
     Alive,
     BlobRead,
     Command,
-    ErrorCode,
     Fault,
     Feature,
     Hello,
@@ -41,7 +39,6 @@ from protocol.messages import (
     Request,
     Setpoint,
     StateCommand,
-    StreamEvent,
     StreamGet,
     StreamSet,
     StreamStart,
@@ -118,7 +115,7 @@ def test_sequences(case: dict) -> None:
     assert not app.outputs_on
 
 
-# -- the same answers as the device side in Python ----------------------------------------------------------------------
+# -- the same answers as the device side in Python ------------------------------------------------------------------
 
 U8, U16, U32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 16, 32))
 F32 = st.one_of(st.sampled_from([0.0, 1.0, 2.5, 300.0, 301.0, 0.05, 0.2, 1.5, 1e6, float("inf")]), st.floats(width=32))
@@ -209,7 +206,7 @@ def same(ours: list[tuple], theirs: list[tuple]) -> bool:
     return list(map(loose, ours)) == list(map(loose, theirs))
 
 
-@settings(max_examples=int(__import__("os").environ.get("N", "300")), deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(st.lists(STEP, max_size=40), st.booleans())
 def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
     python, c = DeviceLink(TxQueue(1 << 22)), CompiledLink(1 << 20)
@@ -245,7 +242,7 @@ def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
         assert same(ours, theirs), (ours, theirs)
 
 
-# -- CAN ------------------------------------------------------------------------------------------------------------------
+# -- CAN --------------------------------------------------------------------------------------------------------------
 
 CLASSIC, FD = BusRates(1_000_000), BusRates(1_000_000, 5_000_000)
 SPOILT = st.one_of(
@@ -290,8 +287,7 @@ def spoilt(wire: bytes, how: str, number: int) -> bytes:
 
 
 def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
-    """What is to be the same of each identifier: length, flags and tail of a message's frames, all of a stream's; and the
-    messages."""
+    """What is to be the same: length, flags and tail of a message's frames, all of a stream's; and the messages."""
     found: dict[int, list] = {}
     messages: list[tuple] = []
     parts: dict[int, Reassembler] = {}
@@ -307,7 +303,7 @@ def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
     return found, sorted(messages, key=lambda frame: frame[0] == MessageType.HEARTBEAT)
 
 
-@settings(max_examples=int(__import__("os").environ.get("N", "300")), deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(
     st.lists(st.one_of(can_steps(), can_steps(), st.integers(1, 400), st.just("again")), max_size=30),
     st.sampled_from([CLASSIC, FD]),
