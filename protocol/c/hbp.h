@@ -7,46 +7,78 @@
  * MEMORY.  The caller owns all of it: one `struct hbp_link` for each serial port, USB or TCP connection, one `struct hbp` for each
  * device behind it (one, as a rule). Their size follows from the options below; `docs/firmware.md` has figures.
  *
- * USE.  What the drive is stands in constant tables; what it does, in a few functions of the application:
+ * USE.  What the drive is stands in constant tables; what it does, in a few functions of the application. Here power_stage, ticks, timer and
+ * the like are the application's own.
  *
- *     static struct { int16_t i_a, i_b; uint8_t hall; } sample;             // what the PWM interrupt measures
- *     static float n_p = 4.0f, i_max = 8.0f;
+ *     struct sample { int16_t i_a, i_b; uint8_t hall; };                    // what the PWM interrupt measures
+ *     static struct sample sample;
+ *     static float n_p = 4.0f, i_max = 8.0f, omega_m_max = 300.0f;
  *
  *     static const struct hbp_channel channels[] = {
- *         {1, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_a), 1.0f / 1024, 0.0f, "i_a"}, …
+ *         {1, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_a), 1.0f / 1024, 0.0f, "i_a"},
+ *         {2, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_b), 1.0f / 1024, 0.0f, "i_b"},
+ *         {3, HBP_RAW_U8, HBP_UNIT_NONE, 0, offsetof(struct sample, hall), 1.0f, 0.0f, "hall"},
  *     };
  *     static const struct hbp_parameter parameters[] = {
- *         {100, HBP_UNIT_NONE, HBP_FLAG_READ_ONLY | HBP_FLAG_WHOLE, 1.0f, 32.0f, 4.0f, &n_p, "n_p"}, …
+ *         {1, HBP_UNIT_NONE, HBP_FLAG_READ_ONLY | HBP_FLAG_WHOLE, 1.0f, 32.0f, 4.0f, &n_p, "n_p"},
+ *         {2, HBP_UNIT_A, 0, 0.5f, 20.0f, 8.0f, &i_max, "i_max"},
+ *         {3, HBP_UNIT_RAD_PER_S, HBP_FLAG_IDLE_ONLY, 1.0f, 600.0f, 300.0f, &omega_m_max, "omega_m_max"},
  *     };
- *     static uint16_t enter(void *user, uint8_t state, float *detail)       // the power stage: on in RUNNING, else off
- *     { (void)user; (void)detail; power_stage(state == HBP_STATE_RUNNING); return 0; }
+ *
+ *     static uint16_t enter(void *user, uint8_t state, float *detail)
+ *     {
+ *         (void)user, (void)detail;
+ *         power_stage(state == HBP_STATE_RUNNING);
+ *         return 0;
+ *     }
+ *     static uint16_t setpoint(void *user, uint8_t mode, float value, float value2, float *detail)
+ *     {
+ *         (void)user, (void)value2;
+ *         *detail = mode;
+ *         if (mode != HBP_MODE_SPEED) return HBP_ERROR_NOT_SUPPORTED;
+ *         *detail = omega_m_max;
+ *         if (value > omega_m_max || value < -omega_m_max) return HBP_ERROR_OUT_OF_RANGE;
+ *         use_speed(value);
+ *         return 0;
+ *     }
+ *     static uint8_t outputs_on(void *user)
+ *     {
+ *         (void)user;
+ *         return power_stage_is_on();
+ *     }
  *
  *     static const struct hbp_config config = {
  *         .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES, .tick_hz = 170000000, .pwm_hz = 20000,
- *         .name = "my drive", .firmware = "1.0", .serial = unique_id, .build = BUILD,
- *         .channels = channels, .n_channels = 3, .parameters = parameters, .n_parameters = 2,
+ *         .name = "my drive", .firmware = "1.0", .serial = "0123456789abcdef01234567", .build = "1a2b3c4",
+ *         .channels = channels, .n_channels = 3, .parameters = parameters, .n_parameters = 3,
  *         .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
  *     };
- *     static struct hbp_link link;
+ *     static struct hbp_link link_;
  *     static struct hbp drive;
  *
- *     int main(void) {
- *         hbp_link_init(&link, 0.0f);                                       // bytes/s that it carries, 0: not known
- *         hbp_add(&link, &drive, &config, random_number());                 // another boot_id at each boot
+ *     int main(void)
+ *     {
+ *         hbp_link_init(&link_, 0.0f);                                      // bytes/s that it carries, 0: not known
+ *         if (hbp_add(&link_, &drive, &config, random_number())) return 1;  // another boot_id at each boot
  *         for (;;) {
- *             hbp_rx(&link, ticks(), received, n);                          // what the UART has received, cut anywhere
- *             hbp_poll(&link, ticks());                                     // at least once a millisecond
- *             const uint8_t *bytes;                                         // or from the DMA's interrupt
- *             size_t length = hbp_tx_peek(&link, &bytes);
- *             hbp_tx_advance(&link, uart_send(bytes, length));
+ *             const uint8_t *bytes;
+ *             size_t n = uart_received(&bytes);                             // cut anywhere
+ *             hbp_rx(&link_, ticks(), bytes, n);
+ *             hbp_poll(&link_, ticks());                                    // at least once a millisecond
+ *             n = hbp_tx_peek(&link_, &bytes);                              // these two from the DMA's interrupt, if you like
+ *             hbp_tx_advance(&link_, uart_send(bytes, n));
  *         }
  *     }
- *     void pwm_interrupt(void) {
- *         …                                                                 // measure, control
- *         if (!hbp_may_run(&drive, timer)) power_stage(0);                  // the host is gone, or main() hangs
+ *     void pwm_interrupt(void)
+ *     {
+ *         measure_and_control(&sample);
+ *         if (!hbp_may_run(&drive, timer())) power_stage(0);                // the host is gone, or main() hangs
  *         hbp_tick(&drive, &sample);
  *     }
- *     void capture_interrupt(void) { hbp_edge(&drive, captured, code_before, code_after, encoder); }
+ *     void capture_interrupt(void)
+ *     {
+ *         hbp_edge(&drive, captured(), code_before(), code_after(), encoder());
+ *     }
  *
  * A whole program of this kind is examples/posix.c.
  *

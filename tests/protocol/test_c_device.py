@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import struct
+import subprocess
 from pathlib import Path
 
 import can_rows
@@ -21,7 +22,7 @@ from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.canmap.transport import CanCounters, Reassembler
-from protocol.device.compiled import CompiledLink, CompiledSession
+from protocol.device.compiled import SOURCE, CompiledLink, CompiledSession, compiler
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame, parse_frame
@@ -62,6 +63,36 @@ def c_link(pool: int = 1 << 16, **changes: object) -> tuple[CompiledLink, Compil
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app
+
+
+PRELUDE = """
+#include "hbp.h"
+void power_stage(int on); uint8_t power_stage_is_on(void); void use_speed(float omega_m); uint32_t random_number(void);
+size_t uart_received(const uint8_t **bytes); size_t uart_send(const uint8_t *bytes, size_t n); uint64_t ticks(void);
+uint32_t timer(void); void measure_and_control(void *sample); uint32_t captured(void); uint8_t code_before(void);
+uint8_t code_after(void); uint16_t encoder(void); void pwm_interrupt(void); void capture_interrupt(void);
+"""
+
+
+def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
+    comment = (SOURCE / "hbp.h").read_text(encoding="utf-8").split("#ifndef", 1)[0]
+    usage = comment.split(" * USE.", 1)[1].split(" * A whole program", 1)[0]
+    code = [line.removeprefix(" *     ").split("  //")[0] for line in usage.splitlines() if line.startswith(" *     ")]
+    assert len(code) > 50
+    file = tmp_path / "usage.c"
+    file.write_text(PRELUDE + "\n".join(code) + "\n")
+    flags = [
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{SOURCE}",
+        "-c",
+        "-o",
+        str(tmp_path / "usage.o"),
+    ]
+    subprocess.run([*compiler(), *flags, str(file)], check=True)
 
 
 @pytest.mark.parametrize("case", cases("framing"))
