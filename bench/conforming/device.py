@@ -19,6 +19,7 @@ import numpy as np
 from bench.conforming.bus import BusLine
 from bench.conforming.checks import Ended, Failed, NotApplicable, Unknown
 from bench.conforming.probe import Answer, Heard, Probe, read, state_name
+from protocol.canmap.layout import MAX_GROUPS, sample_layout
 from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect
@@ -81,10 +82,11 @@ class Block:
 
 @dataclass
 class Device:
-    """The device at the other end of `probe`; `speed_rpm` is how fast it may be made to turn."""
+    """The device at the other end of `probe`, looked at up to `level`; `speed_rpm` is how fast it may be made to turn."""
 
     probe: Probe
-    speed_rpm: float = 100.0
+    level: int
+    speed_rpm: float
     hello: HelloReply = field(init=False)
     kept: dict[str, Any] = field(default_factory=dict)
     """What one check has measured and another needs too."""
@@ -134,6 +136,19 @@ class Device:
         if not self.descriptor.channels:
             raise NotApplicable("the device has no channels")
         return self.descriptor.channels
+
+    def fitting(self, channels: Sequence[Channel]) -> tuple[Channel, ...]:
+        """The first of these, as many as a sample can have on this link."""
+        most = (self.hello.rx_max - 8) // 2
+        for n in range(min(len(channels), most), 1, -1):
+            widths = [width(channel) for channel in channels[:n]]
+            if isinstance(self.probe.line, BusLine):
+                fits = len(sample_layout(widths, self.probe.line.rates.fd, 1).groups) <= MAX_GROUPS
+            else:
+                fits = sum(widths) <= self.hello.tx_max - STREAM_HEADER.size
+            if fits:
+                return tuple(channels[:n])
+        return tuple(channels[:1])
 
     def parameters(self, flags: Flag = Flag(0), without: Flag = Flag(0)) -> list[Channel]:
         """Those that have these flags and not those. NotApplicable where there are none."""

@@ -74,11 +74,12 @@ def set_order(device: Device) -> str:
 def busy(device: Device) -> str:
     """A running stream is not configured anew."""
     first = device.channels[0].id
-    before = device.configure(0, [first], SLOW_HZ)
+    device.configure(0, [first], SLOW_HZ)
     device.start_streams(1)
+    before = device.probe.get(StreamGet(0), StreamInfo)
     words = refusal(device.stream_set(0, [first], 7), ErrorCode.BUSY, 0, "STREAM_SET of a running stream")
     now = device.probe.get(StreamGet(0), StreamInfo)
-    if (now.cfg_id, now.decimation) != (before.reply.cfg_id, before.asked.decimation):
+    if now != before:
         raise Failed(f"{words}, and yet STREAM_GET says cfg_id {now.cfg_id}, decimation {now.decimation}")
     return words
 
@@ -110,7 +111,7 @@ def reply_fields(device: Device) -> str:
     """The reply to STREAM_SET has the bytes of a sample and a block that fits."""
     words = []
     for n in (1, 3, len(device.channels)):
-        chosen = some(device, n)
+        chosen = device.fitting(some(device, n))
         told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
         size = sum(map(width, chosen))
         if told.reply.stream != 0 or told.reply.sample_bytes != size:

@@ -75,6 +75,8 @@ class Peer:
 class Device:
     """Node `node` of a link.
 
+    `stream_kind` makes its streams.
+
     `after`: seconds after START at which a fault that needs a moment happens. `watchdog`: its time in s where there is
     no parameter `watchdog`; a test on a busy machine may want more than SPEC's.
 
@@ -83,6 +85,7 @@ class Device:
     """
 
     node = 1
+    stream_kind = Stream
 
     def __init__(
         self,
@@ -110,6 +113,10 @@ class Device:
             Type.SETPOINT: self.setpoint_message,
         }  # fmt: skip
         self.boot()
+
+    def attach(self, carrier: ByteCarrier | CanCarrier) -> None:
+        """Work on this carrier from now on; here faults of links change how it works."""
+        self.carrier = carrier
 
     def boot(self) -> None:
         """Begin anew, as after a reset."""
@@ -175,7 +182,7 @@ class Device:
             keeps = _kept(message)
             for request, reply, transfer in peer.kept if keeps else ():
                 if request == message:
-                    self.carrier.send(reply, host, transfer)
+                    self.answer_again(message, reply, peer, transfer)
                     return
             payload = self.execute(message, peer)
         except Refusal as refusal:
@@ -193,6 +200,10 @@ class Device:
         transfer = self.carrier.send(answer, peer.number)
         if keeps:
             peer.kept.append((request, answer, transfer))
+
+    def answer_again(self, request: Message, reply: Message, peer: Peer, transfer: int) -> None:
+        """Send a kept reply."""
+        self.carrier.send(reply, peer.number, transfer)
 
     def admit(self, message: Message) -> None:
         """What is checked before a repeated request is answered again. Raises Refusal."""
@@ -284,6 +295,8 @@ class Device:
         return struct.pack("<Hxxf", number, value)
 
     def param_commit(self, message: Message, peer: Peer) -> bytes:
+        if self.outputs_on:
+            raise Refusal(Code.WRONG_STATE, self.state)
         raise Refusal(Code.NOT_SUPPORTED, Type.PARAM_COMMIT)
 
     # -- states -------------------------------------------------------------------------------------------------
@@ -415,7 +428,7 @@ class Device:
         if number > 3:
             raise Refusal(Code.OUT_OF_RANGE, 3)
         ids = struct.unpack_from(f"<{n}H", message.payload, SET.size)
-        stream = Stream.asked(number, event, decimation, latency, ids, self.vocabulary)
+        stream = self.stream_kind.asked(number, event, decimation, latency, ids, self.vocabulary)
         if number in self.streams and self.streams[number].running:
             raise Refusal(Code.BUSY, number)
         stream.tx_max = min(peer.rx_max, MAX_PAYLOAD)
@@ -457,9 +470,15 @@ class Device:
     def flush(self, stream: Stream, everything: bool = False) -> None:
         """Send what is full or late; edges at once, so that they are ahead of the samples after them."""
         for records in stream.take(self.tick(), everything or stream.edges):
-            dropped = self.carrier.emit(stream, records, self.node)
-            self.tx_dropped += dropped
-            stream.overrun = dropped > 0
+            if dropped := self.carrier.emit(stream, records, self.node):
+                self.dropped(stream, dropped)
+            else:
+                stream.overrun = False
+
+    def dropped(self, stream: Stream, frames: int) -> None:
+        """So many frames found no room."""
+        self.tx_dropped += frames
+        stream.overrun = True
 
     # -- time ---------------------------------------------------------------------------------------------------
 
