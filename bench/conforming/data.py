@@ -31,7 +31,6 @@ def cfg_id_in_frames(device: Device) -> str:
     device.start_streams(1)
     device.streamed(0, WATCHED / 2)
     device.stop_streams()
-    device.probe.listen(0.05)
     since = len(device.probe.heard)
     again = device.configure(0, ids(device.channels[:1]), RATE)
     device.start_streams(1)
@@ -222,7 +221,6 @@ def stop_sends(device: Device) -> str:
     device.probe.listen(0.2)
     early = len(device.blocks(0))
     device.stop_streams()
-    device.probe.listen(0.1)
     blocks = device.blocks(0)
     if early:
         raise Unknown("a frame came before STREAM_STOP")
@@ -313,7 +311,6 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         _settle(device)
         dropped = _dropped(device) != before
         device.stop_streams()
-        device.probe.listen(0.1)
         if not dropped:
             told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
             actual = device.hello.pwm_hz / told.asked.decimation

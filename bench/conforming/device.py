@@ -214,10 +214,11 @@ class Device:
             raise Unknown(f"STREAM_START was refused: {answer}")
 
     def stop_streams(self, mask: int = 0xFFFFFFFF) -> None:
-        """Stop them. Raises Unknown."""
+        """Stop them, and take what is under way. Raises Unknown."""
         answer = self.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", mask))
         if answer.error is not None:
             raise Unknown(f"STREAM_STOP was refused: {answer}")
+        self.probe.quiet()
 
     def blocks(self, stream: int | None = None) -> list[Block]:
         """The stream frames that came, those of one stream or all."""

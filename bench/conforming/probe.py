@@ -39,6 +39,8 @@ HELLO_TRIES = 10
 GRACE = 0.03  # s in which an answer that must not come would come, once a later request has been answered
 SLICE = 0.02  # s that one look at the link waits
 BEAT = 0.45  # s in which a heartbeat must come: four of them
+QUIET = 0.05  # s without a stream frame after which none is under way
+MOST_QUEUED = 10.0  # s that a device is given to send what waited: 64 KiB at 115200 baud, and some
 ALL_STREAMS = 0xFFFFFFFF
 HELLO = struct.Struct("<IBBH")
 
@@ -287,9 +289,22 @@ class Probe:
         hello = self.hello()
         self.node = self.node or hello.node
         self.ask(MessageType.STREAM_STOP, struct.pack("<I", ALL_STREAMS))
+        self.quiet()
         self.heard.clear()
         self.stream_frames.clear()
         return hello
+
+    def quiet(self) -> None:
+        """Where stream frames have come, take those that are still under way."""
+
+        def streamed() -> int:
+            kinds = (MessageType.DATA, MessageType.EDGES)
+            return len(self.stream_frames) + sum(each.frame.type in kinds for each in self.heard)
+
+        before, end = 0, self.now() + MOST_QUEUED
+        while (now := streamed()) != before and self.now() < end:
+            before = now
+            self.listen(QUIET)
 
     def hello(self, nonce: int | None = None, rx_max: int = 1024) -> HelloReply:
         """Say HELLO; without `nonce` with a new one. Raises NoAnswer; Failed where it is refused or cannot be read."""

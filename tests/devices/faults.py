@@ -603,8 +603,8 @@ class ParameterClipped(Device):
         except Refusal as refusal:
             if refusal.code != Code.OUT_OF_RANGE:
                 raise
-        self.values[number] = refusal.detail
-        return struct.pack("<Hxxf", number, refusal.detail)
+            value = self.values[number] = refusal.detail
+        return struct.pack("<Hxxf", number, value)
 
 
 @fault("last-tid-of-refused")
