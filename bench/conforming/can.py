@@ -337,8 +337,8 @@ def load(device: Device) -> str:
         chosen = device.channels[:n]
         told = device.configure(0, ids(chosen), RATE)
         layout = sample_layout([width(c) for c in chosen], line.rates.fd, told.reply.block)
-        due = layout.load(line.rates, device.hello.pwm_hz / told.asked.decimation, line.extended)
-        words.append(_same_load(told.reply, due, f"{len(chosen)} channels at {device.hello.pwm_hz / told.asked.decimation:g} Hz"))
+        due = layout.load(line.rates, device.pwm_hz / told.asked.decimation, line.extended)
+        words.append(_same_load(told.reply, due, f"{len(chosen)} channels at {device.pwm_hz / told.asked.decimation:g} Hz"))
     device.stop_streams()
     if device.offers_edges:
         words.append(_same_load(device.configure_edges(0).reply, edge_load(line.rates, line.extended), "edges"))
@@ -361,11 +361,11 @@ def overload(device: Device) -> str:
     widths = [width(c) for c in chosen]
 
     def at(decimation: int) -> float:
-        in_time = max(1, 20 * device.hello.pwm_hz // (1000 * decimation))
-        return sample_layout(widths, line.rates.fd, in_time).load(line.rates, device.hello.pwm_hz / decimation, line.extended)
+        in_time = max(1, 20 * device.pwm_hz // (1000 * decimation))
+        return sample_layout(widths, line.rates.fd, in_time).load(line.rates, device.pwm_hz / decimation, line.extended)
 
     if at(1) <= MOST_LOAD:
-        raise NotApplicable(f"{len(chosen)} channels at {device.hello.pwm_hz} Hz load the bus to {at(1):.0%}")
+        raise NotApplicable(f"{len(chosen)} channels at {device.pwm_hz} Hz load the bus to {at(1):.0%}")
     fits = next(n for n in range(2, 65536) if at(n) <= MOST_LOAD)
     words = refusal(device.stream_set(0, ids(chosen), 1), ErrorCode.DOES_NOT_FIT, fits, f"{len(chosen)} channels, {at(1):.0%}")
     again = device.stream_set(0, ids(chosen), fits)

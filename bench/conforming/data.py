@@ -198,7 +198,7 @@ def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
 
 def _both_ways(device: Device) -> tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]:
     chosen = _few(device)
-    rate = min(RATE, device.hello.pwm_hz / 4)
+    rate = min(RATE, device.pwm_hz / 4)
     forth, back = device.configure(0, ids(chosen), rate), device.configure(1, ids(chosen[::-1]), rate)
     if forth.asked.decimation != back.asked.decimation:
         raise Unknown(f"the second one fits with decimation {back.asked.decimation} only")
@@ -215,7 +215,7 @@ def stop_sends(device: Device) -> str:
     """STREAM_STOP sends the block that is not full."""
     narrow = min(device.channels, key=width)
     told = device.configure(0, [narrow.id], RATE, latency_ms=3000)
-    if told.reply.block < 0.4 * device.hello.pwm_hz / told.asked.decimation:
+    if told.reply.block < 0.4 * device.pwm_hz / told.asked.decimation:
         raise Unknown(f"a block holds {told.reply.block} samples: it is full before it can be stopped")
     device.start_streams(1)
     device.probe.listen(0.2)
@@ -302,7 +302,7 @@ def _jumped(frames: list[Block], told: Configured) -> bool:
 def _heaviest(device: Device) -> tuple[Configured, str]:
     """All channels that fit in a frame, at the highest rate at which nothing is dropped while the link is read."""
     chosen = device.fitting(device.channels)
-    rate = float(device.hello.pwm_hz)
+    rate = float(device.pwm_hz)
     while True:
         told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
         before = _dropped(device)
@@ -313,11 +313,11 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         device.stop_streams()
         if not dropped:
             told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
-            actual = device.hello.pwm_hz / told.asked.decimation
+            actual = device.pwm_hz / told.asked.decimation
             return told, f"{len(chosen)} channels ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
         if told.asked.decimation >= SLOWEST:
-            raise Unknown(f"the link drops frames even at {device.hello.pwm_hz / told.asked.decimation:g} Hz")
-        rate = device.hello.pwm_hz / (2 * told.asked.decimation)
+            raise Unknown(f"the link drops frames even at {device.pwm_hz / told.asked.decimation:g} Hz")
+        rate = device.pwm_hz / (2 * told.asked.decimation)
 
 
 def _settle(device: Device) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from bench.conforming.bus import BusLine
 from bench.conforming.checks import Ended, Failed, NotApplicable, Unknown
 from bench.conforming.probe import Answer, Heard, Probe, read, state_name
+from bench.rig.interrupts import undisturbed
 from protocol.canmap.layout import MAX_GROUPS, sample_layout
 from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
 from protocol.descriptor import Channel, Descriptor
@@ -75,6 +76,8 @@ class Block:
             raise Failed(f"a stream frame of {len(payload)} bytes")
         stream, flags, n, cfg_id, seq, index, tick = STREAM_HEADER.unpack_from(payload)
         edges = heard.frame.type == MessageType.EDGES
+        if edges and (len(payload) - STREAM_HEADER.size) % EDGE_BYTES:
+            raise Failed(f"a frame of edges of {len(payload)} bytes")
         return cls(
             place, heard.at, edges, stream, flags, n, cfg_id, seq, index, tick, payload[STREAM_HEADER.size :]
         )
@@ -90,6 +93,8 @@ class Device:
     hello: HelloReply = field(init=False)
     kept: dict[str, Any] = field(default_factory=dict)
     """What one check has measured and another needs too."""
+    not_put_back: list[str] = field(default_factory=list)
+    """Parameters that are not as they were, in words."""
 
     # -- what it says of itself -----------------------------------------------------------------------------------
 
@@ -100,6 +105,20 @@ class Device:
         if not isinstance(line, BusLine):
             raise NotApplicable("no CAN bus")
         return line
+
+    @property
+    def hz(self) -> int:
+        """Ticks in a second. Unknown where there are none."""
+        if not self.hello.tick_hz:
+            raise Unknown("HELLO says tick_hz 0")
+        return self.hello.tick_hz
+
+    @property
+    def pwm_hz(self) -> int:
+        """PWM periods in a second. Unknown where there are none."""
+        if not self.hello.pwm_hz:
+            raise Unknown("HELLO says pwm_hz 0")
+        return self.hello.pwm_hz
 
     @property
     def ticks_per_period(self) -> int:
@@ -167,10 +186,14 @@ class Device:
         return next((p for p in self.descriptor.parameters if p.name == name), None)
 
     def put_back(self, record: Channel, value: float) -> None:
-        """Set a parameter to what it was, where it is not that any more."""
-        with suppress(Ended):
+        """Set a parameter to what it was, where it is not that any more; `not_put_back` has those that are not."""
+        words = f"parameter {record.name} (was {value:g})"
+        self.not_put_back.append(words)
+        with undisturbed(), suppress(Ended):
             if self.parameter(record).value != value:
                 self.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
+            if self.parameter(record).value == value:
+                self.not_put_back.remove(words)
 
     @property
     def offers_edges(self) -> bool:
@@ -188,15 +211,18 @@ class Device:
 
     def configure(self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20) -> Configured:
         """Configure samples at about `rate` Hz, or as often as the link carries. Raises Unknown."""
-        decimation = min(max(1, round(self.hello.pwm_hz / rate)), MAX_DECIMATION)
+        decimation = min(max(1, round(self.pwm_hz / rate)), MAX_DECIMATION)
         answer = self.stream_set(stream, channels, decimation, latency_ms)
         error = answer.error
-        if error is not None and error.code == ErrorCode.DOES_NOT_FIT and error.detail >= 1:
+        if error is not None and error.code == ErrorCode.DOES_NOT_FIT and 1 <= error.detail <= MAX_DECIMATION:
             decimation = int(error.detail)
             answer = self.stream_set(stream, channels, decimation, latency_ms)
         if answer.error is not None:
             raise Unknown(f"STREAM_SET was refused: {answer}")
-        return Configured(read(answer.frame, StreamReply), StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
+        reply = read(answer.frame, StreamReply)
+        if not reply.block or not reply.sample_bytes:
+            raise Unknown(f"STREAM_SET: sample_bytes {reply.sample_bytes}, block {reply.block}")
+        return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
 
     def configure_edges(self, stream: int) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""

@@ -160,7 +160,7 @@ def other_blobs(device: Device) -> str:
 def heartbeat_rate(device: Device) -> str:
     """A heartbeat every 100 ms of device time, none left out."""
     beats = _beats(device)
-    between = [1e3 * step / device.hello.tick_hz for step in steps([beat.tick for beat in beats])]
+    between = [1e3 * step / device.hz for step in steps([beat.tick for beat in beats])]
     mean = sum(between) / len(between)
     words = f"{len(beats)} heartbeats, {mean:.1f} ms apart ({min(between):.0f} to {max(between):.0f})"
     if not 90 <= mean <= 110 or max(between) > 190:
@@ -228,7 +228,7 @@ def tick_goes_on(device: Device) -> str:
     for name, row in (("TIME_SYNC", ticks), ("heartbeat", beats)):
         worst = min(steps(row))
         if worst < 0:
-            raise Failed(f"the tick of {name} goes back by {-worst} ({-1e3 * worst / device.hello.tick_hz:.2f} ms)")
+            raise Failed(f"the tick of {name} goes back by {-worst} ({-1e3 * worst / device.hz:.2f} ms)")
         if max(row) >= 1 << 62:
             raise Failed(f"the tick of {name} is {max(row)}, not below 2^62")
     return f"{len(ticks)} ticks of TIME_SYNC and {len(beats)} of heartbeats, none before the one before it"
@@ -245,7 +245,7 @@ def tick_hz(device: Device) -> str:
     asked = probe.now()
     last = probe.tick()[1]
     ended = probe.now()
-    seconds = (last - first) / device.hello.tick_hz
+    seconds = (last - first) / device.hz
     low, high = asked - heard, ended - began
     words = f"{seconds:.4f} s by its tick, {low:.4f} to {high:.4f} s by this host"
     if not low * (1 - RATE_ERROR) <= seconds <= high * (1 + RATE_ERROR):

@@ -245,7 +245,7 @@ def hello_of_any_major(device: Device) -> str:
 def unknown_type(device: Device) -> str:
     """UNKNOWN_TYPE with the type, for the reserved ones too."""
     return "; ".join(
-        f"type {kind:02X}: {device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind)}" for kind in UNKNOWN_TYPES
+        device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in UNKNOWN_TYPES
     )
 
 
@@ -314,7 +314,7 @@ def order_of_checks(device: Device) -> str:
 def _effect(device: Device) -> tuple[int, bytes]:
     """A request that has another reply each time it is executed: a stream is configured anew."""
     number = device.channels[0].id
-    return MessageType.STREAM_SET, struct.pack("<BBHHHH", 0, 0, min(1000, device.hello.pwm_hz), 20, 1, number)
+    return MessageType.STREAM_SET, struct.pack("<BBHHHH", 0, 0, min(1000, device.pwm_hz), 20, 1, number)
 
 
 def _same(first: Answer, again: Answer) -> bool:

@@ -13,7 +13,7 @@ from bench.conforming.checks import MOTION, Carrier, Failed, Group, NotApplicabl
 from bench.conforming.data import edges_ahead
 from bench.conforming.device import PATIENCE, Device, faults_text, ids, is_off
 from bench.conforming.probe import accepted, read, state_name
-from bench.conforming.setpoints import send
+from bench.conforming.setpoints import code_name, send
 from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
 from protocol.descriptor import Channel
 from protocol.messages import Heartbeat, ParamSet, StateReply
@@ -228,8 +228,10 @@ def never_clipped(device: Device) -> str:
         device.run()
         return _beyond(device, limit)
     finally:
-        device.rest()
-        device.put_back(record, before)
+        try:
+            device.rest()
+        finally:
+            device.put_back(record, before)
 
 
 def _beyond(device: Device, limit: float) -> str:
@@ -239,6 +241,5 @@ def _beyond(device: Device, limit: float) -> str:
         raise Failed(f"{words}: accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)
     if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
-        told = f"{ErrorCode(int(events[-1].arg)).name}, detail {events[-1].detail:.9g}"
-        raise Failed(f"{words}: {told}")
+        raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
     return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol, TypeVar
@@ -73,7 +74,7 @@ class Answer:
     @property
     def error(self) -> ErrorReply | None:
         """The refusal, if it is one."""
-        return ErrorReply.unpack(self.frame.payload) if self.frame.is_error else None
+        return read(self.frame, ErrorReply) if self.frame.is_error else None
 
     def __str__(self) -> str:
         error = self.error
@@ -288,7 +289,8 @@ class Probe:
         self.write(self.line.preamble())
         hello = self.hello()
         self.node = self.node or hello.node
-        self.ask(MessageType.STREAM_STOP, struct.pack("<I", ALL_STREAMS))
+        with suppress(NoAnswer):
+            self.ask(MessageType.STREAM_STOP, struct.pack("<I", ALL_STREAMS))
         self.quiet()
         self.heard.clear()
         self.stream_frames.clear()

@@ -30,6 +30,7 @@ from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtoco
 from protocol.links import Link
 from protocol.links.can import CanLink
 from protocol.messages import DriveState, Empty, HelloReply, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStart
+from protocol.payload import PayloadError
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,15 @@ def conform(
     """
     client = Client(link)
     forbidden, streams = "", []
+    node = None
     try:
         node = Node(client, client.connect().node)
         streams = _configured(node)
         _prepare(node, options, confirm)
-    except (NodeError, RemoteProtocolError, Refused) as error:  # what it says of itself cannot be: look how much of it
-        forbidden = str(error)
+    except (NodeError, RemoteProtocolError, Refused, NoReply) as error:
+        if node is None and isinstance(error, NoReply):
+            raise
+        forbidden = str(error)  # what it says of itself cannot be: what can be looked at all the same is
     line = _line(link)
     device = Device(Probe(link, line, options.idle), options.level, options.speed_rpm)
     try:
@@ -109,12 +113,12 @@ def _line(link: Link) -> Line:
 def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None) -> None:
     """Refuse what is not at rest and, where outputs are to go on, ask. Raises BenchError and HbpError."""
     beat = node.next_heartbeat()
-    if beat is not None and not is_off(beat):
+    if beat is not None and (beat.outputs_on or beat.state in (DriveState.ARMED, DriveState.RUNNING)):
         raise BenchError(f"{options.target} is not at rest ({says(beat)}): another host is using it")
     if options.level < STATES:
         return
-    if beat is None:
-        raise BenchError(f"{options.target} sends no heartbeat: whether its outputs are off is not known")
+    if beat is None or not is_off(beat):
+        raise NodeError(f"whether its outputs are off is not known: {says(beat)}")
     if beat.state == DriveState.FAULT:
         raise BenchError(
             f"{options.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
@@ -150,33 +154,34 @@ class _Course:
 
     def go(self) -> None:
         """All of them; where it cannot go on the rest is unknown."""
+        self._all()
+        self._run.troubles += [f"not put back: {words}" for words in self._device.not_put_back]
+
+    def _all(self) -> None:
         run, left = self._run, chosen(self._run.options.level, self._run.bus)
         while left:
             self._screen.progress(f"{left[0].id} ({len(run.results) + 1} of {len(run.results) + len(left)})")
             try:
                 self._add(self._one(left[0]))
+                left = left[1:]
             except (KeyboardInterrupt, Interrupted) as interrupt:
                 run.signal = interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
                 run.ended = f"ended by {signal.Signals(run.signal).name}"
-            except NotAtRest as error:
-                run.ended = f"the outputs could not be seen to go off: {error}"
             except LinkError as error:
                 run.ended = f"link lost: {error}"
             except NoAnswer as error:
                 run.ended = f"the device does not answer any more: {error}"
-            else:
-                left = left[1:]
-                continue
-            for check in left:
-                self._add(Result(check, Verdict.UNKNOWN, f"not run: {run.ended}"))
-            return
+            if run.ended:
+                for check in left:
+                    self._add(Result(check, Verdict.UNKNOWN, f"not run: {run.ended}"))
+                return
 
     def _add(self, result: Result) -> None:
         self._run.results.append(result)
         self._told(result)
 
     def _one(self, check: Check) -> Result:
-        """Run a check as a new host, and leave the device at rest. Raises NotAtRest, NoAnswer, LinkError."""
+        """Run a check as a new host, and leave the device at rest. Raises NoAnswer, LinkError."""
         device, probe = self._device, self._device.probe
         began = probe.now()
         bus = probe.line.bus
@@ -192,6 +197,8 @@ class _Course:
             evidence = check.body(device)
         except Ended as ended:
             verdict, evidence = ended.verdict, str(ended)
+        except PayloadError as error:
+            verdict, evidence = Verdict.FAILED, str(error)
         finally:
             if check.needs >= STATES:
                 with undisturbed():
@@ -201,7 +208,12 @@ class _Course:
         return Result(check, verdict, evidence, probe.now() - began)
 
     def _calm(self, check: Check) -> None:
-        if trouble := self._device.rest():
+        try:
+            trouble = self._device.rest()
+        except NotAtRest as error:
+            self._run.ended = f"the outputs could not be seen to go off: {error}"
+            return
+        if trouble:
             self._run.troubles.append(f"after {check.id}: {trouble}")
             self._forbidden = self._forbidden or f"after {check.id} {trouble}"
 
@@ -221,9 +233,11 @@ def _leave(link: Link, run: Run, streams: list[StreamInfo]) -> None:
             return
         if run.energised:
             _stop(node, run)
-        with suppress(HbpError, BenchError):
+        try:
             node.stop_streams()
             _restore(node, streams)
+        except (HbpError, BenchError) as error:
+            run.troubles.append(f"not put back: streams: {error}")
 
 
 def _stop(node: Node, run: Run) -> None:

@@ -79,9 +79,14 @@ def _rejected(
     if not events:
         raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED came, which a device may drop")
     if not _says(events[0], code, detail):
-        told = f"{ErrorCode(int(events[0].arg)).name}, detail {events[0].detail:.9g}"
+        told = f"{code_name(events[0])}, detail {events[0].detail:.9g}"
         raise Failed(f"{what}: {told}, not {code.name}, detail {detail:.9g}")
     return f"{what}: {code.name}, detail {detail:.9g}"
+
+
+def code_name(event: DeviceEvent) -> str:
+    """The ErrorCode of a SETPOINT_REJECTED in words."""
+    return f"code {event.arg:g}" if event.number is None else ErrorCode(event.number).name
 
 
 def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:

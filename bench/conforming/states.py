@@ -199,9 +199,9 @@ def arm_lapses(device: Device) -> str:
     probe.until(lambda: _left(device, since, DriveState.ARMED) is not None, ARMED + 0.8)
     left = _left(device, since, DriveState.ARMED)
     if left is None:
-        raise Failed(f"ARMED {(probe.tick()[0] - first) / device.hello.tick_hz:.2f} s after the last ARM")
+        raise Failed(f"ARMED {(probe.tick()[0] - first) / device.hz:.2f} s after the last ARM")
     after, resolution = left
-    early, late = (after - first) / device.hello.tick_hz, (after - last) / device.hello.tick_hz
+    early, late = (after - first) / device.hz, (after - last) / device.hz
     words = f"ARMED ended {late:.3f} s after the last ARM (known to {1e3 * resolution:.0f} ms)"
     if early < ARMED - EARLY or late > ARMED + LAPSE_ERROR + resolution:
         raise Failed(words)
@@ -262,7 +262,7 @@ def _trip(device: Device, enter: Callable[[], None], state: DriveState) -> Trip:
 
 def trip_after(device: Device, state: DriveState, first: int, last: int, meanwhile: Callable[[], None]) -> Trip:
     """Wait for the watchdog to end `state`, `meanwhile` called every quarter of its time. Raises Failed."""
-    probe, hz = device.probe, device.hello.tick_hz
+    probe, hz = device.probe, device.hz
     since, limit = len(probe.heard), 2.5 * device.watchdog + PATIENCE
     end = probe.now() + limit
     while _left(device, since, state) is None and probe.now() < end:

@@ -122,7 +122,7 @@ def reply_fields(device: Device) -> str:
 
 def _block(device: Device, told: Configured) -> str:
     reply, asked = told.reply, told.asked
-    in_time = max(1, asked.max_latency_ms * device.hello.pwm_hz // (1000 * asked.decimation))
+    in_time = max(1, asked.max_latency_ms * device.pwm_hz // (1000 * asked.decimation))
     if device.probe.line.bus:
         if not 1 <= reply.block <= in_time:
             raise Failed(f"block is {reply.block}, {in_time} samples are taken in {asked.max_latency_ms} ms")
