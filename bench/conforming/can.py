@@ -141,8 +141,7 @@ def kept_transfer_id(device: Device) -> str:
     probe = device.probe
     frame = probe.frame(MessageType.BLOB_READ, REQUEST)
     first = probe.ask_frame(frame)
-    probe.ask(MessageType.TIME_SYNC)
-    again = probe.ask_frame(frame)
+    again = probe.ask_again(frame)
     if first.heard.transfer != again.heard.transfer:
         raise Failed(f"a kept reply came with transfer id {again.heard.transfer}, was {first.heard.transfer}")
     return f"BLOB_READ repeated: transfer id {again.heard.transfer} again"
@@ -223,7 +222,7 @@ def host_numbers(device: Device) -> str:
     slots = {parts.slot for _, parts, _ in line.records if parts.kind == CanClass.TO_HOST and parts.node == probe.node}
     if slots != {host}:
         raise Failed(f"host {host} was answered on the slots {sorted(slots)}")
-    again = probe.ask_frame(kept)
+    again = probe.ask_again(kept)
     if first.heard.transfer != again.heard.transfer:
         raise Failed(f"the HELLO of host {host} emptied the kept replies of host {line.host}")
     return f"host {host} was answered on slot {host}; host {line.host}'s kept replies are still there"

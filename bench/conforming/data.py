@@ -196,7 +196,18 @@ def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
     return found
 
 
-def _both_ways(device: Device) -> tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]:
+Both = tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]
+
+
+def _both_ways(device: Device) -> Both:
+    """The same channels forwards and backwards, looked at once: how both are configured, and their samples."""
+    if "both" not in device.kept:
+        device.kept["both"] = _streamed_both_ways(device)
+    found: Both = device.kept["both"]
+    return found
+
+
+def _streamed_both_ways(device: Device) -> Both:
     chosen = _few(device)
     rate = min(RATE, device.pwm_hz / 4)
     forth, back = device.configure(0, ids(chosen), rate), device.configure(1, ids(chosen[::-1]), rate)

@@ -139,9 +139,11 @@ DAMAGE: dict[str, tuple[str, Callable[[Device], bytes]]] = {
 
 
 def _enter_damage(name: str, words: str, made: Callable[[Device], bytes]) -> None:
-    @framing(f"{name}-damage-is-silent", 1, SILENT)
     def silent(device: Device) -> str:
         return device.probe.silence(made(device), words)
+
+    silent.__doc__ = f"No answer comes to {words}."
+    framing(f"{name}-damage-is-silent", 1, SILENT)(silent)
 
 
 for _name, (_words, _made) in DAMAGE.items():
@@ -332,7 +334,7 @@ def retry_same_bytes(device: Device) -> str:
     """A repeated request has the reply that it had, byte for byte."""
     probe = device.probe
     frame = probe.frame(MessageType.BLOB_READ, BlobRead(0, PART, 0).pack())
-    first, again = probe.ask_frame(frame), probe.ask_frame(frame)
+    first, again = probe.ask_frame(frame), probe.ask_again(frame)
     if first.frame != again.frame:
         raise Failed("a repeated BLOB_READ had another reply")
     return f"BLOB_READ repeated: the same {len(first.frame.payload)} bytes after {1e3 * again.after:.0f} ms"
@@ -345,7 +347,7 @@ def retry_not_executed(device: Device) -> str:
     told = []
     for times in (1, 1, 2):
         frame = probe.frame(*_effect(device))
-        replies = [_cfg_id(probe.ask_frame(frame)) for _ in range(times)]
+        replies = [_cfg_id(probe.ask_again(frame)) for _ in range(times)]
         told.append((replies, probe.get(StreamGet(0), StreamInfo).cfg_id))
     _, (once, then), (twice, now) = told
     if once[0] != then:

@@ -210,14 +210,18 @@ class Probe:
             self.poll(min(slice_, left))
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Take what comes until `condition()` holds; whether it did within so many s."""
+        """Take what comes until `condition()`, which is of that, holds; whether it did within so many s."""
         end = self.now() + seconds
-        while not condition():
+        looked = -1
+        while True:
+            if len(self.heard) != looked:
+                looked = len(self.heard)
+                if condition():
+                    return True
             left = end - self.now()
             if left <= 0:
                 return False
             self.poll(min(SLICE, left))
-        return True
 
     def alive(self) -> None:
         """Feed the watchdog."""
@@ -241,15 +245,22 @@ class Probe:
 
     def ask_frame(self, frame: Frame, *, tries: int = TRIES, wire: bytes | None = None) -> Answer:
         """The same for any frame; `wire` is written in its place."""
-        wire = self.line.encode(frame) if wire is None else wire
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
-            self.write(wire)
+            self.write(self.line.encode(frame) if wire is None else wire)
             if self.until(lambda since=since: bool(self.answers(frame, since)), PATIENCE):  # type: ignore[misc]
                 first = self.answers(frame, since)[0]
                 return Answer(first, first.at - sent)
         often = f" in {tries} tries" if tries > 1 else ""
         raise NoAnswer(f"{name_of(frame.type)} was not answered within {PATIENCE:g} s{often}")
+
+    def ask_again(self, frame: Frame) -> Answer:
+        """Repeat a request that has been answered.
+
+        Something is answered between: on CAN a kept reply of one frame would else be that frame once more, and ignored.
+        """
+        self.ask(MessageType.TIME_SYNC)
+        return self.ask_frame(frame)
 
     def refused(self, code: ErrorCode, detail: float | None, kind: int, payload: bytes = b"") -> str:
         """Ask for what must be refused like this; evidence in words. Raises Failed where it is not."""

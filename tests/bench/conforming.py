@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from unittest.mock import patch
 
 from virtual_run import RecordingScreen
 
-from bench.conforming.checks import Verdict
+from bench.conforming import run as conforming
+from bench.conforming.catalogue import chosen
+from bench.conforming.checks import Check, Verdict
 from bench.conforming.run import Options, Run, conform
 from protocol.device.tx import TxQueue
 from protocol.links import Link
@@ -15,7 +18,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork
 from sim.ports.virtual import VirtualLink
-from tests.devices import FULL, serving
+from tests.devices import FULL, carriers, serving, virtual
 from tests.devices.device import Device
 from tests.devices.spec import Flag
 from tests.devices.vocabulary import Parameter, Vocabulary
@@ -33,6 +36,10 @@ RICH = replace(
 """With a parameter of each kind, and a short watchdog."""
 
 
+OVERLOADED = ("stream.seq-counts-dropped", "stream.tx-dropped", "stream.overrun-flag")
+"""Checks that cost a test as much as all others together."""
+
+
 def options(level: int, **given: object) -> Options:
     return Options(**({"target": TARGET, "level": level, "yes": True} | given))  # type: ignore[arg-type]
 
@@ -42,10 +49,23 @@ def run_on(link: Link, level: int, **given: object) -> Run:
 
 
 def on_device(
-    level: int, faults: Sequence[str] = (), vocabulary: str | Vocabulary = RICH, carrier: str = "bytes"
+    level: int,
+    faults: Sequence[str] = (),
+    vocabulary: str | Vocabulary = RICH,
+    carrier: str = "bytes",
+    without: Collection[str] = (),
 ) -> tuple[Run, Device]:
-    """The run, and the device as it is after it."""
-    with serving(vocabulary, faults, carrier) as device:
+    """The run, and the device as it is after it. It drops frames when 12 KiB of them wait; `without` these checks."""
+
+    def some(level: int, bus: bool) -> list[Check]:
+        return [check for check in chosen(level, bus) if check.id not in without]
+
+    with (
+        patch.object(carriers, "MOST_WAITING", 8192),
+        patch.object(virtual, "ROOM", 4096),
+        patch.object(conforming, "chosen", some),
+        serving(vocabulary, faults, carrier) as device,
+    ):
         return run_on(device.link, level, idle=device.link.idle), device
 
 
