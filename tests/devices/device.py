@@ -550,9 +550,26 @@ class Device:
             reference = motor.setpoint[1] if motor.setpoint and motor.setpoint[0] == Mode.SPEED else 0.0
             rows.append((motor.theta, motor.pole_pairs * motor.speed, motor.pole_pairs * reference, motor.i_q))
             edges += edges_between((period - 1) * ticks, before, period * ticks, motor.theta, motor.pole_pairs)
-        theta, omega, omega_ref, i_q = np.array(rows).T
-        index = np.arange(self._periods, self._periods + n)
+        first = self._periods
         self._periods += n
+        for stream in self.streams.values():
+            if stream.running and stream.edges:
+                stream.put_edges(edges, self.edges)
+        self.edges += len(edges)
+        sampled = [stream for stream in self.streams.values() if stream.running and not stream.edges]
+        if sampled:
+            samples = self._samples(first, rows)
+            for stream in sampled:
+                stream.put_samples(samples)
+        for stream in sorted(self.streams.values(), key=lambda s: not s.edges):
+            if stream.running:
+                self.flush(stream)
+
+    def _samples(self, first: int, rows: list[tuple[float, float, float, float]]) -> Samples:
+        """What is measured in the periods from `first` on."""
+        n, ticks, motor = len(rows), self._ticks, self.motor
+        theta, omega, omega_ref, i_q = np.array(rows).T
+        index = np.arange(first, first + n)
         pole_pairs = self.value("n_p", motor.pole_pairs)
         by_encoder = pole_pairs / motor.pole_pairs if isfinite(pole_pairs) else 1.0
         samples = Samples(
@@ -570,16 +587,7 @@ class Device:
             u_dc=U_DC + 0.1 * np.sin(0.001 * index),
         )
         self.distort(samples)
-        for stream in self.streams.values():
-            if stream.running and stream.edges:
-                stream.put_edges(edges, self.edges)
-        self.edges += len(edges)
-        for stream in self.streams.values():
-            if stream.running and not stream.edges:
-                stream.put_samples(samples)
-        for stream in sorted(self.streams.values(), key=lambda s: not s.edges):
-            if stream.running:
-                self.flush(stream)
+        return samples
 
     def distort(self, samples: Samples) -> None:
         """Where faults change what is measured."""
