@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -38,9 +38,8 @@ SHORT = 100  # characters of the evidence of a check that passed, in the table
 @overwrite_option
 @click.option("--operator", metavar="NAME", default="", help="Who runs this, for the report.")
 def command(
-    target: str, json_file: Path | None, junit: Path | None, report: Path | None, overwrite: bool, operator: str,
-    level: int, speed_rpm: float, yes: bool,
-) -> None:  # fmt: skip
+    target: str, json_file: Path | None, junit: Path | None, report: Path | None, overwrite: bool, **given: Any
+) -> None:
     """Find out whether the device on TARGET conforms to HBP (protocol/SPEC.md), check by check.
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim.
@@ -76,9 +75,9 @@ def command(
     from bench.rig.settings import read_settings
 
     station = read_settings(None)
-    station = replace(station, operator=operator or station.operator, config=None)
+    station = replace(station, operator=given["operator"] or station.operator, config=None)
     started = datetime.now(UTC).isoformat(timespec="seconds")
-    run = _run(target, level, speed_rpm, yes, quiet=json_file == STANDARD_OUTPUT)
+    run = _run(target, given["level"], given["speed_rpm"], given["yes"], quiet=json_file == STANDARD_OUTPUT)
     told = about(run, about_bench(station), started)
     if json_file is not None:
         write_json(json_file, as_data(run, told))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from bench.conforming.probe import BusFrame, Heard
 from protocol.canmap.frame import RECORD, RECORD_BYTES, REMOTE, BusRates
 from protocol.canmap.host import stop_record
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
 from protocol.codes import MessageType
 from protocol.framing import Frame, parse_frame
-from bench.conforming.probe import BusFrame, Heard
 
 DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
 OTHER_FORM = 0x7FF

@@ -34,7 +34,9 @@ def _request(device: Device) -> tuple[Frame, list[bytes]]:
     """A request that is cut into two frames at least: STREAM_SET of many unknown channels on FD, BLOB_READ else."""
     if device.bus.rates.fd:
         n = LONG // 2
-        frame = device.probe.frame(MessageType.STREAM_SET, struct.pack(f"<BBHHH{n}H", 0, 0, 1, 20, n, *range(0x7000, 0x7000 + n)))
+        frame = device.probe.frame(
+            MessageType.STREAM_SET, struct.pack(f"<BBHHH{n}H", 0, 0, 1, 20, n, *range(0x7000, 0x7000 + n))
+        )
     else:
         frame = device.probe.frame(MessageType.BLOB_READ, REQUEST)
     return frame, cut(device.bus.encode(frame))
@@ -320,7 +322,8 @@ def counters(device: Device) -> str:
         raise Unknown(f"{len(found)} frames came")
     wanted, wrap = step * told.reply.block, 1 << 8 * size
     lost = [((after - one) % wrap) / wanted - 1 for one, after in pairwise(found)]
-    words = f"{len(found)} frames, {told.reply.block} samples each: counters {found[0]} to {found[-1]} by {wanted}, tx_dropped {dropped}"
+    row = f"counters {found[0]} to {found[-1]} by {wanted}"
+    words = f"{len(found)} frames, {told.reply.block} samples each: {row}, tx_dropped {dropped}"
     if any(n != int(n) for n in lost) or sum(lost) > dropped:
         raise Failed(f"{words}: steps of {sorted({(b - a) % wrap for a, b in pairwise(found)})}")
     if fd and any(n % told.asked.decimation for n in found):
@@ -337,7 +340,9 @@ def load(device: Device) -> str:
         told = device.configure(0, ids(chosen), RATE)
         layout = sample_layout([width(c) for c in chosen], line.rates.fd, told.reply.block)
         due = layout.load(line.rates, device.pwm_hz / told.asked.decimation, line.extended)
-        words.append(_same_load(told.reply, due, f"{len(chosen)} channels at {device.pwm_hz / told.asked.decimation:g} Hz"))
+        words.append(
+            _same_load(told.reply, due, f"{len(chosen)} channels at {device.pwm_hz / told.asked.decimation:g} Hz")
+        )
     device.stop_streams()
     if device.offers_edges:
         words.append(_same_load(device.configure_edges(0).reply, edge_load(line.rates, line.extended), "edges"))
@@ -366,7 +371,9 @@ def overload(device: Device) -> str:
     if at(1) <= MOST_LOAD:
         raise NotApplicable(f"{len(chosen)} channels at {device.pwm_hz} Hz load the bus to {at(1):.0%}")
     fits = next(n for n in range(2, 65536) if at(n) <= MOST_LOAD)
-    words = refusal(device.stream_set(0, ids(chosen), 1), ErrorCode.DOES_NOT_FIT, fits, f"{len(chosen)} channels, {at(1):.0%}")
+    words = refusal(
+        device.stream_set(0, ids(chosen), 1), ErrorCode.DOES_NOT_FIT, fits, f"{len(chosen)} channels, {at(1):.0%}"
+    )
     again = device.stream_set(0, ids(chosen), fits)
     accepted(again, f"decimation {fits}")
     return f"{words}; decimation {fits}: load {read(again.frame, StreamReply).load:.1%}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.conforming import link, identity, parameters, streams, data, states, setpoints, motion, can  # noqa: I001
+from bench.conforming import can, data, identity, link, motion, parameters, setpoints, states, streams
 from bench.conforming.checks import TABLE, Carrier, Check
 
 MODULES = (link, identity, parameters, streams, data, states, setpoints, motion, can)

@@ -41,9 +41,13 @@ def claim(run: Run) -> Claim:
     passed = run.count(Verdict.PASSED)
     if failed:
         conforms: bool | None = False
-        words = f"does not conform to HBP {MAJOR}.{MINOR}: {counted(len(failed), 'check')} failed: {', '.join(failed)}; {passed} passed"
+        these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
+        words = f"does not conform to HBP {MAJOR}.{MINOR}: {these}; {passed} passed"
     elif run.ended or level < 0:
-        conforms, words = None, f"nothing can be said: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed"
+        conforms, words = (
+            None,
+            f"nothing can be said: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
+        )
     else:
         conforms = True
         on_can = ", on CAN" if _passed(run.results, CAN) else ""

@@ -39,7 +39,9 @@ def cfg_id_in_frames(device: Device) -> str:
         raise Unknown("no frame came of the second configuration")
     wrong = {block.cfg_id for block in blocks} - {again.reply.cfg_id}
     if wrong:
-        raise Failed(f"frames carry cfg_id {sorted(wrong)}, STREAM_SET said {again.reply.cfg_id} (before: {told.reply.cfg_id})")
+        raise Failed(
+            f"frames carry cfg_id {sorted(wrong)}, STREAM_SET said {again.reply.cfg_id}, before {told.reply.cfg_id}"
+        )
     return f"{len(blocks)} frames with cfg_id {again.reply.cfg_id}, none with {told.reply.cfg_id}"
 
 
@@ -53,11 +55,14 @@ def frame_fields(device: Device) -> str:
     size = sum(map(width, chosen))
     for block in blocks:
         if not 0 < block.n <= told.reply.block or len(block.data) != block.n * size:
-            raise Failed(f"a frame of {len(block.data)} bytes says {block.n} records of {size}, block is {told.reply.block}")
+            raise Failed(
+                f"a frame of {len(block.data)} bytes says {block.n} records of {size}, block is {told.reply.block}"
+            )
     if blocks[0].seq != 0 and not blocks[0].flags & OVERRUN:
         raise Failed(f"the first frame has seq {blocks[0].seq}, not 0")
     most = max(block.n for block in blocks)
-    return f"{len(blocks)} frames of up to {most} records ({size} bytes each), seq from {blocks[0].seq} to {blocks[-1].seq}"
+    seqs = f"seq from {blocks[0].seq} to {blocks[-1].seq}"
+    return f"{len(blocks)} frames of up to {most} records ({size} bytes each), {seqs}"
 
 
 @check("index-divisible", 11, "(1..65535) are taken: two streams with the same decimation have the same instants")
@@ -93,7 +98,8 @@ def tick_of_index(device: Device) -> str:
             off -= (off >> 31) << 32
             raise Failed(f"index {block.index} has the tick {block.tick}: {off} from tick0 {tick0} + index * {ticks}")
     newest = now - blocks[-1].index
-    return f"{len(blocks)} frames to index {blocks[-1].index}: tick0 {tick0} + index * {ticks} each, {newest} periods before the heartbeat"
+    rule = f"tick0 {tick0} + index * {ticks} each"
+    return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
 
 
 @check("no-gaps", 11, "DISCONTINUITY says that the index jumps although no frame was lost")
@@ -152,12 +158,14 @@ def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -
 @either("same-instants", 11, "two streams with the same decimation have the same instants")
 def same_instants(device: Device) -> str:
     """Two streams with the same decimation have samples of the same instants, and the same values in them."""
-    forth, back, there, backwards = _both_ways(device)
+    forth, _, there, backwards = _both_ways(device)
     first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
     here = {n for n in there if first <= n <= last}
     other = {n for n in backwards if first <= n <= last}
     if here ^ other:
-        raise Failed(f"instants of one stream only: {sorted(here ^ other)[:5]}, decimation {forth.asked.decimation} and {back.asked.decimation}")
+        raise Failed(
+            f"instants of one stream only, both of decimation {forth.asked.decimation}: {sorted(here ^ other)[:5]}"
+        )
     return f"{len(here)} instants from {first} to {last} in both streams"
 
 
@@ -353,7 +361,9 @@ def seq_counts_dropped(device: Device) -> str:
     found = overload(device)
     for before, after, _ in found.jumps:
         if after.seq == (before.seq + 1) & 0xFFFF:
-            raise Failed(f"the index jumps from {before.index} to {after.index}, seq from {before.seq} to {after.seq}: no gap")
+            raise Failed(
+                f"the index jumps from {before.index} to {after.index}, seq goes from {before.seq} to {after.seq}"
+            )
     gaps = len(found.jumps)
     if not gaps:
         raise Unknown("no sample is missing")
@@ -366,7 +376,8 @@ def tx_dropped(device: Device) -> str:
     found = overload(device)
     by_seq, by_index = found.lost_by_seq, sum(blocks for _, _, blocks in found.jumps)
     lost = by_seq if by_seq else by_index
-    words = f"{found.words}: {lost} lost by {'seq' if by_seq else 'index'}, tx_dropped {found.dropped}, {found.damaged} came damaged"
+    by = "seq" if by_seq else "index"
+    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} came damaged"
     if found.dropped <= lost <= found.dropped + found.damaged:
         return words
     if found.damaged and lost > found.dropped:
@@ -408,7 +419,10 @@ def edges_before_samples(device: Device) -> str:
 
 
 def edges_ahead(device: Device, told: Configured, advice: str) -> str:
-    """`told`: how the samples are configured. Evidence that no edge came after a sample that is not older. Raises Failed, Unknown."""
+    """Evidence that no edge came after a sample that is not older; `told`: how the samples are configured.
+
+    Raises Failed, and Unknown with this advice.
+    """
     newest: int | None = None
     seen = 0
     period = told.asked.decimation * device.ticks_per_period
@@ -424,4 +438,3 @@ def edges_ahead(device: Device, told: Configured, advice: str) -> str:
     if not seen:
         raise Unknown(f"no edges came: {advice}")
     return f"{seen} edges, none after a sample that is not older"
-

@@ -1,7 +1,7 @@
 """The device that is looked at: what it says of itself, its states and streams as checks need them.
 
-What a check builds on and does not get ends it with `Unknown`: only what it is about may fail it. Nothing here energises
-anything but `arm` and `run`; whoever calls them leaves by `rest`.
+What a check builds on and does not get ends it with `Unknown`: only what it is about may fail it. Nothing here
+energises anything but `arm` and `run`; whoever calls them leaves by `rest`.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ ALIVE = 0.05  # s between two ALIVEs, at most a quarter of the watchdog's time
 PART = 512  # bytes of the descriptor that are asked for at once
 PATIENCE = 0.5  # s beyond its time that a watchdog is given to end what STOP did not
 EDGE_BYTES = 8
+NO_FLAGS = Flag(0)
 
 
 class NotAtRest(Exception):
@@ -78,14 +79,12 @@ class Block:
         edges = heard.frame.type == MessageType.EDGES
         if edges and (len(payload) - STREAM_HEADER.size) % EDGE_BYTES:
             raise Failed(f"a frame of edges of {len(payload)} bytes")
-        return cls(
-            place, heard.at, edges, stream, flags, n, cfg_id, seq, index, tick, payload[STREAM_HEADER.size :]
-        )
+        return cls(place, heard.at, edges, stream, flags, n, cfg_id, seq, index, tick, payload[STREAM_HEADER.size :])
 
 
 @dataclass
 class Device:
-    """The device at the other end of `probe`, looked at up to `level`; `speed_rpm` is how fast it may be made to turn."""
+    """The device at the other end of `probe`, looked at up to `level`, and made to turn at `speed_rpm` at most."""
 
     probe: Probe
     level: int
@@ -169,7 +168,7 @@ class Device:
                 return tuple(channels[:n])
         return tuple(channels[:1])
 
-    def parameters(self, flags: Flag = Flag(0), without: Flag = Flag(0)) -> list[Channel]:
+    def parameters(self, flags: Flag = NO_FLAGS, without: Flag = NO_FLAGS) -> list[Channel]:
         """Those that have these flags and not those. NotApplicable where there are none."""
         found = [p for p in self.descriptor.parameters if p.flags & flags == flags and not p.flags & without]
         if not found:
@@ -206,7 +205,9 @@ class Device:
         self, stream: int, channels: Sequence[int], decimation: int = 1, latency_ms: int = 20, event: int = 0
     ) -> Answer:
         """Send a STREAM_SET."""
-        payload = struct.pack(f"<BBHHH{len(channels)}H", stream, event, decimation, latency_ms, len(channels), *channels)
+        payload = struct.pack(
+            f"<BBHHH{len(channels)}H", stream, event, decimation, latency_ms, len(channels), *channels
+        )
         return self.probe.ask(MessageType.STREAM_SET, payload)
 
     def configure(self, stream: int, channels: Sequence[int], rate: float, latency_ms: int = 20) -> Configured:

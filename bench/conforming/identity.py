@@ -7,11 +7,11 @@ from zlib import crc32
 
 from bench.conforming.checks import IDENTITY, Failed, Group, Unknown
 from bench.conforming.device import Device
-from bench.conforming.probe import HELLO, Probe, read, steps
+from bench.conforming.probe import HELLO, Answer, Probe, read, steps
 from protocol.codes import DriveState, ErrorCode, MessageType
 from protocol.descriptor import Descriptor
 from protocol.errors import DeviceDefect, HbpError
-from protocol.messages import BlobRead, BlobReply, HelloReply
+from protocol.messages import BlobRead, BlobReply, Heartbeat, HelloReply
 from protocol.validity import check_reply
 
 check = Group("identity", IDENTITY)
@@ -43,10 +43,11 @@ def hello_fields(device: Device) -> str:
         raise Failed(f"tx_max is {hello.tx_max}, this host takes 1024")
     if not hello.nodes and not device.probe.line.bus:
         raise Failed("nodes is 0, and one answers")
-    return f"node {hello.node} of {hello.nodes}, rx_max {hello.rx_max}, tx_max {hello.tx_max}, tick_hz {hello.tick_hz}, pwm_hz {hello.pwm_hz}"
+    sizes = f"rx_max {hello.rx_max}, tx_max {hello.tx_max}"
+    return f"node {hello.node} of {hello.nodes}, {sizes}, tick_hz {hello.tick_hz}, pwm_hz {hello.pwm_hz}"
 
 
-def _hello(probe: Probe, rx_max: int):  # type: ignore[no-untyped-def]
+def _hello(probe: Probe, rx_max: int) -> Answer:
     return probe.ask(MessageType.HELLO, HELLO.pack(probe.tid() << 8, 1, 1, rx_max))
 
 
@@ -57,7 +58,7 @@ def texts(device: Device) -> str:
     found = []
     for name, at, room in TEXTS:
         raw = payload[at : at + room]
-        text, zero, rest = raw.partition(b"\0")
+        text, _, rest = raw.partition(b"\0")
         if rest.strip(b"\0"):
             raise Failed(f"{name} has bytes behind its first zero: {raw.hex()}")
         try:
@@ -127,7 +128,9 @@ def blob_clipped(device: Device) -> str:
     wide = probe.get(BlobRead(0, 0xFFFF, 0), BlobReply)
     room = device.hello.tx_max - 12
     if wide.data != blob[: len(wide.data)] or not 0 < len(wide.data) <= room or wide.total != len(blob):
-        raise Failed(f"65535 bytes from 0: {len(wide.data)} bytes of {wide.total}, {room} fit, the blob has {len(blob)}")
+        raise Failed(
+            f"65535 bytes from 0: {len(wide.data)} bytes of {wide.total}, {room} fit, the blob has {len(blob)}"
+        )
     last = probe.get(BlobRead(0, 64, len(blob) - 8), BlobReply)
     if last.data != blob[-8:] or last.offset != len(blob) - 8:
         raise Failed(f"64 bytes from {len(blob) - 8}: {len(last.data)} bytes from {last.offset}, 8 are left")
@@ -168,14 +171,15 @@ def heartbeat_rate(device: Device) -> str:
     return words
 
 
-def _beats(device: Device):  # type: ignore[no-untyped-def]
+def _beats(device: Device) -> list[Heartbeat]:
     """Heartbeats of a while, kept for all that look at them."""
     if "beats" not in device.kept:
         device.probe.listen(WATCHED)
         device.kept["beats"] = [beat for _, beat in device.probe.beats]
-    if len(device.kept["beats"]) < 3:
-        raise Failed(f"{len(device.kept['beats'])} heartbeats came within {WATCHED:g} s")
-    return device.kept["beats"]
+    found: list[Heartbeat] = device.kept["beats"]
+    if len(found) < 3:
+        raise Failed(f"{len(found)} heartbeats came within {WATCHED:g} s")
+    return found
 
 
 @check("heartbeat-fields", 5, "1 = the power stage is on, as the hardware has it")
@@ -191,14 +195,17 @@ def heartbeat_fields(device: Device) -> str:
             f"first_fault 0x{int(beat.first_fault):x} is not among faults 0x{int(beat.faults):x}": bool(
                 beat.first_fault & ~beat.faults
             ),
-            f"faults 0x{int(beat.faults):x} in {beat.state.name}": bool(beat.faults) != (beat.state == DriveState.FAULT),
+            f"faults 0x{int(beat.faults):x} in {beat.state.name}": bool(beat.faults)
+            != (beat.state == DriveState.FAULT),
             f"outputs on in {beat.state.name}": bool(beat.outputs_on) and beat.state != DriveState.RUNNING,
         }
         for words, wrong in reasons.items():
             if wrong:
                 raise Failed(words)
     last = beats[-1]
-    return f"{len(beats)} heartbeats: {last.state.name}, faults 0x{int(last.faults):x}, outputs {'on' if last.outputs_on else 'off'}, boot_id as in HELLO"
+    outputs = "on" if last.outputs_on else "off"
+    said = f"{last.state.name}, faults 0x{int(last.faults):x}, outputs {outputs}"
+    return f"{len(beats)} heartbeats: {said}, boot_id as in HELLO"
 
 
 @check("last-tid", 5, "of the last request that was executed and answered without refusal")

@@ -246,9 +246,7 @@ def hello_of_any_major(device: Device) -> str:
 @check("unknown-type", 3, "an unknown type, a wrong length, a value that is not allowed, a state that forbids it")
 def unknown_type(device: Device) -> str:
     """UNKNOWN_TYPE with the type, for the reserved ones too."""
-    return "; ".join(
-        device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in UNKNOWN_TYPES
-    )
+    return "; ".join(device.probe.refused(ErrorCode.UNKNOWN_TYPE, kind, kind) for kind in UNKNOWN_TYPES)
 
 
 @check("tid", 3, "a request with tid 0, are refused (BAD_VALUE, `detail` = the tid) and not executed")
@@ -302,7 +300,11 @@ def order_of_checks(device: Device) -> str:
         ("an unknown type and a payload", frame(unknown, bytes(3)), ErrorCode.UNKNOWN_TYPE),
         ("tid 0 and a wrong length", frame(TIME_SYNC, bytes(3), tid=0), ErrorCode.BAD_VALUE),
         ("a wrong length and an unknown blob", frame(MessageType.BLOB_READ, b"\7" * 7), ErrorCode.BAD_LENGTH),
-        ("a wrong length of ids and stream 9", frame(MessageType.STREAM_SET, b"\x09\0\1\0\1\0\2\0\1\0"), ErrorCode.BAD_LENGTH),
+        (
+            "a wrong length of ids and stream 9",
+            frame(MessageType.STREAM_SET, b"\x09\0\1\0\1\0\2\0\1\0"),
+            ErrorCode.BAD_LENGTH,
+        ),
     ]
     if not probe.line.bus and device.hello.nodes < 255:
         absent = frame(TIME_SYNC, flags=2)._replace(node=_absent(device))
@@ -424,5 +426,3 @@ def nonce_empties(device: Device) -> str:
     if other == first:
         raise Failed(f"after a HELLO with another nonce STREAM_SET was not executed: cfg_id {other} again")
     return f"cfg_id {first}; after the same nonce {same}, after another {other}"
-
-

@@ -48,9 +48,7 @@ def unknown_id(device: Device) -> str:
     taken = {record.id for record in device.descriptor.parameters}
     number = next(n for n in range(ABSENT, 0, -1) if n not in taken)
     get = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_GET, ParamGet(number).pack())
-    put = device.probe.refused(
-        ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_SET, ParamSet(number, math.nan).pack()
-    )
+    put = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_SET, ParamSet(number, math.nan).pack())
     return f"id {number}: {get}; {put} (with NaN)"
 
 

@@ -285,7 +285,9 @@ class Probe:
         self.listen(GRACE)
         for each in self.heard[since:]:
             if each.frame.is_reply and each.frame.tid != barrier.tid:
-                raise Failed(f"{what} was answered: {name_of(each.frame.type)} {Answer(each, each.at - answer.heard.at)}")
+                raise Failed(
+                    f"{what} was answered: {name_of(each.frame.type)} {Answer(each, each.at - answer.heard.at)}"
+                )
         return f"{what}: not answered; the request after it {answer}"
 
     def tick(self) -> tuple[int, int]:
@@ -403,4 +405,3 @@ def state_name(state: int) -> str:
 def steps(ticks: list[int]) -> list[int]:
     """Differences of neighbours."""
     return [after - before for before, after in pairwise(ticks)]
-

@@ -67,13 +67,11 @@ class Run:
 Told = Callable[[Result], None]
 
 
-def conform(
-    link: Link, options: Options, screen: Screen, confirm: Callable[[str], bool] | None, told: Told
-) -> Run:
+def conform(link: Link, options: Options, screen: Screen, confirm: Callable[[str], bool] | None, told: Told) -> Run:
     """Run all checks up to a level on the device that an open link leads to; `told` gets each result as it comes.
 
-    `confirm` asks a person, None where there is nobody. Raises BenchError and HbpError for what the user can mend, before
-    anything is energised; what goes wrong later is in the result.
+    `confirm` asks a person, None where there is nobody. Raises BenchError and HbpError for what the user can mend,
+    before anything is energised; what goes wrong later is in the result.
     """
     client = Client(link)
     forbidden, streams = "", []

@@ -1,4 +1,4 @@
-"""Level 3, second part: SETPOINT. Chapters 5 and 8 of SPEC. No value but zero is sent that a sound device would accept."""
+"""Level 3, second part: SETPOINT. Chapters 5 and 8 of SPEC. Of what a sound device would accept only zero is sent."""
 
 from __future__ import annotations
 
@@ -93,7 +93,11 @@ def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:
     return event.arg == code and (event.detail == detail or (math.isnan(detail) and math.isnan(event.detail)))
 
 
-@check("rejected-counted", 8, "A rejected one changes nothing and does not feed the watchdog; `setpoints_rejected` counts up")
+@check(
+    "rejected-counted",
+    8,
+    "A rejected one changes nothing and does not feed the watchdog; `setpoints_rejected` counts up",
+)
 def rejected_counted(device: Device) -> str:
     """Each rejected setpoint is counted, and its counter is not taken."""
     device.run()
@@ -103,7 +107,8 @@ def rejected_counted(device: Device) -> str:
     after = device.fresh()
     counted = (after.setpoints_rejected - before.setpoints_rejected) & 0xFFFF
     if counted != 3 or after.setpoint_counter != before.setpoint_counter:
-        raise Failed(f"3 rejected: setpoints_rejected counts {counted}, setpoint_counter {after.setpoint_counter:#x}, was {before.setpoint_counter:#x}")
+        counters = f"setpoint_counter {after.setpoint_counter:#x}, was {before.setpoint_counter:#x}"
+        raise Failed(f"3 rejected: setpoints_rejected counts {counted}, {counters}")
     return f"3 rejected: setpoints_rejected counts 3, setpoint_counter stays {after.setpoint_counter:#x}"
 
 

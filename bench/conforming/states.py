@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from bench.conforming.checks import STATES, Failed, Group, Unknown
 from bench.conforming.device import PATIENCE, Device, faults_text, is_off
 from bench.conforming.probe import accepted, read, refusal, state_name
+from bench.device.safety import says
 from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, MessageType, SetpointMode
 from protocol.messages import BlobRead, DeviceEvent, Heartbeat, ParamSet, StateReply
 from protocol.signals import Flag
@@ -43,8 +44,7 @@ def stop_obeyed(device: Device) -> str:
         accepted(answer, f"STOP in {name}")
         told, beat = read(answer.frame, StateReply).state, device.fresh()
         if told != DriveState.IDLE or beat.state != DriveState.IDLE or not is_off(beat):
-            on = "on" if beat.outputs_on else "off"
-            raise Failed(f"STOP in {name}: the reply says {state_name(told)}, a heartbeat after it {state_name(beat.state)}, outputs {on}")
+            raise Failed(f"STOP in {name}: the reply says {state_name(told)}; after it {says(beat)}")
         words.append(f"in {name} after {1e3 * answer.after:.0f} ms")
     return f"STOP {', '.join(words)}: IDLE by its reply, IDLE and outputs off by a heartbeat made after it"
 
@@ -67,9 +67,7 @@ def _still(device: Device, state: DriveState) -> str:
 @check("unknown-command", 7, "An unknown command is refused (BAD_VALUE, `detail` = the")
 def unknown_command(device: Device) -> str:
     """Commands 0, 5 and 255 are none."""
-    return "; ".join(
-        refusal(device.probe.command(n), ErrorCode.BAD_VALUE, n, f"command {n}") for n in (0, 5, 255)
-    )
+    return "; ".join(refusal(device.probe.command(n), ErrorCode.BAD_VALUE, n, f"command {n}") for n in (0, 5, 255))
 
 
 @check("start-needs-arm", 7, "Elsewhere a command is refused with WRONG_STATE (`detail` = the state)")
@@ -96,7 +94,9 @@ def arm_and_start(device: Device) -> str:
         device.feed()
         told, seen = read(answer.frame, StateReply).state, device.fresh().state
         if told != state or seen != state:
-            raise Failed(f"{command.name}: the reply says {state_name(told)}, a heartbeat {state_name(seen)}, not {state.name}")
+            raise Failed(
+                f"{command.name}: the reply says {state_name(told)}, a heartbeat {state_name(seen)}, not {state.name}"
+            )
     return f"{words[0]}: ARMED; {words[2]}: RUNNING, each by reply and heartbeat"
 
 
@@ -119,7 +119,12 @@ def stop_each_time(device: Device) -> str:
 def outputs_as_told(device: Device) -> str:
     """The heartbeat says 1 in RUNNING, and 0 in IDLE and ARMED."""
     said = {}
-    for state, enter in ((DriveState.IDLE, lambda: None), (DriveState.ARMED, device.arm), (DriveState.RUNNING, device.run)):
+    ways: tuple[tuple[DriveState, Callable[[], None]], ...] = (
+        (DriveState.IDLE, lambda: None),
+        (DriveState.ARMED, device.arm),
+        (DriveState.RUNNING, device.run),
+    )
+    for state, enter in ways:
         enter()
         beat = device.fresh()
         if beat.state != state:
@@ -137,7 +142,8 @@ def arguments_first(device: Device) -> str:
     start = refusal(probe.command(Command.START, 7), ErrorCode.BAD_VALUE, 7, "START with 7 in IDLE")
     device.run()
     token = device.hello.boot_id ^ 1
-    return f"{start}; {refusal(probe.command(Command.ARM, token), ErrorCode.BAD_TOKEN, 0, 'ARM with another token in RUNNING')}"
+    arm = refusal(probe.command(Command.ARM, token), ErrorCode.BAD_TOKEN, 0, "ARM with another token in RUNNING")
+    return f"{start}; {arm}"
 
 
 @check("wrong-states", 7, "Elsewhere a command is refused with WRONG_STATE (`detail` = the state)")
@@ -146,7 +152,9 @@ def wrong_states(device: Device) -> str:
     probe, token = device.probe, device.hello.boot_id
     words = [refusal(probe.command(Command.FAULT_CLEAR), ErrorCode.WRONG_STATE, DriveState.IDLE, "FAULT_CLEAR in IDLE")]
     device.run()
-    words.append(refusal(probe.command(Command.ARM, token), ErrorCode.WRONG_STATE, DriveState.RUNNING, "ARM in RUNNING"))
+    words.append(
+        refusal(probe.command(Command.ARM, token), ErrorCode.WRONG_STATE, DriveState.RUNNING, "ARM in RUNNING")
+    )
     probe.feed_every = None
     device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
     for command, argument in ((Command.ARM, token), (Command.START, 0)):
@@ -173,7 +181,9 @@ def fault_clear(device: Device) -> str:
     probe = device.probe
     beat = device.fault()
     if not beat.faults & Fault.WATCHDOG or not beat.first_fault & Fault.WATCHDOG:
-        raise Failed(f"faults are {faults_text(beat.faults)}, the first {faults_text(beat.first_fault)}: the watchdog ran out")
+        raise Failed(
+            f"faults are {faults_text(beat.faults)}, the first {faults_text(beat.first_fault)}: the watchdog ran out"
+        )
     words = []
     for other in (0, int(beat.faults) | Fault.INTERNAL):
         answer = probe.command(Command.FAULT_CLEAR, other)
@@ -247,7 +257,10 @@ class Trip:
 def trips(device: Device) -> list[Trip]:
     """The watchdog in ARMED and in RUNNING, measured once for all that look at it. Raises Failed where it is dead."""
     if "trips" not in device.kept:
-        device.kept["trips"] = [_trip(device, device.arm, DriveState.ARMED), _trip(device, device.run, DriveState.RUNNING)]
+        device.kept["trips"] = [
+            _trip(device, device.arm, DriveState.ARMED),
+            _trip(device, device.run, DriveState.RUNNING),
+        ]
     found: list[Trip] = device.kept["trips"]
     return found
 
@@ -271,7 +284,9 @@ def trip_after(device: Device, state: DriveState, first: int, last: int, meanwhi
             meanwhile()
     left = _left(device, since, state)
     if left is None:
-        raise Failed(f"{state.name} goes on {limit:.2f} s after the last ALIVE, the watchdog waits {device.watchdog:.3g} s")
+        raise Failed(
+            f"{state.name} goes on {limit:.2f} s after the last ALIVE, the watchdog waits {device.watchdog:.3g} s"
+        )
     tick, resolution = left
     return Trip(state, (tick - last) / hz, (tick - first) / hz, resolution)
 
@@ -282,7 +297,7 @@ def trips_at_all(device: Device) -> str:
     found = trips(device)
     beat = device.fresh()
     if beat.state != DriveState.FAULT or not beat.faults & Fault.WATCHDOG or beat.outputs_on:
-        raise Failed(f"{state_name(beat.state)}, faults {faults_text(beat.faults)}, outputs {'on' if beat.outputs_on else 'off'}")
+        raise Failed(f"{'; '.join(map(str, found))}: {says(beat)}")
     return f"{'; '.join(map(str, found))}: FAULT, {faults_text(beat.faults)}, outputs off"
 
 
@@ -356,7 +371,9 @@ def not_fed_by_rejected(device: Device) -> str:
     def reject() -> None:
         nonlocal sent
         sent += 1
-        device.probe.send(device.probe.frame(MessageType.SETPOINT, struct.pack("<BxHff", SetpointMode.SPEED, sent, 0.0, 0.0)))
+        device.probe.send(
+            device.probe.frame(MessageType.SETPOINT, struct.pack("<BxHff", SetpointMode.SPEED, sent, 0.0, 0.0))
+        )
 
     trip = trip_after(device, DriveState.ARMED, first, last, reject)
     words = f"{trip}, with {sent} setpoints meanwhile that are rejected in ARMED"
@@ -379,7 +396,9 @@ def idle_only(device: Device) -> str:
     return refusal(answer, ErrorCode.WRONG_STATE, DriveState.RUNNING, f"{record.name} = {value:g} in RUNNING")
 
 
-@check("commit-at-rest", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store")
+@check(
+    "commit-at-rest", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store"
+)
 def commit_at_rest(device: Device) -> str:
     """In RUNNING PARAM_COMMIT is refused for the state."""
     device.run()

@@ -115,7 +115,9 @@ def reply_fields(device: Device) -> str:
         told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
         size = sum(map(width, chosen))
         if told.reply.stream != 0 or told.reply.sample_bytes != size:
-            raise Failed(f"{len(chosen)} channels: stream {told.reply.stream}, {told.reply.sample_bytes} bytes, not {size}")
+            raise Failed(
+                f"{len(chosen)} channels: stream {told.reply.stream}, {told.reply.sample_bytes} bytes, not {size}"
+            )
         words.append(f"{len(chosen)} channels: {size} bytes, {_block(device, told)}")
     return "; ".join(words)
 

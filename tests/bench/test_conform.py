@@ -1,4 +1,4 @@
-"""`bench conform`: sound devices pass, what ends it early leaves the outputs off, and the command says what it found."""
+"""`bench conform`: sound devices pass, whatever ends it leaves the outputs off, and the command says what it found."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_a_device_that_cannot_be_worked_with_is_looked_at_all_the_same() -> None
     assert claim(run).conforms is False
 
 
-# -- every way out ------------------------------------------------------------------------------------------------------
+# -- every way out ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -230,7 +230,7 @@ def test_a_drive_that_does_not_stop_is_not_energised_again_and_shouted_at_the_en
     assert exit_code(run) == 5
 
 
-# -- the command --------------------------------------------------------------------------------------------------------
+# -- the command ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def found() -> dict[str, Run]:
 
 
 @pytest.fixture
-def invoke(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def invoke() -> Any:
     """Run the command; what it connects to has already been looked at."""
 
     def invoke(run: Run | Exception, *arguments: str) -> Result:
@@ -254,7 +254,7 @@ def invoke(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         with patch.object(conforming, "conform", instead), patch("protocol.links.open_link", lambda target: Closed()):
             return CliRunner().invoke(command, [TARGET, *arguments])
 
-    yield invoke
+    return invoke
 
 
 class Closed:
