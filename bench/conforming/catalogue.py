@@ -1,4 +1,4 @@
-"""All checks, in the order in which they run: that of the imports below, and within a module that of the text."""
+"""All checks, in the order in which they run."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from bench.conforming import can, data, identity, link, motion, parameters, setp
 from bench.conforming.checks import TABLE, Carrier, Check
 
 MODULES = (link, identity, parameters, streams, data, states, setpoints, motion, can)
+"""In the order in which their checks run; those of a module run as they stand in its text."""
 
 
 def checks() -> list[Check]:
     """Those of all levels."""
-    return list(TABLE.values())
+    places = {module.__name__: place for place, module in enumerate(MODULES)}
+    return sorted(TABLE.values(), key=lambda check: places[check.body.__module__])
 
 
 def chosen(level: int, bus: bool) -> list[Check]:

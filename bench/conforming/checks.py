@@ -93,7 +93,7 @@ class Result:
 
 
 TABLE: dict[str, Check] = {}
-"""All checks by id, in the order in which they run once `catalogue` is imported."""
+"""All checks by id; `catalogue` has them in the order in which they run."""
 
 Body = Callable[["Device"], str]
 

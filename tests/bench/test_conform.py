@@ -359,6 +359,14 @@ def test_every_check_quotes_spec_and_says_what_it_looks_at() -> None:
         assert (check.carrier is Carrier.BUS) == (check.level == CAN)
 
 
+def test_checks_run_by_level_and_stop_is_the_first_that_is_looked_at_once_outputs_go_on() -> None:
+    levels = [check.level for check in checks()]
+    assert levels == sorted(levels)
+    energising = [check.id for check in checks() if check.needs >= STATES]
+    assert energising[0] == "state.stop-obeyed"
+    assert next(each for each in energising if each.startswith("motion.")) == "motion.stop"
+
+
 def plain(text: str) -> str:
     return " ".join(text.replace("**", "").split())
 
