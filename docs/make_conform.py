@@ -11,9 +11,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from bench.conforming import states
 from bench.conforming.catalogue import checks
-from bench.conforming.checks import LEVELS
 from bench.conforming.claim import check_data
 from bench.conforming.identity import RATE_ERROR
+from bench.conforming.levels import LEVELS
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "conform.md"

@@ -16,10 +16,12 @@ from bench.cli.number import Number
 from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
-from bench.conforming.checks import DEFAULT_LEVEL, LEVELS, Result, Verdict
+from bench.conforming.levels import DEFAULT_LEVEL, LEVELS
+from bench.conforming.verdicts import Verdict
 from bench.files import STANDARD_OUTPUT, write
 
 if TYPE_CHECKING:
+    from bench.conforming.checks import Result
     from bench.conforming.run import Run
 
 SHORT = 100  # characters of the evidence of a check that passed, in the table

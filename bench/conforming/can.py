@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from bench.conforming.bus import BusLine, changed, cut, remote
-from bench.conforming.checks import CAN, MOTION, STATES, STREAMS, Carrier, Failed, Group, NotApplicable, Unknown
+from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import bus_samples
 from bench.conforming.device import Device, ids, width
+from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
 from bench.conforming.motion import turned
 from bench.conforming.probe import GRACE, HELLO, accepted, read, refusal
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId
 from protocol.canmap.layout import MAX_GROUPS, edge_load, sample_layout
 from protocol.codes import DriveState, ErrorCode, MessageType

@@ -1,4 +1,4 @@
-"""What a check is, how it may end, and the table of all of them.
+"""What a check is, and the table of all of them.
 
 A check is a function that takes a `Device` and returns its evidence. It raises `Failed`, `Unknown` or `NotApplicable`
 with the reason where it does not pass. Nothing here speaks to a device.
@@ -9,51 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bench.conforming.device import Device
-
-LEVELS = ("link", "identity and parameters", "streams", "states and setpoints", "motion", "CAN")
-"""Names of the levels, by number."""
-LINK, IDENTITY, STREAMS, STATES, MOTION, CAN = range(len(LEVELS))
-DEFAULT_LEVEL = STREAMS
-"""Nothing is energised up to this one."""
-
-
-class Verdict(StrEnum):
-    """How a check ended."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    UNKNOWN = "unknown"
-    """What it looks for was not seen."""
-    NOT_APPLICABLE = "not applicable"
-    """The device or the link has no such thing."""
-
-
-class Ended(Exception):
-    """A check ends here, other than by passing; the words are its evidence."""
-
-    verdict: Verdict
-
-
-class Failed(Ended):
-    """The device does not do what SPEC demands."""
-
-    verdict = Verdict.FAILED
-
-
-class Unknown(Ended):
-    """What would tell was not seen."""
-
-    verdict = Verdict.UNKNOWN
-
-
-class NotApplicable(Ended):
-    """There is no such thing here."""
-
-    verdict = Verdict.NOT_APPLICABLE
+from bench.conforming.device import Device
+from bench.conforming.verdicts import Verdict
 
 
 class Carrier(StrEnum):
@@ -95,7 +53,7 @@ class Result:
 TABLE: dict[str, Check] = {}
 """All checks by id; `catalogue` has them in the order in which they run."""
 
-Body = Callable[["Device"], str]
+Body = Callable[[Device], str]
 
 
 class Group:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.analysis.versions import PROGRAM
-from bench.conforming.checks import CAN, LEVELS, MOTION, Check, Result, Verdict
+from bench.conforming.checks import Check, Result
+from bench.conforming.levels import CAN, LEVELS, MOTION
 from bench.conforming.run import Run
+from bench.conforming.verdicts import Verdict
 from bench.device.description import describe
 from protocol import __version__
 from protocol.framing import MAJOR, MINOR

@@ -6,8 +6,10 @@ import struct
 from dataclasses import dataclass
 from itertools import pairwise
 
-from bench.conforming.checks import MOTION, STREAMS, Carrier, Failed, Group, NotApplicable, Unknown
+from bench.conforming.checks import Carrier, Group
 from bench.conforming.device import Block, Configured, Device, ids, width
+from bench.conforming.levels import MOTION, STREAMS
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
 from protocol.descriptor import Channel
 from protocol.streams import DISCONTINUITY, OVERRUN

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from bench.conforming.bus import BusLine
-from bench.conforming.checks import Ended, Failed, NotApplicable, Unknown
 from bench.conforming.probe import Answer, Heard, Probe, read, state_name
+from bench.conforming.verdicts import Ended, Failed, NotApplicable, Unknown
 from bench.rig.interrupts import undisturbed
 from protocol.canmap.layout import MAX_GROUPS, sample_layout
 from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent

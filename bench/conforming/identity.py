@@ -5,9 +5,11 @@ from __future__ import annotations
 import struct
 from zlib import crc32
 
-from bench.conforming.checks import IDENTITY, Failed, Group, Unknown
+from bench.conforming.checks import Group
 from bench.conforming.device import Device
+from bench.conforming.levels import IDENTITY
 from bench.conforming.probe import HELLO, Answer, Probe, read, steps
+from bench.conforming.verdicts import Failed, Unknown
 from protocol.codes import DriveState, ErrorCode, MessageType
 from protocol.descriptor import Descriptor
 from protocol.errors import DeviceDefect, HbpError

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.conforming.checks import Verdict
 from bench.conforming.claim import by_level, claim
 from bench.conforming.run import Run
+from bench.conforming.verdicts import Verdict
 from protocol.text import printable, told
 
 

@@ -9,9 +9,11 @@ from zlib import crc32
 
 from cobs import cobs
 
-from bench.conforming.checks import LINK, Carrier, Failed, Group, NotApplicable, Unknown
+from bench.conforming.checks import Carrier, Group
 from bench.conforming.device import PART, Device
+from bench.conforming.levels import LINK
 from bench.conforming.probe import GRACE, HELLO, Answer, Probe, accepted, name_of, read, refusal, wrapped
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.codes import Command, ErrorCode, MessageType
 from protocol.framing import ERROR, MAJOR, MAX_PAYLOAD, REPLY
 from protocol.messages import BlobRead, StreamGet, StreamInfo, StreamReply, TimeSyncReply

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.analysis.units import RPM
-from bench.conforming.checks import MOTION, Carrier, Failed, Group, NotApplicable, Unknown
+from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import edges_ahead
 from bench.conforming.device import PATIENCE, Device, ids, is_off
+from bench.conforming.levels import MOTION
 from bench.conforming.probe import accepted, read, state_name
 from bench.conforming.setpoints import code_name, send
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import says
 from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
 from protocol.descriptor import Channel

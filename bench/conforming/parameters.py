@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.conforming.checks import IDENTITY, Failed, Group, NotApplicable
+from bench.conforming.checks import Group
 from bench.conforming.device import Device
+from bench.conforming.levels import IDENTITY
 from bench.conforming.probe import Answer, read, refusal
+from bench.conforming.verdicts import Failed, NotApplicable
 from protocol.codes import ErrorCode, MessageType
 from protocol.descriptor import Channel
 from protocol.messages import ParamGet, ParamReply, ParamSet, ParamStored

@@ -17,7 +17,7 @@ from zlib import crc32
 
 from cobs import cobs
 
-from bench.conforming.checks import Failed, Unknown
+from bench.conforming.verdicts import Failed, Unknown
 from protocol.codes import Command, DriveState, ErrorCode, MessageType
 from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, encode_frame, parse_frame
 from protocol.links import Link

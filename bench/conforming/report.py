@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.conforming.checks import Verdict
 from bench.conforming.claim import by_level, claim, looks_at
 from bench.conforming.run import Run
+from bench.conforming.verdicts import Verdict
 from bench.reports.html import page
 from protocol.text import printable, told
 

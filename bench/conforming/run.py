@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 
 from bench.conforming.bus import BusLine
 from bench.conforming.catalogue import chosen
-from bench.conforming.checks import MOTION, STATES, Carrier, Check, Ended, Result, Verdict
+from bench.conforming.checks import Carrier, Check, Result
 from bench.conforming.device import Device, NotAtRest
+from bench.conforming.levels import MOTION, STATES
 from bench.conforming.probe import ByteLine, Line, NoAnswer, Probe
+from bench.conforming.verdicts import Ended, Verdict
 from bench.device.client import Client
 from bench.device.node import Node
 from bench.device.safety import is_off, says

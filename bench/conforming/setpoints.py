@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import struct
 
-from bench.conforming.checks import STATES, Failed, Group, Unknown
+from bench.conforming.checks import Group
 from bench.conforming.device import Device
+from bench.conforming.levels import STATES
 from bench.conforming.probe import refusal
+from bench.conforming.verdicts import Failed, Unknown
 from protocol.codes import DriveState, ErrorCode, EventCode, MessageType, SetpointMode
 from protocol.messages import DeviceEvent, Heartbeat
 

@@ -6,9 +6,11 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bench.conforming.checks import STATES, Failed, Group, Unknown
+from bench.conforming.checks import Group
 from bench.conforming.device import PATIENCE, Device, faults_text, is_off
+from bench.conforming.levels import STATES
 from bench.conforming.probe import accepted, read, refusal, state_name
+from bench.conforming.verdicts import Failed, Unknown
 from bench.device.safety import says
 from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, MessageType, SetpointMode
 from protocol.messages import BlobRead, DeviceEvent, Heartbeat, ParamSet, StateReply

@@ -5,9 +5,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from bench.conforming.checks import STREAMS, Carrier, Failed, Group, NotApplicable, Unknown
+from bench.conforming.checks import Carrier, Group
 from bench.conforming.device import Configured, Device, ids, width
+from bench.conforming.levels import STREAMS
 from bench.conforming.probe import accepted, read, refusal
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.codes import ErrorCode, MessageType, StreamEvent
 from protocol.descriptor import Channel
 from protocol.messages import StreamGet, StreamInfo, StreamReply

@@ -10,8 +10,9 @@ from virtual_run import RecordingScreen
 
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import chosen
-from bench.conforming.checks import Check, Verdict
+from bench.conforming.checks import Check
 from bench.conforming.run import Options, Run, conform
+from bench.conforming.verdicts import Verdict
 from protocol.device.tx import TxQueue
 from protocol.links import Link
 from sim.config.params import load_params

@@ -22,9 +22,11 @@ from virtual_run import RecordingScreen, at_rest, physical, simulated
 from bench.cli.conform import command
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import checks, chosen
-from bench.conforming.checks import CAN, MOTION, STATES, STREAMS, Carrier, Verdict
+from bench.conforming.checks import Carrier
 from bench.conforming.claim import claim, exit_code
+from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
 from bench.conforming.run import Options, Run, conform
+from bench.conforming.verdicts import Verdict
 from bench.errors import BenchError, UnsafeError
 from protocol.errors import LinkClosed, NoReply
 from protocol.links import Link

@@ -10,7 +10,9 @@ import pytest
 from conforming import OVERLOADED, ended, on_device
 
 from bench.conforming.catalogue import checks
-from bench.conforming.checks import MOTION, STATES, STREAMS, TABLE, Verdict
+from bench.conforming.checks import TABLE
+from bench.conforming.levels import MOTION, STATES, STREAMS
+from bench.conforming.verdicts import Verdict
 
 TO_STREAMS = {
     "answers-damaged": "link.crc-damage-is-silent",
