@@ -87,6 +87,8 @@ def rx_max(device: Device) -> str:
     if hello.tx_max > 128:
         raise Failed(f"tx_max is {hello.tx_max} for a host that takes 128")
     answer = device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 1024, 0).pack())
+    if answer.error is not None:
+        raise Unknown(f"BLOB_READ was refused: {answer}")
     if (n := len(answer.frame.payload)) > 128:
         raise Failed(f"BLOB_READ was answered with {n} bytes to a host that takes 128")
     return f"rx_max 128: tx_max {hello.tx_max}, and {n} bytes of BLOB_READ"

@@ -241,11 +241,14 @@ def never_clipped(device: Device) -> str:
 
 
 def _beyond(device: Device, limit: float) -> str:
+    was = device.fresh()
     now = send(device, SetpointMode.SPEED, 0x0BAD, COMMON * limit)
     words = f"SPEED {COMMON * limit:.5g} rad/s, the limit is {limit:.5g}"
     if now.setpoint_counter == 0x0BAD:
         raise Failed(f"{words}: accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)
+    if not events and now.setpoints_rejected == was.setpoints_rejected:
+        raise Unknown(f"{words}: not accepted, and not seen to be rejected")
     if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
         raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
     return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"

@@ -199,6 +199,8 @@ class _Course:
             verdict, evidence = ended.verdict, str(ended)
         except PayloadError as error:
             verdict, evidence = Verdict.FAILED, str(error)
+        except NotAtRest as error:
+            verdict, evidence = Verdict.UNKNOWN, str(error)
         finally:
             if check.needs >= STATES:
                 with undisturbed():
