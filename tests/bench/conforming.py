@@ -13,6 +13,7 @@ from bench.conforming.catalogue import chosen
 from bench.conforming.checks import Check
 from bench.conforming.run import Options, Run, conform
 from bench.conforming.verdicts import Verdict
+from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link
 from sim.config.params import load_params
@@ -139,7 +140,7 @@ def on_simulated(level: int, device: SimulatedDevice) -> Run:
 
 def narrow() -> SimulatedDevice:
     """A simulated bench behind a byte link that is full after 64 KiB, as a real one is."""
-    return SimulatedDevice(load_params(), 1, network=ByteNetwork(TxQueue()))
+    return SimulatedDevice(load_params(), 1, network=ByteNetwork(DeviceLink(TxQueue())))
 
 
 def ended(run: Run, verdict: Verdict) -> list[str]:

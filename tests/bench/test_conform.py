@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import closing
@@ -34,6 +35,7 @@ from sim.ports.virtual import VirtualLink
 from tests.devices import FULL, serving
 from tests.devices.spec import State
 
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
 SPEC = Path(__file__).parents[2] / "protocol" / "SPEC.md"
 LEVELS = (0, 1, STREAMS, STATES, MOTION, CAN)
 
@@ -60,8 +62,9 @@ def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrie
 
 
 @pytest.mark.parametrize("network", ["bytes", "CAN", "CAN FD"])
-def test_the_simulated_drive_passes_every_level(network: str) -> None:
-    device = narrow() if network == "bytes" else simulated(network=network)
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)], ids=["Python", "C"])
+def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) -> None:
+    device = narrow() if network == "bytes" and not compiled else simulated(network=network, compiled=compiled)
     before = dict(device.bench.parameters)
     run = on_simulated(CAN, device)
     assert not ended(run, Verdict.FAILED)
