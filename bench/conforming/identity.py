@@ -80,7 +80,7 @@ def hello_stable(device: Device) -> str:
     return f"{len(STABLE)} fields are the same in two replies, boot_id {first.boot_id:08x}"
 
 
-@check("rx-max", 4, "A device never sends a payload longer than the host's")
+@check("rx-max", 4, "from then on it never sends a payload longer than the host's")
 def rx_max(device: Device) -> str:
     """It sends no more than the host takes."""
     hello = device.probe.hello(rx_max=128)

@@ -23,7 +23,10 @@ framing = Group("link", LINK, Carrier.BYTES)
 
 SILENT = "Nothing is ever answered to a damaged frame"
 ORDER = "A device makes these checks in this order, and the first one that fails decides the answer"
-KEPT = "A request that is equal, in header and payload, to one of these is answered by the kept reply and not executed"
+KEPT = (
+    "A request that is equal, in header and payload, byte for byte, to one of these is answered by the kept reply and "
+    "not executed"
+)
 UNKNOWN_TYPES = (0x06, 0x38, 0x39)  # chapter 17 reserves them
 NOISE = 5000  # bytes without a delimiter
 ROUNDS = 20

@@ -114,7 +114,9 @@ def rejected_counted(device: Device) -> str:
     return f"3 rejected: setpoints_rejected counts 3, setpoint_counter stays {after.setpoint_counter:#x}"
 
 
-@check("feeds", 7, "It is started by ARM and fed by ALIVE and by an *accepted* SETPOINT, by nothing else")
+@check(
+    "feeds", 7, "It is started by ARM, anew by each, and fed by ALIVE and by an *accepted* SETPOINT, by nothing else"
+)
 def feeds(device: Device) -> str:
     """An accepted setpoint feeds the watchdog."""
     device.run()

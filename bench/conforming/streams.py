@@ -227,7 +227,7 @@ def start_again(device: Device) -> str:
     return f"seq {before.seq}, {seqs[0]} after the second STREAM_START"
 
 
-@check("edges-set", 11, "channels, `decimation` is ignored")
+@check("edges-set", 11, "channels, `sample_bytes` is 8, `decimation` is ignored")
 def edges_set(device: Device) -> str:
     """A stream of edges is configured with any decimation."""
     if not device.offers_edges:
