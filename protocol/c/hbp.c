@@ -768,7 +768,7 @@ static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t length, siz
         s->configured = 0;
         s->running = 0;
         h->link->way->close(h, s);
-        if (s->event == HBP_STREAM_EDGES && s->edge != h->edge_head) s->lost++;
+        if (s->event == HBP_STREAM_EDGES && s->waits) s->lost++; /* those that come meanwhile are not its own any more */
     }
     return 0;
 }
@@ -891,6 +891,7 @@ static int send_edges(struct hbp *h)
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
         if (!s->running || s->event != HBP_STREAM_EDGES) continue;
+        s->waits = 0;
         while (s->edge != h->edge_head) {
             uint16_t most = (uint16_t)(h->edge_head - s->edge), n = 1;
             const struct hbp_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
@@ -904,6 +905,7 @@ static int send_edges(struct hbp *h)
             if (most > s->block) most = s->block;
             while (n < most && h->ring[(s->edge + n) & (HBP_EDGES - 1u)].index == first->index + n) n++;
             if (!h->link->way->edges(h, s, n)) {
+                s->waits = 1;
                 room = 0;
                 break;
             }
@@ -912,7 +914,6 @@ static int send_edges(struct hbp *h)
             s->edge_seq++;
             s->edge_flags = 0;
         }
-        s->waits = s->edge != h->edge_head;
     }
     let_go_of_edges(h);
     return room;
