@@ -125,7 +125,7 @@ static int16_t motor_angle(float angle)
 }
 
 /* The PWM interrupt: look at the time, turn the shaft for one period, tell. */
-static void motor_period(struct hbp *drive)
+static inline void motor_period(struct hbp *drive)
 {
     const float seconds = 1.0f / MOTOR_PWM_HZ;
     float i_q = 0.0f, step, since;
