@@ -109,7 +109,8 @@ static void drain(void)
 static const uint8_t hello[8] = {1, 2, 3, 4, 1, 1, 0, 4};
 static const uint8_t set_stream[24] = {0, 0, 1, 0, 100, 0, 8, 0, 1, 0, 2, 0, 3, 0, 4, 0, 12, 0, 15, 0, 16, 0, 17, 0};
 static const uint8_t set_edges[8] = {1, 2, 1, 0, 100, 0, 0, 0};
-static const uint8_t both[4] = {3, 0, 0, 0};
+static const uint8_t set_one[10] = {0, 0, 1, 0, 100, 0, 1, 0, 3, 0};
+static const uint8_t both[4] = {3}, first[4] = {1};
 
 static void measure(const char *name, uint8_t type, const uint8_t *payload, size_t n)
 {
@@ -119,6 +120,21 @@ static void measure(const char *name, uint8_t type, const uint8_t *payload, size
     drain();
     if (name) report(name);
     else calls = total = most = 0;
+}
+
+/* The interrupt while samples are streamed, sent every now and then. */
+static void measure_ticks(const char *name)
+{
+    struct sample sample = {0};
+    for (unsigned k = 0; k < 200; k++) {
+        COUNT(hbp_tick(&drive, &sample));
+        now += MOTOR_PERIOD;
+        if (k % 8u == 0) {
+            hbp_poll(&link, now);
+            drain();
+        }
+    }
+    report(name);
 }
 
 static void byte_link(void)
@@ -133,20 +149,17 @@ static void byte_link(void)
     measure("hbp_rx: HELLO and its reply", HBP_TYPE_HELLO, hello, sizeof hello);
     measure("hbp_rx: STREAM_SET of 8 channels and its reply", HBP_TYPE_STREAM_SET, set_stream, sizeof set_stream);
     measure(NULL, HBP_TYPE_STREAM_SET, set_edges, sizeof set_edges);
-    measure(NULL, HBP_TYPE_STREAM_START, both, sizeof both);
+    measure(NULL, HBP_TYPE_STREAM_SET, set_one, sizeof set_one);
+    measure(NULL, HBP_TYPE_STREAM_START, first, 4);
+    hbp_tick(&drive, &sample);
+    measure_ticks("hbp_tick, 1 channel");
+    measure(NULL, HBP_TYPE_STREAM_STOP, first, 4);
+    measure(NULL, HBP_TYPE_STREAM_SET, set_stream, sizeof set_stream);
+    measure(NULL, HBP_TYPE_STREAM_SET, set_edges, sizeof set_edges);
+    measure(NULL, HBP_TYPE_STREAM_START, both, 4);
     COUNT(hbp_tick(&drive, &sample));
     report("hbp_tick, the first one of a stream");
-    for (unsigned k = 0; k < 200; k++) {
-        COUNT(hbp_tick(&drive, &sample));
-        now += MOTOR_PERIOD;
-        if (k % 8u == 0) {
-            uint32_t n = calls, sum = total, top = most;
-            hbp_poll(&link, now);
-            drain();
-            calls = n, total = sum, most = top;
-        }
-    }
-    report("hbp_tick, 8 channels");
+    measure_ticks("hbp_tick, 8 channels");
     for (unsigned k = 0; k < 100; k++) {
         COUNT(hbp_edge(&drive, (uint32_t)now - 1u, 1, 3, 0));
         hbp_poll(&link, now += MOTOR_TICK_HZ / 9u);
@@ -200,7 +213,7 @@ static void can_request(uint32_t id, uint8_t type, const uint8_t *payload, size_
 
 static void can_link(void)
 {
-    static const uint8_t two[12] = {0, 0, 1, 0, 100, 0, 2, 0, 3, 0, 4, 0}, first[4] = {1}, setpoint[12] = {1};
+    static const uint8_t two[12] = {0, 0, 4, 0, 100, 0, 2, 0, 3, 0, 4, 0}, setpoint[12] = {1};
     struct sample sample = {0};
     if (hbp_can_init(&can, &bus) || hbp_can_add(&can, &drive, &motor_config, 1)) return;
     hbp_can_poll(&can, now);
@@ -215,8 +228,8 @@ static void can_link(void)
     can_request(0x210, HBP_TYPE_STREAM_START, first, sizeof first);
     calls = total = most = 0;
     for (unsigned k = 0; k < 20; k++) {
-        hbp_tick(&drive, &sample);
-        COUNT(hbp_can_poll(&can, now += MOTOR_PERIOD));
+        for (unsigned n = 0; n < 4; n++) hbp_tick(&drive, &sample);
+        COUNT(hbp_can_poll(&can, now += 4 * MOTOR_PERIOD));
         drain();
     }
     report("hbp_can_poll, a sample of 2 channels");
