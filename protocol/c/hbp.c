@@ -859,7 +859,7 @@ void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint1
 {
     uint16_t head = h->edge_head;
     if ((uint16_t)(head - h->edge_tail) < HBP_EDGES) {
-        struct hbp_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
+        struct hbp_hall_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
         edge->index = h->edges;
         edge->tick = tick;
         edge->encoder = encoder;
@@ -894,7 +894,7 @@ static int send_edges(struct hbp *h)
         s->waits = 0;
         while (s->edge != h->edge_head) {
             uint16_t most = (uint16_t)(h->edge_head - s->edge), n = 1;
-            const struct hbp_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+            const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
             HBP_BARRIER();
             if (first->index != s->edge_index) { /* the ring was full */
                 s->edge_seq++;
@@ -962,7 +962,7 @@ static uint32_t edges_up_to_now(const struct hbp *h)
         HBP_BARRIER();
     } while (head != h->edge_head);
     for (unsigned k = 1; k <= HBP_EDGES && k <= edges; k++, edges--) {
-        const struct hbp_edge *edge = &h->ring[(head - k) & (HBP_EDGES - 1u)];
+        const struct hbp_hall_edge *edge = &h->ring[(head - k) & (HBP_EDGES - 1u)];
         if ((int32_t)(edge->tick - (uint32_t)h->now) <= 0) break;
     }
     return edges;
@@ -1386,14 +1386,14 @@ static int byte_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_bl
 static int byte_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
 {
     uint8_t head[STREAM_HEADER], *to = h->link->work;
-    const struct hbp_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+    const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
     put_stream_header(head, s, s->edge_flags, n, s->edge_seq);
     hbp_put32(hbp_put32(head + 8, first->index), first->tick);
     for (unsigned k = 0; k < n; k++) to = hbp_put_edge(to, &h->ring[(s->edge + k) & (HBP_EDGES - 1u)], 0);
     return byte_stream(h, s, HBP_TYPE_EDGES, head, h->link->work, (size_t)n * EDGE_BYTES);
 }
 
-uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_edge *edge, uint8_t flags)
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags)
 {
     to = hbp_put32(to, edge->tick);
     *to++ = edge->codes;

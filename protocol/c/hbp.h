@@ -339,7 +339,7 @@ struct hbp_block { /* what stands before the records of a block */
     uint32_t flags;
 };
 
-struct hbp_edge {
+struct hbp_hall_edge {
     uint32_t index, tick;
     uint16_t encoder;
     uint8_t codes;
@@ -391,7 +391,7 @@ struct hbp { /* a device */
     volatile uint32_t periods; /* its low bits */
     volatile uint32_t edges; /* since boot */
     volatile uint16_t edge_head, edge_tail;
-    struct hbp_edge ring[HBP_EDGES];
+    struct hbp_hall_edge ring[HBP_EDGES];
 };
 
 struct hbp_link_base { /* what all kinds of link have */
