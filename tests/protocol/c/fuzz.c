@@ -31,7 +31,7 @@ static struct node {
     struct hbp_config config;
     struct config_told *told; /* 65536 */
     uint32_t edges, edge_ticks[KEPT], edges_up_to[KEPT], dropped;
-    uint8_t code;
+    uint8_t code, overrun; /* edges found the ring full */
 } nodes[2];
 
 static unsigned n_nodes;
@@ -111,7 +111,7 @@ static void check_samples(struct node *node, struct config_told *told, const uin
     told->seq = (uint16_t)(told->seq + gap + 1u);
     told->next = index + records * step;
     n_samples += records;
-    if (slow || node->dropped || (uint32_t)period - index >= KEPT) return;
+    if (slow || node->dropped || node->overrun || (uint32_t)period - index >= KEPT) return;
     for (unsigned k = 0; k < HBP_STREAMS; k++) { /* all edges up to the last of them were told before */
         const struct hbp_stream *s = &node->device->streams[k];
         const struct config_told *edges = &node->told[s->cfg_id];
@@ -222,6 +222,7 @@ static void pass_period(void)
         if (below(4) == 0) {
             uint32_t tick = before + 1u + below(TICKS);
             uint8_t code = (uint8_t)(draw() & 7u);
+            if ((uint16_t)(node->device->edge_head - node->device->edge_tail) >= HBP_EDGES) node->overrun = 1;
             node->edge_ticks[node->edges++ % KEPT] = tick;
             hbp_edge(node->device, tick, node->code, code, (uint16_t)tick);
             node->code = code;
@@ -247,7 +248,7 @@ static void begin(uint32_t features)
     for (unsigned k = 0; k < (can ? 1u : 2u); k++) {
         struct node *node = &nodes[k];
         configure_drive(&node->config, node->parameters, &node->app, (uint8_t)(k + 1u), features);
-        node->edges = node->dropped = 0;
+        node->edges = node->dropped = node->overrun = 0;
         node->code = 1;
         memset(node->told, 0, 65536 * sizeof *node->told);
         if (can) REQUIRE(!hbp_can_add(can, node->device, &node->config, BOOT));
@@ -580,14 +581,15 @@ static void can_step(void)
     case 1:
         if (n == 1) break;
         frames[at].data[below(frames[at].n)] ^= (uint8_t)(1u << below(7)); /* not the mark of a first frame */
-        spoilt = 1;
+        spoilt = bus.data_bitrate ? 2 : 1; /* what fills an FD frame up is not looked at */
         break;
     case 2: frames[at].id ^= 1u << below(11); spoilt = 2; break;
     case 3: frames[at].id ^= 0x80000000u; spoilt = n > 1 ? 1 : 2; break;
     case 4: can_feed(&frames[0]); break; /* twice */
     case 5:
-        if (n == 1) for (unsigned k = 0; k < frames[0].n; k++) frames[0].data[k] = (uint8_t)draw();
-        if (n == 1) spoilt = 2;
+        if (n > 1) break;
+        for (unsigned k = 0; k < frames[0].n; k++) frames[0].data[k] = (uint8_t)draw();
+        spoilt = 2;
         break;
     default: break;
     }
