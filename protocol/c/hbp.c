@@ -207,6 +207,12 @@ static void feed(struct hbp *h)
     h->leash_ticks = watchdog_ticks(h);
 }
 
+static uint16_t wrong_state(const struct hbp *h, float *detail)
+{
+    *detail = (float)h->state;
+    return HBP_ERROR_WRONG_STATE;
+}
+
 static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
 {
     uint16_t code;
@@ -219,6 +225,7 @@ static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
         h->permit = h->state == HBP_STATE_RUNNING;
         return code;
     }
+    if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h, detail); /* the application called hbp_fault meanwhile */
     h->state = state;
     event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
     return 0;
@@ -267,12 +274,6 @@ void hbp_pass_time(struct hbp *h, uint64_t now)
         event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
         enter(h, HBP_STATE_IDLE, &detail);
     }
-}
-
-static uint16_t wrong_state(const struct hbp *h, float *detail)
-{
-    *detail = (float)h->state;
-    return HBP_ERROR_WRONG_STATE;
 }
 
 static uint16_t arm(struct hbp *h, uint32_t token, float *detail)
