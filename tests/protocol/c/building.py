@@ -52,4 +52,3 @@ def build(to: Path, name: str, main: str, *flags: str, can: bool = True) -> Path
     files = [HERE / main, SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
     run(compiler(name), "-std=c99", *flags, *files, "-o", to)
     return to
-

@@ -53,7 +53,8 @@ def _run(*command: str | Path) -> str:
 
 def _sections(file: Path) -> int:
     """Bytes of flash."""
-    listed = re.findall(r"^(\.text|\.rodata|\.data|\.ARM\.exidx)\S*\s+(\d+)", _run("arm-none-eabi-size", "-A", file), re.M)
+    sizes = _run("arm-none-eabi-size", "-A", file)
+    listed = re.findall(r"^(\.text|\.rodata|\.data|\.ARM\.exidx)\S*\s+(\d+)", sizes, re.MULTILINE)
     return sum(int(size) for _, size in listed)
 
 
@@ -91,7 +92,8 @@ def instructions() -> list[tuple[str, int, int]]:
         link = ("-nostartfiles", "-specs=nano.specs", "-T", str(BOARD / "mps2.ld"), "-Wl,--gc-sections")
         _run(COMPILER, *FLAGS, *link, *files, "-o", elf)
         command = ["qemu-system-arm", "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]
-        command += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10,sleep=off", "-kernel", str(elf)]
+        command += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10,sleep=off"]
+        command += ["-kernel", str(elf)]
         done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=LIMIT)
     lines = re.findall(r"^(.+)\t(\d+)\t(\d+)$", done.stdout + done.stderr, re.M)
     return [(what, int(mean), int(most)) for what, mean, most in lines]
