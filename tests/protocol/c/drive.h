@@ -22,8 +22,11 @@
 
 /* ---- the drive ---------------------------------------------------------------------------------------------------------- */
 
+#define FEW 5u   /* channels, as in small_drive.py */
+#define MANY 45u /* for streams that do not fit, where HBP_CHANNELS allows that */
+
 struct sample {
-    uint32_t count;
+    uint32_t count, more[MANY - FEW];
     int16_t theta, i_a;
     uint8_t hall, status;
 };
@@ -34,14 +37,34 @@ struct app {
     float gain, n_p, serial, watchdog;
 };
 
-static const struct hbp_channel channels[] = {
+static struct hbp_channel channels[MANY] = {
     {1, HBP_RAW_U8, HBP_UNIT_NONE, 0, offsetof(struct sample, hall), 1.0f, 0.0f, "hall"},
     {2, HBP_RAW_U8, HBP_UNIT_NONE, 0, offsetof(struct sample, status), 1.0f, 0.0f, "status"},
     {3, HBP_RAW_I16, HBP_UNIT_RAD, HBP_FLAG_WRAPS, offsetof(struct sample, theta), 3.14159265f / 32768, 0.0f, "theta"},
     {4, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_a), 1.0f / 1024, 0.0f, "i_a"},
     {5, HBP_RAW_U32, HBP_UNIT_COUNT, 0, offsetof(struct sample, count), 1.0f, 0.0f, "count"},
 };
-static const uint8_t channel_bytes[] = {0, 1, 1, 2, 2, 4}; /* by id */
+static unsigned n_channels = FEW;
+
+static inline unsigned channel_bytes(unsigned id)
+{
+    static const uint8_t bytes[] = {0, 1, 1, 2, 2, 4};
+    return id <= FEW ? bytes[id] : 4;
+}
+
+static inline void with_many_channels(void)
+{
+    static char names[MANY][4];
+    for (n_channels = FEW; n_channels < MANY && n_channels < HBP_CHANNELS; n_channels++) {
+        struct hbp_channel *c = &channels[n_channels];
+        snprintf(names[n_channels], sizeof names[0], "m%u", n_channels % 100u);
+        c->id = (uint16_t)(n_channels + 1u);
+        c->type = HBP_RAW_U32;
+        c->at = (uint16_t)(offsetof(struct sample, more) + 4u * (n_channels - FEW));
+        c->scale = 1.0f;
+        c->name = names[n_channels];
+    }
+}
 
 #define PARAMETERS(app) \
     { \
@@ -111,7 +134,7 @@ static void configure_drive(struct hbp_config *config, struct hbp_parameter para
     config->name = "small";
     config->firmware = "1.0";
     config->channels = channels;
-    config->n_channels = 5;
+    config->n_channels = (uint16_t)n_channels;
     config->parameters = parameters;
     config->n_parameters = 4;
     config->user = app;
@@ -123,26 +146,26 @@ static void configure_drive(struct hbp_config *config, struct hbp_parameter para
 }
 
 /* A sample in which every value is a function of the index. */
-static void sample_at(struct sample *s, uint32_t index)
+static inline void sample_at(struct sample *s, uint32_t index)
 {
     s->count = index;
     s->theta = (int16_t)(uint16_t)(index * 7u);
     s->i_a = (int16_t)(index % 2001u - 1000u);
     s->hall = (uint8_t)(1u + index % 6u);
     s->status = 3;
+    for (unsigned k = FEW; k < n_channels; k++) s->more[k - FEW] = index * (k + 1u);
 }
 
 /* The same as it stands in a record. */
-static uint32_t value_at(uint16_t id, uint32_t index)
+static inline uint32_t value_at(uint16_t id, uint32_t index)
 {
-    struct sample s;
-    sample_at(&s, index);
     switch (id) {
-    case 1: return s.hall;
-    case 2: return s.status;
-    case 3: return (uint16_t)s.theta;
-    case 4: return (uint16_t)s.i_a;
-    default: return s.count;
+    case 1: return 1u + index % 6u;
+    case 2: return 3;
+    case 3: return (uint16_t)(index * 7u);
+    case 4: return (uint16_t)(index % 2001u - 1000u);
+    case 5: return index;
+    default: return index * id;
     }
 }
 

@@ -13,7 +13,7 @@
 
 struct config_told { /* how a stream was configured, by its cfg_id */
     uint8_t known, event, channels, begun;
-    uint8_t ids[5];
+    uint8_t ids[MANY];
     uint16_t decimation, block, seq;
     uint32_t next;
 };
@@ -82,14 +82,14 @@ static void check_all(void)
 static unsigned record_bytes(const struct config_told *told)
 {
     unsigned bytes = 0;
-    for (unsigned k = 0; k < told->channels; k++) bytes += channel_bytes[told->ids[k]];
+    for (unsigned k = 0; k < told->channels; k++) bytes += channel_bytes(told->ids[k]);
     return bytes;
 }
 
 static const uint8_t *check_record(const struct config_told *told, const uint8_t *at, uint32_t index)
 {
     for (unsigned k = 0; k < told->channels; k++) {
-        unsigned bytes = channel_bytes[told->ids[k]];
+        unsigned bytes = channel_bytes(told->ids[k]);
         REQUIRE(get(at, bytes) == value_at(told->ids[k], index));
         at += bytes;
     }
@@ -483,8 +483,8 @@ static void check_can_samples(const struct hbp_can_frame *f)
         if (!s->decimation || s->event != HBP_STREAM_PWM || groups >= s->groups) continue;
         for (unsigned g = 0; g <= groups; g++) {
             unsigned bytes = 0;
-            for (from = to; to < s->channels && bytes + channel_bytes[s->take[to] + 1u] <= most; to++)
-                bytes += channel_bytes[s->take[to] + 1u];
+            for (from = to; to < s->channels && bytes + channel_bytes(s->take[to] + 1u) <= most; to++)
+                bytes += channel_bytes(s->take[to] + 1u);
         }
         if (bus.data_bitrate) {
             index = get(f->data, 4);
@@ -496,7 +496,7 @@ static void check_can_samples(const struct hbp_can_frame *f)
         REQUIRE(index % s->decimation == 0 && index < period);
         for (unsigned n = 0; n < s->block; n++, index += s->decimation)
             for (unsigned c = from; c < to; c++) {
-                unsigned bytes = channel_bytes[s->take[c] + 1u];
+                unsigned bytes = channel_bytes(s->take[c] + 1u);
                 REQUIRE(get(at, bytes) == value_at((uint16_t)(s->take[c] + 1u), index));
                 at += bytes;
             }
@@ -586,10 +586,23 @@ static void can_step(void)
     case 2: frames[at].id ^= 1u << below(11); spoilt = 2; break;
     case 3: frames[at].id ^= 0x80000000u; spoilt = n > 1 ? 1 : 2; break;
     case 4: can_feed(&frames[0]); break; /* twice */
-    case 5:
-        if (n > 1) break;
+    case 5: /* not a frame of HBP's at all */
+        n = 1;
+        frames[0].n = (uint8_t)below(65);
         for (unsigned k = 0; k < frames[0].n; k++) frames[0].data[k] = (uint8_t)draw();
         spoilt = 2;
+        break;
+    case 6: /* a message without an end */
+        if (n == 1) break;
+        can_feed(&frames[0]);
+        frames[1].n = HBP_CAN_BYTES;
+        for (unsigned k = 1; k < 400; k++) {
+            frames[1].data[0] = (uint8_t)k;
+            frames[1].data[HBP_CAN_BYTES - 1] = (uint8_t)((frames[0].data[frames[0].n - 1] & 31u) | (k & 1u ? 0 : 0x20u));
+            can_feed(&frames[1]);
+        }
+        n = 0;
+        spoilt = 1;
         break;
     default: break;
     }
@@ -638,6 +651,7 @@ static void begin_can(void)
 
 static void prepare(void)
 {
+    with_many_channels();
     for (unsigned k = 0; k < 2; k++) {
         if (nodes[k].device) return;
         nodes[k].device = malloc(sizeof *nodes[k].device);

@@ -150,8 +150,8 @@ static void check_samples(const uint8_t *payload, struct stream *s)
     if (s->begun) REQUIRE(index == s->next + (uint32_t)gap * s->block * s->decimation);
     for (unsigned k = 0; k < n; k++)
         for (unsigned c = 0; c < s->channels; c++) {
-            REQUIRE(get(at, channel_bytes[s->ids[c]]) == value_at(s->ids[c], index + k * s->decimation));
-            at += channel_bytes[s->ids[c]];
+            REQUIRE(get(at, channel_bytes(s->ids[c])) == value_at(s->ids[c], index + k * s->decimation));
+            at += channel_bytes(s->ids[c]);
         }
     lost += gap;
     s->begun = 1;

@@ -32,14 +32,16 @@ static uint32_t usually(uint32_t n, uint32_t mask) /* below n, at times anything
 
 static void make_stream_set(struct made *m)
 {
-    unsigned ids = below(7);
+    unsigned ids = below(7), most = (HBP_RX_MAX - 8) / 2u;
+    if (below(8) == 0 && n_channels > FEW) ids = below(n_channels < most ? n_channels + 1u : most);
     m->payload[0] = (uint8_t)below(5);
     m->payload[1] = (uint8_t)(below(8) < 5 ? 0 : below(4));
     put(m->payload + 2, usually(10, 0xFFFFu), 2);
     put(m->payload + 4, usually(30, 0xFFFFu), 2);
     if (m->payload[1] == HBP_STREAM_EDGES && below(8)) ids = 0;
     put(m->payload + 6, ids, 2);
-    for (unsigned k = 0; k < ids; k++) put(m->payload + 8 + 2 * k, below(8) ? 1u + below(5) : draw() & 7u, 2);
+    for (unsigned k = 0; k < ids; k++)
+        put(m->payload + 8 + 2 * k, ids > 6 ? 1u + k : below(8) ? 1u + below(below(2) ? FEW : n_channels) : draw() & 7u, 2);
     m->n = (uint16_t)(8 + 2 * ids);
 }
 

@@ -17,9 +17,10 @@ AS_IN_VECTORS = {
     "RX_MAX": 1024, "TX_MAX": 1024, "TX_BYTES": 8192, "POOL_BYTES": 4096, "CAN_BYTES": 64, "CAN_MESSAGES": 512,
 }  # fmt: skip
 DAMAGED = ("aborted", "bad_crc", "bad_length")
+MANY_CHANNELS = {"HOSTS": 2, "CHANNELS": 60}
 SHAPES = {
-    "gcc, byte link": ("gcc", {"HOSTS": 2}, "byte", 500_000),
-    "gcc, CAN": ("gcc", {"HOSTS": 2}, "can", 300_000),
+    "gcc, byte link": ("gcc", MANY_CHANNELS, "byte", 300_000),
+    "gcc, CAN": ("gcc", MANY_CHANNELS, "can", 500_000),
     "clang, byte link, small": ("clang", SMALL, "byte", 100_000),
     "clang, CAN FD, large": ("clang", LARGE, "can", 100_000),
 }
@@ -162,7 +163,7 @@ def test_can_message_vectors_to_a_device(replayed: Replayed) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_million_frames(built: Callable[..., Path], shape: str) -> None:
     name, values, link, frames = SHAPES[shape]
-    said = run(built(name, "fuzz.c", "-O2", *SANITIZED, *options(values)), link, str(frames), "1")
+    said = run(built(name, "fuzz.c", "-O1", *SANITIZED, *options(values)), link, str(frames), "1")
     assert said.startswith(f"{frames} frames, ")
 
 
@@ -179,9 +180,9 @@ def test_a_fuzzer_that_looks_for_new_paths(built: Callable[..., Path], tmp_path:
         run("clang", "-fsanitize=fuzzer", tmp_path / "x.c", "-o", tmp_path / "x")
     except AssertionError:
         pytest.skip("no libFuzzer here")
-    flags = ("-O1", "-g", "-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all")
+    flags = ("-O1", "-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all")
     program = built("clang", "fuzz.c", *flags, "-DLIBFUZZER", "-DHBP_HOSTS=2")
-    run(program, "-runs=3000", "-seed=1", "-max_len=4096", "-len_control=0", f"-artifact_prefix={tmp_path}/")
+    run(program, "-runs=1000", "-seed=1", "-max_len=4096", "-len_control=0", f"-artifact_prefix={tmp_path}/")
 
 
 # -- interrupts -------------------------------------------------------------------------------------------------------
