@@ -32,7 +32,7 @@ struct sample {
 };
 
 struct app {
-    uint8_t state, on;
+    uint8_t state, on, moody; /* moody: now and then it refuses, or cannot clear a fault */
     uint32_t entered, setpoints, persisting;
     float gain, n_p, serial, watchdog;
 };
@@ -74,13 +74,18 @@ static inline void with_many_channels(void)
         {104, HBP_UNIT_S, HBP_FLAG_IDLE_ONLY, 0.05f, 1.0f, 0.2f, &(app).watchdog, "watchdog"}, \
     }
 
-/* What SPEC allows, and nothing else; a refusal of ARMED or RUNNING is not among this drive's habits. */
+static inline uint32_t below(uint32_t n);
+
+/* What SPEC allows, and nothing else. */
 static uint16_t app_enter(void *user, uint8_t state, float *detail)
 {
     static const uint8_t from[] = {0, 1u << HBP_STATE_BOOT | 1u << HBP_STATE_ARMED | 1u << HBP_STATE_RUNNING | 1u << HBP_STATE_FAULT,
                                    1u << HBP_STATE_IDLE, 1u << HBP_STATE_ARMED, 0xFFu};
     struct app *app = user;
-    (void)detail;
+    if (app->moody && below(8) == 0 && (state == HBP_STATE_ARMED || state == HBP_STATE_RUNNING)) {
+        *detail = 7.0f;
+        return HBP_ERROR_NOT_SUPPORTED;
+    }
     REQUIRE(state >= HBP_STATE_IDLE && state <= HBP_STATE_FAULT);
     REQUIRE(from[state] >> app->state & 1u);
     app->state = state;
@@ -109,7 +114,8 @@ static uint8_t app_outputs_on(void *user)
 
 static uint32_t app_clear(void *user, uint32_t faults)
 {
-    return faults & ((const struct app *)user)->persisting;
+    const struct app *app = user;
+    return faults & (app->moody && below(4) == 0 ? 1u << below(24) : app->persisting);
 }
 
 static uint16_t app_commit(void *user, float *detail)
@@ -121,7 +127,7 @@ static uint16_t app_commit(void *user, float *detail)
 static void configure_drive(struct hbp_config *config, struct hbp_parameter parameters[4], struct app *app, uint8_t node,
                             uint32_t features)
 {
-    const struct app fresh = {0, 0, 0, 0, 0, 2.5f, 6.0f, 42.0f, 0.2f};
+    const struct app fresh = {0, 0, 0, 0, 0, 0, 2.5f, 6.0f, 42.0f, 0.2f};
     const struct hbp_parameter table[] = PARAMETERS(*app);
     memcpy(parameters, table, sizeof table);
     *app = fresh;

@@ -248,6 +248,7 @@ static void begin(uint32_t features)
     for (unsigned k = 0; k < (can ? 1u : 2u); k++) {
         struct node *node = &nodes[k];
         configure_drive(&node->config, node->parameters, &node->app, (uint8_t)(k + 1u), features);
+        node->app.moody = 1;
         node->edges = node->dropped = node->overrun = 0;
         node->code = 1;
         memset(node->told, 0, 65536 * sizeof *node->told);
@@ -388,6 +389,12 @@ static void byte_step(void)
     if (below(64) == 0) {
         for (n = 0; n < 20; n++) wire[n] = (uint8_t)draw();
     }
+    if (below(512) == 0)
+        for (unsigned k = 0; k < 1200; k += 20) { /* much without a delimiter */
+            uint8_t noise[20];
+            memset(noise, (int)(1u + below(255)), sizeof noise);
+            feed(noise, sizeof noise);
+        }
     feed(wire, n);
     n_frames++;
     for (unsigned k = below(4) ? below(4) : below(40); k--;) {
