@@ -207,6 +207,12 @@ static void feed(struct hbp *h)
     h->leash_ticks = watchdog_ticks(h);
 }
 
+static uint16_t wrong_state(const struct hbp *h, float *detail)
+{
+    *detail = (float)h->state;
+    return HBP_ERROR_WRONG_STATE;
+}
+
 static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
 {
     uint16_t code;
@@ -219,6 +225,7 @@ static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
         h->permit = h->state == HBP_STATE_RUNNING;
         return code;
     }
+    if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h, detail); /* the application called hbp_fault meanwhile */
     h->state = state;
     event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
     return 0;
@@ -267,12 +274,6 @@ void hbp_pass_time(struct hbp *h, uint64_t now)
         event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
         enter(h, HBP_STATE_IDLE, &detail);
     }
-}
-
-static uint16_t wrong_state(const struct hbp *h, float *detail)
-{
-    *detail = (float)h->state;
-    return HBP_ERROR_WRONG_STATE;
 }
 
 static uint16_t arm(struct hbp *h, uint32_t token, float *detail)
@@ -768,7 +769,7 @@ static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t length, siz
         s->configured = 0;
         s->running = 0;
         h->link->way->close(h, s);
-        if (s->event == HBP_STREAM_EDGES && s->edge != h->edge_head) s->lost++;
+        if (s->event == HBP_STREAM_EDGES && s->waits) s->lost++; /* those that come meanwhile are not its own any more */
     }
     return 0;
 }
@@ -859,7 +860,7 @@ void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint1
 {
     uint16_t head = h->edge_head;
     if ((uint16_t)(head - h->edge_tail) < HBP_EDGES) {
-        struct hbp_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
+        struct hbp_hall_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
         edge->index = h->edges;
         edge->tick = tick;
         edge->encoder = encoder;
@@ -891,9 +892,10 @@ static int send_edges(struct hbp *h)
     for (unsigned k = 0; k < HBP_STREAMS; k++) {
         struct hbp_stream *s = &h->streams[k];
         if (!s->running || s->event != HBP_STREAM_EDGES) continue;
+        s->waits = 0;
         while (s->edge != h->edge_head) {
             uint16_t most = (uint16_t)(h->edge_head - s->edge), n = 1;
-            const struct hbp_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+            const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
             HBP_BARRIER();
             if (first->index != s->edge_index) { /* the ring was full */
                 s->edge_seq++;
@@ -904,6 +906,7 @@ static int send_edges(struct hbp *h)
             if (most > s->block) most = s->block;
             while (n < most && h->ring[(s->edge + n) & (HBP_EDGES - 1u)].index == first->index + n) n++;
             if (!h->link->way->edges(h, s, n)) {
+                s->waits = 1;
                 room = 0;
                 break;
             }
@@ -912,7 +915,6 @@ static int send_edges(struct hbp *h)
             s->edge_seq++;
             s->edge_flags = 0;
         }
-        s->waits = s->edge != h->edge_head;
     }
     let_go_of_edges(h);
     return room;
@@ -961,7 +963,7 @@ static uint32_t edges_up_to_now(const struct hbp *h)
         HBP_BARRIER();
     } while (head != h->edge_head);
     for (unsigned k = 1; k <= HBP_EDGES && k <= edges; k++, edges--) {
-        const struct hbp_edge *edge = &h->ring[(head - k) & (HBP_EDGES - 1u)];
+        const struct hbp_hall_edge *edge = &h->ring[(head - k) & (HBP_EDGES - 1u)];
         if ((int32_t)(edge->tick - (uint32_t)h->now) <= 0) break;
     }
     return edges;
@@ -1385,14 +1387,14 @@ static int byte_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_bl
 static int byte_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
 {
     uint8_t head[STREAM_HEADER], *to = h->link->work;
-    const struct hbp_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+    const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
     put_stream_header(head, s, s->edge_flags, n, s->edge_seq);
     hbp_put32(hbp_put32(head + 8, first->index), first->tick);
     for (unsigned k = 0; k < n; k++) to = hbp_put_edge(to, &h->ring[(s->edge + k) & (HBP_EDGES - 1u)], 0);
     return byte_stream(h, s, HBP_TYPE_EDGES, head, h->link->work, (size_t)n * EDGE_BYTES);
 }
 
-uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_edge *edge, uint8_t flags)
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags)
 {
     to = hbp_put32(to, edge->tick);
     *to++ = edge->codes;

@@ -284,7 +284,7 @@ static int can_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_blo
 static int can_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
 {
     struct hbp_can *can = can_of(h);
-    const struct hbp_edge *edge = &h->ring[s->edge & (HBP_EDGES - 1u)];
+    const struct hbp_hall_edge *edge = &h->ring[s->edge & (HBP_EDGES - 1u)];
     (void)n; /* a block is one edge */
     if ((uint32_t)h->now - edge->tick > can->half_second && (int32_t)((uint32_t)h->now - edge->tick) > 0) {
         s->lost++;

@@ -29,7 +29,7 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
 
 uint8_t *hbp_put16(uint8_t *to, uint32_t value);
 uint8_t *hbp_put32(uint8_t *to, uint32_t value);
-uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_edge *edge, uint8_t flags);
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
 uint32_t hbp_get32(const uint8_t *from);
 uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n);
 uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation);
