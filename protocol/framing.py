@@ -171,8 +171,14 @@ class Deframer:
                 counters.noise_bytes += len(chunk)
                 continue
             length = len(body) - _OVERHEAD
-            if length >= 0 and crc32(body) != _CRC_RESIDUE:
+            if length > MAX_PAYLOAD:
+                counters.too_long += 1
+                counters.noise_bytes += len(chunk)
+            elif length >= 0 and crc32(body) != _CRC_RESIDUE:
                 counters.bad_crc += 1
+                counters.noise_bytes += len(chunk)
+            elif length > MAX_PAYLOAD:  # zeros take no room in COBS
+                counters.too_long += 1
                 counters.noise_bytes += len(chunk)
             elif length < 0 or body[4] | body[5] << 8 != length:
                 counters.bad_length += 1

@@ -28,6 +28,7 @@ _COMMANDS = {
     "compare": "Lay two recorded runs over each other: differences beyond noise.",
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
+    "conform": "Find out whether a device conforms to HBP, check by check.",
     "hall": "Hall sensors: check their health, learn where their edges lie.",
     "replay": "Run observers again on a recording, beside the drive's own.",
     "score": "Score position observers on recordings: errors, lag, cost, ranked.",

@@ -44,6 +44,8 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
 @click.option("--set", "settings", metavar="SECTION.NAME=VALUE", multiple=True, help="One such figure; repeatable.")
 @click.option("--seed", type=int, help="Seed of noise and jitter (default: another one each time).")
 @click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
+@click.option("--device", type=click.Choice(["python", "c"]), default="python", show_default=True,
+              help="Device side of HBP; the one in C (protocol/c) is compiled by the system's compiler.")  # fmt: skip
 @click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,
               help="List the motors that are shipped, and exit.")  # fmt: skip
 @click.option("--exit-with-parent", is_flag=True, hidden=True)
@@ -54,6 +56,7 @@ def command(
     data_bitrate: int | None,
     ext: bool,
     exit_with_parent: bool,
+    device: str,
     settings: tuple[str, ...],
     **given: Any,
 ) -> None:
@@ -67,6 +70,7 @@ def command(
       bench sim --tcp 127.0.0.1:7000 --set inverter.dead_time=2e-6
       bench sim --slcan --fd
       bench sim --config maxon-ec60-flat
+      bench sim --device c
     """
     places = [name for name in ("tcp", "slcan", "socketcand") if given[name]] + ["pty"] * pty
     if len(places) > 1:
@@ -83,7 +87,7 @@ def command(
 
     rates = BusRates(bitrate or 1_000_000, (data_bitrate or DEFAULT_DATA_BITRATE) if fd else None)
     overrides = dict(parse_override(text) for text in settings)
-    options = ServeOptions(rates=rates, extended=ext, overrides=overrides, **given)
+    options = ServeOptions(rates=rates, extended=ext, overrides=overrides, compiled=device == "c", **given)
     if exit_with_parent:
         threading.Thread(target=_end_with_input, daemon=True).start()
     serve(options, _tell_parent if exit_with_parent else echo)

@@ -244,6 +244,14 @@ class CanDevice:
         self.session.advance(tick)
         self.session.streams.expired += self.tx.expire(tick, round(MAX_AGE * self.session.identity.tick_hz))
 
+    def take(self) -> bytes:
+        """Return and forget the next CAN_RECORD that is to be sent, nothing if there is none."""
+        return self.tx.take(RECORD_BYTES)
+
+    def gave_up(self) -> None:
+        """A stream frame was taken back from the controller's mailbox."""
+        self.session.streams.expired += 1
+
     def _receive(self, can_id: int, data: bytes) -> None:
         if can_id & ERROR:
             self.counters.error_frames += 1

@@ -388,6 +388,11 @@ class DeviceLink:
         for session in self.sessions.values():
             session.advance(tick)
 
+    def __len__(self) -> int:
+        """Bytes that wait for the link."""
+        return len(self.tx)
+
     def data_to_send(self, limit: int | None = None) -> bytes:
         """Return and forget the bytes that wait for the link, at most `limit`."""
-        return self.tx.take(limit)
+        fits = limit is None or len(self.tx) <= limit
+        return self.tx.take(None if fits else limit)  # all at once is quicker than frame by frame

@@ -12,14 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from protocol import __version__
-from protocol.device.session import DeviceSession, Identity
+from protocol.device.session import DeviceLink, Identity
 from protocol.device.tx import TxQueue
 from protocol.messages import Fault, Feature, Role
 from sim.config.params import BenchParams
 from sim.drive.apps import DriveApp, LoadApp
 from sim.drive.machine import SimulatedBench
 from sim.numba_cache import source_hash
-from sim.ports.networks import ByteNetwork, Network
+from sim.ports.networks import ByteNetwork, Network, Session
 
 FIRMWARE = "hallbench-sim"
 BUILD = f"{__version__}-{source_hash()[:12]}"
@@ -53,7 +53,7 @@ class SimulatedDevice:
         notice: Callable[[str], None] | None = None,
     ) -> None:
         self.bench = SimulatedBench(params, seed)
-        self.network: Network = ByteNetwork(TxQueue(TX_BYTES)) if network is None else network
+        self.network: Network = ByteNetwork(DeviceLink(TxQueue(TX_BYTES))) if network is None else network
         self.periods = 0
         """PWM periods since boot."""
         clock = params.clock
@@ -72,11 +72,11 @@ class SimulatedDevice:
         commit = Feature.COMMIT if store is not None else Feature(0)
         drive = DriveApp(self.bench, store)
         self._channels = tuple(drive.channels)
-        self.drive: DeviceSession = self.network.add(
+        self.drive: Session = self.network.add(
             drive,
             identity(1, Role.DRIVE, "simulated drive", Feature.EDGES | Feature.SIMULATED | commit),
         )
-        self.load: DeviceSession = self.network.add(
+        self.load: Session = self.network.add(
             LoadApp(self.bench), identity(2, Role.LOAD, "load machine", Feature.SIMULATED)
         )
         self.sessions = (self.drive, self.load)

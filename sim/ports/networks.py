@@ -9,9 +9,11 @@ from collections import deque
 
 import numpy as np
 
+from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import MAX_AGE, CanDevice
 from protocol.canmap.frame import CAN_RECORD, ERROR, ERROR_CONTROLLER, ERROR_OVERFLOW, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
+from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.device.session import DeviceApp, DeviceLink, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.wire import ByteWire, HostWire
@@ -23,12 +25,24 @@ _OVERFLOW["id"], _OVERFLOW["length"] = ERROR | ERROR_CONTROLLER, 8
 _OVERFLOW["data"][0, 1] = ERROR_OVERFLOW
 
 
-class ByteNetwork(DeviceLink):
+class ByteNetwork:
     """A serial cable or a TCP connection; it takes no time of its own. It has the methods of `CanNetwork`."""
 
-    def __init__(self, tx: TxQueue) -> None:
-        super().__init__(tx)
+    def __init__(self, link: DeviceLink | CompiledLink) -> None:
+        self._link = link
         self._delimiters = 0
+
+    def add(self, app: DeviceApp, identity: Identity) -> Session:
+        """See `CanNetwork`."""
+        return self._link.add(app, identity)
+
+    def receive(self, data: bytes) -> None:
+        """See `CanNetwork`."""
+        self._link.receive(data)
+
+    def advance(self, tick: int) -> None:
+        """See `CanNetwork`."""
+        self._link.advance(tick)
 
     @property
     def frames_sent(self) -> int:
@@ -41,12 +55,11 @@ class ByteNetwork(DeviceLink):
     @property
     def waiting(self) -> int:
         """See `CanNetwork`."""
-        return len(self.tx)
+        return len(self._link)
 
     def data_to_send(self, limit: int | None = None) -> bytes:
         """See `CanNetwork`."""
-        fits = limit is None or len(self.tx) <= limit
-        data = super().data_to_send(None if fits else limit)  # all at once is quicker than frame by frame
+        data = self._link.data_to_send(limit)
         self._delimiters += data.count(0)
         return data
 
@@ -65,13 +78,17 @@ class CanNetwork:
     Args:
         rates: bit rates; they decide the frame format.
         extended: 29-bit identifiers.
-        tx_frames: stream frames that may wait in a device.
+        tx_frames: stream frames that may wait in a device, for `compiled` a power of two.
         seed: of the bus's faults.
+        compiled: the devices' side of HBP is the one in C.
     """
 
-    def __init__(self, rates: BusRates, extended: bool = False, tx_frames: int = 1024, seed: int = 0) -> None:
+    def __init__(
+        self, rates: BusRates, extended: bool = False, tx_frames: int = 1024, seed: int = 0, compiled: bool = False
+    ) -> None:
         self.bus = SimulatedBus(rates, seed)
-        self.devices: dict[int, CanDevice] = {}
+        self.devices: dict[int, CanDevice | CompiledCan] = {}
+        self._compiled = compiled
         self._controllers: dict[int, Controller] = {}
         self.adapter = self.bus.attach(self._next_from_host, self._to_host, "adapter", self._to_host)
         self.overflows = 0
@@ -80,15 +97,19 @@ class CanNetwork:
         self.frames_sent = 0
         """Frames handed to the host's side."""
         self._extended = extended
-        self._tx_bytes = tx_frames * RECORD_BYTES
+        self._tx_frames = tx_frames
         self._from_host: deque[bytes] = deque()
         self._for_host: deque[bytes] = deque()
 
-    def add(self, app: DeviceApp, identity: Identity) -> DeviceSession:
+    def add(self, app: DeviceApp, identity: Identity) -> Session:
         """Return the session of one more device."""
-        tx = TxQueue(self._tx_bytes, control_limit=1 << 16)
-        device = CanDevice(app, identity, self.bus.rates, self._extended, tx)
-        controller = self.bus.attach(lambda: tx.take(RECORD_BYTES), device.receive, identity.name, device.receive)
+        device: CanDevice | CompiledCan
+        rates, extended, frames = self.bus.rates, self._extended, self._tx_frames
+        if self._compiled:
+            device = CompiledCan(app, identity, rates, extended, frames)
+        else:
+            device = CanDevice(app, identity, rates, extended, TxQueue(frames * RECORD_BYTES, control_limit=1 << 16))
+        controller = self.bus.attach(device.take, device.receive, identity.name, device.receive)
         self._controllers[identity.node] = controller
         self.devices[identity.node] = device
         for each in self.devices.values():
@@ -104,7 +125,7 @@ class CanNetwork:
         self.bus.advance(now)
         for node, controller in self._controllers.items():
             if controller.waits > MAX_AGE and controller.abort():
-                self.devices[node].session.streams.expired += 1
+                self.devices[node].gave_up()
 
     def advance(self, tick: int) -> None:
         """Let time pass up to the 64-bit `tick` in every device."""
@@ -146,6 +167,9 @@ class CanNetwork:
         self._overflowing = True
         self.overflows += 1
 
+
+Session = DeviceSession | CompiledSession
+"""A device's end of HBP."""
 
 Network = ByteNetwork | CanNetwork
 """How the devices of a `SimulatedDevice` are wired."""

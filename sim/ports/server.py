@@ -81,6 +81,8 @@ class ServeOptions:
     overrides: Mapping[str, Value] = field(default_factory=dict)
     seed: int | None = None
     """Of noise and jitter; None = another one each time."""
+    compiled: bool = False
+    """The devices' side of HBP is the one in C (protocol/c)."""
     store: Path | None = None
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
 
@@ -220,11 +222,12 @@ def serve(options: ServeOptions, tell: Say) -> None:
     params = load_params(options.config, options.overrides, _note)
     port = _make_port(options)
     try:
+        network = _make_network(options)
         numba_cache.tell_by(tell)
         if isinstance(port, TcpPort) and port.exposed:
             print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
         with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
-            device = _make_device(params, options, tell)
+            device = _make_device(params, options, network, tell)
         received: set[int] = set()
         with _handlers(lambda number, _: received.add(number), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
             tell(f"target: {port.target}")
@@ -336,17 +339,23 @@ def check_slcan_rates(rates: BusRates) -> None:
 
 
 def _make_network(options: ServeOptions) -> Network:
+    from protocol.device.compiled import CompiledLink, NoCompiler
+    from protocol.device.session import DeviceLink
     from sim.ports.networks import ByteNetwork, CanNetwork
 
-    if options.can:
-        return CanNetwork(options.rates, options.extended)
-    if options.baud is None:
-        return ByteNetwork(TxQueue(TX_BYTES))
-    capacity = options.baud / BITS_PER_CHARACTER
-    return ByteNetwork(TxQueue(min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity))), capacity=capacity))
+    capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
+    room = TX_BYTES if capacity is None else min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity)))
+    try:
+        if options.can:
+            return CanNetwork(options.rates, options.extended, compiled=options.compiled)
+        if options.compiled:
+            return ByteNetwork(CompiledLink(room, capacity))
+    except NoCompiler as why:
+        raise ConfigError(f"--device c: {why}") from None
+    return ByteNetwork(DeviceLink(TxQueue(room, capacity=capacity)))
 
 
-def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> SimulatedDevice:
+def _make_device(params: BenchParams, options: ServeOptions, network: Network, tell: Say) -> SimulatedDevice:
     from sim.compile import compile_all  # numba
     from sim.ports.device import SimulatedDevice, random_boot_id
 
@@ -356,6 +365,6 @@ def _make_device(params: BenchParams, options: ServeOptions, tell: Say) -> Simul
         random_boot_id() if options.seed is None else options.seed,
         boot_id=random_boot_id(),
         store=options.store,
-        network=_make_network(options),
+        network=network,
         notice=tell,
     )

@@ -178,3 +178,8 @@ def test_the_order_of_the_observers_is_the_one_that_the_page_speaks_of() -> None
     swinging = {name for name, row in numbers["in_loop"].items() if "swings" in str(row["words"])}
     assert swinging == {"average_speed", "sector_centre", "lookup_table", "programmable_filter"}
     assert "trips" not in str(numbers["in_loop"])
+
+
+def test_the_page_of_conformance_has_all_checks() -> None:
+    assert (ROOT / "docs" / "conform.md").read_text() == generator_of("make_conform").page()
+    # else: python docs/make_conform.py

@@ -11,11 +11,12 @@ from unittest.mock import patch
 from bench.live import run as live
 from bench.live.summary import Summary
 from protocol.canmap.frame import BusRates
+from protocol.device.compiled import CompiledLink
 from protocol.links import Link
 from protocol.messages import DriveState, Feature
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
-from sim.ports.networks import CanNetwork
+from sim.ports.networks import ByteNetwork, CanNetwork, Network
 from sim.ports.virtual import VirtualLink
 
 TARGET = "serial:/dev/ttyTEST"
@@ -24,11 +25,16 @@ TARGET = "serial:/dev/ttyTEST"
 NETWORKS = ("bytes", "CAN", "CAN FD")
 
 
-def simulated(seed: int = 1, network: str = "bytes", **settings: float) -> SimulatedDevice:
-    """A bench in virtual time; settings as `section__name=value`."""
+def simulated(seed: int = 1, network: str = "bytes", compiled: bool = False, **settings: float) -> SimulatedDevice:
+    """A bench in virtual time; settings as `section__name=value`. `compiled`: behind the device side in C."""
     overrides = {key.replace("__", "."): value for key, value in settings.items()}
     bus = {"CAN": BusRates(1_000_000), "CAN FD": BusRates(1_000_000, 5_000_000)}.get(network)
-    return SimulatedDevice(load_params(None, overrides), seed, network=None if bus is None else CanNetwork(bus))
+    wired: Network | None = None
+    if bus is not None:
+        wired = CanNetwork(bus, compiled=compiled)
+    elif compiled:
+        wired = ByteNetwork(CompiledLink())
+    return SimulatedDevice(load_params(None, overrides), seed, network=wired)
 
 
 def physical(seed: int = 1) -> SimulatedDevice:

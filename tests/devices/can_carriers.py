@@ -80,7 +80,7 @@ class Assembler:
 
     def feed(self, data: bytes, node: int) -> Message | None:
         """The message that this frame completes."""
-        if not data or data == self._before:
+        if not data or self.repeated(data):
             return None
         self._before = data
         tail, single = data[-1], False
@@ -90,7 +90,7 @@ class Assembler:
             single = bool(tail & LAST)
         if self._data is None:
             return None
-        if tail & 63 != self._expected:
+        if not self.expected(tail, self._expected):
             return self._damaged()
         self._data += data[:-1]
         self._expected ^= TOGGLE
@@ -107,6 +107,15 @@ class Assembler:
             return self._damaged()
         return Message(kind, flags, tid, node, payload)
 
+    def repeated(self, data: bytes) -> bool:
+        """Whether this is the frame before once more."""
+        return data == self._before
+
+    @staticmethod
+    def expected(tail: int, toggle_and_id: int) -> bool:
+        """Whether this is the next frame of the transfer."""
+        return tail & 63 == toggle_and_id
+
     def _damaged(self) -> None:
         self.bad += 1
         self._data = None
@@ -117,6 +126,9 @@ class CanCarrier:
 
     target: str
     bitrate = 1_000_000
+    assembler = Assembler
+    for_everybody: tuple[int, ...] = (Type.HELLO,)
+    """Types of what is answered at node 0."""
 
     def __init__(self) -> None:
         self._assemblers: dict[int, Assembler] = {}
@@ -161,12 +173,12 @@ class CanCarrier:
             return Message(0, 0, 0, node, b""), 0
         if kind not in (STATUS, TO_DEVICE):
             return None
-        message = self._assemblers.setdefault(number, Assembler()).feed(data, node)
+        message = self._assemblers.setdefault(number, self.assembler()).feed(data, node)
         if message is None or (kind == STATUS) != (message.type in (Type.ALIVE, Type.SETPOINT)):
             return None
         if kind == STATUS and slot != STATUS_SLOTS[Type(message.type)]:
             return None
-        if kind == TO_DEVICE and node == 0 and message.type != Type.HELLO:
+        if kind == TO_DEVICE and node == 0 and message.type not in self.for_everybody:
             return None
         return message, slot if kind == TO_DEVICE else 0
 

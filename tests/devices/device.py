@@ -75,6 +75,8 @@ class Peer:
 class Device:
     """Node `node` of a link.
 
+    `stream_kind` makes its streams.
+
     `after`: seconds after START at which a fault that needs a moment happens. `watchdog`: its time in s where there is
     no parameter `watchdog`; a test on a busy machine may want more than SPEC's.
 
@@ -83,6 +85,7 @@ class Device:
     """
 
     node = 1
+    stream_kind = Stream
 
     def __init__(
         self,
@@ -110,6 +113,10 @@ class Device:
             Type.SETPOINT: self.setpoint_message,
         }  # fmt: skip
         self.boot()
+
+    def attach(self, carrier: ByteCarrier | CanCarrier) -> None:
+        """Work on this carrier from now on; here faults of links change how it works."""
+        self.carrier = carrier
 
     def boot(self) -> None:
         """Begin anew, as after a reset."""
@@ -175,7 +182,7 @@ class Device:
             keeps = _kept(message)
             for request, reply, transfer in peer.kept if keeps else ():
                 if request == message:
-                    self.carrier.send(reply, host, transfer)
+                    self.answer_again(message, reply, peer, transfer)
                     return
             payload = self.execute(message, peer)
         except Refusal as refusal:
@@ -193,6 +200,10 @@ class Device:
         transfer = self.carrier.send(answer, peer.number)
         if keeps:
             peer.kept.append((request, answer, transfer))
+
+    def answer_again(self, request: Message, reply: Message, peer: Peer, transfer: int) -> None:
+        """Send a kept reply."""
+        self.carrier.send(reply, peer.number, transfer)
 
     def admit(self, message: Message) -> None:
         """What is checked before a repeated request is answered again. Raises Refusal."""
@@ -284,6 +295,8 @@ class Device:
         return struct.pack("<Hxxf", number, value)
 
     def param_commit(self, message: Message, peer: Peer) -> bytes:
+        if self.outputs_on:
+            raise Refusal(Code.WRONG_STATE, self.state)
         raise Refusal(Code.NOT_SUPPORTED, Type.PARAM_COMMIT)
 
     # -- states -------------------------------------------------------------------------------------------------
@@ -415,7 +428,7 @@ class Device:
         if number > 3:
             raise Refusal(Code.OUT_OF_RANGE, 3)
         ids = struct.unpack_from(f"<{n}H", message.payload, SET.size)
-        stream = Stream.asked(number, event, decimation, latency, ids, self.vocabulary)
+        stream = self.stream_kind.asked(number, event, decimation, latency, ids, self.vocabulary)
         if number in self.streams and self.streams[number].running:
             raise Refusal(Code.BUSY, number)
         stream.tx_max = min(peer.rx_max, MAX_PAYLOAD)
@@ -457,9 +470,15 @@ class Device:
     def flush(self, stream: Stream, everything: bool = False) -> None:
         """Send what is full or late; edges at once, so that they are ahead of the samples after them."""
         for records in stream.take(self.tick(), everything or stream.edges):
-            dropped = self.carrier.emit(stream, records, self.node)
-            self.tx_dropped += dropped
-            stream.overrun = dropped > 0
+            if dropped := self.carrier.emit(stream, records, self.node):
+                self.dropped(stream, dropped)
+            else:
+                stream.overrun = False
+
+    def dropped(self, stream: Stream, frames: int) -> None:
+        """So many frames found no room."""
+        self.tx_dropped += frames
+        stream.overrun = True
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -531,9 +550,26 @@ class Device:
             reference = motor.setpoint[1] if motor.setpoint and motor.setpoint[0] == Mode.SPEED else 0.0
             rows.append((motor.theta, motor.pole_pairs * motor.speed, motor.pole_pairs * reference, motor.i_q))
             edges += edges_between((period - 1) * ticks, before, period * ticks, motor.theta, motor.pole_pairs)
-        theta, omega, omega_ref, i_q = np.array(rows).T
-        index = np.arange(self._periods, self._periods + n)
+        first = self._periods
         self._periods += n
+        for stream in self.streams.values():
+            if stream.running and stream.edges:
+                stream.put_edges(edges, self.edges)
+        self.edges += len(edges)
+        sampled = [stream for stream in self.streams.values() if stream.running and not stream.edges]
+        if sampled:
+            samples = self._samples(first, rows)
+            for stream in sampled:
+                stream.put_samples(samples)
+        for stream in sorted(self.streams.values(), key=lambda s: not s.edges):
+            if stream.running:
+                self.flush(stream)
+
+    def _samples(self, first: int, rows: list[tuple[float, float, float, float]]) -> Samples:
+        """What is measured in the periods from `first` on."""
+        n, ticks, motor = len(rows), self._ticks, self.motor
+        theta, omega, omega_ref, i_q = np.array(rows).T
+        index = np.arange(first, first + n)
         pole_pairs = self.value("n_p", motor.pole_pairs)
         by_encoder = pole_pairs / motor.pole_pairs if isfinite(pole_pairs) else 1.0
         samples = Samples(
@@ -551,16 +587,7 @@ class Device:
             u_dc=U_DC + 0.1 * np.sin(0.001 * index),
         )
         self.distort(samples)
-        for stream in self.streams.values():
-            if stream.running and stream.edges:
-                stream.put_edges(edges, self.edges)
-        self.edges += len(edges)
-        for stream in self.streams.values():
-            if stream.running and not stream.edges:
-                stream.put_samples(samples)
-        for stream in sorted(self.streams.values(), key=lambda s: not s.edges):
-            if stream.running:
-                self.flush(stream)
+        return samples
 
     def distort(self, samples: Samples) -> None:
         """Where faults change what is measured."""

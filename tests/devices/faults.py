@@ -8,15 +8,20 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from math import inf, nan
 from typing import Any
 
 import numpy as np
+from cobs import cobs
 
+from tests.devices.can_carriers import Assembler
+from tests.devices.carriers import HEAD
 from tests.devices.device import UNFED, Device, Peer
 from tests.devices.motor import Samples
-from tests.devices.spec import PWM, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, State, Type, Unit
+from tests.devices.spec import ERROR, PWM, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, State, Type, Unit
+from tests.devices.streams import Record, Stream
 from tests.devices.vocabulary import FULL, Channel, Vocabulary, encoded
 
 FAULTS: dict[str, type[Device]] = {}
@@ -477,3 +482,467 @@ class NanSamples(Device):
             for row in vocabulary.channels
         )
         return replace(vocabulary, channels=tuple(channels))
+
+
+# -- what `bench conform` must find -----------------------------------------------------------------------------------
+
+
+@fault("answers-damaged")
+class AnswersDamaged(Device):
+    """A frame with a wrong CRC is counted, and answered all the same."""
+
+    def attach(self, carrier: Any) -> None:
+        super().attach(carrier)
+        carrier.salvaged = _without_crc
+
+
+def _without_crc(frame: bytes) -> Message | None:
+    try:
+        body = cobs.decode(frame)[:-4]
+    except cobs.DecodeError:
+        return None
+    if not 8 <= len(body) <= 1032:
+        return None
+    kind, flags, tid, length, node = HEAD.unpack_from(body)
+    return Message(kind, flags, tid, node, body[8:]) if length == len(body) - 8 else None
+
+
+@fault("rx-bad-zero")
+class RxBadZero(Device):
+    """Damaged frames are not counted."""
+
+    def heartbeat_fields(self) -> dict[str, Any]:
+        return super().heartbeat_fields() | {"rx_bad": 0}
+
+
+@fault("length-before-type")
+class LengthBeforeType(Device):
+    """An unknown type with a payload is told its length."""
+
+    def admit(self, message: Message) -> None:
+        if message.type not in list(Type) and message.payload:
+            raise Refusal(Code.BAD_LENGTH, len(message.payload))
+        super().admit(message)
+
+
+@fault("wrong-detail")
+class WrongDetail(Device):
+    """The refusal of another blob has the detail 0."""
+
+    def blob_read(self, message: Message, peer: Peer) -> bytes:
+        if message.payload[0]:
+            raise Refusal(Code.UNKNOWN_ID, 0)
+        return super().blob_read(message, peer)
+
+
+@fault("retry-executed")
+class RetryExecuted(Device):
+    """A repeated request has the kept reply, and is executed once more."""
+
+    def answer_again(self, request: Message, reply: Message, peer: Peer, transfer: int) -> None:
+        with suppress(Refusal):
+            self.execute(request, peer)
+        super().answer_again(request, reply, peer, transfer)
+
+
+@fault("reply-kept-once")
+class ReplyKeptOnce(Device):
+    """A reply is kept until the next one only."""
+
+    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
+        super().answer(request, answer, peer, keeps)
+        if keeps and not answer.flags & ERROR:
+            for kept in [kept for kept in peer.kept if kept[1] != answer and not kept[1].flags & ERROR]:
+                peer.kept.remove(kept)
+
+
+@fault("tick-back")
+class TickBack(Device):
+    """Every fifth TIME_SYNC tells the time of 8 ms ago."""
+
+    asked = 0
+
+    def time_sync(self, message: Message, peer: Peer) -> bytes:
+        self.asked += 1
+        tick = self.tick() - (8000 if self.asked % 5 == 0 else 0)
+        return struct.pack("<QQ", max(0, tick), max(0, tick))
+
+
+@fault("blob-past-end")
+class BlobPastEnd(Device):
+    """A read past the end of the descriptor has an empty answer."""
+
+    def blob_read(self, message: Message, peer: Peer) -> bytes:
+        blob, _, offset = struct.unpack("<BxHI", message.payload)
+        total = len(self.descriptor())
+        if blob == 0 and offset > total:
+            return struct.pack("<BxHII", 0, 0, offset, total)
+        return super().blob_read(message, peer)
+
+
+@fault("read-only-set")
+class ReadOnlySet(Device):
+    """A READ_ONLY parameter is set all the same."""
+
+    def param_set(self, message: Message, peer: Peer) -> bytes:
+        number, value = struct.unpack("<Hxxf", message.payload)
+        if self._parameter(number).flags & Flag.READ_ONLY:
+            self.values[number] = value
+            return struct.pack("<Hxxf", number, value)
+        return super().param_set(message, peer)
+
+
+@fault("parameter-clipped")
+class ParameterClipped(Device):
+    """A value beyond the range of a parameter sets it to the end of that."""
+
+    def param_set(self, message: Message, peer: Peer) -> bytes:
+        number, value = struct.unpack("<Hxxf", message.payload)
+        try:
+            return super().param_set(message, peer)
+        except Refusal as refusal:
+            if refusal.code != Code.OUT_OF_RANGE:
+                raise
+            value = self.values[number] = refusal.detail
+        return struct.pack("<Hxxf", number, value)
+
+
+@fault("last-tid-of-refused")
+class LastTidOfRefused(Device):
+    """last_tid is that of the last request, refused or not."""
+
+    def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
+        super().answer(request, answer, peer, keeps)
+        self.last_tid = request.tid
+
+
+@fault("heartbeats-slow")
+class HeartbeatsSlow(Device):
+    """A heartbeat every 200 ms."""
+
+    beats = 0
+
+    def heartbeat(self) -> None:
+        self.beats += 1
+        if self.beats % 2:
+            super().heartbeat()
+
+
+# -- streams that lie -------------------------------------------------------------------------------------------------
+
+
+@fault("drop-uncounted")
+class DropUncounted(Device):
+    """Frames that find no room are not counted in tx_dropped."""
+
+    def dropped(self, stream: Stream, frames: int) -> None:
+        super().dropped(stream, 0)
+
+
+@fault("seq-of-sent")
+class SeqOfSent(Device):
+    """seq counts the frames that were sent only."""
+
+    def dropped(self, stream: Stream, frames: int) -> None:
+        super().dropped(stream, frames)
+        stream.seq = (stream.seq - frames) & 0xFFFF
+
+
+@fault("overrun-missing")
+class OverrunMissing(Device):
+    """No frame carries OVERRUN."""
+
+    def dropped(self, stream: Stream, frames: int) -> None:
+        super().dropped(stream, frames)
+        stream.overrun = False
+
+
+@fault("cfg-id-stale")
+class CfgIdStale(Device):
+    """Frames carry the cfg_id of the configuration before."""
+
+    before = 0
+    newest = 0
+
+    def stream_set(self, message: Message, peer: Peer) -> bytes:
+        reply = super().stream_set(message, peer)
+        self.before, self.newest = self.newest, self.streams[message.payload[0]].cfg_id
+        return reply
+
+    def flush(self, stream: Stream, everything: bool = False) -> None:
+        now, stream.cfg_id = stream.cfg_id, self.before or stream.cfg_id
+        super().flush(stream, everything)
+        stream.cfg_id = now
+
+
+@fault("get-stale")
+class GetStale(Device):
+    """STREAM_GET tells the cfg_id of the first configuration since boot."""
+
+    first = 0
+
+    def stream_get(self, message: Message, peer: Peer) -> bytes:
+        told = super().stream_get(message, peer)
+        self.first = self.first or int.from_bytes(told[8:10], "little")
+        return told[:8] + self.first.to_bytes(2, "little") + told[10:]
+
+
+def _streams(name: str, kind: type[Stream]) -> None:
+    """A fault of the streams themselves."""
+    fault(name)(type(kind.__name__, (Device,), {"stream_kind": kind, "__doc__": kind.__doc__}))
+
+
+class IndexOdd(Stream):
+    """The periods are taken one too early: their index cannot be divided by the decimation."""
+
+    def taken(self, index: np.ndarray) -> np.ndarray:
+        return (index + 1) % self.decimation == 0
+
+
+class SampleTickBack(Stream):
+    """Every third frame has a tick of 3 ms ago."""
+
+    def frame(self, records: list[Record]) -> tuple[Type, bytes]:
+        index, tick, data = records[0]
+        return super().frame([(index, tick - 3000 * (self.seq % 3 == 2), data), *records[1:]])
+
+
+class ChannelsSorted(Stream):
+    """Channels lie in a sample by their ids, however they are named."""
+
+    def put_samples(self, samples: Samples) -> None:
+        named, self.channels = self.channels, tuple(sorted(self.channels, key=lambda channel: channel.id))
+        super().put_samples(samples)
+        self.channels = named
+
+
+_streams("index-odd", IndexOdd)
+_streams("sample-tick-back", SampleTickBack)
+_streams("channels-sorted", ChannelsSorted)
+
+
+@fault("busy-ignored")
+class BusyIgnored(Device):
+    """A running stream can be configured anew."""
+
+    def stream_set(self, message: Message, peer: Peer) -> bytes:
+        stream = self.streams.get(message.payload[0])
+        running = stream is not None and stream.running
+        if stream is not None:
+            stream.running = False
+        try:
+            return super().stream_set(message, peer)
+        except Refusal:
+            if stream is not None:
+                stream.running = running
+            raise
+
+
+@fault("stop-drops")
+class StopDrops(Device):
+    """STREAM_STOP throws away what waits."""
+
+    def stream_stop(self, message: Message, peer: Peer) -> bytes:
+        for stream in self.streams.values():
+            stream.waiting.clear()
+        return super().stream_stop(message, peer)
+
+
+@fault("edges-after-samples")
+class EdgesAfterSamples(Device):
+    """Edges wait for 30 ms; samples do not wait for them."""
+
+    def flush(self, stream: Stream, everything: bool = False) -> None:
+        newest = stream.waiting[0][1] if stream.edges and stream.waiting else -math.inf
+        if everything or not stream.edges or self.tick() - newest >= 30_000:
+            super().flush(stream, everything)
+
+
+# -- states and setpoints that lie ------------------------------------------------------------------------------------
+
+
+@fault("stop-confirmed-only")
+class StopConfirmedOnly(Device):
+    """STOP is confirmed with IDLE and not obeyed; the watchdog is at work."""
+
+    def stop(self) -> State:
+        return State.IDLE if self.state != State.FAULT else self.state
+
+
+@fault("stop-refused-in-fault")
+class StopRefusedInFault(Device):
+    """STOP in FAULT is refused."""
+
+    def stop(self) -> State:
+        if self.state == State.FAULT:
+            raise Refusal(Code.WRONG_STATE, self.state)
+        return super().stop()
+
+
+@fault("stop-once")
+class StopOnce(Device):
+    """A repeated STOP is answered, and not executed again."""
+
+    last: Message | None = None
+
+    def state_cmd(self, message: Message, peer: Peer) -> bytes:
+        if message.payload[0] == Command.STOP and message == self.last:
+            return struct.pack("<Bxxx", State.IDLE)
+        if message.payload[0] == Command.STOP:
+            self.last = message
+        return super().state_cmd(message, peer)
+
+
+@fault("state-before-token")
+class StateBeforeToken(Device):
+    """ARM in a state that forbids it is told the state, whatever its token."""
+
+    def arm(self, token: int) -> State:
+        if self.state not in (State.IDLE, State.ARMED):
+            raise Refusal(Code.WRONG_STATE, self.state)
+        return super().arm(token)
+
+
+@fault("start-without-arm")
+class StartWithoutArm(Device):
+    """START in IDLE is obeyed."""
+
+    def start(self) -> State:
+        if self.state == State.IDLE:
+            self.arm(self.boot_id)
+        return super().start()
+
+
+@fault("outputs-told-off")
+class OutputsToldOff(Device):
+    """outputs_on is 0, whatever is on."""
+
+    def heartbeat_fields(self) -> dict[str, Any]:
+        return super().heartbeat_fields() | {"outputs_on": 0}
+
+
+@fault("armed-for-ever")
+class ArmedForEver(Device):
+    """ARMED does not lapse."""
+
+    def advance(self) -> None:
+        self._armed_at = self.tick()
+        super().advance()
+
+
+def _watchdog_at(share: float) -> type[Device]:
+    """The watchdog waits for this share of its time, whatever it tells."""
+
+    class WatchdogAt(Device):
+        def watchdog_expired(self) -> bool:
+            waits = self.value("watchdog", self.watchdog) * share
+            return self.tick() - self._fed_at >= waits * 1e6
+
+    return WatchdogAt
+
+
+fault("watchdog-late")(_watchdog_at(2.0))
+fault("watchdog-early")(_watchdog_at(0.75))
+
+
+@fault("watchdog-fed-by-requests")
+class WatchdogFedByRequests(Device):
+    """Any request feeds the watchdog."""
+
+    def execute(self, message: Message, peer: Peer) -> bytes:
+        if message.type != Type.SETPOINT:
+            self._fed_at = self.tick()
+        return super().execute(message, peer)
+
+
+@fault("watchdog-fed-by-rejected")
+class WatchdogFedByRejected(Device):
+    """A rejected setpoint feeds the watchdog."""
+
+    def reject(self, code: int, detail: float) -> None:
+        super().reject(code, detail)
+        self._fed_at = self.tick()
+
+
+@fault("fault-clear-any")
+class FaultClearAny(Device):
+    """FAULT_CLEAR clears whatever it names."""
+
+    def clear(self, faults: int) -> State:
+        return super().clear(self.faults)
+
+
+@fault("setpoint-clipped")
+class SetpointClipped(Device):
+    """A setpoint beyond the limit is made the limit."""
+
+    def set_point(self, mode: int, value: float, value2: float) -> None:
+        try:
+            super().set_point(mode, value, value2)
+        except Refusal as refusal:
+            if refusal.code != Code.OUT_OF_RANGE:
+                raise
+            super().set_point(mode, math.copysign(refusal.detail, value), value2)
+
+
+@fault("rejections-uncounted")
+class RejectionsUncounted(Device):
+    """Rejected setpoints are not counted."""
+
+    def heartbeat_fields(self) -> dict[str, Any]:
+        return super().heartbeat_fields() | {"setpoints_rejected": 0}
+
+
+@fault("edges-uncounted")
+class EdgesUncounted(Device):
+    """The heartbeat counts half of the edges."""
+
+    def heartbeat_fields(self) -> dict[str, Any]:
+        return super().heartbeat_fields() | {"edges": self.edges // 2}
+
+
+# -- CAN --------------------------------------------------------------------------------------------------------------
+
+
+def _assembles(assembler: type[Assembler]) -> type[Device]:
+    """Transfers are put together like this."""
+
+    class OtherAssembler(Device):
+        def attach(self, carrier: Any) -> None:
+            super().attach(carrier)
+            carrier.assembler = assembler
+
+    return OtherAssembler
+
+
+class _TakesRepeated(Assembler):
+    def repeated(self, data: bytes) -> bool:
+        single = data[-1] & 0xC0 == 0xC0
+        return super().repeated(data) and not single
+
+
+class _AnyToggle(Assembler):
+    @staticmethod
+    def expected(tail: int, toggle_and_id: int) -> bool:
+        return tail & 31 == toggle_and_id & 31
+
+
+fault("can-repeated-executed")(_assembles(_TakesRepeated))
+fault("can-toggle-unchecked")(_assembles(_AnyToggle))
+
+
+@fault("can-stop-frame-ignored")
+class CanStopFrameIgnored(Device):
+    """A frame of class 0 does nothing."""
+
+    def stop_frame(self) -> None:
+        self.stops.append(self.seconds)
+
+
+@fault("can-node-0-answered")
+class CanNode0Answered(Device):
+    """Any request to node 0 is answered."""
+
+    def attach(self, carrier: Any) -> None:
+        super().attach(carrier)
+        carrier.for_everybody = tuple(Type)

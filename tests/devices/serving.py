@@ -42,11 +42,12 @@ def serving(
     if carrier in IN_VIRTUAL_TIME:
         link = VirtualLink(IN_VIRTUAL_TIME[carrier]())
         device = link.device = build(words, faults, clock=link.clock, **given)
-        device.carrier, device.link = link.carrier, link
+        device.link = link
+        device.attach(link.carrier)
         yield device
         return
     device = build(words, faults, **given)
-    device.carrier = CARRIERS[carrier]()
+    device.attach(CARRIERS[carrier]())
     stop, failures = threading.Event(), []
 
     def serve() -> None:

@@ -90,7 +90,7 @@ class Stream:
 
     def put_samples(self, samples: Samples) -> None:
         """Take the periods whose index is divisible by `decimation`."""
-        chosen = samples.index % self.decimation == 0
+        chosen = self.taken(samples.index)
         if not chosen.any():
             return
         rows = np.empty(len(samples.index), [(f"c{n}", DTYPE[channel.raw]) for n, channel in enumerate(self.channels)])
@@ -99,6 +99,10 @@ class Stream:
         packed, size = rows[chosen].tobytes(), rows.itemsize
         for n, (index, tick) in enumerate(zip(samples.index[chosen], samples.tick[chosen], strict=True)):
             self.waiting.append((int(index), int(tick), packed[n * size : (n + 1) * size]))
+
+    def taken(self, index: np.ndarray) -> np.ndarray:
+        """Which periods of these are."""
+        return index % self.decimation == 0
 
     def take(self, now: int, everything: bool, tick_hz: int = 1_000_000) -> Iterator[list[Record]]:
         """Blocks that are full or late at the tick `now`, or all."""

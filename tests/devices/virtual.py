@@ -20,6 +20,7 @@ from tests.devices.carriers import ByteCarrier
 from tests.devices.device import Device
 
 STEP = 0.005  # s that pass at most before the device looks again
+ROOM = 16384  # bytes that a byte link holds for a host that does not read
 _numbers = itertools.count()
 
 
@@ -66,9 +67,12 @@ class Bytes(_InMemory, ByteCarrier):
         return 0  # always connected
 
     def _read(self) -> bytes:
+        self._push()
         return self._taken()
 
     def _write(self, data: bytes) -> int:
+        if len(self.to_host) >= ROOM:
+            raise BlockingIOError
         self.to_host += data
         return len(data)
 
@@ -130,6 +134,12 @@ class VirtualLink:
         data = bytes(self.carrier.to_host[:size])
         del self.carrier.to_host[:size]
         return data
+
+    def idle(self, seconds: float) -> None:
+        """Time passes, and nobody reads."""
+        end = self._now + seconds
+        while self._now < end:
+            self._pass(min(STEP, end - self._now))
 
     def _pass(self, seconds: float) -> None:
         self._now += seconds

@@ -1,6 +1,6 @@
-"""Writes the generated tables of SPEC.md, between `<!-- name -->` and `<!-- end -->`; a test compares.
+"""Writes the generated tables of SPEC.md, between `<!-- name -->` and `<!-- end -->`, and the numbers in c/hbp.h.
 
-Channels and parameters come from `protocol.signals`, codes from `protocol.codes`.
+A test compares. Channels and parameters come from `protocol.signals`, codes from `protocol.codes`.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from protocol.signals import (
 )
 
 SPEC = Path(__file__).resolve().parents[2] / "protocol" / "SPEC.md"
+HEADER = SPEC.with_name("c") / "hbp.h"
 SCALES = {3.141592653589793 / 32768: "π/32768", 1 / 1024: "1/1024", 1 / 16384: "1/16384"}
 
 
@@ -117,6 +118,44 @@ def filled(text: str) -> str:
     return text
 
 
+C_ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
+    "TYPE": codes.MessageType,
+    "ROLE": codes.Role,
+    "FEATURE": codes.Feature,
+    "STATE": codes.DriveState,
+    "COMMAND": codes.Command,
+    "FAULT": codes.Fault,
+    "MODE": codes.SetpointMode,
+    "STREAM": codes.StreamEvent,
+    "EVENT": codes.EventCode,
+    "ERROR": codes.ErrorCode,
+    "RAW": RawType,
+    "UNIT": Unit,
+    "FLAG": Flag,
+}
+
+
+def c_enum(word: str, kind: type[IntEnum] | type[IntFlag]) -> str:
+    """Return `enum { HBP_WORD_NAME = 1, … };` with what the source says of each."""
+    notes = comments(kind)
+    number = "0x{:02X}".format if kind is codes.MessageType else str
+    lines = []
+    for member in kind:
+        note = notes.get(str(member.name), "")
+        text = f"    HBP_{word}_{member.name} = {number(int(member))},"
+        lines.append(f"{text} /* {note} */" if note else text)
+    return "enum {\n" + "\n".join(lines) + "\n};\n"
+
+
+def c_filled(text: str) -> str:
+    """Return the header with its numbers as they must be."""
+    enums = "\n".join(c_enum(word, kind) for word, kind in C_ENUMS.items())
+    pattern = re.compile(r"(/\* <codes> .*?\*/\n).*?(/\* </codes> \*/)", re.DOTALL)
+    assert len(pattern.findall(text)) == 1
+    return pattern.sub(lambda found: found[1] + enums + found[2], text)
+
+
 if __name__ == "__main__":
-    SPEC.write_text(filled(SPEC.read_text(encoding="utf-8")), encoding="utf-8")
-    print(SPEC)
+    for path, made in ((SPEC, filled), (HEADER, c_filled)):
+        path.write_text(made(path.read_text(encoding="utf-8")), encoding="utf-8")
+        print(path)

@@ -82,6 +82,7 @@ def framing() -> list[Case]:
     bad("bad_cobs", "truncated: the last block lacks bytes", whole[:-3] + b"\0")
     bad("bad_length", "truncated between blocks", whole[:7] + b"\0")
     bad("too_long", "payload of 1025 bytes", wire(body(0x10, 0x11, 9, 1, ones + b"\x01")))
+    bad("too_long", "payload of 1025 bytes that is short enough encoded", wire(body(0x10, 0x11, 9, 1, bytes(1025))))
     bad("too_long", "1100 bytes without a delimiter", b"\0" + b"\x55" * 1100 + b"\0")
     bad("bad_cobs", "cobs code past the end", b"\0\x05\x01\x02\0")
     bad("nothing", "only delimiters", bytes(16))

@@ -26,6 +26,8 @@ CODES = {"B": "u8", "H": "u16", "I": "u32", "Q": "u64", "f": "f32", "16s": "text
 
 def test_generated_tables_are_current() -> None:
     assert make_spec.filled(TEXT) == TEXT
+    header = make_spec.HEADER.read_text(encoding="utf-8")
+    assert make_spec.c_filled(header) == header
 
 
 def table_after(mark: str) -> list[list[str]]:

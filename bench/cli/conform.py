@@ -1,0 +1,156 @@
+"""`bench conform`: whether a device conforms to HBP, check by check."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
+from bench.cli.number import Number
+from bench.cli.output import Progress, table
+from bench.cli.streams import echo, note
+from bench.cli.target import TARGET
+from bench.conforming.levels import DEFAULT_LEVEL, LEVELS
+from bench.conforming.verdicts import Verdict
+from bench.files import STANDARD_OUTPUT, write
+
+if TYPE_CHECKING:
+    from bench.conforming.checks import Result
+    from bench.conforming.run import Run
+
+SHORT = 100  # characters of the evidence of a check that passed, in the table
+
+
+@click.command("conform")
+@click.argument("target", type=TARGET)
+@click.option("--level", type=click.IntRange(0, len(LEVELS) - 1), default=DEFAULT_LEVEL, show_default=True,
+              help="Run all checks up to this level; outputs go on from 3, the shaft turns from 4.")  # fmt: skip
+@click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=100.0, show_default=True,
+              help="Speed at which level 4 turns the motor, r/min.")  # fmt: skip
+@click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
+@json_option("every check")
+@click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, a case for each check.")
+@click.option("--report", metavar="FILE", type=FILE, help="Write one HTML file: the device, and each check's evidence.")
+@overwrite_option
+@click.option("--operator", metavar="NAME", default="", help="Who runs this, for the report.")
+def command(
+    target: str, json_file: Path | None, junit: Path | None, report: Path | None, overwrite: bool, **given: Any
+) -> None:
+    """Find out whether the device on TARGET conforms to HBP (protocol/SPEC.md), check by check.
+
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim.
+
+    \b
+    Levels, each with all below it:
+      0  frames, damage, the order of checks, retries
+      1  identity, descriptor, parameters, heartbeat, clock
+      2  streams, and the account of what is lost: the default
+      3  states, STOP, watchdog, setpoints of zero: outputs go on, at zero current
+      4  motion at --speed, STOP and watchdog while it turns
+      5  CAN: on a bus, what needs no more is run at the lower levels too
+
+    Parameters and streams are left as they were, and outputs off. A check that did not see what it looks for is
+    unknown, never passed; the claim at the end names it.
+
+    Exit codes: 0 no check failed, 1 a check failed or the link was lost, 2 a wrong argument or an error, 5 outputs may
+    still be on, 130 interrupted.
+
+    \b
+    Examples:
+      bench conform serial:/dev/ttyACM0
+      bench conform serial:/dev/ttyACM0 --level 3 --report conform.html
+      bench conform sim --level 4 --json
+    """
+    if junit == STANDARD_OUTPUT or report == STANDARD_OUTPUT:
+        raise click.UsageError("only --json goes to standard output: give a file to --junit and --report")
+    check_files({"--json": json_file, "--junit": junit, "--report": report}, overwrite)
+    from bench.conforming.claim import about, as_data, claim, exit_code
+    from bench.conforming.junit import as_xml
+    from bench.conforming.report import as_html
+    from bench.rig.metadata import about_bench
+    from bench.rig.settings import read_settings
+
+    station = read_settings(None)
+    station = replace(station, operator=given["operator"] or station.operator, config=None)
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    run = _run(target, given["level"], given["speed_rpm"], given["yes"], quiet=json_file == STANDARD_OUTPUT)
+    told = about(run, about_bench(station), started)
+    if json_file is not None:
+        write_json(json_file, as_data(run, told))
+    if junit is not None:
+        write(junit, as_xml(run, told), f"--junit {junit}")
+    if report is not None:
+        write(report, as_html(run, told), f"--report {report}")
+    say = note if json_file == STANDARD_OUTPUT else echo
+    for trouble in run.troubles:
+        note(trouble)
+    if run.unsafe:
+        note(run.unsafe)
+    say(claim(run).words)
+    if report is not None:
+        say(f"report: {report}")
+    sys.exit(exit_code(run))
+
+
+def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> Run:
+    """Run the checks, a table of each level as it ends."""
+    from bench.conforming.run import Options, conform
+    from bench.rig.interrupts import signals_as_exceptions
+    from bench.rig.lock import alone_on
+    from protocol.links import open_link
+
+    with ExitStack() as stack:
+        stack.enter_context(signals_as_exceptions())
+        if target == "sim":
+            from bench.device.simulator import EmbeddedDrive
+
+            target = stack.enter_context(EmbeddedDrive(note=note)).target
+        stack.enter_context(alone_on(target))
+        link = open_link(target)
+        stack.callback(link.close)
+        screen = stack.enter_context(Progress())
+        shown = _Tables(screen, quiet)
+        confirm = screen.confirm if sys.stdin.isatty() else None
+        run = conform(link, Options(target, level, speed_rpm, yes), screen, confirm, shown.add)
+        shown.end()
+    return run
+
+
+class _Tables:
+    """Prints the results of a level when the next one begins."""
+
+    def __init__(self, screen: Progress, quiet: bool) -> None:
+        self._screen = screen
+        self._quiet = quiet
+        self._rows: list[Result] = []
+
+    def add(self, result: Result) -> None:
+        """One more."""
+        if self._rows and self._rows[0].check.level != result.check.level:
+            self.end()
+        self._rows.append(result)
+
+    def end(self) -> None:
+        """Print what there is."""
+        rows, self._rows = self._rows, []
+        if not rows or self._quiet:
+            return
+        level = rows[0].check.level
+        self._screen.pause()
+        table(
+            [f"level {level}: {LEVELS[level]}", "verdict", "evidence"],
+            [[row.check.id, str(row.verdict), _short(row)] for row in rows],
+        )
+        echo()
+        self._screen.resume()
+
+
+def _short(row: Result) -> str:
+    words = row.evidence
+    return words if row.verdict is not Verdict.PASSED or len(words) <= SHORT else f"{words[: SHORT - 1]}…"

@@ -1,0 +1,127 @@
+"""What the results of a run come to: the claim that holds, its exit code, and all of it as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.analysis.versions import PROGRAM
+from bench.conforming.checks import Check, Result
+from bench.conforming.levels import CAN, LEVELS, MOTION
+from bench.conforming.run import Run
+from bench.conforming.verdicts import Verdict
+from bench.device.description import describe
+from protocol import __version__
+from protocol.framing import MAJOR, MINOR
+from protocol.text import counted
+
+FAILED, UNSAFE = 1, 5  # exit codes
+
+
+@dataclass(frozen=True)
+class Claim:
+    """`level`: the highest one that was seen, -1 for none; `conforms` is None where nothing can be said."""
+
+    level: int
+    conforms: bool | None
+    words: str
+    untested: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """In a word, for a heading."""
+        return {True: "CONFORMS", False: "DOES NOT CONFORM", None: "NOT DECIDED"}[self.conforms]
+
+
+def claim(run: Run) -> Claim:
+    """What can be said of the device after a run."""
+    seen = [number for number in range(MOTION + 1) if _passed(run.results, number)]
+    level = next((n - 1 for n in range(MOTION + 2) if n not in seen), MOTION)
+    untested = [f"level {n} ({LEVELS[n]})" for n in range(level + 1, MOTION + 1)]
+    failed, unknown = _ids(run.results, Verdict.FAILED), _ids(run.results, Verdict.UNKNOWN)
+    passed = run.count(Verdict.PASSED)
+    if failed:
+        conforms: bool | None = False
+        these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
+        words = f"does not conform to HBP {MAJOR}.{MINOR}: {these}; {passed} passed"
+    elif run.ended or level < 0:
+        conforms, words = (
+            None,
+            f"nothing can be said: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
+        )
+    else:
+        conforms = True
+        on_can = ", on CAN" if _passed(run.results, CAN) else ""
+        words = f"conforms to HBP {MAJOR}.{MINOR} at level {level}{on_can}: {counted(passed, 'check')} passed"
+    if unknown:
+        few = ", ".join(unknown[:6]) + (f" and {len(unknown) - 6} more" if len(unknown) > 6 else "")
+        words += f", {len(unknown)} unknown: {few}"
+    if untested:
+        words += f"; not tested: {', '.join(untested)}"
+    return Claim(level, conforms, words, tuple(untested))
+
+
+def _passed(results: Sequence[Result], level: int) -> bool:
+    return any(result.verdict is Verdict.PASSED for result in results if result.check.level == level)
+
+
+def _ids(results: Sequence[Result], verdict: Verdict) -> list[str]:
+    return [result.check.id for result in results if result.verdict is verdict]
+
+
+def exit_code(run: Run) -> int:
+    """Of the command: see `bench.cli`."""
+    if run.unsafe:
+        return UNSAFE
+    if run.count(Verdict.FAILED) or run.troubles or (run.ended and not run.signal):
+        return FAILED
+    return 128 + run.signal if run.signal else 0
+
+
+def about(run: Run, station: dict[str, Any], started: str) -> dict[str, Any]:
+    """What was looked at, when and where: plain data for every kind of report."""
+    return {"target": run.options.target} | describe(run.hello) | station | {"started": started, PROGRAM: __version__}
+
+
+def as_data(run: Run, about_run: dict[str, Any]) -> dict[str, Any]:
+    """All of it, for JSON."""
+    found = claim(run)
+    return {
+        "about": about_run,
+        "level": run.options.level,
+        "claim": found.words,
+        "conforms": found.conforms,
+        "conforms_at_level": found.level if found.conforms else None,
+        "not_tested": list(found.untested),
+        "counts": {str(verdict): run.count(verdict) for verdict in Verdict},
+        "ended_early": run.ended,
+        "outputs_may_be_on": run.unsafe,
+        "troubles": run.troubles,
+        "checks": [check_data(result.check) | {
+            "verdict": str(result.verdict), "evidence": result.evidence, "seconds": result.seconds,
+        } for result in run.results],
+    }  # fmt: skip
+
+
+def check_data(check: Check) -> dict[str, Any]:
+    """What a check is, as plain data."""
+    return {
+        "id": check.id, "level": check.level, "needs_level": check.needs, "chapter": check.chapter,
+        "spec": check.says, "looks_at": looks_at(check), "on": str(check.carrier),
+    }  # fmt: skip
+
+
+def looks_at(check: Check) -> str:
+    """What a check finds out, in a sentence."""
+    return " ".join((check.body.__doc__ or "").split("\n\n")[0].split())
+
+
+def by_level(results: Sequence[Result]) -> list[tuple[str, list[Result]]]:
+    """Results under the names of their levels, those that there are."""
+    found = []
+    for number, name in enumerate(LEVELS):
+        rows = [result for result in results if result.check.level == number]
+        if rows:
+            found.append((f"level {number}: {name}", rows))
+    return found

@@ -1,0 +1,455 @@
+"""Level 2, second part: what comes of a stream. Chapters 5, 10 and 11 of SPEC."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from itertools import pairwise
+
+from bench.conforming.checks import Carrier, Group
+from bench.conforming.device import Block, Configured, Device, ids, width
+from bench.conforming.levels import MOTION, STREAMS
+from bench.conforming.probe import steps
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
+from protocol.canmap.layout import sample_layout
+from protocol.descriptor import Channel
+from protocol.streams import DISCONTINUITY, OVERRUN
+
+check = Group("stream", STREAMS, Carrier.BYTES)
+either = Group("stream", STREAMS)
+
+RATE = 400.0  # Hz of samples that are looked at one by one
+WATCHED = 0.4  # s
+MASK = 0xFFFFFFFF
+UNREAD = (0.6, 2.0, 4.0)  # s for which the link is not read, one after the other, until frames are dropped
+SETTLE = 0.5  # s after that in which what waited is read
+LOAD_LATENCY = 20  # ms
+SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
+
+
+@check("cfg-id-in-frames", 11, "of STREAM_SET; a host drops frames of another one")
+def cfg_id_in_frames(device: Device) -> str:
+    """Frames carry the number of the configuration that is in force."""
+    told = device.configure(0, ids(device.channels[:1]), RATE)
+    device.start_streams(1)
+    device.streamed(0, WATCHED / 2)
+    device.stop_streams()
+    since = len(device.probe.heard)
+    again = device.configure(0, ids(device.channels[:1]), RATE)
+    device.start_streams(1)
+    blocks = [block for block in device.streamed(0, WATCHED / 2) if block.place >= since]
+    if not blocks:
+        raise Unknown("no frame came of the second configuration")
+    wrong = {block.cfg_id for block in blocks} - {again.reply.cfg_id}
+    if wrong:
+        raise Failed(
+            f"frames carry cfg_id {sorted(wrong)}, STREAM_SET said {again.reply.cfg_id}, before {told.reply.cfg_id}"
+        )
+    return f"{len(blocks)} frames with cfg_id {again.reply.cfg_id}, none with {told.reply.cfg_id}"
+
+
+@check("frame-fields", 11, "number of records, never 0")
+def frame_fields(device: Device) -> str:
+    """Frames hold whole records, no more than a block of them, and seq counts from 0."""
+    chosen = device.channels[:3]
+    told = device.configure(0, ids(chosen), RATE)
+    device.start_streams(1)
+    blocks = device.streamed(0, WATCHED)
+    size = sum(map(width, chosen))
+    for block in blocks:
+        if not 0 < block.n <= told.reply.block or len(block.data) != block.n * size:
+            raise Failed(
+                f"a frame of {len(block.data)} bytes says {block.n} records of {size}, block is {told.reply.block}"
+            )
+    if blocks[0].seq != 0 and not blocks[0].flags & OVERRUN:
+        raise Failed(f"the first frame has seq {blocks[0].seq}, not 0")
+    most = max(block.n for block in blocks)
+    seqs = f"seq from {blocks[0].seq} to {blocks[-1].seq}"
+    return f"{len(blocks)} frames of up to {most} records ({size} bytes each), {seqs}"
+
+
+def periods(device: Device, told: Configured) -> int:
+    """PWM periods since boot, by a heartbeat."""
+    return (device.fresh().tick - told.reply.tick0) // device.ticks_per_period
+
+
+def unwrapped(index: int, now: int) -> int:
+    """The number with these low 32 bits that is nearest to `now`."""
+    return now + ((index - now + (1 << 31)) & MASK) - (1 << 31)
+
+
+@check("index-divisible", 11, "(1..65535) are taken: two streams with the same decimation have the same instants")
+def index_divisible(device: Device) -> str:
+    """The index of every sample can be divided by the decimation."""
+    words = []
+    for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
+        told = device.configure(0, ids(device.channels[:1]), rate)
+        device.start_streams(1)
+        blocks = device.streamed(0, WATCHED)
+        decimation = told.asked.decimation
+        now = periods(device, told)
+        wrong = [index for block in blocks if (index := unwrapped(block.index, now)) % decimation]
+        if wrong:
+            raise Failed(f"index {wrong[0]} is not divisible by {decimation}")
+        words.append(f"{len(blocks)} frames from index {blocks[0].index}, by {decimation}")
+        device.stop_streams()
+        device.probe.heard.clear()
+    return "; ".join(words)
+
+
+@check("tick-of-index", 5, "tick of PWM period 0")
+def tick_of_index(device: Device) -> str:
+    """The tick of a sample is tick0 and its index times the ticks of a PWM period."""
+    told = device.configure(0, ids(device.channels[:1]), RATE)
+    device.start_streams(1)
+    blocks = device.streamed(0, 2 * WATCHED)
+    ticks, tick0, now = device.ticks_per_period, told.reply.tick0, periods(device, told)
+    for block in blocks:
+        index = unwrapped(block.index, now)
+        off = (block.tick - tick0 - index * ticks) & MASK
+        if off:
+            off -= (off >> 31) << 32
+            raise Failed(f"index {block.index} has the tick {block.tick}: {off} from tick0 {tick0} + index * {ticks}")
+    newest = now - unwrapped(blocks[-1].index, now)
+    rule = f"tick0 {tick0} + index * {ticks} each"
+    return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
+
+
+@check("no-gaps", 11, "DISCONTINUITY says that the index jumps although no frame was lost")
+def no_gaps(device: Device) -> str:
+    """Without a loss the index goes on from frame to frame."""
+    told = device.configure(0, ids(device.channels[:1]), RATE)
+    device.start_streams(1)
+    blocks = device.streamed(0, 2 * WATCHED)
+    for before, after in pairwise(blocks):
+        if after.seq != (before.seq + 1) & 0xFFFF or after.flags & DISCONTINUITY:
+            continue
+        if (due := (before.index + before.n * told.asked.decimation) & MASK) != after.index:
+            raise Failed(f"seq {after.seq} begins at index {after.index}, {due} is due, and there is no DISCONTINUITY")
+    if len(blocks) < 2:
+        raise Unknown("one frame came")
+    return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples in a row"
+
+
+# -- what is in the samples -------------------------------------------------------------------------------------------
+
+
+def _instants(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+    """The samples of a stream that came whole, by index, or by counter on CAN."""
+    if device.probe.line.bus:
+        return bus_samples(device, told, chosen)
+    size, decimation = sum(map(width, chosen)), told.asked.decimation
+    return {
+        block.index + k * decimation: block.data[k * size : (k + 1) * size]
+        for block in device.blocks(told.asked.stream)
+        for k in range(block.n)
+    }
+
+
+def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+    """The samples of a stream on CAN of which all groups came, by number (classic) or index (FD)."""
+    fd = device.bus.rates.fd
+    layout = sample_layout([width(channel) for channel in chosen], fd, told.reply.block)
+    parts: dict[int, dict[int, bytes]] = {}
+    size = layout.groups[-1][1]
+    for frame in device.probe.stream_frames:
+        group = (frame.slot - told.reply.slot) % 32
+        if frame.edges or group >= len(layout.groups):
+            continue
+        counter = int.from_bytes(frame.data[: layout.counter], "little")
+        step = told.asked.decimation if fd else 1
+        body = frame.data[layout.counter : layout.used(group)]
+        if len(layout.groups) > 1:
+            parts.setdefault(counter, {})[group] = body
+            continue
+        for k in range(layout.samples):
+            parts.setdefault(counter + k * step, {})[0] = body[k * size : (k + 1) * size]
+    whole = {counter: found for counter, found in parts.items() if len(found) == len(layout.groups)}
+    return {counter: b"".join(found[n] for n in sorted(found)) for counter, found in whole.items()}
+
+
+@either("same-instants", 11, "two streams with the same decimation have the same instants")
+def same_instants(device: Device) -> str:
+    """Two streams with the same decimation have samples of the same instants, and the same values in them."""
+    forth, _, there, backwards = _both_ways(device)
+    first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
+    here = {n for n in there if first <= n <= last}
+    other = {n for n in backwards if first <= n <= last}
+    if here ^ other and any(len(set(steps(sorted(each)))) > 1 for each in (there, backwards)):
+        raise Unknown(f"{len(here ^ other)} instants are missing in one of two streams, and there are gaps in them")
+    if here ^ other:
+        raise Failed(
+            f"instants of one stream only, both of decimation {forth.asked.decimation}: {sorted(here ^ other)[:5]}"
+        )
+    return f"{len(here)} instants from {first} to {last} in both streams"
+
+
+@either("channel-order", 11, "in the order in which STREAM_SET names them")
+def channel_order(device: Device) -> str:
+    """Channels lie in a sample as STREAM_SET names them: named backwards they lie backwards."""
+    chosen = _few(device)
+    if len(chosen) < 2:
+        raise NotApplicable("the device has one channel")
+    _, _, there, backwards = _both_ways(device)
+    common = sorted(set(there) & set(backwards))
+    if not common:
+        raise Unknown("the two streams have no sample in common")
+    differ = False
+    for n in common:
+        values, reversed_ = _split(there[n], chosen), _split(backwards[n], chosen[::-1])
+        differ = differ or values != reversed_
+        for channel, one, other in zip(chosen, values, reversed_[::-1], strict=True):
+            if one != other:
+                raise Failed(f"{channel.name} at {n} is {one.hex()} named forwards, {other.hex()} named backwards")
+    if not differ:
+        raise Unknown("all channels had the same values: their order cannot be seen")
+    return f"{len(common)} samples of {len(chosen)} channels, forwards and backwards: the same values"
+
+
+def _few(device: Device) -> tuple[Channel, ...]:
+    """Channels that a slow link carries too."""
+    return device.channels[: 3 if device.probe.line.bus else 8]
+
+
+def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
+    found, at = [], 0
+    for channel in chosen:
+        found.append(sample[at : at + width(channel)])
+        at += width(channel)
+    return found
+
+
+Both = tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]
+
+
+def _both_ways(device: Device) -> Both:
+    """The same channels forwards and backwards, looked at once: how both are configured, and their samples."""
+    if "both" not in device.kept:
+        device.kept["both"] = _streamed_both_ways(device)
+    found: Both = device.kept["both"]
+    return found
+
+
+def _streamed_both_ways(device: Device) -> Both:
+    chosen = _few(device)
+    rate = min(RATE, device.pwm_hz / 4)
+    forth, back = device.configure(0, ids(chosen), rate), device.configure(1, ids(chosen[::-1]), rate)
+    if forth.asked.decimation != back.asked.decimation:
+        raise Unknown(f"the second one fits with decimation {back.asked.decimation} only")
+    device.start_streams(3)
+    device.probe.listen(2 * WATCHED)
+    there, backwards = _instants(device, forth, chosen), _instants(device, back, chosen[::-1])
+    if not there or not backwards:
+        raise Unknown(f"{len(there)} and {len(backwards)} samples came of two streams")
+    return forth, back, there, backwards
+
+
+@check("stop-sends", 11, "STREAM_STOP sends what")
+def stop_sends(device: Device) -> str:
+    """STREAM_STOP sends the block that is not full."""
+    narrow = min(device.channels, key=width)
+    told = device.configure(0, [narrow.id], RATE, latency_ms=3000)
+    if told.reply.block < 0.4 * device.pwm_hz / told.asked.decimation:
+        raise Unknown(f"a block holds {told.reply.block} samples: it is full before it can be stopped")
+    device.start_streams(1)
+    device.probe.listen(0.2)
+    early = len(device.blocks(0))
+    device.stop_streams()
+    blocks = device.blocks(0)
+    if early:
+        raise Unknown("a frame came before STREAM_STOP")
+    if not blocks:
+        raise Failed(f"0.2 s at {RATE:g} Hz, then STREAM_STOP: nothing was sent")
+    return f"{sum(block.n for block in blocks)} samples of {told.reply.block} came at STREAM_STOP"
+
+
+# -- loss -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Overload:
+    """A stream that was not read for a while: its frames, and what the device counted meanwhile."""
+
+    words: str
+    decimation: int
+    block: int
+    frames: list[Block]
+    dropped: int
+    damaged: int
+
+    @property
+    def jumps(self) -> list[tuple[Block, Block, int]]:
+        """Neighbours between which samples are missing, and how many blocks they make, rounded up."""
+        found = []
+        for before, after in pairwise(self.frames):
+            lacking = (after.index - before.index) % (1 << 32) - before.n * self.decimation
+            if lacking and not after.flags & DISCONTINUITY:
+                found.append((before, after, -(-lacking // (self.decimation * self.block))))
+        return found
+
+    @property
+    def lost_by_seq(self) -> int:
+        """Frames that are missing by seq."""
+        return sum((after.seq - before.seq - 1) & 0xFFFF for before, after in pairwise(self.frames))
+
+
+def overload(device: Device) -> Overload:
+    """As many channels as fit, as often as the link carries, and not read for a while. Raises Unknown."""
+    if "overload" not in device.kept:
+        try:
+            device.kept["overload"] = _overload(device)
+        except Unknown as nothing:
+            device.kept["overload"] = nothing
+    found = device.kept["overload"]
+    if isinstance(found, Unknown):
+        raise found
+    assert isinstance(found, Overload)
+    return found
+
+
+def _overload(device: Device) -> Overload:
+    told, rate = _heaviest(device)
+    probe = device.probe
+    damaged, before = probe.line.damaged, _dropped(device)
+    probe.heard.clear()
+    device.start_streams(1)
+    device.streamed(0, 0.2)
+    for seconds in UNREAD:
+        probe.idle(seconds)
+        _settle(device)
+        if _dropped(device) != before:
+            break
+    probe.listen(SETTLE)
+    counted = (_dropped(device) - before) & MASK
+    frames = device.blocks(0)
+    device.stop_streams()
+    if not counted and not any((b.seq - a.seq - 1) & 0xFFFF for a, b in pairwise(frames)) and not _jumped(frames, told):
+        raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s in which the link was not read, {rate}")
+    words = f"{rate}, {len(frames)} frames"
+    return Overload(words, told.asked.decimation, told.reply.block, frames, counted, probe.line.damaged - damaged)
+
+
+def _jumped(frames: list[Block], told: Configured) -> bool:
+    return any(b.index != (a.index + a.n * told.asked.decimation) & MASK for a, b in pairwise(frames))
+
+
+def _heaviest(device: Device) -> tuple[Configured, str]:
+    """All channels that fit in a frame, at the highest rate at which nothing is dropped while the link is read."""
+    chosen = device.fitting(device.channels)
+    rate = float(device.pwm_hz)
+    while True:
+        told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
+        before = _dropped(device)
+        device.start_streams(1)
+        device.streamed(0, 0.3)
+        _settle(device)
+        dropped = _dropped(device) != before
+        device.stop_streams()
+        if not dropped:
+            told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
+            actual = device.pwm_hz / told.asked.decimation
+            return told, f"{len(chosen)} channels ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
+        if told.asked.decimation >= SLOWEST:
+            raise Unknown(f"the link drops frames even at {device.pwm_hz / told.asked.decimation:g} Hz")
+        rate = device.pwm_hz / (2 * told.asked.decimation)
+
+
+def _settle(device: Device) -> None:
+    """Read what has waited, until heartbeats are no older than the clock."""
+    probe = device.probe
+    for _ in range(20):
+        now = probe.tick()[1]
+        probe.listen(0.12)
+        beats = probe.beats
+        if beats and beats[-1][1].tick >= now:
+            return
+    raise Unknown("heartbeats stay behind")
+
+
+def _dropped(device: Device) -> int:
+    return device.fresh().tx_dropped
+
+
+@check("seq-counts-dropped", 11, "counts every frame that the device *produced*, including those that it had to drop")
+def seq_counts_dropped(device: Device) -> str:
+    """Where samples are missing, seq has a gap."""
+    found = overload(device)
+    for before, after, _ in found.jumps:
+        if after.seq == (before.seq + 1) & 0xFFFF:
+            raise Failed(
+                f"the index jumps from {before.index} to {after.index}, seq goes from {before.seq} to {after.seq}"
+            )
+    gaps = len(found.jumps)
+    if not gaps:
+        raise Unknown("no sample is missing")
+    return f"{found.words}: {gaps} gaps in index and in seq, {found.lost_by_seq} frames"
+
+
+@check("tx-dropped", 11, "Frames that the device dropped itself are counted in `tx_dropped`")
+def tx_dropped(device: Device) -> str:
+    """Frames lost by seq are those that the device counts, and those that came damaged."""
+    found = overload(device)
+    by_seq, by_index = found.lost_by_seq, sum(blocks for _, _, blocks in found.jumps)
+    lost = by_seq if by_seq else by_index
+    by = "seq" if by_seq else "index"
+    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} came damaged"
+    if found.dropped <= lost <= found.dropped + found.damaged:
+        return words
+    if found.damaged and lost > found.dropped:
+        raise Unknown(f"{words}: the link loses bytes")
+    raise Failed(words)
+
+
+@check("overrun-flag", 11, "and the next DATA or EDGES frame of that stream carries")
+def overrun_flag(device: Device) -> str:
+    """The first frame behind one that was dropped says so, and no other."""
+    found = overload(device)
+    behind = {after.place for _, after, _ in found.jumps}
+    flagged = {block.place for block in found.frames[1:] if block.flags & OVERRUN}
+    words = f"{found.words}: {len(behind)} behind a gap, {len(flagged)} with OVERRUN"
+    if not behind:
+        raise Unknown("no frame is missing")
+    if found.damaged and flagged < behind:
+        raise Unknown(f"{words}; {found.damaged} came damaged")
+    if behind != flagged:
+        raise Failed(words)
+    return words
+
+
+# -- edges ------------------------------------------------------------------------------------------------------------
+
+
+@check("edges-before-samples", 11, "sent before that DATA frame")
+def edges_before_samples(device: Device) -> str:
+    """Where edges come, every one of them comes before the samples that are not older."""
+    if not device.offers_edges:
+        raise NotApplicable("no feature EDGES")
+    if device.level >= MOTION:
+        raise NotApplicable("looked at while it turns: motion.edges-before-samples")
+    device.configure_edges(0)
+    told = device.configure(1, ids(device.channels[:1]), RATE, latency_ms=10)
+    device.start_streams(3)
+    device.probe.listen(0.5)
+    return edges_ahead(device, told, "turn the shaft by hand, or use level 4")
+
+
+def edges_ahead(device: Device, told: Configured, advice: str) -> str:
+    """Evidence that no edge came after a sample that is not older; `told`: how the samples are configured.
+
+    Raises Failed, and Unknown with this advice.
+    """
+    newest: int | None = None
+    seen = 0
+    period = told.asked.decimation * device.ticks_per_period
+    for block in device.blocks():
+        if not block.edges:
+            newest = (block.tick + (block.n - 1) * period) & MASK
+            continue
+        for (tick,) in struct.iter_unpack("<I4x", block.data):
+            late = 0 if newest is None else (newest - tick) & MASK
+            if newest is not None and late < 1 << 31:
+                raise Failed(f"an edge of tick {tick} came after a sample of tick {newest}")
+            seen += newest is not None
+    if not seen:
+        raise Unknown(f"no edges came: {advice}")
+    return f"{seen} edges, none after a sample that is not older"

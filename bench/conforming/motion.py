@@ -1,0 +1,254 @@
+"""Level 4: what turns. Chapters 5, 7, 8, 11 and 12 of SPEC. The speed is small, and was announced."""
+
+from __future__ import annotations
+
+import math
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.analysis.units import RPM
+from bench.conforming.checks import Carrier, Group
+from bench.conforming.data import edges_ahead
+from bench.conforming.device import PATIENCE, Device, ids, is_off
+from bench.conforming.levels import MOTION
+from bench.conforming.probe import accepted, read, state_name
+from bench.conforming.setpoints import code_name, send
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
+from bench.device.safety import says
+from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
+from protocol.descriptor import Channel
+from protocol.messages import Heartbeat, ParamSet, StateReply
+from protocol.signals import Flag, Unit
+
+check = Group("motion", MOTION)
+
+TURNS = 1.5  # s for which it turns
+RUN_UP = 0.3  # s of them after which the direction is looked at
+LATENCY_MS = 10
+RATE = 200.0  # Hz of the reference channel
+FORWARDS = {1: 0, 3: 1, 2: 2, 6: 3, 4: 4, 5: 5}
+"""Sector by Hall code."""
+COMMON = 1.05  # a setpoint beyond a limit, over that
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What came while it turned: edges as (index, tick, codes), the encoder's travel in rad, and heartbeats."""
+
+    edges: list[tuple[int, int, int]]
+    travel: float
+    beats: list[Heartbeat]
+    ahead: str
+    """Evidence that edges are ahead of samples; empty where that was not so, and `late` says why."""
+    late: str
+    stopped: Heartbeat
+    answered: DriveState
+
+
+def spin(device: Device) -> None:
+    """Begin to turn at the speed that was announced. Raises Unknown, NotApplicable."""
+    if device.hello.role != Role.DRIVE:
+        raise NotApplicable(f"the device is {device.hello.role.name}, not a drive")
+    device.run()
+    beat = send(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
+    if beat.setpoint_counter != 0x5EED or beat.state != DriveState.RUNNING:
+        raise Unknown(f"SPEED {device.speed_rpm:g} r/min was not accepted, the state is {state_name(beat.state)}")
+
+
+def turned(device: Device) -> Turn:
+    """It turns once, for all checks that look at that."""
+    if "turn" not in device.kept:
+        device.kept["turn"] = _turn(device)
+    found = device.kept["turn"]
+    assert isinstance(found, Turn)
+    return found
+
+
+def reference(device: Device) -> Channel | None:
+    """The angle of the encoder, by flags and unit."""
+    wanted = Flag.REFERENCE | Flag.WRAPS
+    return next((c for c in device.descriptor.channels if c.flags & wanted == wanted and c.unit == Unit.RAD), None)
+
+
+def _turn(device: Device) -> Turn:
+    channel = reference(device)
+    slot = None
+    if device.offers_edges:
+        slot = device.configure_edges(0).reply.slot
+    mask = 1 if device.offers_edges else 0
+    told = None
+    if device.descriptor.channels:
+        told = device.configure(1, ids([channel or device.descriptor.channels[0]]), RATE, LATENCY_MS)
+        mask |= 2
+    device.start_streams(mask)
+    spin(device)
+    device.probe.listen(TURNS)
+    device.probe.feed_every = None
+    answer = device.probe.stop()
+    accepted(answer, "STOP while it turns")
+    stopped = device.fresh()
+    device.probe.listen(0.15)  # for a heartbeat that counts what came
+    beats = [beat for _, beat in device.probe.beats]
+    device.stop_streams()
+    ahead = late = ""
+    if device.offers_edges and told is not None and not device.probe.line.bus:
+        try:
+            ahead = edges_ahead(device, told, "it did not turn")
+        except Failed as failure:
+            late = str(failure)
+        except Unknown:
+            ahead = ""
+    travel = _travel(device, channel, told.reply.slot if told else 0)
+    return Turn(_edges(device, slot), travel, beats, ahead, late, stopped, read(answer.frame, StateReply).state)
+
+
+def _edges(device: Device, slot: int | None) -> list[tuple[int, int, int]]:
+    found: list[tuple[int, int, int]] = []
+    for block in device.blocks():
+        if block.edges:
+            rows = struct.iter_unpack("<IBBH", block.data)
+            found += [(block.index + k, tick, codes) for k, (tick, codes, _, _) in enumerate(rows)]
+    for frame in device.probe.stream_frames:
+        if frame.edges and frame.slot == slot:
+            tick, codes, index = struct.unpack_from("<IBB", frame.data)
+            found.append((index, tick, codes))
+    return found
+
+
+def _travel(device: Device, channel: Channel | None, slot: int) -> float:
+    """How far the encoder turned, in electrical rad with its sign; NaN where there is none."""
+    if channel is None:
+        return math.nan
+    raw: list[bytes] = [block.data for block in device.blocks(1) if not block.edges]
+    size = np.dtype(channel.raw.dtype).itemsize
+    for frame in device.probe.stream_frames:
+        if not frame.edges and frame.slot == slot:
+            counter = 4 if device.bus.rates.fd else 2
+            raw.append(frame.data[counter : counter + (len(frame.data) - counter) // size * size])
+    values = np.frombuffer(b"".join(raw), channel.raw.dtype) * channel.scale + channel.offset
+    if len(values) < 2:
+        return math.nan
+    steps = (np.diff(values) + math.pi) % (2 * math.pi) - math.pi
+    return float(steps.sum())
+
+
+@check("stop", 7, "STOP is never refused", critical=True)
+def stop(device: Device) -> str:
+    """STOP while it turns: IDLE, outputs off."""
+    turn = turned(device)
+    if turn.answered != DriveState.IDLE or turn.stopped.state != DriveState.IDLE or not is_off(turn.stopped):
+        raise Failed(f"the reply says {state_name(turn.answered)}; after it {says(turn.stopped)}")
+    return f"at {device.speed_rpm:g} r/min: IDLE by its reply, IDLE and outputs off by a heartbeat made after it"
+
+
+@check("direction", 12, "Positive rotation runs through the sectors in ascending order")
+def direction(device: Device) -> str:
+    """A positive speed turns it through the sectors in ascending order, by its edges, and forwards by its encoder."""
+    turn = turned(device)
+    up = down = 0
+    for _, _, codes in turn.edges:
+        before, after = FORWARDS.get(codes & 7), FORWARDS.get(codes >> 3 & 7)
+        if before is not None and after is not None:
+            up += (after - before) % 6 == 1
+            down += (after - before) % 6 == 5
+    words = f"{up} edges upwards, {down} downwards" if turn.edges else "no edges"
+    if not math.isnan(turn.travel):
+        words += f", {math.degrees(turn.travel):.0f} electrical degrees by the encoder"
+    elif not up + down:
+        raise Unknown("neither edges nor an encoder tell which way it turns")
+    if not up + down and not abs(turn.travel) > math.pi / 3:
+        raise Unknown(f"{words}: it was not seen to turn")
+    if down > up or turn.travel < -math.pi / 3:
+        raise Failed(f"{words} at {device.speed_rpm:g} r/min")
+    return f"{words} at {device.speed_rpm:g} r/min"
+
+
+@check("edges-counted", 5, "Hall edges since boot")
+def edges_counted(device: Device) -> str:
+    """The heartbeat's `edges` rises by the edges that came between two heartbeats."""
+    if not device.offers_edges:
+        raise NotApplicable("no feature EDGES")
+    turn = turned(device)
+    beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0][1], beat.tick)]
+    if len(beats) < 2:
+        raise Unknown(f"{len(turn.edges)} edges came, and {len(beats)} heartbeats after the first")
+    first, last = beats[0], beats[-1]
+    came = sum(_before(first.tick, tick) and not _before(last.tick, tick) for _, tick, _ in turn.edges)
+    counted = (last.edges - first.edges) & 0xFFFFFFFF
+    words = f"{came} edges between two heartbeats, which count {counted}"
+    if came != counted:
+        raise Failed(words)
+    return words
+
+
+def _before(tick: int, other: int) -> bool:
+    """Whether `tick` was before `other`, by their low 32 bits."""
+    return 0 < (other - tick) & 0xFFFFFFFF < 1 << 31
+
+
+@check("edges-before-samples", 11, "sent before that DATA frame", carrier=Carrier.BYTES)
+def edges_before_samples(device: Device) -> str:
+    """No edge comes after a sample that is not older."""
+    if not device.offers_edges:
+        raise NotApplicable("no feature EDGES")
+    turn = turned(device)
+    if turn.late:
+        raise Failed(turn.late)
+    if not turn.ahead:
+        raise Unknown("no edges came beside samples")
+    return turn.ahead
+
+
+@check("watchdog", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG")
+def watchdog(device: Device) -> str:
+    """The watchdog ends it while it turns."""
+    spin(device)
+    device.probe.listen(RUN_UP)
+    device.probe.feed_every = None
+    began = device.probe.now()
+    with suppress(Unknown):  # what it says then is looked at
+        device.wait_state(DriveState.FAULT, 2 * device.watchdog + PATIENCE)
+    seconds = device.probe.now() - began
+    beat = device.fresh()
+    words = f"unfed for {seconds:.2f} s at {device.speed_rpm:g} r/min: {says(beat)}"
+    if beat.state != DriveState.FAULT or beat.outputs_on or not beat.faults & Fault.WATCHDOG:
+        raise Failed(words)
+    return words
+
+
+@check("never-clipped", 8, "never clipped")
+def never_clipped(device: Device) -> str:
+    """A speed beyond the limit is rejected with the limit. The limit is made the announced speed first."""
+    record = device.named("omega_m_max")
+    if record is None or record.flags & Flag.READ_ONLY:
+        raise Unknown("the largest speed cannot be lowered (no parameter omega_m_max): not tried")
+    before = device.parameter(record).value
+    try:
+        limit = float(np.float32(device.speed_rpm * RPM))
+        answer = device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, limit).pack())
+        if answer.error is not None:
+            raise Unknown(f"omega_m_max = {limit:g}: {answer}")
+        device.run()
+        return _beyond(device, limit)
+    finally:
+        try:
+            device.rest()
+        finally:
+            device.put_back(record, before)
+
+
+def _beyond(device: Device, limit: float) -> str:
+    was = device.fresh()
+    now = send(device, SetpointMode.SPEED, 0x0BAD, COMMON * limit)
+    words = f"SPEED {COMMON * limit:.5g} rad/s, the limit is {limit:.5g}"
+    if now.setpoint_counter == 0x0BAD:
+        raise Failed(f"{words}: accepted")
+    events = device.events(EventCode.SETPOINT_REJECTED)
+    if not events and now.setpoints_rejected == was.setpoints_rejected:
+        raise Unknown(f"{words}: not accepted, and not seen to be rejected")
+    if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
+        raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
+    return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"

@@ -1,0 +1,151 @@
+"""Level 1, second part: PARAM_GET and PARAM_SET. Chapters 5 and 9 of SPEC. Every parameter is left as it was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from bench.conforming.checks import Group
+from bench.conforming.device import Device
+from bench.conforming.levels import IDENTITY
+from bench.conforming.probe import Answer, read, refusal
+from bench.conforming.verdicts import Failed, NotApplicable
+from protocol.codes import ErrorCode, MessageType
+from protocol.descriptor import Channel
+from protocol.messages import ParamGet, ParamReply, ParamSet, ParamStored
+from protocol.signals import Flag
+
+check = Group("parameter", IDENTITY)
+
+ABSENT = 0xFFF0  # an id that is looked for downwards from here
+SOME = 6  # parameters whose refusals are looked at: what comes after them is the same
+
+
+@check("read", 9, "A parameter is a finite float32")
+def read_all(device: Device) -> str:
+    """Each parameter is a finite number within its range."""
+    records = device.parameters()
+    for record in records:
+        answer = device.probe.ask(MessageType.PARAM_GET, ParamGet(record.id).pack())
+        if answer.error is not None:
+            raise Failed(f"{record.name}: {answer}")
+        told = read(answer.frame, ParamReply)
+        words = f"{record.name} (id {record.id}) is {told.value:g}, from {told.lo:g} to {told.hi:g}"
+        if told.id != record.id:
+            raise Failed(f"{record.name}: the reply is of id {told.id}, not {record.id}")
+        if not all(map(math.isfinite, (told.value, told.lo, told.hi, told.default))):
+            raise Failed(f"{words}, default {told.default:g}: not all finite")
+        if not told.lo <= told.value <= told.hi:
+            raise Failed(f"{words}: outside of it")
+        if record.flags & Flag.WHOLE and told.value != round(told.value):
+            raise Failed(f"{words}: WHOLE, and it is not")
+    return f"{len(records)} parameters, finite and within their ranges"
+
+
+@check("unknown-id", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
+def unknown_id(device: Device) -> str:
+    """An id that there is not is named."""
+    taken = {record.id for record in device.descriptor.parameters}
+    number = next(n for n in range(ABSENT, 0, -1) if n not in taken)
+    get = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_GET, ParamGet(number).pack())
+    put = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_SET, ParamSet(number, math.nan).pack())
+    return f"id {number}: {get}; {put} (with NaN)"
+
+
+@check("set-own-value", 5, "what the device now uses")
+def set_own_value(device: Device) -> str:
+    """To set a parameter to what it is changes nothing."""
+    records = device.parameters(without=Flag.READ_ONLY)
+    for record in records:
+        before = device.parameter(record)
+        answer = _set(device, record, before.value)
+        if answer.error is not None:
+            raise Failed(f"{record.name} = {before.value:g}, which it is: {answer}")
+        stored, after = read(answer.frame, ParamStored), device.parameter(record)
+        if (stored.id, stored.stored) != (record.id, before.value) or after != before:
+            raise Failed(f"{record.name} was {before.value:g}, stored {stored.stored:g}, is {after.value:g}")
+    return f"{len(records)} parameters set to what they are, and still so"
+
+
+def _set(device: Device, record: Channel, value: float) -> Answer:
+    return device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
+
+
+def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
+    """Evidence that a value is refused and nothing changes; whatever happens, it is then as it was."""
+    before = device.parameter(record).value
+    try:
+        words = refusal(_set(device, record, value), code, detail, f"{record.name} = {value:.9g}")
+        if (after := device.parameter(record).value) != before:
+            raise Failed(f"{words}, and yet it is {after:g}, was {before:g}")
+        return words
+    finally:
+        device.put_back(record, before)
+
+
+@check("read-only", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
+def read_only(device: Device) -> str:
+    """A READ_ONLY parameter cannot be set, not even to what it is, nor to NaN or beyond its range."""
+    record = device.parameters(Flag.READ_ONLY)[0]
+    told = device.parameter(record)
+    values = (told.value, math.nan, _beyond(told.hi, math.inf))
+    return "; ".join(_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
+
+
+@check("not-finite", 5, "BAD_VALUE (not finite, or not whole for a parameter that is WHOLE; `detail` = the value)")
+def not_finite(device: Device) -> str:
+    """NaN and infinity are refused before the range is looked at."""
+    records = device.parameters(without=Flag.READ_ONLY)[:SOME]
+    return "; ".join(
+        _refused(device, record, value, ErrorCode.BAD_VALUE, value)
+        for record in records
+        for value in (math.nan, math.inf, -math.inf)
+    )
+
+
+@check("whole", 5, "BAD_VALUE (not finite, or not whole for a parameter that is WHOLE; `detail` = the value)")
+def whole(device: Device) -> str:
+    """A fraction of a WHOLE parameter is refused, beyond its range too."""
+    words = []
+    for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
+        told = device.parameter(record)
+        values = [told.value + (0.5 if told.value < told.hi else -0.5), told.hi + 1.5]
+        words += [_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22]
+    return "; ".join(words)
+
+
+@check("beyond-range", 5, "OUT_OF_RANGE (`detail` = the limit that is violated)")
+def beyond_range(device: Device) -> str:
+    """The next float32 beyond either end is refused with that end, and never clipped."""
+    words = []
+    for record in device.parameters(without=Flag.READ_ONLY)[:SOME]:
+        told = device.parameter(record)
+        further: Callable[[float, float], float] = _beyond if not record.flags & Flag.WHOLE else _one_more
+        for limit, direction in ((told.hi, math.inf), (told.lo, -math.inf)):
+            value = further(limit, direction)
+            if math.isfinite(value) and value != limit:
+                words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
+    if not words:
+        raise NotApplicable("every float32 is within the ranges")
+    return "; ".join(words)
+
+
+def _beyond(limit: float, direction: float) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.nextafter(np.float32(limit), np.float32(direction)))
+
+
+def _one_more(limit: float, direction: float) -> float:
+    return limit + math.copysign(1.0, direction)
+
+
+@check("commit", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store")
+def commit(device: Device) -> str:
+    """Without the feature COMMIT there is no store. With it nothing is stored here."""
+    from protocol.messages import Feature
+
+    if device.hello.features & Feature.COMMIT:
+        raise NotApplicable("there is a store: it is left alone")
+    return device.probe.refused(ErrorCode.NOT_SUPPORTED, None, MessageType.PARAM_COMMIT)

@@ -1,0 +1,243 @@
+"""Level 2, first part: what is asked of streams and answered. Chapters 5 and 11 of SPEC."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from bench.conforming.checks import Carrier, Group
+from bench.conforming.device import Configured, Device, ids, width
+from bench.conforming.levels import STREAMS
+from bench.conforming.probe import accepted, read, refusal
+from bench.conforming.verdicts import Failed, NotApplicable, Unknown
+from protocol.codes import ErrorCode, MessageType, StreamEvent
+from protocol.descriptor import Channel
+from protocol.messages import StreamGet, StreamInfo, StreamReply
+from protocol.streams import STREAM_HEADER
+
+check = Group("stream", STREAMS)
+
+ORDER = "STREAM_SET is refused by the first of these checks that fails"
+ABSENT = 0xFFF0
+SLOW_HZ = 100.0
+CONFIGURATIONS = 6
+
+
+def some(device: Device, n: int) -> tuple[Channel, ...]:
+    """The first n channels, or all."""
+    return device.channels[:n]
+
+
+def absent(device: Device) -> int:
+    """The id of a channel that there is not."""
+    taken = set(ids(device.descriptor.channels))
+    return next(n for n in range(ABSENT, 0, -1) if n not in taken)
+
+
+@check("set-refusals", 11, ORDER)
+def set_refusals(device: Device) -> str:
+    """Each error of a STREAM_SET has its code and its detail."""
+    first, other = device.channels[0].id, absent(device)
+    rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode, float]] = [
+        ("stream 4", (4, [first], 1, 20, 0), ErrorCode.OUT_OF_RANGE, 3),
+        ("event 1 (SLOW)", (0, [first], 1, 20, 1), ErrorCode.NOT_SUPPORTED, 1),
+        ("event 9", (0, [first], 1, 20, 9), ErrorCode.NOT_SUPPORTED, 9),
+        ("decimation 0", (0, [first], 0, 20, 0), ErrorCode.BAD_VALUE, 0),
+        ("no channels", (0, [], 1, 20, 0), ErrorCode.BAD_VALUE, 0),
+        (f"channel {other}", (0, [first, other], 1, 20, 0), ErrorCode.UNKNOWN_ID, other),
+        (f"channel {first} twice", (0, [first, first], 1, 20, 0), ErrorCode.BAD_VALUE, first),
+    ]
+    if device.offers_edges:
+        rows.append(("edges with two channels", (0, [first, first], 1, 20, 2), ErrorCode.BAD_VALUE, 2))
+    else:
+        rows.append(("edges", (0, [], 1, 20, 2), ErrorCode.NOT_SUPPORTED, 2))
+    return "; ".join(refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
+
+
+@check("set-order", 11, ORDER)
+def set_order(device: Device) -> str:
+    """Of two errors in a STREAM_SET the earlier one is told."""
+    first, other = device.channels[0].id, absent(device)
+    rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode]] = [
+        ("stream 4 and event 9", (4, [first], 1, 20, 9), ErrorCode.OUT_OF_RANGE),
+        ("event 1 and decimation 0", (0, [first], 0, 20, 1), ErrorCode.NOT_SUPPORTED),
+        ("an unknown channel, then one twice", (0, [other, first, first], 1, 20, 0), ErrorCode.UNKNOWN_ID),
+        ("a channel twice, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
+    ]
+    found = [refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows]
+    device.configure(0, [first], SLOW_HZ)
+    device.start_streams(1)
+    running = device.stream_set(0, [other], 1, 20, 0)
+    found.append(refusal(running, ErrorCode.UNKNOWN_ID, other, "a running stream and an unknown channel"))
+    return "; ".join(found)
+
+
+@check("busy", 11, "the stream does not run")
+def busy(device: Device) -> str:
+    """A running stream is not configured anew."""
+    first = device.channels[0].id
+    device.configure(0, [first], SLOW_HZ)
+    device.start_streams(1)
+    before = device.probe.get(StreamGet(0), StreamInfo)
+    words = refusal(device.stream_set(0, [first], 7), ErrorCode.BUSY, 0, "STREAM_SET of a running stream")
+    now = device.probe.get(StreamGet(0), StreamInfo)
+    if now != before:
+        raise Failed(f"{words}, and yet STREAM_GET says cfg_id {now.cfg_id}, decimation {now.decimation}")
+    return words
+
+
+@check("too-long", 11, "a sample is no longer than a frame of tx_max takes", carrier=Carrier.BYTES)
+def too_long(device: Device) -> str:
+    """A sample that no frame takes is refused with what fits."""
+    tx_max = device.probe.hello(rx_max=128).tx_max
+    room = tx_max - STREAM_HEADER.size
+    most = (device.hello.rx_max - 8) // 2
+    chosen = device.channels[:most]
+    if sum(map(width, chosen)) <= room:
+        raise NotApplicable(f"all channels together are {sum(map(width, chosen))} bytes, {room} fit")
+    return refusal(device.stream_set(0, ids(chosen)), ErrorCode.DOES_NOT_FIT, room, f"{len(chosen)} channels")
+
+
+@check("cfg-id", 5, "never 0; another for each configuration")
+def cfg_id(device: Device) -> str:
+    """Each configuration has a number of its own."""
+    first = device.channels[0].id
+    found = [device.configure(n % 2, [first], SLOW_HZ).reply.cfg_id for n in range(CONFIGURATIONS)]
+    if 0 in found or len(set(found)) < len(found):
+        raise Failed(f"{CONFIGURATIONS} configurations have the cfg_ids {found}")
+    return f"{CONFIGURATIONS} configurations: {', '.join(map(str, found))}"
+
+
+@check("reply-fields", 5, "bytes of one record")
+def reply_fields(device: Device) -> str:
+    """The reply to STREAM_SET has the bytes of a sample and a block that fits."""
+    words = []
+    for n in (1, 3, len(device.channels)):
+        chosen = device.fitting(some(device, n))
+        told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
+        size = sum(map(width, chosen))
+        if told.reply.stream != 0 or told.reply.sample_bytes != size:
+            raise Failed(
+                f"{len(chosen)} channels: stream {told.reply.stream}, {told.reply.sample_bytes} bytes, not {size}"
+            )
+        words.append(f"{len(chosen)} channels: {size} bytes, {_block(device, told)}")
+    return "; ".join(words)
+
+
+def _block(device: Device, told: Configured) -> str:
+    reply, asked = told.reply, told.asked
+    in_time = max(1, asked.max_latency_ms * device.pwm_hz // (1000 * asked.decimation))
+    if device.probe.line.bus:
+        if not 1 <= reply.block <= in_time:
+            raise Failed(f"block is {reply.block}, {in_time} samples are taken in {asked.max_latency_ms} ms")
+        return f"block {reply.block}"
+    fits = (device.hello.tx_max - STREAM_HEADER.size) // reply.sample_bytes
+    if reply.block != min(fits, in_time):
+        raise Failed(f"block is {reply.block}: {fits} fit in a frame, {in_time} are taken in {asked.max_latency_ms} ms")
+    return f"block {reply.block} ({fits} fit, {in_time} in time)"
+
+
+@check("get", 5, "How a stream is configured, by whomever")
+def get(device: Device) -> str:
+    """STREAM_GET tells the last configuration, and whether it runs."""
+    chosen = ids(some(device, 2))
+    device.configure(0, chosen[:1], SLOW_HZ / 2)
+    told = device.configure(0, chosen, SLOW_HZ, latency_ms=30)
+    for running in (False, True):
+        if running:
+            device.start_streams(1)
+        info = device.probe.get(StreamGet(0), StreamInfo)
+        reply, asked = told.reply, told.asked
+        wanted = StreamInfo(
+            stream=0, running=running, event=asked.event, slot=reply.slot, decimation=asked.decimation,
+            max_latency_ms=asked.max_latency_ms, cfg_id=reply.cfg_id, sample_bytes=reply.sample_bytes,
+            block=reply.block, tick0=reply.tick0, channels=asked.channels,
+        )  # fmt: skip
+        if info != wanted:
+            raise Failed(f"STREAM_GET says {info}, STREAM_SET said {wanted}")
+    return f"cfg_id {told.reply.cfg_id}, decimation {told.asked.decimation}, channels {chosen}, running 0, then 1"
+
+
+@check("get-refusals", 5, "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free one,")
+def get_refusals(device: Device) -> str:
+    """STREAM_GET of what there is not is refused."""
+    probe = device.probe
+    return "; ".join(
+        (
+            probe.refused(ErrorCode.OUT_OF_RANGE, 3, MessageType.STREAM_GET, StreamGet(4).pack()),
+            probe.refused(ErrorCode.UNKNOWN_ID, 2, MessageType.STREAM_GET, StreamGet(2).pack()),
+        )
+    )
+
+
+@check("start-free", 11, "STREAM_START of a free one is refused (UNKNOWN_ID,")
+def start_free(device: Device) -> str:
+    """STREAM_START of a free stream names it and starts none."""
+    probe = device.probe
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    words = []
+    for mask, lowest in ((0b100101, 2), (1 << 31 | 1, 31)):
+        answer = probe.ask(MessageType.STREAM_START, struct.pack("<I", mask))
+        words.append(refusal(answer, ErrorCode.UNKNOWN_ID, lowest, f"STREAM_START 0x{mask:x}"))
+    if probe.get(StreamGet(0), StreamInfo).running:
+        raise Failed(f"{words[0]}, and yet stream 0 runs")
+    return "; ".join(words)
+
+
+@check("mask-0", 11, "A mask of 0 starts or stops none")
+def mask_0(device: Device) -> str:
+    """A mask of 0 is answered and does nothing."""
+    probe = device.probe
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    none = struct.pack("<I", 0)
+    started = accepted(probe.ask(MessageType.STREAM_START, none), "STREAM_START 0")
+    running = probe.get(StreamGet(0), StreamInfo).running
+    stopped = accepted(probe.ask(MessageType.STREAM_STOP, none), "STREAM_STOP 0")
+    there = probe.ask(MessageType.STREAM_GET, StreamGet(0).pack()).error is None
+    if running or not there:
+        raise Failed(f"after START 0 it runs: {running}; after STOP 0 it is configured: {there}")
+    return f"{started}; {stopped}; stream 0 stays configured and does not run"
+
+
+@check("stop-frees", 11, "waits and makes it free again")
+def stop_frees(device: Device) -> str:
+    """STREAM_STOP frees a stream, and ignores those that are not configured."""
+    probe = device.probe
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    device.start_streams(1)
+    stopped = accepted(probe.ask(MessageType.STREAM_STOP, struct.pack("<I", 0xFFFFFFF3)), "STREAM_STOP FFFFFFF3")
+    return f"{stopped}; {probe.refused(ErrorCode.UNKNOWN_ID, 0, MessageType.STREAM_GET, StreamGet(0).pack())}"
+
+
+@check("start-again", 11, "stream is answered and changes nothing: it goes on, and so does its `seq`")
+def start_again(device: Device) -> str:
+    """STREAM_START of a running stream changes nothing."""
+    if device.probe.line.bus:
+        raise NotApplicable("a frame on CAN has no seq")
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    device.start_streams(1)
+    before = device.streamed(0, 0.2)[-1]
+    device.start_streams(1)
+    after = device.streamed(0, 0.2)
+    seqs = [block.seq for block in after if block.place > before.place]
+    if not seqs:
+        raise Unknown("no frame came after the second STREAM_START")
+    if seqs[0] != (before.seq + 1) & 0xFFFF:
+        raise Failed(f"seq was {before.seq}, and {seqs[0]} after the second STREAM_START")
+    return f"seq {before.seq}, {seqs[0]} after the second STREAM_START"
+
+
+@check("edges-set", 11, "channels, `sample_bytes` is 8, `decimation` is ignored")
+def edges_set(device: Device) -> str:
+    """A stream of edges is configured with any decimation."""
+    if not device.offers_edges:
+        raise NotApplicable("no feature EDGES")
+    words = []
+    for decimation in (0, 7):
+        answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)
+        accepted(answer, f"edges with decimation {decimation}")
+        reply = read(answer.frame, StreamReply)
+        if reply.sample_bytes != 8 or not reply.cfg_id:
+            raise Failed(f"edges: sample_bytes {reply.sample_bytes}, cfg_id {reply.cfg_id}")
+        words.append(f"decimation {decimation}: cfg_id {reply.cfg_id}, 8 bytes")
+    return "; ".join(words)

@@ -1,0 +1,1494 @@
+/* hbp.c: see hbp.h. */
+#include "hbp.h"
+
+#include <string.h>
+
+#include "hbp_way.h"
+
+#define REPLY 0x10u
+#define ERROR_FLAG 0x20u
+#define MAJOR_MASK 0x0Fu
+#define HEADER 8u
+#define CRC_BYTES 4u
+#define RECORD 32u
+#define STREAM_HEADER 16u
+#define EDGE_BYTES 8u
+#define WATCHDOG_OFF 0xFFFFu
+#define DEFAULT_WATCHDOG 0.2f
+#define ARM_SECONDS 5u
+#define MAX_LOAD 0.95f
+#define MAX_DECIMATION 0xFFFFu
+#define FAULT_MASK 0x00FFFFFFu
+#define OVERRUN 1u
+#define MAX_ENCODED 1041u /* of a frame, delimiters left out */
+
+#define CHECK(name, condition) typedef char hbp_check_##name[(condition) ? 1 : -1]
+CHECK(rx_max, HBP_RX_MAX >= 128 && HBP_RX_MAX <= 1024);
+CHECK(tx_max, HBP_TX_MAX >= 128 && HBP_TX_MAX <= 1024);
+CHECK(tx_bytes, (HBP_TX_BYTES & (HBP_TX_BYTES - 1)) == 0 && HBP_TX_BYTES >= 2 * (HBP_TX_MAX + 24));
+CHECK(channels, HBP_CHANNELS >= 1 && HBP_CHANNELS <= 499 && 26 + 2 * HBP_CHANNELS <= HBP_TX_MAX);
+CHECK(pools, HBP_POOLS >= 1 && HBP_POOLS <= HBP_STREAMS);
+CHECK(pool_bytes, HBP_POOL_BYTES % 4 == 0 && HBP_POOL_BYTES >= 2 * (HBP_TX_MAX + 4));
+CHECK(edges, (HBP_EDGES & (HBP_EDGES - 1)) == 0 && HBP_EDGES <= 32768);
+CHECK(hosts, HBP_HOSTS >= 1 && HBP_HOSTS <= 16);
+
+static const uint8_t widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
+
+/* ---- bytes --------------------------------------------------------------------------------------------------------------- */
+
+uint8_t *hbp_put16(uint8_t *to, uint32_t value)
+{
+    to[0] = (uint8_t)value;
+    to[1] = (uint8_t)(value >> 8);
+    return to + 2;
+}
+
+uint8_t *hbp_put32(uint8_t *to, uint32_t value)
+{
+    return hbp_put16(hbp_put16(to, value & 0xFFFFu), value >> 16);
+}
+
+static uint8_t *put64(uint8_t *to, uint64_t value)
+{
+    return hbp_put32(hbp_put32(to, (uint32_t)value), (uint32_t)(value >> 32));
+}
+
+static uint32_t bits_of(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+static uint8_t *put_float(uint8_t *to, float value)
+{
+    return hbp_put32(to, bits_of(value));
+}
+
+static size_t text_length(const char *text)
+{
+    size_t n = 0;
+    while (text && text[n]) n++;
+    return n;
+}
+
+static int same_text(const char *a, const char *b)
+{
+    size_t n = text_length(a);
+    return n == text_length(b) && !memcmp(a, b, n);
+}
+
+static uint8_t *put_text(uint8_t *to, const char *text, size_t size)
+{
+    size_t n = text_length(text);
+    memset(to, 0, size);
+    if (n) memcpy(to, text, n < size ? n : size);
+    return to + size;
+}
+
+static uint16_t get16(const uint8_t *from)
+{
+    return (uint16_t)(from[0] | from[1] << 8);
+}
+
+uint32_t hbp_get32(const uint8_t *from)
+{
+    return get16(from) | (uint32_t)get16(from + 2) << 16;
+}
+
+static float get_float(const uint8_t *from)
+{
+    uint32_t bits = hbp_get32(from);
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static int finite_number(float value)
+{
+    return (bits_of(value) & 0x7F800000u) != 0x7F800000u;
+}
+
+static int whole_number(float value)
+{
+    if (value >= 8388608.0f || value <= -8388608.0f) return 1; /* 2^23: no fraction is left */
+    return (float)(int32_t)value == value;
+}
+
+/* CRC-32/ISO-HDLC, polynomial 0xEDB88320 (reflected); begin with 0xFFFFFFFF, invert the end. */
+uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n)
+{
+#if HBP_CRC_TABLE == 256
+    static uint32_t table[256];
+    if (!table[1]) {
+        for (uint32_t k = 0; k < 256; k++) {
+            uint32_t value = k;
+            for (int bit = 0; bit < 8; bit++) value = value >> 1 ^ (value & 1 ? 0xEDB88320u : 0);
+            table[k] = value;
+        }
+    }
+    while (n--) crc = table[(crc ^ *data++) & 0xFF] ^ crc >> 8;
+#else
+    static const uint32_t table[16] = {
+        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u, 0x4DB26158u, 0x5005713Cu,
+        0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu, 0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu,
+    };
+    while (n--) {
+        crc ^= *data++;
+        crc = table[crc & 15] ^ crc >> 4;
+        crc = table[crc & 15] ^ crc >> 4;
+    }
+#endif
+    return crc;
+}
+
+/* ---- messages to the host ------------------------------------------------------------------------------------------------ */
+
+static int send(struct hbp *h, enum hbp_rank rank, uint8_t type, size_t n)
+{
+    struct hbp_message message;
+    memset(&message, 0, sizeof message);
+    message.type = type;
+    message.flags = HBP_MAJOR;
+    message.rank = rank;
+    message.payload = h->link->work;
+    message.n = (uint16_t)n;
+    message.transfer = HBP_NEXT_TRANSFER;
+    return h->link->way->send(h, &message);
+}
+
+static void event(struct hbp *h, uint32_t code, float arg, float detail)
+{
+    uint8_t *to = put64(h->link->work, h->now);
+    to = hbp_put16(to, code);
+    *to++ = h->config->node;
+    *to++ = 0;
+    to = put_float(put_float(to, arg), detail);
+    send(h, HBP_RANK_NEWS, HBP_TYPE_EVENT, (size_t)(to - h->link->work));
+}
+
+void hbp_log(struct hbp *h, uint8_t level, const char *text)
+{
+    size_t n = text_length(text), most = h->peer->tx_max - 1u;
+    if (n > most) n = most;
+    h->link->work[0] = level;
+    memcpy(h->link->work + 1, text, n);
+    send(h, HBP_RANK_NEWS, HBP_TYPE_LOG, n + 1);
+}
+
+static int outputs_on(const struct hbp *h)
+{
+    return h->config->outputs_on(h->config->user) != 0;
+}
+
+/* ---- states, faults, watchdog -------------------------------------------------------------------------------------------- */
+
+static float parameter_value(const struct hbp *h, uint16_t k)
+{
+    const struct hbp_config *config = h->config;
+    return config->get ? config->get(config->user, k) : *config->parameters[k].value;
+}
+
+static uint32_t watchdog_ticks(const struct hbp *h)
+{
+    float seconds = h->watchdog == HBP_NONE ? DEFAULT_WATCHDOG : parameter_value(h, h->watchdog);
+    return (uint32_t)(seconds * (float)h->config->tick_hz + 0.5f);
+}
+
+static int live(const struct hbp *h)
+{
+    return h->state == HBP_STATE_ARMED || h->state == HBP_STATE_RUNNING;
+}
+
+static void feed(struct hbp *h)
+{
+    h->fed = h->now;
+    h->leash = (uint32_t)h->now;
+    h->leash_ticks = watchdog_ticks(h);
+}
+
+static uint16_t wrong_state(const struct hbp *h, float *detail)
+{
+    *detail = (float)h->state;
+    return HBP_ERROR_WRONG_STATE;
+}
+
+static uint16_t enter(struct hbp *h, uint8_t state, float *detail)
+{
+    uint16_t code;
+    if (state == HBP_STATE_RUNNING) h->runs++;
+    HBP_BARRIER();
+    h->permit = state == HBP_STATE_RUNNING;
+    HBP_BARRIER();
+    code = h->config->enter(h->config->user, state, detail);
+    if (code && (state == HBP_STATE_ARMED || state == HBP_STATE_RUNNING)) {
+        h->permit = h->state == HBP_STATE_RUNNING;
+        return code;
+    }
+    if (h->faults && state != HBP_STATE_FAULT) return wrong_state(h, detail); /* the application called hbp_fault meanwhile */
+    h->state = state;
+    event(h, HBP_EVENT_STATE_CHANGED, (float)state, 0.0f);
+    return 0;
+}
+
+void hbp_fault(struct hbp *h, uint32_t faults)
+{
+    uint32_t fresh = faults & FAULT_MASK & ~h->faults;
+    float detail = 0.0f;
+    if (!fresh) return;
+    if (!h->faults) h->first_fault = fresh;
+    h->faults |= fresh;
+    if (h->state != HBP_STATE_FAULT) enter(h, HBP_STATE_FAULT, &detail);
+    event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
+}
+
+/* Only the interrupt writes `raised`, only the main loop `seen`. What has been seen is begun anew, with another count. */
+void hbp_raise(struct hbp *h, uint32_t faults)
+{
+    uint32_t raised = h->raised, before = raised == h->seen ? 0 : raised & FAULT_MASK;
+    h->raised = ((raised & ~FAULT_MASK) + FAULT_MASK + 1u) | before | (faults & FAULT_MASK);
+}
+
+int hbp_may_run(struct hbp *h, uint32_t tick)
+{
+    if (!h->permit || h->cut == h->runs) return 0;
+    if ((int32_t)(tick - h->leash) < (int32_t)h->leash_ticks) return 1;
+    h->cut = h->runs; /* until the next START */
+    return 0;
+}
+
+void hbp_pass_time(struct hbp *h, uint64_t now)
+{
+    uint32_t raised = h->raised;
+    float detail = 0.0f;
+    h->now = now;
+    if (raised != h->seen) {
+        h->seen = raised;
+        hbp_fault(h, raised & FAULT_MASK);
+    }
+    if (h->state == HBP_STATE_BOOT) {
+        enter(h, HBP_STATE_IDLE, &detail);
+    } else if (live(h) && (now - h->fed >= watchdog_ticks(h) || (h->permit && h->cut == h->runs))) {
+        hbp_fault(h, HBP_FAULT_WATCHDOG);
+    } else if (h->state == HBP_STATE_ARMED && now - h->armed >= (uint64_t)ARM_SECONDS * h->config->tick_hz) {
+        event(h, HBP_EVENT_ARM_LAPSED, (float)ARM_SECONDS, 0.0f);
+        enter(h, HBP_STATE_IDLE, &detail);
+    }
+}
+
+static uint16_t arm(struct hbp *h, uint32_t token, float *detail)
+{
+    uint16_t code = 0;
+    if (token != h->boot_id) return HBP_ERROR_BAD_TOKEN;
+    if (h->state != HBP_STATE_IDLE && h->state != HBP_STATE_ARMED) return wrong_state(h, detail);
+    if (h->state == HBP_STATE_IDLE) code = enter(h, HBP_STATE_ARMED, detail);
+    if (code) return code;
+    h->armed = h->now;
+    feed(h);
+    return 0;
+}
+
+static uint16_t start(struct hbp *h, uint32_t argument, float *detail)
+{
+    if (argument) {
+        *detail = (float)argument;
+        return HBP_ERROR_BAD_VALUE;
+    }
+    if (!live(h)) return wrong_state(h, detail);
+    return h->state == HBP_STATE_ARMED ? enter(h, HBP_STATE_RUNNING, detail) : 0;
+}
+
+void hbp_stop(struct hbp *h)
+{
+    float detail = 0.0f;
+    if (live(h)) enter(h, HBP_STATE_IDLE, &detail);
+}
+
+static uint16_t clear(struct hbp *h, uint32_t faults, float *detail)
+{
+    uint32_t persist;
+    if (h->state != HBP_STATE_FAULT) return wrong_state(h, detail);
+    if (faults != h->faults) {
+        *detail = (float)h->faults;
+        return HBP_ERROR_FAULTS_CHANGED;
+    }
+    persist = h->config->clear ? h->config->clear(h->config->user, faults) : 0;
+    if (persist) {
+        *detail = (float)persist;
+        return HBP_ERROR_FAULT_PERSISTS;
+    }
+    h->faults = h->first_fault = 0;
+    return enter(h, HBP_STATE_IDLE, detail);
+}
+
+/* ---- requests: each writes its reply into link->work, and its length into *n; or returns a code -------------------------- */
+
+typedef uint16_t answer(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail);
+
+static uint16_t finish(const struct hbp *h, const uint8_t *end, size_t *n)
+{
+    *n = (size_t)(end - h->link->work);
+    return 0;
+}
+
+static uint16_t hello(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    const struct hbp_config *config = h->config;
+    uint32_t nonce = hbp_get32(in);
+    uint16_t rx_max = get16(in + 6);
+    uint8_t *to = h->link->work;
+    (void)length;
+    if (in[4] > HBP_MAJOR || in[5] < HBP_MAJOR) {
+        *detail = HBP_MAJOR;
+        return HBP_ERROR_BAD_VERSION;
+    }
+    if (rx_max < 128) {
+        *detail = 128.0f;
+        return HBP_ERROR_OUT_OF_RANGE;
+    }
+    h->peer->tx_max = rx_max < HBP_TX_MAX ? rx_max : HBP_TX_MAX;
+    if (!h->peer->greeted || nonce != h->peer->nonce) { /* a new host may use the same tids again */
+        for (unsigned k = 0; k < HBP_KEPT; k++) h->peer->kept[k].there = 0;
+        h->peer->nonce = nonce;
+        h->peer->greeted = 1;
+    }
+    to = hbp_put32(hbp_put32(to, nonce), h->boot_id);
+    *to++ = HBP_MAJOR;
+    *to++ = HBP_MINOR;
+    to = hbp_put16(hbp_put16(hbp_put16(to, HBP_RX_MAX), h->peer->tx_max), 0);
+    to = hbp_put32(hbp_put32(to, config->features), h->schema_crc);
+    to = hbp_put32(hbp_put32(to, config->tick_hz), config->pwm_hz);
+    *to++ = h->state;
+    *to++ = config->node;
+    *to++ = config->role;
+    *to++ = h->link->nodes;
+    to = put_text(put_text(to, config->name, 16), config->firmware, 16);
+    to = put_text(put_text(to, config->serial, 24), config->build, 24);
+    return finish(h, to, n);
+}
+
+static uint16_t time_sync(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    (void)in, (void)length, (void)detail;
+    return finish(h, put64(put64(h->link->work, h->now), h->now), n);
+}
+
+static uint16_t alive(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    (void)in, (void)length, (void)n, (void)detail;
+    feed(h);
+    return 0;
+}
+
+static void record_bytes(const struct hbp_config *config, uint32_t k, uint8_t *to)
+{
+    uint32_t channel = k < config->n_channels;
+    const struct hbp_channel *c = &config->channels[channel ? k : 0];
+    const struct hbp_parameter *p = &config->parameters[channel ? 0 : k - config->n_channels];
+    to = hbp_put16(to, channel ? c->id : p->id);
+    *to++ = channel ? c->type : HBP_RAW_F32;
+    *to++ = channel ? c->unit : p->unit;
+    to = hbp_put16(to, channel ? c->flags | HBP_FLAG_CHANNEL : p->flags | HBP_FLAG_PARAMETER);
+    to = hbp_put16(to, 0);
+    to = put_float(put_float(to, channel ? c->scale : 1.0f), channel ? c->offset : 0.0f);
+    put_text(to, channel ? c->name : p->name, 16);
+}
+
+static uint32_t blob_bytes(const struct hbp *h)
+{
+    return RECORD * ((uint32_t)h->config->n_channels + h->config->n_parameters);
+}
+
+static size_t blob_reply(struct hbp *h, uint32_t offset, uint32_t length)
+{
+    uint8_t *to = h->link->work, record[RECORD];
+    *to++ = 0;
+    *to++ = 0;
+    to = hbp_put32(hbp_put32(hbp_put16(to, length), offset), blob_bytes(h));
+    while (length) {
+        uint32_t at = offset % RECORD, part = RECORD - at < length ? RECORD - at : length;
+        record_bytes(h->config, offset / RECORD, record);
+        memcpy(to, record + at, part);
+        to += part, offset += part, length -= part;
+    }
+    return (size_t)(to - h->link->work);
+}
+
+static uint16_t blob_read(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint32_t wanted = get16(in + 2), offset = hbp_get32(in + 4), total = blob_bytes(h), room = h->peer->tx_max - 12u;
+    (void)length;
+    if (in[0]) {
+        *detail = (float)in[0];
+        return HBP_ERROR_UNKNOWN_ID;
+    }
+    if (offset > total) {
+        *detail = (float)total;
+        return HBP_ERROR_OUT_OF_RANGE;
+    }
+    if (wanted > room) wanted = room;
+    if (wanted > total - offset) wanted = total - offset;
+    *n = blob_reply(h, offset, wanted);
+    return 0;
+}
+
+static uint16_t parameter(const struct hbp *h, const uint8_t *in, uint16_t *k, float *detail)
+{
+    uint16_t id = get16(in);
+    for (*k = 0; *k < h->config->n_parameters; ++*k)
+        if (h->config->parameters[*k].id == id) return 0;
+    *detail = (float)id;
+    return HBP_ERROR_UNKNOWN_ID;
+}
+
+static uint16_t param_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint16_t k, code = parameter(h, in, &k, detail);
+    const struct hbp_parameter *p;
+    uint8_t *to;
+    (void)length;
+    if (code) return code;
+    p = &h->config->parameters[k];
+    to = hbp_put16(hbp_put16(h->link->work, p->id), 0);
+    to = put_float(put_float(to, parameter_value(h, k)), p->lo);
+    return finish(h, put_float(put_float(to, p->hi), p->initial), n);
+}
+
+static uint16_t param_set(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    const struct hbp_config *config = h->config;
+    uint16_t k, code = parameter(h, in, &k, detail);
+    const struct hbp_parameter *p;
+    float value = get_float(in + 4);
+    (void)length;
+    if (code) return code;
+    p = &config->parameters[k];
+    if (p->flags & HBP_FLAG_READ_ONLY) {
+        *detail = (float)p->id;
+        return HBP_ERROR_READ_ONLY;
+    }
+    *detail = value;
+    if (!finite_number(value) || ((p->flags & HBP_FLAG_WHOLE) && !whole_number(value))) return HBP_ERROR_BAD_VALUE;
+    *detail = value < p->lo ? p->lo : p->hi;
+    if (value < p->lo || value > p->hi) return HBP_ERROR_OUT_OF_RANGE;
+    if ((p->flags & HBP_FLAG_IDLE_ONLY) && outputs_on(h)) return wrong_state(h, detail);
+    *detail = 0.0f;
+    code = config->set ? config->set(config->user, k, value, detail) : 0;
+    if (code) return code;
+    if (!config->get) *p->value = value;
+    if (k == h->watchdog) h->leash_ticks = watchdog_ticks(h);
+    return finish(h, put_float(hbp_put16(hbp_put16(h->link->work, p->id), 0), parameter_value(h, k)), n);
+}
+
+static uint16_t param_commit(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    (void)in, (void)length;
+    *n = 0;
+    if (outputs_on(h)) return wrong_state(h, detail);
+    return h->config->commit ? h->config->commit(h->config->user, detail) : HBP_ERROR_NOT_SUPPORTED;
+}
+
+static uint16_t state_cmd(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint32_t argument = hbp_get32(in + 4);
+    uint16_t code = 0;
+    (void)length;
+    switch (in[0]) {
+    case HBP_COMMAND_ARM: code = arm(h, argument, detail); break;
+    case HBP_COMMAND_START: code = start(h, argument, detail); break;
+    case HBP_COMMAND_STOP: hbp_stop(h); break;
+    case HBP_COMMAND_FAULT_CLEAR: code = clear(h, argument, detail); break;
+    default: *detail = (float)in[0]; return HBP_ERROR_BAD_VALUE;
+    }
+    h->link->work[0] = h->state;
+    memset(h->link->work + 1, 0, 3);
+    *n = 4;
+    return code;
+}
+
+static void reject(struct hbp *h, uint16_t code, float detail)
+{
+    h->setpoints_rejected++;
+    event(h, HBP_EVENT_SETPOINT_REJECTED, (float)code, detail);
+}
+
+static uint16_t use_setpoint(struct hbp *h, const uint8_t *in, float *detail)
+{
+    float value = get_float(in + 4), value2 = get_float(in + 8);
+    if (h->state != HBP_STATE_RUNNING) return wrong_state(h, detail);
+    *detail = finite_number(value) ? value2 : value;
+    if (!finite_number(*detail)) return HBP_ERROR_BAD_VALUE;
+    *detail = 0.0f;
+    return h->config->setpoint(h->config->user, in[0], value, value2, detail);
+}
+
+static uint16_t setpoint(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint16_t code = use_setpoint(h, in, detail);
+    (void)length, (void)n;
+    if (code) {
+        reject(h, code, *detail);
+        return 0; /* there is no other answer */
+    }
+    h->setpoint_counter = get16(in + 2);
+    feed(h);
+    return 0;
+}
+
+/* ---- streams ------------------------------------------------------------------------------------------------------------- */
+
+static struct hbp_block *block_at(const struct hbp *h, const struct hbp_stream *s, uint32_t place)
+{
+    return (struct hbp_block *)(uintptr_t)&h->pools[s->pool][(size_t)place * s->stride];
+}
+
+static uint8_t *records_of(struct hbp_block *block)
+{
+    return (uint8_t *)(block + 1);
+}
+
+uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation)
+{
+    return (uint32_t)((uint64_t)latency_ms * h->config->pwm_hz / (1000u * (uint64_t)decimation));
+}
+
+/* What waits of a stream that is no more, or never was sent, is lost. */
+static void forget(struct hbp *h, struct hbp_stream *s)
+{
+    h->dropped += s->dropped + s->lost + (s->head - s->tail) * s->groups;
+    memset(s, 0, sizeof *s);
+}
+
+static uint8_t free_pool(struct hbp *h, const struct hbp_stream *mine)
+{
+    for (uint8_t pool = 0; pool < HBP_POOLS; pool++) {
+        struct hbp_stream *user = NULL;
+        for (unsigned k = 0; k < HBP_STREAMS; k++) {
+            struct hbp_stream *s = &h->streams[k];
+            if (s != mine && s->pool == pool && s->stride) user = s;
+        }
+        if (!user) return pool;
+        if (!user->configured) { /* it is only being emptied */
+            forget(h, user);
+            return pool;
+        }
+    }
+    return HBP_POOLS;
+}
+
+static float load(const struct hbp *h, const struct hbp_stream *mine, float rate)
+{
+    if (h->link->capacity <= 0.0f) return 0.0f;
+    for (const struct hbp *each = h->link->first; each; each = each->other)
+        for (unsigned k = 0; k < HBP_STREAMS; k++)
+            if (&each->streams[k] != mine && each->streams[k].configured) rate += each->streams[k].rate;
+    return rate / h->link->capacity;
+}
+
+static uint32_t decimation_that_fits(struct hbp *h, const struct hbp_stream *mine, struct hbp_stream *wanted)
+{
+    uint32_t low = wanted->decimation + 1u, high = MAX_DECIMATION + 1u;
+    if (wanted->event == HBP_STREAM_EDGES || load(h, mine, 0.0f) > MAX_LOAD) return 0;
+    while (low < high) { /* the first one that fits lies in low … high - 1, or is none */
+        uint32_t middle = (low + high) / 2u;
+        wanted->decimation = (uint16_t)middle;
+        h->link->way->shape(h, wanted);
+        if (load(h, mine, wanted->rate) <= MAX_LOAD) high = middle;
+        else low = middle + 1u;
+    }
+    return low <= MAX_DECIMATION ? low : 0;
+}
+
+static uint16_t choose(struct hbp *h, struct hbp_stream *s, const uint8_t *ids, float *detail)
+{
+    const struct hbp_config *config = h->config;
+    uint32_t bytes = 0;
+    for (unsigned k = 0; k < s->channels; k++) {
+        uint16_t id = get16(ids + 2 * k), at = 0;
+        *detail = (float)id;
+        while (at < config->n_channels && config->channels[at].id != id) at++;
+        if (at == config->n_channels) return HBP_ERROR_UNKNOWN_ID;
+        for (unsigned before = 0; before < k; before++)
+            if (s->take[before] == at) return HBP_ERROR_BAD_VALUE;
+        s->take[k] = at;
+        bytes += widths[config->channels[at].type];
+    }
+    s->record_bytes = (uint16_t)bytes;
+    return 0;
+}
+
+static uint16_t configure(struct hbp *h, struct hbp_stream *s, const uint8_t *in, float *detail)
+{
+    uint16_t channels = s->channels, code;
+    *detail = (float)s->event;
+    if (s->event == HBP_STREAM_EDGES && (h->config->features & HBP_FEATURE_EDGES)) {
+        *detail = (float)channels;
+        if (channels) return HBP_ERROR_BAD_VALUE;
+        s->record_bytes = EDGE_BYTES;
+    } else {
+        if (s->event != HBP_STREAM_PWM) return HBP_ERROR_NOT_SUPPORTED;
+        *detail = 0.0f;
+        if (!s->decimation || !channels) return HBP_ERROR_BAD_VALUE;
+        code = choose(h, s, in + 8, detail);
+        if (code) return code;
+    }
+    return 0;
+}
+
+static uint16_t fit(struct hbp *h, struct hbp_stream *s, const struct hbp_stream *mine, float *share, float *detail)
+{
+    uint32_t fits = h->link->way->shape(h, s);
+    if (fits) {
+        *detail = (float)fits;
+        return HBP_ERROR_DOES_NOT_FIT;
+    }
+    *share = load(h, mine, s->rate);
+    if (*share > MAX_LOAD) {
+        *detail = (float)decimation_that_fits(h, mine, s);
+        return HBP_ERROR_DOES_NOT_FIT;
+    }
+    *detail = 0.0f;
+    if (s->event == HBP_STREAM_PWM) {
+        uint32_t header = sizeof(struct hbp_block), most = HBP_POOL_BYTES / 2u - header;
+        if ((uint32_t)s->block * s->record_bytes > most) s->block = (uint16_t)(most / s->record_bytes);
+        s->pool = s->block ? free_pool(h, mine) : HBP_POOLS;
+        if (s->pool == HBP_POOLS) return HBP_ERROR_DOES_NOT_FIT;
+        s->stride = (uint16_t)((header + (uint32_t)s->block * s->record_bytes + 3u) / 4u);
+        s->places = HBP_POOL_BYTES / 4u / s->stride;
+    }
+    return 0;
+}
+
+static uint16_t stream_set(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    struct hbp_stream wanted, *s = &h->streams[in[0] & 3u];
+    float share = 0.0f;
+    uint16_t code;
+    uint8_t *to = h->link->work;
+    (void)length;
+    *detail = (float)(HBP_STREAMS - 1);
+    if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
+    memset(&wanted, 0, sizeof wanted);
+    wanted.number = in[0];
+    wanted.event = in[1];
+    wanted.decimation = get16(in + 2);
+    wanted.latency_ms = get16(in + 4);
+    wanted.channels = get16(in + 6);
+    wanted.groups = 1;
+    wanted.counts_samples = h->link->way->counts_samples;
+    code = configure(h, &wanted, in, detail);
+    if (code) return code;
+    *detail = (float)in[0];
+    if (s->running) return HBP_ERROR_BUSY;
+    code = fit(h, &wanted, s, &share, detail);
+    if (!code) code = h->link->way->open(h, &wanted, detail);
+    if (code) return code;
+    forget(h, s);
+    h->cfg_id = (uint16_t)(h->cfg_id % 0xFFFFu + 1u);
+    wanted.cfg_id = h->cfg_id;
+    wanted.configured = 1;
+    *s = wanted;
+    *to++ = s->number;
+    *to++ = 0;
+    to = hbp_put16(hbp_put16(hbp_put16(to, s->cfg_id), s->record_bytes), s->block);
+    to = put_float(to, share);
+    *to++ = s->slot;
+    memset(to, 0, 3);
+    return finish(h, put64(to + 3, h->config->tick0), n);
+}
+
+static uint16_t stream_get(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    const struct hbp_stream *s = &h->streams[in[0] & 3u];
+    uint8_t *to = h->link->work;
+    (void)length;
+    *detail = (float)(HBP_STREAMS - 1);
+    if (in[0] >= HBP_STREAMS) return HBP_ERROR_OUT_OF_RANGE;
+    *detail = (float)in[0];
+    if (!s->configured) return HBP_ERROR_UNKNOWN_ID;
+    *to++ = s->number;
+    *to++ = s->running;
+    *to++ = s->event;
+    *to++ = s->slot;
+    to = hbp_put16(hbp_put16(hbp_put16(to, s->decimation), s->latency_ms), s->cfg_id);
+    to = hbp_put16(hbp_put16(hbp_put16(to, s->record_bytes), s->block), 0);
+    to = hbp_put16(put64(to, h->config->tick0), s->channels);
+    for (unsigned k = 0; k < s->channels; k++) to = hbp_put16(to, h->config->channels[s->take[k]].id);
+    return finish(h, to, n);
+}
+
+static uint16_t stream_start(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint32_t mask = hbp_get32(in);
+    (void)length;
+    *n = 0;
+    for (unsigned k = 0; k < 32; k++) {
+        *detail = (float)k;
+        if ((mask >> k & 1u) && (k >= HBP_STREAMS || !h->streams[k].configured)) return HBP_ERROR_UNKNOWN_ID;
+    }
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!(mask >> k & 1u) || s->running) continue;
+        do {
+            s->edge = h->edge_head;
+            HBP_BARRIER();
+            s->edge_index = h->edges;
+        } while (s->edge != h->edge_head);
+        HBP_BARRIER();
+        s->running = 1;
+    }
+    return 0;
+}
+
+static int send_edges(struct hbp *h);
+static int send_blocks(struct hbp *h);
+
+static uint16_t stream_stop(struct hbp *h, const uint8_t *in, size_t length, size_t *n, float *detail)
+{
+    uint32_t mask = hbp_get32(in);
+    (void)length, (void)detail;
+    *n = 0;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!(mask >> k & 1u) || s->event == HBP_STREAM_EDGES) continue;
+        s->running = 0;
+        HBP_BARRIER();
+        if (!s->filled || s->counts_samples) continue; /* on CAN, less than a frame is not sent */
+        if (s->dropping) {
+            s->dropped++;
+        } else { /* the interrupt is out of it: what it has begun is sent */
+            block_at(h, s, s->write)->n = s->filled;
+            s->head++;
+        }
+        s->filled = 0;
+    }
+    if (send_edges(h)) send_blocks(h);
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!(mask >> k & 1u) || !s->configured) continue;
+        s->configured = 0;
+        s->running = 0;
+        h->link->way->close(h, s);
+        if (s->event == HBP_STREAM_EDGES && s->waits) s->lost++; /* those that come meanwhile are not its own any more */
+    }
+    return 0;
+}
+
+/* ---- what the interrupts do ---------------------------------------------------------------------------------------------- */
+
+static void begin_block(struct hbp *h, struct hbp_stream *s, uint32_t index)
+{
+    struct hbp_block *block = block_at(h, s, s->write);
+    s->dropping = s->head - s->tail >= s->places;
+    if (s->dropping) return;
+    block->index = index;
+    block->seq = s->seq;
+    block->n = s->block;
+    block->flags = s->flags;
+}
+
+static void end_block(struct hbp_stream *s)
+{
+    s->filled = 0;
+    s->seq = (uint16_t)(s->seq + (s->counts_samples ? s->block : 1u));
+    if (s->dropping) {
+        s->dropped += s->groups;
+        s->flags = OVERRUN;
+        return;
+    }
+    s->flags = 0;
+    s->write = s->write + 1u < s->places ? s->write + 1u : 0u;
+    HBP_BARRIER();
+    s->head++;
+}
+
+static void take(struct hbp *h, struct hbp_stream *s, uint32_t index, const uint8_t *sample)
+{
+    if (!s->filled) begin_block(h, s, index);
+    if (!s->dropping) {
+        uint8_t *to = records_of(block_at(h, s, s->write)) + (size_t)s->filled * s->record_bytes;
+        for (unsigned k = 0; k < s->channels; k++) {
+            const struct hbp_channel *channel = &h->config->channels[s->take[k]];
+            const uint8_t *from = sample + channel->at;
+            uint16_t half;
+            uint32_t word;
+            switch (widths[channel->type]) {
+            case 1:
+                *to++ = *from;
+                break;
+            case 2:
+                memcpy(&half, from, sizeof half);
+                to = hbp_put16(to, half);
+                break;
+            default:
+                memcpy(&word, from, sizeof word);
+                to = hbp_put32(to, word);
+            }
+        }
+    }
+    if (++s->filled == s->block) end_block(s);
+}
+
+void hbp_tick(struct hbp *h, const void *sample)
+{
+    uint32_t index = (uint32_t)h->index;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!s->running || s->event != HBP_STREAM_PWM) continue;
+        if (!s->aligned) {
+            uint64_t number = (h->index + s->decimation - 1u) / s->decimation;
+            s->next = (uint32_t)(number * s->decimation);
+            if (s->counts_samples) s->seq = (uint16_t)number;
+            s->aligned = 1;
+        }
+        if (index != s->next) continue;
+        s->next += s->decimation;
+        take(h, s, index, sample);
+    }
+    h->index++;
+    h->periods = (uint32_t)h->index;
+}
+
+static int neighbours(uint8_t before, uint8_t after)
+{
+    static const uint8_t sector[8] = {9, 0, 2, 1, 4, 5, 3, 9}; /* of each code */
+    unsigned step = 6u + sector[after & 7u] - sector[before & 7u];
+    return step % 6u == 1u || step % 6u == 5u;
+}
+
+void hbp_edge(struct hbp *h, uint32_t tick, uint8_t before, uint8_t after, uint16_t encoder)
+{
+    uint16_t head = h->edge_head;
+    if ((uint16_t)(head - h->edge_tail) < HBP_EDGES) {
+        struct hbp_hall_edge *edge = &h->ring[head & (HBP_EDGES - 1u)];
+        edge->index = h->edges;
+        edge->tick = tick;
+        edge->encoder = encoder;
+        edge->codes = (uint8_t)((before & 7u) | (after & 7u) << 3 | (neighbours(before, after) ? 0 : 0x40u));
+        HBP_BARRIER();
+        h->edge_head = (uint16_t)(head + 1u);
+    }
+    h->edges++;
+}
+
+/* ---- streams to the host ------------------------------------------------------------------------------------------------- */
+
+static void let_go_of_edges(struct hbp *h)
+{
+    uint16_t head = h->edge_head, most = 0;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        const struct hbp_stream *s = &h->streams[k];
+        uint16_t left = (uint16_t)(head - s->edge);
+        if (s->running && s->event == HBP_STREAM_EDGES && left > most) most = left;
+    }
+    HBP_BARRIER();
+    h->edge_tail = (uint16_t)(head - most);
+}
+
+/* All edges that wait, into all streams of edges; 0 if there is no room. */
+static int send_edges(struct hbp *h)
+{
+    int room = 1;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!s->running || s->event != HBP_STREAM_EDGES) continue;
+        s->waits = 0;
+        while (s->edge != h->edge_head) {
+            uint16_t most = (uint16_t)(h->edge_head - s->edge), n = 1;
+            const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+            HBP_BARRIER();
+            if (first->index != s->edge_index) { /* the ring was full */
+                s->edge_seq++;
+                s->lost++;
+                s->edge_flags = OVERRUN;
+                s->edge_index = first->index;
+            }
+            if (most > s->block) most = s->block;
+            while (n < most && h->ring[(s->edge + n) & (HBP_EDGES - 1u)].index == first->index + n) n++;
+            if (!h->link->way->edges(h, s, n)) {
+                s->waits = 1;
+                room = 0;
+                break;
+            }
+            s->edge = (uint16_t)(s->edge + n);
+            s->edge_index += n;
+            s->edge_seq++;
+            s->edge_flags = 0;
+        }
+    }
+    let_go_of_edges(h);
+    return room;
+}
+
+/* All whole blocks, each after the edges that it covers; 0 if there is no room. */
+static int send_blocks(struct hbp *h)
+{
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        while (s->head != s->tail) {
+            struct hbp_block *block = block_at(h, s, s->read);
+            HBP_BARRIER(); /* edges given before this block was made are seen after it */
+            if (!send_edges(h) || !h->link->way->samples(h, s, block, records_of(block))) return 0;
+            s->read = s->read + 1u < s->places ? s->read + 1u : 0u;
+            HBP_BARRIER();
+            s->tail++;
+        }
+    }
+    return 1;
+}
+
+static int edges_are_late(struct hbp *h)
+{
+    int late = (uint16_t)(h->edge_head - h->edge_tail) > HBP_EDGES / 2u;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) {
+        struct hbp_stream *s = &h->streams[k];
+        if (!s->running || s->event != HBP_STREAM_EDGES || s->edge == h->edge_head) continue;
+        if (!s->waits) s->since = (uint32_t)h->now;
+        s->waits = 1;
+        if ((uint32_t)h->now - s->since >= (uint32_t)((uint64_t)s->latency_ms * h->config->tick_hz / 1000u)) late = 1;
+    }
+    return late;
+}
+
+/* ---- heartbeat ----------------------------------------------------------------------------------------------------------- */
+
+static uint32_t edges_up_to_now(const struct hbp *h)
+{
+    uint32_t edges;
+    uint16_t head;
+    do {
+        head = h->edge_head;
+        HBP_BARRIER();
+        edges = h->edges;
+        HBP_BARRIER();
+    } while (head != h->edge_head);
+    for (unsigned k = 1; k <= HBP_EDGES && k <= edges; k++, edges--) {
+        const struct hbp_hall_edge *edge = &h->ring[(head - k) & (HBP_EDGES - 1u)];
+        if ((int32_t)(edge->tick - (uint32_t)h->now) <= 0) break;
+    }
+    return edges;
+}
+
+uint16_t hbp_watchdog_ms(const struct hbp *h)
+{
+    uint32_t ticks = watchdog_ticks(h);
+    uint64_t since = h->now - h->fed, left;
+    if (!live(h)) return WATCHDOG_OFF;
+    left = since < ticks ? (ticks - since) * 1000u / h->config->tick_hz : 0;
+    return (uint16_t)(left < WATCHDOG_OFF ? left : WATCHDOG_OFF - 1u);
+}
+
+uint32_t hbp_dropped(const struct hbp *h)
+{
+    uint32_t dropped = h->dropped + h->link->expired;
+    for (unsigned k = 0; k < HBP_STREAMS; k++) dropped += h->streams[k].dropped + h->streams[k].lost;
+    return dropped;
+}
+
+static void heartbeat(struct hbp *h)
+{
+    uint64_t period = h->config->tick_hz / 10u;
+    uint8_t *to = put64(h->link->work, h->now);
+    if (h->now < h->next_heartbeat || h->link->way->beats(h)) return;
+    to = hbp_put32(hbp_put32(hbp_put32(to, h->boot_id), h->faults), h->first_fault);
+    to = hbp_put32(hbp_put32(to, hbp_dropped(h)), h->link->bad);
+    to = hbp_put16(hbp_put16(to, h->setpoint_counter), h->setpoints_rejected);
+    to = hbp_put16(hbp_put16(to, h->last_tid), hbp_watchdog_ms(h));
+    *to++ = h->state;
+    *to++ = (uint8_t)outputs_on(h);
+    to = hbp_put32(hbp_put16(to, 0), edges_up_to_now(h));
+    if (send(h, HBP_RANK_BEAT, HBP_TYPE_HEARTBEAT, (size_t)(to - h->link->work)))
+        h->next_heartbeat = h->now - h->now % period + period;
+}
+
+void hbp_advance(struct hbp *h, uint64_t now)
+{
+    hbp_pass_time(h, now);
+    if (edges_are_late(h)) send_edges(h);
+    send_blocks(h);
+    let_go_of_edges(h);
+    heartbeat(h);
+}
+
+/* ---- the order of checks ------------------------------------------------------------------------------------------------- */
+
+static const struct {
+    uint8_t type, length;
+    answer *answer;
+} requests[] = {
+    {HBP_TYPE_HELLO, 8, hello},          {HBP_TYPE_TIME_SYNC, 0, time_sync},   {HBP_TYPE_ALIVE, 4, alive},
+    {HBP_TYPE_BLOB_READ, 8, blob_read},  {HBP_TYPE_PARAM_GET, 4, param_get},   {HBP_TYPE_PARAM_SET, 8, param_set},
+    {HBP_TYPE_PARAM_COMMIT, 0, param_commit}, {HBP_TYPE_STATE_CMD, 8, state_cmd}, {HBP_TYPE_SETPOINT, 12, setpoint},
+    {HBP_TYPE_STREAM_SET, 8, stream_set}, {HBP_TYPE_STREAM_START, 4, stream_start}, {HBP_TYPE_STREAM_STOP, 4, stream_stop},
+    {HBP_TYPE_STREAM_GET, 4, stream_get},
+};
+
+struct request {
+    uint8_t type, flags;
+    uint16_t tid, length;
+    const uint8_t *payload;
+};
+
+static uint8_t reply(struct hbp *h, const struct request *request, uint8_t flags, size_t n, uint8_t transfer)
+{
+    struct hbp_message message;
+    memset(&message, 0, sizeof message);
+    message.type = request->type;
+    message.flags = (uint8_t)(HBP_MAJOR | flags);
+    message.tid = request->tid;
+    message.rank = HBP_RANK_REPLY;
+    message.payload = h->link->work;
+    message.n = (uint16_t)n;
+    message.transfer = transfer;
+    h->link->way->send(h, &message);
+    return message.transfer;
+}
+
+static size_t error_payload(struct hbp *h, uint8_t type, uint16_t code, float detail)
+{
+    uint8_t *to = hbp_put16(h->link->work, code);
+    *to++ = type;
+    *to++ = 0;
+    return (size_t)(put_float(to, detail) - h->link->work);
+}
+
+static void refuse(struct hbp *h, const struct request *request, uint16_t code, float detail)
+{
+    reply(h, request, REPLY | ERROR_FLAG, error_payload(h, request->type, code, detail), HBP_NEXT_TRANSFER);
+}
+
+/* Checks 7 and 8, and the answer; where `kept` is not null, it is kept there. */
+static void execute(struct hbp *h, const struct request *request, unsigned k, struct hbp_reply *kept)
+{
+    uint16_t length = request->length, code = 0;
+    uint8_t type = request->type, flags = REPLY;
+    float detail = 0.0f;
+    size_t n = 0;
+    int right = type == HBP_TYPE_HELLO ? length >= requests[k].length : length == requests[k].length;
+    if (type == HBP_TYPE_STREAM_SET) right = length >= 8 && length == 8 + 2u * get16(request->payload + 6);
+    if (!right) {
+        code = HBP_ERROR_BAD_LENGTH;
+        detail = (float)length;
+        if (type == HBP_TYPE_SETPOINT) reject(h, code, detail);
+    } else {
+        code = requests[k].answer(h, request->payload, length, &n, &detail);
+        if (!code && (type == HBP_TYPE_ALIVE || type == HBP_TYPE_SETPOINT)) return;
+        if (!code) h->last_tid = request->tid;
+    }
+    if (code) {
+        n = error_payload(h, type, code, detail);
+        flags |= ERROR_FLAG;
+    }
+    if (kept) {
+        kept->there = 1;
+        kept->type = type;
+        kept->tid = request->tid;
+        kept->flags = flags;
+        kept->length = (uint16_t)n;
+        /* a part of the descriptor is not kept, but which part it was */
+        memcpy(kept->payload, h->link->work, !code && type == HBP_TYPE_BLOB_READ ? 8 : n);
+    }
+    {
+        uint8_t transfer = reply(h, request, flags, n, HBP_NEXT_TRANSFER);
+        if (kept) kept->transfer = transfer;
+    }
+}
+
+static int answered_before(struct hbp *h, const struct request *request, uint32_t crc)
+{
+    for (unsigned k = 0; k < HBP_KEPT; k++) {
+        struct hbp_reply *kept = &h->peer->kept[k];
+        if (!kept->there || kept->request != crc || kept->tid != request->tid || kept->type != request->type) continue;
+        if (kept->type == HBP_TYPE_BLOB_READ && !(kept->flags & ERROR_FLAG))
+            blob_reply(h, hbp_get32(kept->payload + 4), get16(kept->payload + 2));
+        else
+            memcpy(h->link->work, kept->payload, kept->length);
+        reply(h, request, kept->flags, kept->length, kept->transfer);
+        return 1;
+    }
+    return 0;
+}
+
+static struct hbp_peer *peer_of(struct hbp *h, uint8_t number)
+{
+    struct hbp_peer *oldest = h->peers;
+    static const struct hbp_peer none;
+    for (unsigned k = 0; k < HBP_HOSTS; k++) {
+        struct hbp_peer *each = &h->peers[k];
+        if (each->number == number && each->used) return each;
+        if (each->used < oldest->used) oldest = each;
+    }
+    *oldest = none;
+    oldest->number = number;
+    oldest->tx_max = HBP_TX_MAX;
+    return oldest;
+}
+
+static int always_afresh(const struct request *request)
+{
+    if (request->type == HBP_TYPE_HELLO || request->type == HBP_TYPE_TIME_SYNC) return 1;
+    return request->type == HBP_TYPE_STATE_CMD && request->length && request->payload[0] == HBP_COMMAND_STOP;
+}
+
+void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
+{
+    struct request request;
+    unsigned k = 0, n = sizeof requests / sizeof requests[0];
+    uint32_t newest = 0;
+    request.type = raw[0];
+    request.flags = raw[1];
+    request.tid = get16(raw + 2);
+    request.length = get16(raw + 4);
+    request.payload = raw + HEADER;
+    if (request.flags & (REPLY | ERROR_FLAG)) {
+        h->link->ignored++;
+        return;
+    }
+    h->peer = peer_of(h, host);
+    for (unsigned i = 0; i < HBP_HOSTS; i++)
+        if (h->peers[i].used > newest) newest = h->peers[i].used;
+    h->peer->used = newest + 1u;
+    while (k < n && requests[k].type != request.type) k++;
+    if (!mine) {
+        refuse(h, &request, HBP_ERROR_UNKNOWN_NODE, (float)raw[6]);
+    } else if (request.type != HBP_TYPE_HELLO && (request.flags & MAJOR_MASK) != HBP_MAJOR) {
+        refuse(h, &request, HBP_ERROR_BAD_VERSION, HBP_MAJOR);
+    } else if (k == n) {
+        refuse(h, &request, HBP_ERROR_UNKNOWN_TYPE, (float)request.type);
+    } else if ((request.tid == 0) != (request.type == HBP_TYPE_ALIVE || request.type == HBP_TYPE_SETPOINT)) {
+        refuse(h, &request, HBP_ERROR_BAD_VALUE, (float)request.tid);
+    } else if (request.tid == 0 || always_afresh(&request)) {
+        execute(h, &request, k, NULL);
+    } else {
+        uint32_t crc = hbp_crc(0xFFFFFFFFu, raw, (size_t)HEADER + request.length);
+        struct hbp_reply *kept = &h->peer->kept[h->peer->oldest];
+        if (answered_before(h, &request, crc)) return;
+        h->peer->oldest = (uint8_t)((h->peer->oldest + 1u) % HBP_KEPT);
+        kept->request = crc;
+        execute(h, &request, k, kept);
+    }
+}
+
+/* ---- a device joins a link ----------------------------------------------------------------------------------------------- */
+
+static int well_named(const char *name)
+{
+    size_t n = text_length(name);
+    return n >= 1 && n <= 16;
+}
+
+static int sound(const struct hbp_config *config)
+{
+    if (!config->node || !config->pwm_hz || !config->tick_hz || config->tick_hz % config->pwm_hz) return 0;
+    if (!config->enter || !config->setpoint || !config->outputs_on || !well_named(config->name)) return 0;
+    if (config->n_channels > HBP_CHANNELS) return 0;
+    for (unsigned k = 0; k < config->n_channels; k++) {
+        const struct hbp_channel *c = &config->channels[k];
+        if (!well_named(c->name) || c->type < HBP_RAW_U8 || c->type > HBP_RAW_F32) return 0;
+        if (!finite_number(c->scale) || c->scale == 0.0f || !finite_number(c->offset)) return 0;
+        for (unsigned j = 0; j < k; j++)
+            if (config->channels[j].id == c->id || same_text(config->channels[j].name, c->name)) return 0;
+    }
+    for (unsigned k = 0; k < config->n_parameters; k++) {
+        const struct hbp_parameter *p = &config->parameters[k];
+        if (!well_named(p->name) || (!p->value && !config->get) || !(p->lo <= p->hi)) return 0;
+        for (unsigned j = 0; j < k; j++)
+            if (config->parameters[j].id == p->id || same_text(config->parameters[j].name, p->name)) return 0;
+    }
+    return 1;
+}
+
+uint16_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id)
+{
+    uint8_t record[RECORD];
+    struct hbp **last = &link->first;
+    if (!sound(config)) return HBP_ERROR_BAD_VALUE;
+    for (; *last; last = &(*last)->other)
+        if ((*last)->config->node == config->node) return HBP_ERROR_BAD_VALUE;
+    memset(h, 0, sizeof *h);
+    h->config = config;
+    h->link = link;
+    h->boot_id = boot_id;
+    h->cfg_id = (uint16_t)boot_id;
+    h->period = config->tick_hz / config->pwm_hz;
+    h->watchdog = HBP_NONE;
+    for (uint16_t k = 0; k < config->n_parameters; k++)
+        if (same_text(config->parameters[k].name, "watchdog")) h->watchdog = k;
+    h->schema_crc = 0xFFFFFFFFu;
+    for (uint32_t k = 0; k < (uint32_t)config->n_channels + config->n_parameters; k++) {
+        record_bytes(config, k, record);
+        h->schema_crc = hbp_crc(h->schema_crc, record, RECORD);
+    }
+    h->schema_crc ^= 0xFFFFFFFFu;
+    h->peer = peer_of(h, 0);
+    *last = h;
+    link->nodes++;
+    return 0;
+}
+
+/* ---- the byte link ------------------------------------------------------------------------------------------------------- */
+
+struct encoder { /* COBS into the transmit queue, of which nothing is sent before it is whole */
+    struct hbp_link *link;
+    uint32_t at, code_at, crc;
+    unsigned code;
+};
+
+static void put_raw(struct encoder *e, uint8_t byte)
+{
+    e->link->tx[e->at++ & (HBP_TX_BYTES - 1u)] = byte;
+}
+
+static void begin_group(struct encoder *e)
+{
+    e->code_at = e->at++;
+    e->code = 1;
+}
+
+static void end_group(struct encoder *e)
+{
+    e->link->tx[e->code_at & (HBP_TX_BYTES - 1u)] = (uint8_t)e->code;
+}
+
+static void put_encoded(struct encoder *e, const uint8_t *data, size_t n)
+{
+    for (; n--; data++) {
+        if (e->code == 0xFFu) { /* a full group has no zero behind it */
+            end_group(e);
+            begin_group(e);
+        }
+        if (*data) {
+            put_raw(e, *data);
+            e->code++;
+        } else {
+            end_group(e);
+            begin_group(e);
+        }
+    }
+}
+
+static void put_checked(struct encoder *e, const uint8_t *data, size_t n)
+{
+    e->crc = hbp_crc(e->crc, data, n);
+    put_encoded(e, data, n);
+}
+
+static uint32_t encoded_length(uint32_t payload)
+{
+    uint32_t body = HEADER + payload + CRC_BYTES;
+    return body + (body + 253u) / 254u + 2u;
+}
+
+#define REPLY_ROOM (HBP_TX_MAX + 20u) /* bytes of the queue that streams leave to replies */
+
+static int put_frame(struct hbp_link *link, const uint8_t *header, enum hbp_rank rank, const uint8_t *head, size_t n_head,
+                     const uint8_t *body, size_t n_body)
+{
+    struct encoder e;
+    uint8_t crc[CRC_BYTES];
+    uint32_t used = link->head - link->tail, needed = encoded_length((uint32_t)(n_head + n_body));
+    if (rank == HBP_RANK_STREAM) needed += REPLY_ROOM;
+    else if (rank != HBP_RANK_REPLY) needed += REPLY_ROOM / 2u;
+    if (used + needed > HBP_TX_BYTES) return 0;
+    HBP_BARRIER();
+    e.link = link;
+    e.at = link->head;
+    e.crc = 0xFFFFFFFFu;
+    put_raw(&e, 0);
+    begin_group(&e);
+    put_checked(&e, header, HEADER);
+    put_checked(&e, head, n_head);
+    put_checked(&e, body, n_body);
+    hbp_put32(crc, e.crc ^ 0xFFFFFFFFu);
+    put_encoded(&e, crc, sizeof crc);
+    end_group(&e);
+    put_raw(&e, 0);
+    HBP_BARRIER();
+    link->head = e.at;
+    return 1;
+}
+
+static void put_header(uint8_t *to, const struct hbp *h, uint8_t type, uint8_t flags, uint16_t tid, size_t n)
+{
+    to[0] = type;
+    to[1] = flags;
+    hbp_put16(hbp_put16(to + 2, tid), (uint32_t)n);
+    to[6] = h->config->node;
+    to[7] = 0;
+}
+
+static int byte_send(struct hbp *h, struct hbp_message *message)
+{
+    struct hbp_link *link = (struct hbp_link *)(void *)h->link;
+    uint8_t header[HEADER];
+    put_header(header, h, message->type, message->flags, message->tid, message->n);
+    if (!put_frame(link, header, message->rank, message->payload, message->n, NULL, 0)) return 0;
+    if (message->rank == HBP_RANK_BEAT) h->beat = link->head;
+    return 1;
+}
+
+static int byte_beats(const struct hbp *h)
+{
+    const struct hbp_link *link = (const struct hbp_link *)(const void *)h->link;
+    return (int32_t)(h->beat - link->tail) > 0;
+}
+
+static uint32_t byte_shape(struct hbp *h, struct hbp_stream *s)
+{
+    uint32_t room = h->peer->tx_max - STREAM_HEADER, size = s->record_bytes, block = room / size;
+    if (size > room) return room;
+    if (s->event == HBP_STREAM_EDGES) {
+        s->rate = (float)(encoded_length(STREAM_HEADER + size) * 1000u) / (float)(s->latency_ms ? s->latency_ms : 1u);
+    } else {
+        uint32_t most = hbp_in_time(h, s->latency_ms, s->decimation);
+        if (block > most) block = most ? most : 1u;
+        s->rate = (float)encoded_length(STREAM_HEADER + block * size) * (float)h->config->pwm_hz /
+                  ((float)s->decimation * (float)block);
+    }
+    s->block = (uint16_t)block;
+    return 0;
+}
+
+static uint16_t byte_open(struct hbp *h, struct hbp_stream *s, float *detail)
+{
+    (void)h, (void)s, (void)detail;
+    return 0;
+}
+
+static void byte_close(struct hbp *h, struct hbp_stream *s)
+{
+    (void)h, (void)s;
+}
+
+static int byte_stream(struct hbp *h, const struct hbp_stream *s, uint8_t type, const uint8_t head[STREAM_HEADER],
+                       const uint8_t *records, size_t n)
+{
+    uint8_t header[HEADER];
+    (void)s;
+    put_header(header, h, type, HBP_MAJOR, 0, STREAM_HEADER + n);
+    return put_frame((struct hbp_link *)(void *)h->link, header, HBP_RANK_STREAM, head, STREAM_HEADER, records, n);
+}
+
+static void put_stream_header(uint8_t *to, const struct hbp_stream *s, uint32_t flags, uint32_t n, uint32_t seq)
+{
+    *to++ = s->number;
+    *to++ = (uint8_t)flags;
+    hbp_put16(hbp_put16(hbp_put16(to, n), s->cfg_id), seq);
+}
+
+static int byte_samples(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records)
+{
+    uint8_t head[STREAM_HEADER];
+    put_stream_header(head, s, block->flags, block->n, block->seq);
+    hbp_put32(hbp_put32(head + 8, block->index), (uint32_t)h->config->tick0 + block->index * h->period);
+    return byte_stream(h, s, HBP_TYPE_DATA, head, records, (size_t)block->n * s->record_bytes);
+}
+
+static int byte_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
+{
+    uint8_t head[STREAM_HEADER], *to = h->link->work;
+    const struct hbp_hall_edge *first = &h->ring[s->edge & (HBP_EDGES - 1u)];
+    put_stream_header(head, s, s->edge_flags, n, s->edge_seq);
+    hbp_put32(hbp_put32(head + 8, first->index), first->tick);
+    for (unsigned k = 0; k < n; k++) to = hbp_put_edge(to, &h->ring[(s->edge + k) & (HBP_EDGES - 1u)], 0);
+    return byte_stream(h, s, HBP_TYPE_EDGES, head, h->link->work, (size_t)n * EDGE_BYTES);
+}
+
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags)
+{
+    to = hbp_put32(to, edge->tick);
+    *to++ = edge->codes;
+    *to++ = flags;
+    return hbp_put16(to, edge->encoder);
+}
+
+static const struct hbp_way byte_way = {
+    byte_send, byte_beats, byte_shape, byte_open, byte_close, byte_samples, byte_edges, 0,
+};
+
+void hbp_link_init(struct hbp_link *link, float bytes_per_s)
+{
+    memset(link, 0, sizeof *link);
+    link->base.way = &byte_way;
+    link->base.capacity = bytes_per_s;
+    link->skipping = 1;
+}
+
+uint16_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+{
+    return hbp_join(&link->base, device, config, boot_id);
+}
+
+static void frame_came(struct hbp_link *link)
+{
+    struct hbp *h = link->base.first;
+    uint8_t node = link->rx[6];
+    while (h && node && h->config->node != node) h = h->other;
+    if (link->base.first) hbp_receive(h ? h : link->base.first, link->rx, 0, h != NULL);
+}
+
+static void delimiter(struct hbp_link *link)
+{
+    uint32_t n = link->decoded;
+    int skipped = link->skipping, empty = !link->encoded;
+    int damaged = link->broken || link->left || n < HEADER + CRC_BYTES;
+    link->skipping = link->broken = link->code = link->left = 0;
+    link->decoded = link->encoded = 0;
+    if (skipped || empty) return;
+    if (damaged || hbp_crc(0xFFFFFFFFu, link->rx, n) != 0xDEBB20E3u || get16(link->rx + 4) != n - HEADER - CRC_BYTES)
+        link->base.bad++;
+    else
+        frame_came(link);
+}
+
+static void decoded_byte(struct hbp_link *link, uint8_t byte)
+{
+    if (link->decoded < sizeof link->rx) link->rx[link->decoded++] = byte;
+    else link->broken = 1;
+}
+
+static void frame_byte(struct hbp_link *link, uint8_t byte)
+{
+    if (link->skipping) return;
+    if (++link->encoded > MAX_ENCODED) {
+        link->base.bad++;
+        link->skipping = 1;
+        return;
+    }
+    if (link->left) {
+        link->left--;
+        decoded_byte(link, byte);
+    } else {
+        if (link->code && link->code < 0xFFu) decoded_byte(link, 0);
+        link->code = byte;
+        link->left = (uint8_t)(byte - 1u);
+    }
+}
+
+void hbp_rx(struct hbp_link *link, uint64_t now, const uint8_t *data, size_t n)
+{
+    for (struct hbp *h = link->base.first; h; h = h->other) hbp_pass_time(h, now);
+    for (; n--; data++) {
+        if (*data) frame_byte(link, *data);
+        else delimiter(link);
+    }
+}
+
+void hbp_poll(struct hbp_link *link, uint64_t now)
+{
+    for (struct hbp *h = link->base.first; h; h = h->other) hbp_advance(h, now);
+}
+
+size_t hbp_tx_peek(const struct hbp_link *link, const uint8_t **bytes)
+{
+    uint32_t at = link->tail & (HBP_TX_BYTES - 1u), n = link->head - link->tail;
+    HBP_BARRIER();
+    *bytes = link->tx + at;
+    return n < HBP_TX_BYTES - at ? n : HBP_TX_BYTES - at;
+}
+
+void hbp_tx_advance(struct hbp_link *link, size_t n)
+{
+    HBP_BARRIER();
+    link->tail += (uint32_t)n;
+}

@@ -1,0 +1,487 @@
+/* hbp.h: the device side of HBP 1.0, the Hall Bench Protocol (protocol/SPEC.md), in C99. This comment is the manual.
+ *
+ * WHAT.  Copy hbp.h and hbp.c into a firmware (and hbp_can.h, hbp_can.c for CAN), and a motor drive answers `bench`: identity,
+ * parameters, states and watchdog, samples at the PWM rate, timestamped Hall edges, events. No heap, no operating
+ * system, no library but memcpy, memset, memcmp. Proved by `bench conform`.
+ *
+ * MEMORY.  The caller owns all of it: one `struct hbp_link` for each serial port, USB or TCP connection, one `struct hbp` for each
+ * device behind it (one, as a rule). Their size follows from the options below; `docs/firmware.md` has figures.
+ *
+ * USE.  What the drive is stands in constant tables; what it does, in a few functions of the application. Here power_stage, ticks, timer and
+ * the like are the application's own.
+ *
+ *     struct sample { int16_t i_a, i_b; uint8_t hall; };                    // what the PWM interrupt measures
+ *     static struct sample sample;
+ *     static float n_p = 4.0f, i_max = 8.0f, omega_m_max = 300.0f;
+ *
+ *     static const struct hbp_channel channels[] = {
+ *         {1, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_a), 1.0f / 1024, 0.0f, "i_a"},
+ *         {2, HBP_RAW_I16, HBP_UNIT_A, 0, offsetof(struct sample, i_b), 1.0f / 1024, 0.0f, "i_b"},
+ *         {3, HBP_RAW_U8, HBP_UNIT_NONE, 0, offsetof(struct sample, hall), 1.0f, 0.0f, "hall"},
+ *     };
+ *     static const struct hbp_parameter parameters[] = {
+ *         {1, HBP_UNIT_NONE, HBP_FLAG_READ_ONLY | HBP_FLAG_WHOLE, 1.0f, 32.0f, 4.0f, &n_p, "n_p"},
+ *         {2, HBP_UNIT_A, 0, 0.5f, 20.0f, 8.0f, &i_max, "i_max"},
+ *         {3, HBP_UNIT_RAD_PER_S, HBP_FLAG_IDLE_ONLY, 1.0f, 600.0f, 300.0f, &omega_m_max, "omega_m_max"},
+ *     };
+ *
+ *     static uint16_t enter(void *user, uint8_t state, float *detail)
+ *     {
+ *         (void)user, (void)detail;
+ *         power_stage(state == HBP_STATE_RUNNING);
+ *         return 0;
+ *     }
+ *     static uint16_t setpoint(void *user, uint8_t mode, float value, float value2, float *detail)
+ *     {
+ *         (void)user, (void)value2;
+ *         *detail = mode;
+ *         if (mode != HBP_MODE_SPEED) return HBP_ERROR_NOT_SUPPORTED;
+ *         *detail = omega_m_max;
+ *         if (value > omega_m_max || value < -omega_m_max) return HBP_ERROR_OUT_OF_RANGE;
+ *         use_speed(value);
+ *         return 0;
+ *     }
+ *     static uint8_t outputs_on(void *user)
+ *     {
+ *         (void)user;
+ *         return power_stage_is_on();
+ *     }
+ *
+ *     static const struct hbp_config config = {
+ *         .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES, .tick_hz = 170000000, .pwm_hz = 20000,
+ *         .name = "my drive", .firmware = "1.0", .serial = "0123456789abcdef01234567", .build = "1a2b3c4",
+ *         .channels = channels, .n_channels = 3, .parameters = parameters, .n_parameters = 3,
+ *         .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
+ *     };
+ *     static struct hbp_link link_;
+ *     static struct hbp drive;
+ *
+ *     int main(void)
+ *     {
+ *         hbp_link_init(&link_, 0.0f);                                      // bytes/s that it carries, 0: not known
+ *         if (hbp_add(&link_, &drive, &config, random_number())) return 1;  // another boot_id at each boot
+ *         for (;;) {
+ *             const uint8_t *bytes;
+ *             size_t n = uart_received(&bytes);                             // cut anywhere
+ *             hbp_rx(&link_, ticks(), bytes, n);
+ *             hbp_poll(&link_, ticks());                                    // at least once a millisecond
+ *             n = hbp_tx_peek(&link_, &bytes);                              // these two from the DMA's interrupt, if you like
+ *             hbp_tx_advance(&link_, uart_send(bytes, n));
+ *         }
+ *     }
+ *     void pwm_interrupt(void)
+ *     {
+ *         measure_and_control(&sample);
+ *         if (!hbp_may_run(&drive, timer())) power_stage(0);                // the host is gone, or main() hangs
+ *         hbp_tick(&drive, &sample);
+ *     }
+ *     void capture_interrupt(void)
+ *     {
+ *         hbp_edge(&drive, captured(), code_before(), code_after(), encoder());
+ *     }
+ *
+ * A whole program of this kind is examples/posix.c.
+ *
+ * WHO MAY CALL WHAT.  There are no locks; each queue has one writer and one reader.
+ *   - main loop: hbp_link_init, hbp_add, hbp_rx, hbp_poll, hbp_fault, hbp_log. Only these call the application's functions.
+ *   - PWM interrupt: hbp_tick, hbp_may_run, hbp_raise.
+ *   - capture interrupt, of the same priority or a higher one, or the PWM interrupt before hbp_tick: hbp_edge.
+ *   - one place, main loop or an interrupt: hbp_tx_peek, hbp_tx_advance.
+ * All edges up to a sample's tick must be given before that sample, and all up to `now` before hbp_poll. Interrupts are those of the
+ * core that runs the main loop, and 32-bit loads and stores are whole.
+ *
+ * TIME OF THE INTERRUPTS.  hbp_tick copies the chosen channels of each running stream: on a Cortex-M4, compiled for size, 50 instructions, 45
+ * for each running stream of samples and 21 for each of its channels; 90 more (a division) when a stream has just started. hbp_edge takes 54,
+ * hbp_may_run and hbp_raise 17. CRC and COBS are the main loop's. `python -m tests.protocol.c.sizes` measures them.
+ *
+ * WHAT IS LOST IS COUNTED.  Samples wait in blocks, one being filled by the interrupt, until the transmit queue has room. A block that
+ * finds no free place is dropped whole, and counted: `tx_dropped`, the gap in `seq`, OVERRUN.
+ */
+#ifndef HBP_H
+#define HBP_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- options: set them on the command line, or in a file named by -DHBP_OPTIONS='"my_options.h"' -------------------------- */
+
+#ifdef HBP_OPTIONS
+#include HBP_OPTIONS
+#endif
+#ifndef HBP_RX_MAX
+#define HBP_RX_MAX 128 /* payload of the largest request, 128 to 1024: STREAM_SET has 8 bytes and 2 for each channel */
+#endif
+#ifndef HBP_TX_MAX
+#define HBP_TX_MAX 256 /* payload of the largest frame sent, 128 to 1024 */
+#endif
+#ifndef HBP_TX_BYTES
+#define HBP_TX_BYTES 1024 /* transmit queue of a link, a power of two, twice HBP_TX_MAX at least */
+#endif
+#ifndef HBP_CHANNELS
+#define HBP_CHANNELS 16 /* channels of a device, at most */
+#endif
+#ifndef HBP_POOLS
+#define HBP_POOLS 2 /* streams of samples that a device can have at once, 1 to 4 */
+#endif
+#ifndef HBP_POOL_BYTES
+#define HBP_POOL_BYTES 640 /* room for the blocks of one: twice HBP_TX_MAX at least */
+#endif
+#ifndef HBP_EDGES
+#define HBP_EDGES 16 /* Hall edges that can wait, a power of two */
+#endif
+#ifndef HBP_HOSTS
+#define HBP_HOSTS 1 /* hosts on a CAN bus that are told apart; one on any other link */
+#endif
+#ifndef HBP_CRC_TABLE
+#define HBP_CRC_TABLE 16 /* entries of 4 bytes: 16, or 256, which is twice as quick */
+#endif
+#ifndef HBP_BARRIER
+#if defined(__GNUC__)
+#define HBP_BARRIER() __atomic_thread_fence(__ATOMIC_SEQ_CST)
+#else
+#error "define HBP_BARRIER(): what keeps the compiler and the core from moving memory accesses past it"
+#endif
+#endif
+
+/* ---- the numbers of SPEC ------------------------------------------------------------------------------------------------- */
+
+/* <codes> by tests/protocol/make_spec.py, from the table that SPEC.md's are made of */
+enum {
+    HBP_TYPE_HELLO = 0x01,
+    HBP_TYPE_TIME_SYNC = 0x02,
+    HBP_TYPE_HEARTBEAT = 0x04,
+    HBP_TYPE_ALIVE = 0x05,
+    HBP_TYPE_BLOB_READ = 0x10,
+    HBP_TYPE_PARAM_GET = 0x11,
+    HBP_TYPE_PARAM_SET = 0x12,
+    HBP_TYPE_PARAM_COMMIT = 0x13,
+    HBP_TYPE_STATE_CMD = 0x20,
+    HBP_TYPE_SETPOINT = 0x21,
+    HBP_TYPE_STREAM_SET = 0x30,
+    HBP_TYPE_STREAM_START = 0x31,
+    HBP_TYPE_STREAM_STOP = 0x32,
+    HBP_TYPE_STREAM_GET = 0x33,
+    HBP_TYPE_DATA = 0x40,
+    HBP_TYPE_EDGES = 0x41,
+    HBP_TYPE_EVENT = 0x42,
+    HBP_TYPE_LOG = 0x43,
+};
+
+enum {
+    HBP_ROLE_DRIVE = 1,
+    HBP_ROLE_LOAD = 2,
+};
+
+enum {
+    HBP_FEATURE_EDGES = 1, /* timestamped Hall edges can be streamed */
+    HBP_FEATURE_COMMIT = 2, /* parameters can be stored for the next boot */
+    HBP_FEATURE_SIMULATED = 4, /* no hardware moves */
+};
+
+enum {
+    HBP_STATE_BOOT = 0,
+    HBP_STATE_IDLE = 1,
+    HBP_STATE_ARMED = 2,
+    HBP_STATE_RUNNING = 3,
+    HBP_STATE_FAULT = 4,
+};
+
+enum {
+    HBP_COMMAND_ARM = 1,
+    HBP_COMMAND_START = 2,
+    HBP_COMMAND_STOP = 3,
+    HBP_COMMAND_FAULT_CLEAR = 4,
+};
+
+enum {
+    HBP_FAULT_WATCHDOG = 1, /* no ALIVE or SETPOINT in time */
+    HBP_FAULT_OVERCURRENT = 2, /* a phase current beyond its limit */
+    HBP_FAULT_OVERSPEED = 4, /* the shaft faster than allowed */
+    HBP_FAULT_UNDERVOLTAGE = 8, /* DC link too low */
+    HBP_FAULT_OVERVOLTAGE = 16, /* DC link too high */
+    HBP_FAULT_HALL = 32, /* illegal codes or sequences from the Hall sensors */
+    HBP_FAULT_INTERNAL = 64, /* the firmware's own */
+};
+
+enum {
+    HBP_MODE_SPEED = 1, /* value: mechanical rad/s */
+    HBP_MODE_CURRENT = 2, /* value: i_q in A, value2: i_d in A */
+    HBP_MODE_TORQUE = 3, /* value: N·m (a load machine) */
+};
+
+enum {
+    HBP_STREAM_PWM = 0, /* a sample of the chosen channels every `decimation` PWM periods */
+    HBP_STREAM_SLOW = 1, /* reserved for a task slower than the PWM */
+    HBP_STREAM_EDGES = 2, /* every Hall edge */
+};
+
+enum {
+    HBP_EVENT_STATE_CHANGED = 1, /* arg: the new DriveState */
+    HBP_EVENT_FAULT = 2, /* arg: the bits that were added */
+    HBP_EVENT_SETPOINT_REJECTED = 3, /* arg: the ErrorCode */
+    HBP_EVENT_ARM_LAPSED = 4, /* arg: seconds that ARMED lasts */
+};
+
+enum {
+    HBP_ERROR_UNKNOWN_TYPE = 1, /* detail: the type */
+    HBP_ERROR_BAD_LENGTH = 2, /* detail: the payload's length */
+    HBP_ERROR_BAD_VALUE = 3, /* detail: the value */
+    HBP_ERROR_OUT_OF_RANGE = 4, /* detail: the limit */
+    HBP_ERROR_WRONG_STATE = 5, /* detail: the state */
+    HBP_ERROR_BAD_TOKEN = 6, /* detail: 0 */
+    HBP_ERROR_UNKNOWN_ID = 7, /* detail: the id */
+    HBP_ERROR_READ_ONLY = 8, /* detail: the id */
+    HBP_ERROR_DOES_NOT_FIT = 9, /* detail: what would fit */
+    HBP_ERROR_FAULTS_CHANGED = 10, /* detail: the faults now */
+    HBP_ERROR_FAULT_PERSISTS = 11, /* detail: the faults whose cause is still there */
+    HBP_ERROR_BUSY = 12, /* detail: what is busy */
+    HBP_ERROR_BAD_VERSION = 13, /* detail: the major that the device speaks */
+    HBP_ERROR_UNKNOWN_NODE = 14, /* detail: the node */
+    HBP_ERROR_NOT_SUPPORTED = 15, /* detail: what was asked for */
+    HBP_ERROR_STORE_FAILED = 16, /* detail: the device's own */
+};
+
+enum {
+    HBP_RAW_U8 = 1,
+    HBP_RAW_I8 = 2,
+    HBP_RAW_U16 = 3,
+    HBP_RAW_I16 = 4,
+    HBP_RAW_U32 = 5,
+    HBP_RAW_I32 = 6,
+    HBP_RAW_F32 = 7,
+};
+
+enum {
+    HBP_UNIT_NONE = 0,
+    HBP_UNIT_RAD = 1,
+    HBP_UNIT_RAD_PER_S = 2,
+    HBP_UNIT_A = 3,
+    HBP_UNIT_V = 4,
+    HBP_UNIT_NM = 5,
+    HBP_UNIT_S = 6,
+    HBP_UNIT_HZ = 7,
+    HBP_UNIT_OHM = 8,
+    HBP_UNIT_H = 9,
+    HBP_UNIT_VS = 10,
+    HBP_UNIT_KGM2 = 11,
+    HBP_UNIT_COUNT = 12,
+    HBP_UNIT_PER_S = 13,
+    HBP_UNIT_RAD_PER_S2 = 14,
+    HBP_UNIT_RAD_PER_A = 15,
+    HBP_UNIT_RAD_PER_AS = 16,
+    HBP_UNIT_A_S_PER_RAD = 17,
+    HBP_UNIT_A_PER_RAD = 18,
+    HBP_UNIT_DEG_C = 19,
+    HBP_UNIT_W = 20,
+};
+
+enum {
+    HBP_FLAG_CHANNEL = 1, /* can be streamed */
+    HBP_FLAG_PARAMETER = 2, /* can be read with PARAM_GET */
+    HBP_FLAG_TRUTH = 4, /* the simulated plant's own state: no physical drive has it */
+    HBP_FLAG_ESTIMATE = 8, /* a position or speed estimate, to be compared with the reference */
+    HBP_FLAG_REFERENCE = 16, /* the position or speed that estimates are compared with (the encoder) */
+    HBP_FLAG_WRAPS = 32, /* an angle in [-pi, pi) */
+    HBP_FLAG_READ_ONLY = 64, /* a parameter that cannot be set */
+    HBP_FLAG_IDLE_ONLY = 128, /* a parameter that can be set only while the outputs are off */
+    HBP_FLAG_WHOLE = 256, /* a parameter that takes whole numbers only */
+    HBP_FLAG_ON_REQUEST = 512, /* a channel that is streamed only where it is asked for by name */
+};
+/* </codes> */
+
+#define HBP_MAJOR 1
+#define HBP_MINOR 0
+#define HBP_STREAMS 4
+#define HBP_KEPT 4 /* replies */
+#define HBP_NONE 0xFFFFu
+
+/* ---- what the application tells ------------------------------------------------------------------------------------------ */
+
+/* A channel: a value in the structure that hbp_tick is given. Physical value = raw * scale + offset in `unit`. */
+struct hbp_channel {
+    uint16_t id;      /* unique among channels */
+    uint8_t type;     /* HBP_RAW_U8 … HBP_RAW_F32 */
+    uint8_t unit;     /* HBP_UNIT_… */
+    uint16_t flags;   /* HBP_FLAG_ESTIMATE, HBP_FLAG_WRAPS, …; HBP_FLAG_CHANNEL goes without saying */
+    uint16_t at;      /* offsetof() in the sample */
+    float scale, offset;
+    const char *name; /* 1 to 16 bytes, unique among channels */
+};
+
+struct hbp_parameter {
+    uint16_t id;      /* unique among parameters */
+    uint8_t unit;
+    uint16_t flags;   /* HBP_FLAG_READ_ONLY, HBP_FLAG_IDLE_ONLY, HBP_FLAG_WHOLE */
+    float lo, hi;     /* range, inclusive */
+    float initial;    /* out of the box */
+    float *value;     /* what the firmware computes with; unused where the configuration has `get` and `set` */
+    const char *name; /* 1 to 16 bytes, unique among parameters; one named "watchdog", in s, sets the watchdog's time */
+};
+
+/* What a device is and does. Functions that return a uint16_t refuse with an HBP_ERROR_… code and a `detail`, or return 0. They are
+ * called by hbp_rx and hbp_poll, with `user`. Those that may be missing (null) are marked so. */
+struct hbp_config {
+    uint8_t node;               /* 1 … ; on CAN at most 15 */
+    uint8_t role;
+    uint32_t features;          /* HBP_FEATURE_EDGES, HBP_FEATURE_COMMIT */
+    uint32_t tick_hz, pwm_hz;   /* tick_hz is a multiple of pwm_hz */
+    uint64_t tick0;             /* tick of PWM period 0, the first call of hbp_tick */
+    const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes; serial and build may be null */
+    const struct hbp_channel *channels;
+    const struct hbp_parameter *parameters;
+    uint16_t n_channels, n_parameters;
+    void *user;
+    uint16_t (*enter)(void *user, uint8_t state, float *detail); /* power stage on in RUNNING, at zero current, and off in all
+                                                                    other states; may refuse ARMED and RUNNING */
+    uint16_t (*setpoint)(void *user, uint8_t mode, float value, float value2, float *detail); /* finite numbers, in RUNNING */
+    uint8_t (*outputs_on)(void *user);                          /* 1: the power stage is on, as the hardware has it */
+    uint32_t (*clear)(void *user, uint32_t faults);             /* forget faults; those still there, or 0; or null */
+    uint16_t (*commit)(void *user, float *detail);              /* store all parameters; or null */
+    float (*get)(void *user, uint16_t k);                       /* value of parameters[k]; or null */
+    uint16_t (*set)(void *user, uint16_t k, float value, float *detail); /* use it, it is within its range; or null */
+};
+
+/* ---- memory; nothing in it is the application's to write ----------------------------------------------------------------- */
+
+struct hbp;
+struct hbp_stream;
+struct hbp_way;
+
+struct hbp_reply { /* one that is kept */
+    uint32_t request; /* its CRC-32 */
+    uint16_t tid, length;
+    uint8_t type, flags, transfer, there;
+    uint8_t payload[26 + 2 * HBP_CHANNELS];
+};
+
+struct hbp_peer { /* a host */
+    uint32_t nonce, used;
+    uint16_t tx_max;
+    uint8_t number, greeted, oldest;
+    struct hbp_reply kept[HBP_KEPT];
+};
+
+struct hbp_block { /* what stands before the records of a block */
+    uint32_t index;
+    uint16_t seq, n;
+    uint32_t flags;
+};
+
+struct hbp_hall_edge {
+    uint32_t index, tick;
+    uint16_t encoder;
+    uint8_t codes;
+};
+
+struct hbp_stream {
+    /* the main loop's; the interrupt reads them while the stream runs */
+    uint8_t number, configured, event, slot, pool, groups, counts_samples; /* frames of a block; on CAN, what `seq` is */
+    uint16_t decimation, latency_ms, cfg_id, record_bytes, block, channels;
+    uint16_t stride;             /* words from block to block */
+    uint32_t places;             /* blocks that there is room for */
+    uint16_t take[HBP_CHANNELS]; /* positions in the table of channels */
+    float rate;                  /* what it needs of the link */
+    uint32_t lost;               /* frames dropped by the main loop */
+    uint32_t read;               /* block to be sent next */
+    uint16_t edge, edge_seq;     /* edge to be sent next, and the number of its frame */
+    uint8_t edge_flags, waits;
+    uint32_t edge_index, since;  /* number that the next edge should have; tick at which the oldest that waits was seen */
+    volatile uint32_t tail;      /* blocks taken */
+    volatile uint8_t running;
+    /* the interrupt's */
+    uint8_t aligned, dropping, flags;
+    uint16_t filled, seq;
+    uint32_t next, write;
+    volatile uint32_t head;      /* blocks made */
+    volatile uint32_t dropped;   /* frames for which there was no place */
+};
+
+struct hbp { /* a device */
+    const struct hbp_config *config;
+    struct hbp_link_base *link;
+    struct hbp *other; /* the next one on the link */
+    uint32_t boot_id, schema_crc, period; /* period: ticks of a PWM period */
+    uint64_t now, fed, armed, next_heartbeat;
+    uint32_t faults, first_fault, dropped, beat;
+    uint16_t setpoint_counter, setpoints_rejected, last_tid, cfg_id;
+    uint16_t watchdog; /* position of that parameter, HBP_NONE: there is none */
+    uint8_t state;
+    struct hbp_peer *peer; /* whose request is being answered */
+    struct hbp_peer peers[HBP_HOSTS];
+    struct hbp_stream streams[HBP_STREAMS];
+    uint32_t pools[HBP_POOLS][HBP_POOL_BYTES / 4];
+    /* between main loop and interrupts */
+    volatile uint32_t raised, seen; /* faults, with a count above them */
+    volatile uint32_t leash, leash_ticks, runs; /* when the host was heard of, for how long that does, how often RUNNING began */
+    volatile uint8_t permit;
+    volatile uint32_t cut;   /* the interrupt's: `runs` when the leash ran out */
+    uint64_t index;          /* the interrupt's: PWM periods since boot */
+    volatile uint32_t periods; /* its low bits */
+    volatile uint32_t edges; /* since boot */
+    volatile uint16_t edge_head, edge_tail;
+    struct hbp_hall_edge ring[HBP_EDGES];
+};
+
+struct hbp_link_base { /* what all kinds of link have */
+    const struct hbp_way *way;
+    struct hbp *first;
+    uint32_t bad, ignored; /* damaged frames; frames that are replies themselves */
+    volatile uint32_t expired; /* stream frames that waited too long, on CAN */
+    float capacity;        /* what it carries, 0: not known */
+    uint8_t nodes;
+    uint8_t work[HBP_TX_MAX];
+};
+
+struct hbp_link { /* a byte link */
+    struct hbp_link_base base;
+    uint16_t decoded, encoded; /* bytes of the frame that is coming in */
+    uint8_t code, left, skipping, broken;
+    volatile uint32_t head, tail; /* bytes ever queued and taken */
+    uint8_t rx[8 + HBP_RX_MAX + 4];
+    uint8_t tx[HBP_TX_BYTES];
+};
+
+/* ---- functions ----------------------------------------------------------------------------------------------------------- */
+
+/* A byte link that carries `bytes_per_s`; 0 where that is not known. */
+void hbp_link_init(struct hbp_link *link, float bytes_per_s);
+
+/* Add a device; the first one answers to node 0. 0, or why not: HBP_ERROR_BAD_VALUE (a table or a number that SPEC does not allow). */
+uint16_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id);
+
+/* Take bytes that have come, cut anywhere. `now`: 64-bit tick. */
+void hbp_rx(struct hbp_link *link, uint64_t now, const uint8_t *data, size_t n);
+
+/* Let time pass: watchdog, states, heartbeat; put frames into the transmit queue. At least once a millisecond. */
+void hbp_poll(struct hbp_link *link, uint64_t now);
+
+/* Bytes to be sent, in one piece, and how many; then say how many have gone. */
+size_t hbp_tx_peek(const struct hbp_link *link, const uint8_t **bytes);
+void hbp_tx_advance(struct hbp_link *link, size_t n);
+
+/* PWM interrupt, each period: take a sample. */
+void hbp_tick(struct hbp *device, const void *sample);
+
+/* A Hall edge at `tick` (low 32 bits): Hall codes before and after, encoder count. */
+void hbp_edge(struct hbp *device, uint32_t tick, uint8_t before, uint8_t after, uint16_t encoder);
+
+/* PWM interrupt: 1 if the outputs may be on at `tick` (low 32 bits). 0 turns them off, whatever the main loop does. */
+int hbp_may_run(struct hbp *device, uint32_t tick);
+
+/* PWM interrupt: a fault was found (and the outputs are off). May be repeated each period. */
+void hbp_raise(struct hbp *device, uint32_t faults);
+
+/* Main loop: latch faults; the outputs go off. */
+void hbp_fault(struct hbp *device, uint32_t faults);
+
+/* Main loop: a line of text for people; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug. */
+void hbp_log(struct hbp *device, uint8_t level, const char *text);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,44 @@
+/* hbp_way.h: what hbp.c and hbp_can.c share. Not for applications. */
+#ifndef HBP_WAY_H
+#define HBP_WAY_H
+
+#include "hbp.h"
+
+enum hbp_rank { HBP_RANK_REPLY, HBP_RANK_NEWS, HBP_RANK_BEAT, HBP_RANK_STREAM }; /* how much room it must leave to others */
+
+#define HBP_NEXT_TRANSFER 0xFFu
+
+struct hbp_message {
+    uint8_t type, flags;
+    uint16_t tid, n;
+    const uint8_t *payload;
+    enum hbp_rank rank;
+    uint8_t transfer; /* on CAN: that of a kept reply, or HBP_NEXT_TRANSFER; then the one that it got */
+};
+
+struct hbp_way { /* how a device's messages and streams get onto its link */
+    int (*send)(struct hbp *h, struct hbp_message *message);       /* 0: no room, nothing is sent */
+    int (*beats)(const struct hbp *h);                             /* the last heartbeat still waits */
+    uint32_t (*shape)(struct hbp *h, struct hbp_stream *s);        /* sets block, rate, groups; bytes that fit if it does not, else 0 */
+    uint16_t (*open)(struct hbp *h, struct hbp_stream *s, float *detail); /* sets the slot, or refuses */
+    void (*close)(struct hbp *h, struct hbp_stream *s);
+    int (*samples)(struct hbp *h, struct hbp_stream *s, const struct hbp_block *block, const uint8_t *records); /* 0: no room */
+    int (*edges)(struct hbp *h, struct hbp_stream *s, uint16_t n); /* the n next ones, without a gap; 0: no room */
+    uint8_t counts_samples; /* 1: `seq` is the number of a block's first sample; 0: it counts blocks */
+};
+
+uint8_t *hbp_put16(uint8_t *to, uint32_t value);
+uint8_t *hbp_put32(uint8_t *to, uint32_t value);
+uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);
+uint32_t hbp_get32(const uint8_t *from);
+uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n);
+uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation);
+uint16_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id);
+void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine); /* header + payload */
+void hbp_pass_time(struct hbp *h, uint64_t now);
+void hbp_advance(struct hbp *h, uint64_t now);
+void hbp_stop(struct hbp *h);
+uint32_t hbp_dropped(const struct hbp *h);
+uint16_t hbp_watchdog_ms(const struct hbp *h);
+
+#endif

@@ -1,0 +1,148 @@
+"""`bench conform` in virtual time, on the test device and on the simulated bench."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from unittest.mock import patch
+
+from virtual_run import RecordingScreen
+
+from bench.conforming import run as conforming
+from bench.conforming.catalogue import chosen
+from bench.conforming.checks import Check
+from bench.conforming.run import Options, Run, conform
+from bench.conforming.verdicts import Verdict
+from protocol.device.session import DeviceLink
+from protocol.device.tx import TxQueue
+from protocol.links import Link
+from sim.config.params import load_params
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import ByteNetwork
+from sim.ports.virtual import VirtualLink
+from tests.devices import FULL, carriers, serving, virtual
+from tests.devices.device import Device
+from tests.devices.spec import Flag
+from tests.devices.vocabulary import Parameter, Vocabulary
+
+TARGET = "serial:/dev/ttyTEST"
+WATCHDOG = 0.1875  # s, a float32
+RICH = replace(
+    FULL.without("watchdog"),
+    parameters=(
+        *FULL.without("watchdog").parameters,
+        Parameter(125, "watchdog", WATCHDOG, 2.0**-4, 1, flags=Flag.IDLE_ONLY),
+        Parameter(129, "i_range", 32, 0, 64, flags=Flag.READ_ONLY),
+    ),
+)
+"""With a parameter of each kind, and a short watchdog."""
+
+
+TO_STREAMS = {
+    "answers-damaged": "link.crc-damage-is-silent",
+    "rx-bad-zero": "link.damage-is-counted",
+    "length-before-type": "link.order-of-checks",
+    "retry-executed": "link.retry-not-executed",
+    "reply-kept-once": "link.retry-four-kept",
+    "wrong-detail": "identity.other-blobs",
+    "blob-past-end": "identity.blob-past-end",
+    "descriptor-crc": "identity.schema-crc",
+    "bad-utf8": "identity.texts",
+    "nodes-zero": "identity.hello-fields",
+    "last-tid-of-refused": "identity.last-tid",
+    "heartbeats-slow": "identity.heartbeat-rate",
+    "state-9": "identity.heartbeat-fields",
+    "tick-back": "identity.tick-goes-on",
+    "read-only-set": "parameter.read-only",
+    "parameter-clipped": "parameter.beyond-range",
+    "busy-ignored": "stream.busy",
+    "get-stale": "stream.get",
+    "cfg-id-stale": "stream.cfg-id-in-frames",
+    "index-odd": "stream.index-divisible",
+    "sample-tick-back": "stream.tick-of-index",
+    "channels-sorted": "stream.channel-order",
+    "stop-drops": "stream.stop-sends",
+    "drop-uncounted": "stream.tx-dropped",
+    "seq-of-sent": "stream.seq-counts-dropped",
+    "overrun-missing": "stream.overrun-flag",
+}
+"""By fault, the check that is meant for it, at levels 0 to 2."""
+
+TO_STATES = {
+    "stop-confirmed-only": "state.stop-obeyed",
+    "stop-outputs-stay": "state.stop-obeyed",
+    "stop-once": "state.stop-each-time",
+    "stop-refused-in-fault": "state.stop-in-fault",
+    "state-before-token": "state.arguments-first",
+    "start-without-arm": "state.start-needs-arm",
+    "outputs-told-off": "state.outputs-as-told",
+    "fault-clear-any": "state.fault-clear",
+    "armed-for-ever": "state.arm-lapses",
+    "watchdog-dead": "watchdog.trips",
+    "watchdog-early": "watchdog.not-early",
+    "watchdog-late": "watchdog.not-late",
+    "watchdog-fed-by-requests": "watchdog.not-fed-by-requests",
+    "watchdog-fed-by-rejected": "watchdog.not-fed-by-rejected",
+    "rejections-uncounted": "setpoint.rejected-counted",
+}
+TO_MOTION = {
+    "backwards": "motion.direction",
+    "edges-uncounted": "motion.edges-counted",
+    "edges-after-samples": "motion.edges-before-samples",
+    "setpoint-clipped": "motion.never-clipped",
+}
+ON_CAN = {
+    "can-repeated-executed": "can.repeated-frame",
+    "can-toggle-unchecked": "can.toggle",
+    "can-node-0-answered": "can.node-0-others",
+    "can-stop-frame-ignored": "can.stop-frame",
+}
+
+MEANT_FOR = TO_STREAMS | TO_STATES | TO_MOTION | ON_CAN
+"""By fault, the one check that must fail."""
+
+OVERLOADED = ("stream.seq-counts-dropped", "stream.tx-dropped", "stream.overrun-flag")
+"""Checks that cost a test as much as all others together."""
+
+
+def options(level: int, **given: object) -> Options:
+    return Options(**({"target": TARGET, "level": level, "yes": True} | given))  # type: ignore[arg-type]
+
+
+def run_on(link: Link, level: int, **given: object) -> Run:
+    return conform(link, options(level, **given), RecordingScreen(), None, lambda result: None)
+
+
+def on_device(
+    level: int,
+    faults: Sequence[str] = (),
+    vocabulary: str | Vocabulary = RICH,
+    carrier: str = "bytes",
+    without: Collection[str] = (),
+) -> tuple[Run, Device]:
+    """The run, and the device as it is after it. It drops frames when 12 KiB of them wait; `without` these checks."""
+
+    def some(level: int, bus: bool) -> list[Check]:
+        return [check for check in chosen(level, bus) if check.id not in without]
+
+    with (
+        patch.object(carriers, "MOST_WAITING", 8192),
+        patch.object(virtual, "ROOM", 4096),
+        patch.object(conforming, "chosen", some),
+        serving(vocabulary, faults, carrier) as device,
+    ):
+        return run_on(device.link, level, idle=device.link.idle), device
+
+
+def on_simulated(level: int, device: SimulatedDevice) -> Run:
+    return run_on(VirtualLink(device), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz)))
+
+
+def narrow() -> SimulatedDevice:
+    """A simulated bench behind a byte link that is full after 64 KiB, as a real one is."""
+    return SimulatedDevice(load_params(), 1, network=ByteNetwork(DeviceLink(TxQueue())))
+
+
+def ended(run: Run, verdict: Verdict) -> list[str]:
+    """The ids of the checks that ended like this."""
+    return [result.check.id for result in run.results if result.verdict is verdict]

@@ -1,0 +1,388 @@
+"""`bench conform`: sound devices pass, whatever ends it leaves the outputs off, and the command says what it found."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner, Result
+from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_simulated, options, run_on
+from processes import Program, Sim
+from virtual_run import RecordingScreen, at_rest, physical, simulated
+
+from bench.cli.conform import command
+from bench.conforming import run as conforming
+from bench.conforming.catalogue import checks, chosen
+from bench.conforming.checks import Carrier
+from bench.conforming.claim import claim, exit_code
+from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
+from bench.conforming.run import Options, Run, conform
+from bench.conforming.verdicts import Verdict
+from bench.errors import BenchError, UnsafeError
+from protocol.errors import LinkClosed, NoReply
+from protocol.links import Link
+from sim.ports.virtual import VirtualLink
+from tests.devices import FULL, serving
+from tests.devices.spec import State
+
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+SPEC = Path(__file__).parents[2] / "protocol" / "SPEC.md"
+LEVELS = (0, 1, STREAMS, STATES, MOTION, CAN)
+
+
+# -- sound devices ----------------------------------------------------------------------------------------------------
+
+UNSEEN = {
+    ("full", "bytes"): [],
+    ("own", "bytes"): ["motion.direction", "motion.never-clipped"],
+    ("full", "CAN"): [],
+    ("own", "CAN"): ["motion.direction", "motion.never-clipped"],
+}
+
+
+@pytest.mark.parametrize(("vocabulary", "carrier"), UNSEEN, ids=map(" on ".join, UNSEEN))
+def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrier: str) -> None:
+    run, device = on_device(CAN, vocabulary=vocabulary, carrier=carrier)
+    assert not ended(run, Verdict.FAILED)
+    assert ended(run, Verdict.UNKNOWN) == UNSEEN[vocabulary, carrier]
+    assert len(run.results) == len(chosen(CAN, carrier == "CAN"))
+    assert (run.troubles, run.unsafe, run.ended, exit_code(run)) == ([], "", "", 0)
+    assert (device.state, device.outputs_on, device.streams) == (State.IDLE, False, {})
+    assert device.values == pytest.approx({row.id: row.value for row in device.vocabulary.parameters}, rel=1e-7)
+
+
+@pytest.mark.parametrize("network", ["bytes", "CAN", "CAN FD"])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)], ids=["Python", "C"])
+def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) -> None:
+    device = narrow() if network == "bytes" and not compiled else simulated(network=network, compiled=compiled)
+    before = dict(device.bench.parameters)
+    run = on_simulated(CAN, device)
+    assert not ended(run, Verdict.FAILED)
+    assert not ended(run, Verdict.UNKNOWN)
+    assert claim(run).conforms
+    assert at_rest(device)
+    assert device.bench.parameters == before
+
+
+def test_a_level_has_those_below_it_and_nothing_is_energised_below_the_third() -> None:
+    counts = []
+    for level in LEVELS[:4]:
+        run, device = on_device(level, without=OVERLOADED)
+        counts.append(len(run.results))
+        assert {result.check.level for result in run.results} == set(range(level + 1))
+        assert bool(device.seen["ARM"] + device.seen["START"] + device.seen["SETPOINT"]) == (level >= STATES)
+        found = claim(run)
+        assert found.level == level
+        assert f"conforms to HBP 1.0 at level {level}: " in found.words
+        assert (f"level {level + 1} (" in found.words) == (level < MOTION)
+    assert counts == sorted(counts)
+
+
+def test_on_a_bus_the_checks_of_can_run_as_far_as_the_level_allows() -> None:
+    for level in (0, STREAMS, STATES):
+        ids = {check.id for check in chosen(level, bus=True)}
+        assert ids > {check.id for check in chosen(level, bus=False)}
+        assert ("can.stop-frame" in ids) == (level >= STATES)
+        assert ("can.slots" in ids) == (level >= STREAMS)
+        assert "can.toggle" in ids
+
+
+def test_what_was_not_seen_is_unknown_and_the_claim_names_it() -> None:
+    run, _ = on_device(STREAMS, vocabulary=FULL)
+    assert ended(run, Verdict.UNKNOWN) == ["stream.edges-before-samples"]
+    assert "parameter.read-only" in ended(run, Verdict.NOT_APPLICABLE)
+    found = claim(run)
+    assert re.fullmatch(
+        r"conforms to HBP 1\.0 at level 2: \d+ checks passed, 1 unknown: stream\.edges-before-samples; "
+        r"not tested: level 3 \(states and setpoints\), level 4 \(motion\)",
+        found.words,
+    )
+    assert exit_code(run) == 0
+
+
+def test_streams_that_somebody_left_are_there_again() -> None:
+    with serving(RICH, carrier="bytes") as device:
+        from bench.device.client import Client
+        from bench.device.node import Node
+
+        node = Node(client := Client(device.link), client.connect().node)
+        node.set_samples(node.channels(["hall", "i_q"]), 8)
+        node.start_streams()
+        run_on(device.link, 0, idle=device.link.idle)
+        (stream,) = device.streams.values()
+        assert [channel.name for channel in stream.channels] == ["hall", "i_q"]
+        assert (stream.decimation, stream.running) == (8, True)
+
+
+# -- what must be said before anything is energised --------------------------------------------------------------------
+
+
+def test_a_physical_drive_is_energised_by_consent_only() -> None:
+    link = VirtualLink(physical())
+    with pytest.raises(UnsafeError, match="nobody to ask"):
+        run_on(link, STATES, yes=False)
+    asked: list[str] = []
+
+    def refuse(question: str) -> bool:
+        asked.append(question)
+        return False
+
+    with pytest.raises(UnsafeError, match="not confirmed"):
+        conform(link, options(MOTION, yes=False), RecordingScreen(), refuse, lambda result: None)
+    assert "up to 100 r/min" in asked[0]
+    assert not run_on(VirtualLink(physical()), 0, yes=False).energised
+
+
+def test_a_speed_beyond_the_limit_and_a_latched_fault_are_refused() -> None:
+    with pytest.raises(BenchError, match="speed 9999 r/min is beyond the drive's limit"):
+        run_on(VirtualLink(simulated()), MOTION, speed_rpm=9999.0)
+    with serving(RICH, carrier="bytes") as device:
+        device.trip(1)  # type: ignore[arg-type]
+        with pytest.raises(BenchError, match="latched fault"):
+            run_on(device.link, STATES)
+        assert not ended(run_on(device.link, 1), Verdict.FAILED)
+
+
+def test_a_device_that_runs_is_left_alone() -> None:
+    with serving("full", carrier="bytes") as device:
+        device.arm(device.boot_id)
+        device.start()
+        with pytest.raises(BenchError, match="not at rest"):
+            run_on(device.link, 0)
+        assert not device.stops
+
+
+def test_a_device_that_cannot_be_worked_with_is_looked_at_all_the_same() -> None:
+    run, device = on_device(STATES, ["pwm-hz-zero"])
+    assert "identity.hello-fields" in ended(run, Verdict.FAILED)
+    assert not device.seen["ARM"]
+    assert claim(run).conforms is False
+
+
+# -- every way out ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def states_only() -> Iterator[None]:
+    """What comes before level 3 is left out."""
+    with patch.object(conforming, "chosen", lambda level, bus: [c for c in chosen(level, bus) if c.needs == STATES]):
+        yield
+
+
+class Ending(VirtualLink):
+    """Raises what it is told to at the n-th read after the drive has begun to run."""
+
+    def __init__(self, raised: BaseException | signal.Signals) -> None:
+        super().__init__(simulated())
+        self.left = 5
+        self.raised: BaseException | signal.Signals | None = raised
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if self.device.drive.app.outputs_on and self.raised is not None:
+            self.left -= 1
+            if self.left <= 0:
+                raised, self.raised = self.raised, None
+                if isinstance(raised, signal.Signals):
+                    signal.raise_signal(raised)
+                else:
+                    raise raised
+        return super().read(timeout, settle)
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "words"),
+    [
+        (KeyboardInterrupt(), 130, "ended by SIGINT"),
+        (signal.SIGINT, 130, "ended by SIGINT"),
+        (LinkClosed("unplugged"), 1, "link lost: unplugged"),
+    ],
+    ids=["KeyboardInterrupt", "SIGINT", "link lost"],
+)
+@pytest.mark.usefixtures("states_only")
+def test_however_it_ends_the_outputs_are_off(raised: Any, code: int, words: str) -> None:
+    link = Ending(raised)
+    run = run_on(link, STATES)
+    assert at_rest(link.device)
+    assert (run.ended, exit_code(run), run.unsafe) == (words, code, "")
+    assert claim(run).conforms is None
+    assert f"not run: {words}" in {result.evidence for result in run.results}
+
+
+@pytest.mark.usefixtures("states_only")
+def test_an_error_of_this_program_leaves_the_outputs_off_too() -> None:
+    link = Ending(RuntimeError("ours"))
+    with pytest.raises(RuntimeError, match="ours"):
+        run_on(link, STATES)
+    assert at_rest(link.device)
+
+
+def test_a_drive_that_does_not_stop_is_not_energised_again_and_shouted_at_the_end() -> None:
+    run, device = on_device(MOTION, ["stop-ignored"], without=OVERLOADED)
+    assert ended(run, Verdict.FAILED) == ["state.stop-obeyed"]
+    assert device.seen["START"] == 0  # STOP was not obeyed in ARMED
+    run, _ = on_device(MOTION, ["stop-outputs-stay"], without=OVERLOADED)
+    assert "MAY STILL BE ON" in run.unsafe
+    assert exit_code(run) == 5
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Run]:
+    """A run that passes, and one in which a check fails."""
+    return {"sound": on_device(STREAMS)[0], "faulty": on_device(1, ["wrong-detail", "control-characters"])[0]}
+
+
+@pytest.fixture
+def invoke() -> Any:
+    """Run the command; what it connects to has already been looked at."""
+
+    def invoke(run: Run | Exception, *arguments: str) -> Result:
+        def instead(link: Link, asked: Options, screen: Any, confirm: Any, told: Any) -> Run:
+            if isinstance(run, Exception):
+                raise run
+            for result in run.results:
+                told(result)
+            return replace(run, options=asked)
+
+        with patch.object(conforming, "conform", instead), patch("protocol.links.open_link", lambda target: Closed()):
+            return CliRunner().invoke(command, [TARGET, *arguments])
+
+    return invoke
+
+
+class Closed:
+    def close(self) -> None:
+        pass
+
+
+def test_it_prints_a_table_of_each_level_and_the_claim(invoke: Any, found: dict[str, Run]) -> None:
+    result = invoke(found["sound"])
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("level ")] == ["0:", "1:", "2:"]
+    assert lines[-1].startswith("conforms to HBP 1.0 at level 2")
+    assert any(re.match(r"identity\.schema-crc +passed +[0-9a-f]{8} over \d+ bytes", line) for line in lines)
+
+
+def test_a_check_that_fails_is_exit_code_1(invoke: Any, found: dict[str, Run]) -> None:
+    result = invoke(found["faulty"])
+    assert result.exit_code == 1
+    assert "does not conform to HBP 1.0: 1 check failed: identity.other-blobs" in result.stdout
+    assert "\x1b" not in result.stdout
+
+
+def test_json_alone_goes_to_standard_output(invoke: Any, found: dict[str, Run]) -> None:
+    result = invoke(found["faulty"], "--json")
+    told = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert told["conforms"] is False
+    assert told["about"]["target"] == TARGET
+    assert {"name", "firmware", "serial", "build", "boot_id", "started"} <= told["about"].keys()
+    assert sum(told["counts"].values()) == len(told["checks"])
+    (failed,) = (check for check in told["checks"] if check["verdict"] == "failed")
+    assert failed["id"] == "identity.other-blobs"
+    assert failed["chapter"] == 5
+    assert "UNKNOWN_ID, detail 0" in failed["evidence"]
+
+
+def test_junit_has_a_suite_for_each_level_and_a_case_for_each_check(
+    invoke: Any, found: dict[str, Run], tmp_path: Path
+) -> None:
+    file = tmp_path / "junit.xml"
+    assert invoke(found["faulty"], "--junit", str(file)).exit_code == 1
+    root = ElementTree.parse(file).getroot()
+    suites = root.findall("testsuite")
+    assert [suite.get("name") for suite in suites] == ["level 0: link", "level 1: identity and parameters"]
+    for suite in suites:
+        cases = suite.findall("testcase")
+        assert int(suite.get("tests", "")) == len(cases)
+        assert int(suite.get("failures", "")) == len(suite.findall("testcase/failure"))
+        assert int(suite.get("skipped", "")) == len(suite.findall("testcase/skipped"))
+    assert [case.get("name") for case in root.iter("testcase")] == [r.check.id for r in found["faulty"].results]
+    assert root.find(".//failure") is not None
+
+
+def test_the_report_begins_with_what_was_not_tested(invoke: Any, found: dict[str, Run], tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    assert f"report: {file}" in invoke(found["sound"], "--report", str(file), "--operator", "A. Person").stdout
+    text = file.read_text()
+    assert text.index("What was not tested") < text.index("The device") < text.index("Level 0: link")
+    for words in ("A. Person", TARGET, "9f2c61e-dirty", "33FFD8054D48383611571943", "level 4 (motion)"):
+        assert words in text
+    for result in found["sound"].results:
+        assert result.check.id in text
+    assert "http" not in text
+    refused = invoke(found["sound"], "--report", str(file))
+    assert refused.exit_code != 0
+    assert "exists" in str(refused.exception)
+    assert invoke(found["sound"], "--report", str(file), "--overwrite").exit_code == 0
+
+
+def test_what_a_device_says_is_text_in_the_report(invoke: Any, found: dict[str, Run], tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    invoke(found["faulty"], "--report", str(file))
+    text = file.read_text()
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]", text)
+    assert "What failed" in text
+
+
+def test_arguments_that_are_wrong(invoke: Any, found: dict[str, Run]) -> None:
+    for arguments in (("--level", "6"), ("--speed", "0"), ("--junit", "-"), ("--report", "-")):
+        assert invoke(found["sound"], *arguments).exit_code == 2
+    assert isinstance(invoke(NoReply("nobody"), "--level", "1").exception, NoReply)
+
+
+def test_the_help_has_the_levels_and_an_example() -> None:
+    text = CliRunner().invoke(command, ["--help"]).output
+    assert "bench conform serial:/dev/ttyACM0" in text
+    assert all(re.search(rf"^ +{level}  \w", text, re.MULTILINE) for level in range(6))
+
+
+# -- the checks themselves --------------------------------------------------------------------------------------------
+
+
+def test_every_check_quotes_spec_and_says_what_it_looks_at() -> None:
+    spec = plain(SPEC.read_text())
+    chapters = re.split(r"^## (\d+)\. ", SPEC.read_text(), flags=re.MULTILINE)
+    text = {0: plain(chapters[0])} | {int(n): plain(t) for n, t in zip(chapters[1::2], chapters[2::2], strict=True)}
+    for check in checks():
+        assert plain(check.says) in text[check.chapter], (check.id, check.says, plain(check.says) in spec)
+        assert check.body.__doc__, check.id
+        assert re.fullmatch(r"[a-z]+\.[a-z0-9-]+", check.id)
+        assert check.needs <= check.level
+        assert (check.carrier is Carrier.BUS) == (check.level == CAN)
+
+
+def test_checks_run_by_level_and_stop_is_the_first_that_is_looked_at_once_outputs_go_on() -> None:
+    levels = [check.level for check in checks()]
+    assert levels == sorted(levels)
+    energising = [check.id for check in checks() if check.needs >= STATES]
+    assert energising[0] == "state.stop-obeyed"
+    assert next(each for each in energising if each.startswith("motion.")) == "motion.stop"
+
+
+def plain(text: str) -> str:
+    return " ".join(text.replace("**", "").split())
+
+
+@pytest.mark.real_time
+def test_the_command_on_a_pty() -> None:
+    with closing(Sim("--pty")) as sim:
+        program = Program("bench", "conform", sim.target, "--level", "0", "--json", "-")
+        with closing(program):
+            assert program.end() == 0, program.err
+            told = json.loads("\n".join(program.out))
+    assert told["conforms"] is True
+    assert told["counts"]["passed"] > 20
+    assert told["counts"]["unknown"] == 0

@@ -1,0 +1,40 @@
+"""Code and memory of the device side in C stay below what is promised; docs/firmware.md tells them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+from building import ROOT, compiler
+
+from tests.protocol.c import sizes
+
+CODE, RAM = 12 << 10, 4 << 10  # of a byte link
+CAN_CODE, CAN_RAM = 14 << 10, 5 << 10
+INTERRUPT = 400  # instructions of hbp_tick with 8 channels, the first one of a stream included
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    compiler("arm-none-eabi-gcc")
+
+
+def test_code_and_memory_have_a_ceiling() -> None:
+    serial, can = sizes.costs()
+    assert serial.code <= CODE
+    assert serial.ram <= RAM
+    assert can.code <= CAN_CODE
+    assert can.ram <= CAN_RAM
+
+
+def test_what_the_interrupts_take_has_a_ceiling_and_is_told() -> None:
+    if shutil.which("qemu-system-arm") is None:
+        pytest.skip("no qemu-system-arm here")
+    counted = {what: (mean, most) for what, mean, most in sizes.instructions()}
+    assert counted["hbp_tick, the first one of a stream"][1] <= INTERRUPT
+    assert counted["hbp_tick, 8 channels"][1] <= INTERRUPT
+    assert max(counted[f"hbp_{name}"][1] for name in ("edge", "raise", "may_run, outputs on")) < 60
+    page = (ROOT / "docs" / "firmware.md").read_text()
+    told = page.partition(sizes.BEGIN)[2].partition(sizes.END)[0]
+    assert set(counted) <= set(re.findall(r"^\| (.+?) \| \d", told, re.MULTILINE))

@@ -1,0 +1,370 @@
+"""The device side in C: the vectors, and the same answers as the device side in Python to whatever comes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import can_rows
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, wire_of
+
+from protocol import messages
+from protocol.canmap.compiled import CompiledCan
+from protocol.canmap.device import CanDevice
+from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
+from protocol.canmap.host import CanWire
+from protocol.canmap.ids import CanClass
+from protocol.canmap.transport import CanCounters, Reassembler
+from protocol.device.compiled import SOURCE, CompiledLink, CompiledSession, compiler
+from protocol.device.session import DeviceLink
+from protocol.device.tx import TxQueue
+from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame, parse_frame
+from protocol.messages import (
+    Alive,
+    BlobRead,
+    Command,
+    Fault,
+    Feature,
+    Hello,
+    MessageType,
+    ParamCommit,
+    ParamGet,
+    ParamSet,
+    Request,
+    Setpoint,
+    StateCommand,
+    StreamGet,
+    StreamSet,
+    StreamStart,
+    StreamStop,
+    TimeSync,
+)
+
+VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
+BOOT = 0xB0071D
+pytestmark = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+
+
+def cases(name: str) -> list:
+    loaded = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))
+    return [pytest.param(case, id=case["name"]) for case in loaded]
+
+
+def c_link(pool: int = 1 << 16, **changes: object) -> tuple[CompiledLink, CompiledSession, SmallDrive]:
+    """Return a link with one small drive in C that has booted."""
+    link, app = CompiledLink(pool), SmallDrive()
+    session = link.add(app, identity(**changes))
+    link.advance(0)
+    return link, session, app
+
+
+PRELUDE = """
+#include "hbp.h"
+void power_stage(int on); uint8_t power_stage_is_on(void); void use_speed(float omega_m); uint32_t random_number(void);
+size_t uart_received(const uint8_t **bytes); size_t uart_send(const uint8_t *bytes, size_t n); uint64_t ticks(void);
+uint32_t timer(void); void measure_and_control(void *sample); uint32_t captured(void); uint8_t code_before(void);
+uint8_t code_after(void); uint16_t encoder(void); void pwm_interrupt(void); void capture_interrupt(void);
+"""
+
+
+def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
+    comment = (SOURCE / "hbp.h").read_text(encoding="utf-8").split("#ifndef", 1)[0]
+    usage = comment.split(" * USE.", 1)[1].split(" * A whole program", 1)[0]
+    code = [line.removeprefix(" *     ").split("  //")[0] for line in usage.splitlines() if line.startswith(" *     ")]
+    assert len(code) > 50
+    file = tmp_path / "usage.c"
+    file.write_text(PRELUDE + "\n".join(code) + "\n")
+    flags = [
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{SOURCE}",
+        "-c",
+        "-o",
+        str(tmp_path / "usage.o"),
+    ]
+    subprocess.run([*compiler(), *flags, str(file)], check=True)
+
+
+@pytest.mark.parametrize("case", cases("framing"))
+def test_frames_are_found_or_counted_however_they_come(case: dict) -> None:
+    wire = bytes.fromhex(case["wire_hex"])
+    good = case["verdict"] == "ok"
+    step = 1 if len(wire) < 100 else 37
+    for cut in range(0, len(wire) + 1, step):
+        link, session, _ = c_link()
+        link.data_to_send()
+        link.receive(wire[:cut])
+        link.receive(wire[cut:])
+        assert session.bad == (case["verdict"] not in ("ok", "nothing"))
+        if not good:
+            assert link.data_to_send() == b""
+        link.receive(b"\0" + wire_of(TimeSync(), 99))
+        assert frames_in(link.data_to_send())[-1].tid == 99
+
+
+@pytest.mark.parametrize("case", cases("exchanges"))
+@pytest.mark.parametrize("fault", [False, True])
+def test_refusals(case: dict, fault: bool) -> None:
+    link, session, app = c_link()
+    if fault:
+        session.fault(Fault.OVERCURRENT)
+    link.data_to_send()
+    before = (dict(app.values), list(app.states))
+    for _ in range(2):
+        link.receive(bytes.fromhex(case["request_hex"]))
+        assert link.data_to_send().hex() == case["reply_hex"]
+    assert (app.values, app.states) == before
+
+
+@pytest.mark.parametrize("case", cases("sequences"))
+def test_sequences(case: dict) -> None:
+    link, _, app = c_link(features=Feature(case["features"]))
+    link.data_to_send()
+    for step in case["steps"]:
+        request = bytes.fromhex(step["request_hex"])
+        link.receive(request)
+        frames = frames_in(link.data_to_send())
+        replies = [frame for frame in frames if frame.is_reply]
+        if step["reply_hex"] is None:
+            (asked,) = frames_in(request)
+            assert [(f.type, f.tid, f.node, f.is_error) for f in replies] == [(asked.type, asked.tid, 1, False)]
+        else:
+            assert b"".join(map(encode_frame, replies)).hex() == step["reply_hex"]
+        events = [frame.payload for frame in frames if frame.type == messages.MessageType.EVENT]
+        rejected = [event for event in events if event[8] == messages.EventCode.SETPOINT_REJECTED]
+        assert b"".join(event[8:] for event in rejected).hex() == step["rejected_hex"]
+    assert not app.outputs_on
+
+
+# -- the same answers as the device side in Python ------------------------------------------------------------------
+
+U8, U16, U32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 16, 32))
+F32 = st.one_of(st.sampled_from([0.0, 1.0, 2.5, 300.0, 301.0, 0.05, 0.2, 1.5, 1e6, float("inf")]), st.floats(width=32))
+IDS = st.lists(st.one_of(st.integers(1, 5), U16), max_size=7).map(tuple)
+REQUEST = st.one_of(
+    st.builds(Hello, U32, st.integers(0, 2), st.integers(0, 3), st.one_of(st.sampled_from([127, 128, 1024]), U16)),
+    st.builds(TimeSync),
+    st.builds(Alive, U32),
+    st.builds(BlobRead, st.sampled_from([0, 0, 0, 1, 2, 255]), U16, st.one_of(st.integers(0, 300), U32)),
+    st.builds(ParamGet, st.one_of(st.integers(100, 105), U16)),
+    st.builds(ParamSet, st.one_of(st.integers(100, 105), U16), F32),
+    st.builds(ParamCommit),
+    st.builds(StateCommand, st.sampled_from(Command), st.sampled_from([0, 0, BOOT, BOOT, 1, 2, 3, 7, 1 << 31])),
+    st.builds(Setpoint, st.sampled_from([1, 1, 2, 3, 9]), U16, F32, F32),
+    st.builds(
+        StreamSet,
+        st.sampled_from([0, 1, 2, 3, 4]), st.sampled_from([0, 0, 0, 1, 2, 3]),
+        st.one_of(st.integers(0, 9), U16), st.one_of(st.integers(0, 30), U16), IDS,
+    ),
+    st.builds(StreamStart, st.one_of(st.integers(0, 15), U32)),
+    st.builds(StreamStop, st.one_of(st.integers(0, 15), U32)),
+    st.builds(StreamGet, st.integers(0, 5)),
+)  # fmt: skip
+
+
+@st.composite
+def wires(draw: st.DrawFn) -> bytes:
+    """A request as a frame: as it should be, or with something wrong that its CRC hides."""
+    message: Request = draw(REQUEST)
+    tid = 0 if type(message) in (Alive, Setpoint) else draw(st.integers(1, 6))
+    payload, kind, flags, node = message.pack(), int(message.TYPE), MAJOR, 1
+    match draw(st.integers(0, 19)):
+        case 0:
+            payload = payload[:-1]
+        case 1:
+            payload += b"\0"
+        case 2:
+            payload = draw(st.binary(max_size=40))
+        case 3:
+            kind = draw(U8)
+        case 4:
+            flags = draw(U8)
+        case 5:
+            node = draw(st.integers(0, 3))
+        case 6:
+            tid = draw(st.sampled_from([0, 1, 65535]))
+        case 7 if len(payload) > 0:
+            at = draw(st.integers(0, len(payload) - 1))
+            payload = payload[:at] + bytes([draw(U8)]) + payload[at + 1 :]
+    return encode_frame(Frame(kind, flags, tid, node, payload))
+
+
+STEP = st.one_of(
+    wires(),
+    wires(),
+    wires(),
+    st.binary(min_size=1, max_size=20),  # noise
+    st.integers(1, 400),  # PWM periods
+    st.just("again"),
+    st.sampled_from([Fault.HALL, Fault.OVERCURRENT | Fault.HALL]),
+)
+
+
+def told_by(data: bytes) -> list[tuple]:
+    """Frames in an order that SPEC does not leave to chance: replies and news, heartbeats, then each stream's."""
+
+    def place(frame: tuple) -> tuple:
+        streamed = frame[0] in (MessageType.DATA, MessageType.EDGES)
+        return frame[0] == MessageType.HEARTBEAT, (frame[3], frame[4][0]) if streamed else ()
+
+    frames = [(f.type, f.flags, f.tid, f.node, f.payload) for f in frames_in(data)]
+    return sorted(frames, key=place)
+
+
+def same(ours: list[tuple], theirs: list[tuple]) -> bool:
+    """Whether two devices said the same, the bits of a NaN and rounding of what they predict left out."""
+
+    def loose(frame: tuple) -> tuple:
+        kind, flags, tid, node, payload = frame
+        if flags & ERROR and len(payload) == 8:
+            detail = struct.unpack("<f", payload[4:])[0]
+            return kind, flags, tid, node, payload[:4], "nan" if detail != detail else detail
+        if kind == MessageType.STREAM_SET and flags & REPLY:
+            load = struct.unpack("<f", payload[8:12])[0]
+            return kind, flags, tid, node, payload[:8], f"{load:.5g}", payload[12:]
+        return frame
+
+    return list(map(loose, ours)) == list(map(loose, theirs))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(STEP, max_size=40), st.booleans())
+def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
+    python, c = DeviceLink(TxQueue(1 << 22)), CompiledLink(1 << 20)
+    sessions = []
+    for link in (python, c):
+        sessions.append(link.add(SmallDrive(), identity()))
+        if two_nodes:
+            link.add(SmallDrive(), identity(2))
+    period = 0
+    last = b""
+    for link in (python, c):
+        link.advance(0)
+    for step in steps:
+        if step == "again":
+            step = last
+        if isinstance(step, Fault):
+            for session in sessions:
+                session.fault(step)
+        elif isinstance(step, bytes):
+            last = step
+            for link in (python, c):
+                link.receive(step)
+        else:
+            tick = (period + step - 1) * TICKS
+            at = np.arange(period * TICKS + 7, tick, 5 * TICKS)
+            for session in sessions:
+                session.push_edges(edges_at(at))
+                session.push_samples(period, period * TICKS, samples(period, step))
+            for link in (python, c):
+                link.advance(tick)
+            period += step
+        ours, theirs = told_by(c.data_to_send()), told_by(python.data_to_send())
+        assert same(ours, theirs), (ours, theirs)
+
+
+# -- CAN --------------------------------------------------------------------------------------------------------------
+
+CLASSIC, FD = BusRates(1_000_000), BusRates(1_000_000, 5_000_000)
+SPOILT = st.one_of(
+    st.just(("whole", 0)),
+    st.just(("whole", 0)),
+    st.tuples(st.sampled_from(["drop", "twice", "flip", "identifier", "remote"]), st.integers(0, 1 << 20)),
+)
+
+
+@st.composite
+def can_steps(draw: st.DrawFn) -> tuple[Frame, int, tuple[str, int]]:
+    """A request, the number of the host that sends it, and what happens to its frames."""
+    message: Request = draw(REQUEST)
+    tid = 0 if type(message) in (Alive, Setpoint) else draw(st.integers(1, 6))
+    payload = message.pack()
+    if draw(st.integers(0, 9)) == 0:
+        payload = payload[:-1]
+    kind = draw(U8) if draw(st.integers(0, 19)) == 0 else int(message.TYPE)
+    return Frame(kind, MAJOR, tid, draw(st.sampled_from([1, 1, 1, 2])), payload), draw(st.integers(0, 2)), draw(SPOILT)
+
+
+def spoilt(wire: bytes, how: str, number: int) -> bytes:
+    """Frames of which one was lost, came twice, or is another."""
+    rows = [wire[at : at + RECORD_BYTES] for at in range(0, len(wire), RECORD_BYTES)]
+    at = number % len(rows)
+    (row,) = np.frombuffer(rows[at], CAN_RECORD).copy()
+    match how:
+        case "drop":
+            del rows[at]
+        case "twice":
+            rows.insert(at, rows[at])
+        case "flip":
+            row["data"][number // 8 % max(1, int(row["length"]))] ^= np.uint8(1 << number % 8)
+            rows[at] = row.tobytes()
+        case "identifier":
+            row["id"] ^= 1 << number % (29 if row["id"] >> 31 else 11)
+            rows[at] = row.tobytes()
+        case "remote":
+            row["id"] |= 0x40000000
+            rows[at] = row.tobytes()
+    return b"".join(rows)
+
+
+def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
+    """What is to be the same: length, flags and tail of a message's frames, all of a stream's; and the messages."""
+    found: dict[int, list] = {}
+    messages: list[tuple] = []
+    parts: dict[int, Reassembler] = {}
+    for number, data, flags in can_rows.parts(records):
+        if number >> 8 & 7 > CanClass.TO_HOST:
+            found.setdefault(number, []).append((data, flags))
+            continue
+        found.setdefault(number, []).append((len(data), data[-1], flags))
+        raw = parts.setdefault(number, Reassembler(number >> 4 & 15, CanCounters())).feed(data)
+        if raw is not None:
+            frame = parse_frame(raw)
+            messages.append((frame.type, frame.flags, frame.tid, frame.node, frame.payload))
+    return found, sorted(messages, key=lambda frame: frame[0] == MessageType.HEARTBEAT)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.one_of(can_steps(), can_steps(), st.integers(1, 400), st.just("again")), max_size=30),
+    st.sampled_from([CLASSIC, FD]),
+    st.booleans(),
+)
+def test_same_frames_as_in_python_on_can(steps: list, rates: BusRates, extended: bool) -> None:
+    tx = TxQueue(1 << 24, 1 << 20)
+    python = CanDevice(SmallDrive(), identity(), rates, extended, tx)
+    c = CompiledCan(SmallDrive(), identity(), rates, extended, 1 << 13)
+    wires = [CanWire(rates, 1, extended, host) for host in range(3)]
+    python.advance(0)
+    c.advance(0)
+    period, last = 0, b""
+    for step in steps:
+        if isinstance(step, int):
+            tick = (period + step - 1) * TICKS
+            edges = edges_at(np.arange(period * TICKS + 7, tick, 5 * TICKS))
+            for device in (python, c):
+                device.session.push_edges(edges)
+                device.session.push_samples(period, period * TICKS, samples(period, step))
+                device.advance(tick)
+            period += step
+        else:
+            if step != "again":
+                frame, host, how = step
+                last = spoilt(wires[host].encode(frame), *how)
+            python.receive(last)
+            c.receive(last)
+        ours, theirs = b"".join(iter(c.take, b"")), tx.take()
+        (our_frames, our_messages), (their_frames, their_messages) = by_identifier(ours), by_identifier(theirs)
+        assert our_frames == their_frames
+        assert same(our_messages, their_messages), (our_messages, their_messages)
+        assert c.session.bad == python.counters.bad
