@@ -19,8 +19,8 @@ from bench.cli.live import Observer
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
-COMMANDS = ["live", "view", "mark", "plot", "compare", "export", "accept", "hall", "replay", "score", "sim", "devices"]
-COMMANDS += ["info", "protocol", "completion"]
+COMMANDS = ["live", "view", "mark", "plot", "compare", "export", "accept", "conform", "hall", "replay", "score", "sim"]
+COMMANDS += ["devices", "info", "protocol", "completion"]
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:

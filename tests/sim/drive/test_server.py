@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from small_host import SmallHost
 
+from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import open_link
 from protocol.messages import Command, DriveState, Fault, SetpointMode
@@ -184,7 +185,7 @@ def test_a_host_that_vanishes_ends_in_the_watchdog_and_the_next_one_finds_out(
 
 
 def test_nobody_reads_a_pty_costs_counted_frames_only(make: Callable[..., Bench]) -> None:
-    bench = make("pty", network=ByteNetwork(TxQueue(50_000)))
+    bench = make("pty", network=ByteNetwork(DeviceLink(TxQueue(50_000))))
     host = bench.host()
     host.stream()
     end = bench.now + 1.0
@@ -200,7 +201,7 @@ def test_nobody_reads_a_pty_costs_counted_frames_only(make: Callable[..., Bench]
 
 
 def test_a_uart_is_paced(make: Callable[..., Bench]) -> None:
-    bench = make("pty", baud=115200, network=ByteNetwork(TxQueue(capacity=11520.0)))
+    bench = make("pty", baud=115200, network=ByteNetwork(DeviceLink(TxQueue(capacity=11520.0))))
     start = bench.now
     host = bench.host()
     host.stream(["theta_true"], edges=False, decimation=16)
