@@ -154,3 +154,15 @@ def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
             assert select.select([ended], [], [], LIMIT)[0]
         finally:
             os.close(ended)
+
+
+@pytest.mark.parametrize("target", ["mps2-an386"], indirect=True)
+def test_it_conforms(start: Callable[..., Program], target: str) -> None:
+    for _ in range(3):  # as above
+        program = start("conform", target, "--level", "3", "--json", "-")
+        if program.end() == 0:
+            break
+    found = told(program)
+    assert found["conforms_at_level"] == 3
+    assert {check["verdict"] for check in found["checks"]} <= {"passed", "not applicable", "unknown"}
+    assert sum(check["verdict"] == "passed" for check in found["checks"]) > 90
