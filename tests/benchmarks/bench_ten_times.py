@@ -70,6 +70,7 @@ def faster(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
 
 def minutes(file: Path, seconds: float, times: int) -> Iterator[Row]:
     """Any minute of it, read in a process of its own."""
+    os.sync()  # the disk is not to be busy with what was just written
     dice, length = random.Random(5), min(60.0, seconds / 2)
     begin, end = (tick / Run(file).info.tick_hz for tick in Run(file).span)
     found = []
