@@ -344,41 +344,38 @@ def told(device: Device) -> str:
 @watchdog("not-fed-by-requests", 7, "fed by ALIVE and by an *accepted* SETPOINT, by nothing else: not by")
 def not_fed_by_requests(device: Device) -> str:
     """Requests do not feed it."""
-    trips(device)  # where it is dead this would tell nothing more
-    device.arm()
-    first, last = device.unfed()
-    asked = 0
 
-    def ask() -> None:
-        nonlocal asked
-        asked += 1
+    def ask(_: int) -> None:
         device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 8, 0).pack())
 
-    trip = trip_after(device, DriveState.ARMED, first, last, ask)
-    words = f"{trip}, with {asked} requests meanwhile"
-    usual = max(each.least for each in trips(device))
-    if trip.least > usual + late(device) + trip.resolution:
-        raise Failed(f"{words}; without them {1e3 * usual:.0f} ms")
-    return words
+    return _not_fed(device, ask, "requests meanwhile")
 
 
 @watchdog("not-fed-by-rejected", 7, "not by telemetry, not by a rejected setpoint")
 def not_fed_by_rejected(device: Device) -> str:
     """Setpoints that are rejected do not feed it."""
-    trips(device)
+
+    def reject(sent: int) -> None:
+        setpoint = struct.pack("<BxHff", SetpointMode.SPEED, sent & 0xFFFF, 0.0, 0.0)
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, setpoint))
+
+    return _not_fed(device, reject, "setpoints meanwhile that are rejected in ARMED")
+
+
+def _not_fed(device: Device, send: Callable[[int], None], what: str) -> str:
+    """The watchdog trips in ARMED as soon as ever, although `send` is called again and again, with its count."""
+    trips(device)  # where it is dead this would tell nothing more
     device.arm()
     first, last = device.unfed()
     sent = 0
 
-    def reject() -> None:
+    def next_one() -> None:
         nonlocal sent
         sent += 1
-        device.probe.send(
-            device.probe.frame(MessageType.SETPOINT, struct.pack("<BxHff", SetpointMode.SPEED, sent, 0.0, 0.0))
-        )
+        send(sent)
 
-    trip = trip_after(device, DriveState.ARMED, first, last, reject)
-    words = f"{trip}, with {sent} setpoints meanwhile that are rejected in ARMED"
+    trip = trip_after(device, DriveState.ARMED, first, last, next_one)
+    words = f"{trip}, with {sent} {what}"
     usual = max(each.least for each in trips(device))
     if trip.least > usual + late(device) + trip.resolution:
         raise Failed(f"{words}; without them {1e3 * usual:.0f} ms")

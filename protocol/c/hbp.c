@@ -32,7 +32,7 @@ CHECK(pool_bytes, HBP_POOL_BYTES % 4 == 0 && HBP_POOL_BYTES >= 2 * (HBP_TX_MAX +
 CHECK(edges, (HBP_EDGES & (HBP_EDGES - 1)) == 0 && HBP_EDGES <= 32768);
 CHECK(hosts, HBP_HOSTS >= 1 && HBP_HOSTS <= 16);
 
-static const uint8_t widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
+const uint8_t hbp_widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
 
 /* ---- bytes --------------------------------------------------------------------------------------------------------------- */
 
@@ -611,7 +611,7 @@ static uint16_t choose(struct hbp *h, struct hbp_stream *s, const uint8_t *ids, 
         for (unsigned before = 0; before < k; before++)
             if (s->take[before] == at) return HBP_ERROR_BAD_VALUE;
         s->take[k] = at;
-        bytes += widths[config->channels[at].type];
+        bytes += hbp_widths[config->channels[at].type];
     }
     s->record_bytes = (uint16_t)bytes;
     return 0;
@@ -812,7 +812,7 @@ static void take(struct hbp *h, struct hbp_stream *s, uint32_t index, const uint
             const uint8_t *from = sample + channel->at;
             uint16_t half;
             uint32_t word;
-            switch (widths[channel->type]) {
+            switch (hbp_widths[channel->type]) {
             case 1:
                 *to++ = *from;
                 break;

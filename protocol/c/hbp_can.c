@@ -30,8 +30,6 @@ CHECK(messages, (HBP_CAN_MESSAGES & (HBP_CAN_MESSAGES - 1)) == 0 && HBP_CAN_MESS
 CHECK(streamed, (HBP_CAN_STREAMED & (HBP_CAN_STREAMED - 1)) == 0 && HBP_CAN_STREAMED >= 16 && HBP_CAN_STREAMED <= 32768);
 CHECK(transfers, HBP_CAN_TRANSFERS >= 2);
 
-static const uint8_t widths[] = {0, 1, 1, 2, 2, 4, 4, 4};
-
 static struct hbp_can *can_of(const struct hbp *h)
 {
     return (struct hbp_can *)(void *)h->link;
@@ -185,7 +183,7 @@ static uint32_t group(const struct hbp *h, const struct hbp_stream *s, unsigned 
 {
     uint32_t most = is_fd(can_of(h)) ? 60u : 6u, bytes = 0;
     while (*k < s->channels) {
-        uint32_t width = widths[h->config->channels[s->take[*k]].type];
+        uint32_t width = hbp_widths[h->config->channels[s->take[*k]].type];
         if (bytes + width > most) break;
         bytes += width;
         ++*k;

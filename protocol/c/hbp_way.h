@@ -27,6 +27,8 @@ struct hbp_way { /* how a device's messages and streams get onto its link */
     uint8_t counts_samples; /* 1: `seq` is the number of a block's first sample; 0: it counts blocks */
 };
 
+extern const uint8_t hbp_widths[]; /* bytes of each raw type */
+
 uint8_t *hbp_put16(uint8_t *to, uint32_t value);
 uint8_t *hbp_put32(uint8_t *to, uint32_t value);
 uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t flags);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,9 +17,9 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork, CanNetwork, Network
 from sim.ports.virtual import VirtualLink
+from tests.compilers import needs_compiler
 
 NAMES = ("hall", "theta_enc", "theta_vt", "i_q")
-needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
 
 
 def ran(network: Network | None) -> Collector:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import closing
@@ -32,10 +31,10 @@ from bench.errors import BenchError, UnsafeError
 from protocol.errors import LinkClosed, NoReply
 from protocol.links import Link
 from sim.ports.virtual import VirtualLink
+from tests.compilers import needs_compiler
 from tests.devices import FULL, serving
 from tests.devices.spec import State
 
-needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
 SPEC = Path(__file__).parents[2] / "protocol" / "SPEC.md"
 LEVELS = (0, 1, STREAMS, STATES, MOTION, CAN)
 

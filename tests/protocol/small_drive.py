@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.device.session import DeviceLink, DeviceSession, Identity, TxQueue
 from protocol.errors import Refused
 from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
@@ -80,6 +81,14 @@ def small_link(tx: TxQueue | None = None, **changes: object) -> tuple[DeviceLink
     """Return a link with one small drive that has booted."""
     link = DeviceLink(tx)
     app = SmallDrive()
+    session = link.add(app, identity(**changes))
+    link.advance(0)
+    return link, session, app
+
+
+def small_link_in_c(**changes: object) -> tuple[CompiledLink, CompiledSession, SmallDrive]:
+    """Return the same behind the device side in C."""
+    link, app = CompiledLink(), SmallDrive()
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app

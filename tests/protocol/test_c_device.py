@@ -1,9 +1,8 @@
-"""The device side in C: the vectors, and the same answers as the device side in Python to whatever comes."""
+"""The device side in C: frames in any pieces, and the same answers as the device side in Python to whatever comes."""
 
 from __future__ import annotations
 
 import json
-import shutil
 import struct
 import subprocess
 from pathlib import Path
@@ -13,16 +12,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, wire_of
+from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link_in_c, wire_of
 
-from protocol import messages
 from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import CanDevice
 from protocol.canmap.frame import CAN_RECORD, RECORD_BYTES, BusRates
 from protocol.canmap.host import CanWire
 from protocol.canmap.ids import CanClass
 from protocol.canmap.transport import CanCounters, Reassembler
-from protocol.device.compiled import SOURCE, CompiledLink, CompiledSession, compiler
+from protocol.device.compiled import SOURCE, CompiledLink, compiler
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.framing import ERROR, MAJOR, REPLY, Frame, encode_frame, parse_frame
@@ -31,7 +29,6 @@ from protocol.messages import (
     BlobRead,
     Command,
     Fault,
-    Feature,
     Hello,
     MessageType,
     ParamCommit,
@@ -46,23 +43,16 @@ from protocol.messages import (
     StreamStop,
     TimeSync,
 )
+from tests.compilers import needs_compiler
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 BOOT = 0xB0071D
-pytestmark = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+pytestmark = needs_compiler
 
 
 def cases(name: str) -> list:
     loaded = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))
     return [pytest.param(case, id=case["name"]) for case in loaded]
-
-
-def c_link(pool: int = 1 << 16, **changes: object) -> tuple[CompiledLink, CompiledSession, SmallDrive]:
-    """Return a link with one small drive in C that has booted."""
-    link, app = CompiledLink(pool), SmallDrive()
-    session = link.add(app, identity(**changes))
-    link.advance(0)
-    return link, session, app
 
 
 PRELUDE = """
@@ -101,7 +91,7 @@ def test_frames_are_found_or_counted_however_they_come(case: dict) -> None:
     good = case["verdict"] == "ok"
     step = 1 if len(wire) < 100 else 37
     for cut in range(0, len(wire) + 1, step):
-        link, session, _ = c_link()
+        link, session, _ = small_link_in_c()
         link.data_to_send()
         link.receive(wire[:cut])
         link.receive(wire[cut:])
@@ -110,40 +100,6 @@ def test_frames_are_found_or_counted_however_they_come(case: dict) -> None:
             assert link.data_to_send() == b""
         link.receive(b"\0" + wire_of(TimeSync(), 99))
         assert frames_in(link.data_to_send())[-1].tid == 99
-
-
-@pytest.mark.parametrize("case", cases("exchanges"))
-@pytest.mark.parametrize("fault", [False, True])
-def test_refusals(case: dict, fault: bool) -> None:
-    link, session, app = c_link()
-    if fault:
-        session.fault(Fault.OVERCURRENT)
-    link.data_to_send()
-    before = (dict(app.values), list(app.states))
-    for _ in range(2):
-        link.receive(bytes.fromhex(case["request_hex"]))
-        assert link.data_to_send().hex() == case["reply_hex"]
-    assert (app.values, app.states) == before
-
-
-@pytest.mark.parametrize("case", cases("sequences"))
-def test_sequences(case: dict) -> None:
-    link, _, app = c_link(features=Feature(case["features"]))
-    link.data_to_send()
-    for step in case["steps"]:
-        request = bytes.fromhex(step["request_hex"])
-        link.receive(request)
-        frames = frames_in(link.data_to_send())
-        replies = [frame for frame in frames if frame.is_reply]
-        if step["reply_hex"] is None:
-            (asked,) = frames_in(request)
-            assert [(f.type, f.tid, f.node, f.is_error) for f in replies] == [(asked.type, asked.tid, 1, False)]
-        else:
-            assert b"".join(map(encode_frame, replies)).hex() == step["reply_hex"]
-        events = [frame.payload for frame in frames if frame.type == messages.MessageType.EVENT]
-        rejected = [event for event in events if event[8] == messages.EventCode.SETPOINT_REJECTED]
-        assert b"".join(event[8:] for event in rejected).hex() == step["rejected_hex"]
-    assert not app.outputs_on
 
 
 # -- the same answers as the device side in Python ------------------------------------------------------------------

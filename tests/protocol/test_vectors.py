@@ -11,7 +11,7 @@ import can_rows
 import make_vectors
 import numpy as np
 import pytest
-from small_drive import frames_in, small_link
+from small_drive import frames_in, small_link, small_link_in_c
 from test_spec import KINDS
 from test_streams import decode_all, joined
 
@@ -25,6 +25,7 @@ from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, Feature, StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
 from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
+from tests.compilers import needs_compiler
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 
@@ -46,6 +47,12 @@ def batches(request: pytest.FixtureRequest) -> Callable[[Sequence], list]:
         return [items[n : n + step] for n in range(0, len(items), step)]
 
     return cut
+
+
+@pytest.fixture(params=[small_link, pytest.param(small_link_in_c, marks=needs_compiler)], ids=["Python", "C"])
+def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
+    """A link with a small drive, behind each device side."""
+    return request.param
 
 
 def check_counts(counters: object, expected: dict[str, int], names: str) -> None:
@@ -112,8 +119,8 @@ def test_every_message_has_a_vector() -> None:
 
 @pytest.mark.parametrize("case", cases("exchanges"))
 @pytest.mark.parametrize("fault", [False, True])
-def test_refusals(case: dict, fault: bool) -> None:
-    link, session, app = small_link()
+def test_refusals(case: dict, fault: bool, make: Callable[..., tuple]) -> None:
+    link, session, app = make()
     if fault:
         session.fault(Fault.OVERCURRENT)
     link.data_to_send()
@@ -125,8 +132,8 @@ def test_refusals(case: dict, fault: bool) -> None:
 
 
 @pytest.mark.parametrize("case", cases("sequences"))
-def test_sequences(case: dict) -> None:
-    link, _, app = small_link(features=Feature(case["features"]))
+def test_sequences(case: dict, make: Callable[..., tuple]) -> None:
+    link, _, app = make(features=Feature(case["features"]))
     link.data_to_send()
     for step in case["steps"]:
         request = bytes.fromhex(step["request_hex"])

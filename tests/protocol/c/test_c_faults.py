@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
 
 from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.messages import Command, DriveState, Fault, StateCommand
+from tests.compilers import needs_compiler
 from tests.protocol.small_drive import SmallDrive, frames_in, identity, wire_of
 
 BOOT = 0xB0071D
-pytestmark = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+pytestmark = needs_compiler
 
 
 class Failing(SmallDrive):
