@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from unittest.mock import patch
@@ -25,7 +26,7 @@ from tests.devices.device import Device
 from tests.devices.spec import Flag
 from tests.devices.vocabulary import Parameter, Vocabulary
 
-TARGET = "serial:/dev/ttyTEST"
+TARGET = f"serial:/dev/ttyTEST{os.getpid()}"  # a target is locked: no two processes of the tests have one
 WATCHDOG = 0.1875  # s, a float32
 RICH = replace(
     FULL.without("watchdog"),
