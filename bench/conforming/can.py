@@ -139,7 +139,7 @@ def ids_count(device: Device) -> str:
     return f"six replies have the transfer ids {', '.join(map(str, found))}"
 
 
-@bus("kept-transfer-id", 16, "A kept reply is", needs=0)
+@bus("kept-transfer-id", 16, "A kept reply is sent again with the transfer id that it had", needs=0)
 def kept_transfer_id(device: Device) -> str:
     """A kept reply comes again with the transfer id that it had."""
     probe = device.probe
@@ -235,7 +235,13 @@ def host_numbers(device: Device) -> str:
 # -- STOP -------------------------------------------------------------------------------------------------------------
 
 
-@bus("stop-frame", 16, "has the effect of STATE_CMD", needs=STATES, critical=True)
+@bus(
+    "stop-frame",
+    16,
+    "has the effect of STATE_CMD STOP at once, whatever its slot and data",
+    needs=STATES,
+    critical=True,
+)
 def stop_frame(device: Device) -> str:
     """A frame of class 0 to the device's node, or to node 0, ends ARMED and RUNNING."""
     words = []

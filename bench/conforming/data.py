@@ -244,7 +244,7 @@ def _streamed_both_ways(device: Device) -> Both:
     return forth, back, there, backwards
 
 
-@check("stop-sends", 11, "STREAM_STOP sends what")
+@check("stop-sends", 11, "STREAM_STOP sends what waits and makes it free again")
 def stop_sends(device: Device) -> str:
     """STREAM_STOP sends the block that is not full."""
     narrow = min(device.channels, key=width)

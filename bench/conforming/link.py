@@ -155,7 +155,7 @@ for _name, (_words, _made) in DAMAGE.items():
     _enter_damage(_name, _words, _made)
 
 
-@framing("damage-is-counted", 1, "or that is longer than")
+@framing("damage-is-counted", 1, "it counts each (a run of bytes without a delimiter: once)")
 def damage_is_counted(device: Device) -> str:
     """rx_bad counts each damaged frame."""
     probe, n = device.probe, len(DAMAGE)
