@@ -12,7 +12,7 @@
 #define KEPT 1024u /* edges and periods that are remembered, a power of two */
 
 struct config_told { /* how a stream was configured, by its cfg_id */
-    uint8_t known, event, channels, begun;
+    uint8_t known, missed, event, channels, begun; /* missed: its reply found no room */
     uint8_t ids[MANY];
     uint16_t decimation, block, seq;
     uint32_t next;
@@ -200,8 +200,8 @@ static void told(const uint8_t *body, size_t n)
     case HBP_TYPE_DATA:
     case HBP_TYPE_EDGES: {
         struct config_told *config = &node->told[get(body + 12, 2)];
-        REQUIRE(!can && n > 16 && (config->known || slow));
-        if (!config->known) break; /* its reply found no room */
+        REQUIRE(!can && n > 16 && (config->known || config->missed || slow));
+        if (!config->known) break;
         if (body[0] == HBP_TYPE_DATA) check_samples(node, config, body + 8, n);
         else check_edges(node, config, body + 8, n);
         break;
@@ -413,6 +413,9 @@ static void byte_step(void)
             drain(1u << 20);
             REQUIRE(link_->head == link_->tail);
             queue_tail = queue_head; /* replies that found no room */
+            for (unsigned k = 0; k < n_nodes; k++)
+                for (unsigned j = 0; j < HBP_STREAMS; j++)
+                    if (nodes[k].device->streams[j].configured) nodes[k].told[nodes[k].device->streams[j].cfg_id].missed = 1;
             slow = 0;
         }
     } else {
