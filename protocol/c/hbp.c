@@ -242,10 +242,12 @@ void hbp_fault(struct hbp *h, uint32_t faults)
     event(h, HBP_EVENT_FAULT, (float)fresh, 0.0f);
 }
 
-/* Only the interrupt writes `raised`, only the main loop `seen`. What has been seen is begun anew, with another count. */
+/* Only the interrupt writes `raised`, only the main loop `seen`. What has been seen is begun anew, with another count; it counts new
+ * bits only, so that it cannot come round to what has been seen however often a fault is raised. */
 void hbp_raise(struct hbp *h, uint32_t faults)
 {
     uint32_t raised = h->raised, before = raised == h->seen ? 0 : raised & FAULT_MASK;
+    if (!(faults & FAULT_MASK & ~before)) return;
     h->raised = ((raised & ~FAULT_MASK) + FAULT_MASK + 1u) | before | (faults & FAULT_MASK);
 }
 

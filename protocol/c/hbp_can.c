@@ -35,6 +35,12 @@ static struct hbp_can *can_of(const struct hbp *h)
     return (struct hbp_can *)(void *)h->link;
 }
 
+/* Time in units that last for days: of a quarter to half a millisecond. */
+static void set_clock(struct hbp_can *can, uint64_t now)
+{
+    can->now = (uint32_t)(now >> can->shift);
+}
+
 static int is_fd(const struct hbp_can *can)
 {
     return can->bus->data_bitrate != 0;
@@ -96,7 +102,7 @@ const struct hbp_can_frame *hbp_can_peek(struct hbp_can *can)
             const struct hbp_can_frame *frame = frame_at(can, queue, can->tail[queue]);
             HBP_BARRIER();
             can->from = (uint8_t)queue;
-            if (queue == MESSAGES || can->now - frame->stamp <= can->half_second) return frame;
+            if (queue == MESSAGES || can->now - frame->stamp <= can->most_age) return frame;
             hbp_can_gave_up(can);
             hbp_can_advance(can);
         }
@@ -284,7 +290,7 @@ static int can_edges(struct hbp *h, struct hbp_stream *s, uint16_t n)
     struct hbp_can *can = can_of(h);
     const struct hbp_hall_edge *edge = &h->ring[s->edge & (HBP_EDGES - 1u)];
     (void)n; /* a block is one edge */
-    if ((uint32_t)h->now - edge->tick > can->half_second && (int32_t)((uint32_t)h->now - edge->tick) > 0) {
+    if ((uint32_t)h->now - edge->tick > h->config->tick_hz / 2u && (int32_t)((uint32_t)h->now - edge->tick) > 0) {
         s->lost++;
         return 1;
     }
@@ -399,7 +405,7 @@ void hbp_can_rx(struct hbp_can *can, uint64_t now, uint32_t id, const uint8_t *d
         can->foreign++;
         return;
     }
-    can->now = (uint32_t)now;
+    set_clock(can, now);
     hbp_pass_time(h, now);
     if (class == STOP_CLASS) {
         hbp_stop(h);
@@ -418,7 +424,7 @@ void hbp_can_rx(struct hbp_can *can, uint64_t now, uint32_t id, const uint8_t *d
 
 void hbp_can_poll(struct hbp_can *can, uint64_t now)
 {
-    can->now = (uint32_t)now;
+    set_clock(can, now);
     if (can->base.first) hbp_advance(can->base.first, now);
 }
 
@@ -441,6 +447,7 @@ uint16_t hbp_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_c
     if (can->base.first || config->node > 15) return HBP_ERROR_BAD_VALUE;
     can->slots[0] = (uint8_t)(boot_id % 32u);
     can->slots[1] = (uint8_t)(boot_id % 16u);
-    can->half_second = config->tick_hz / 2u;
+    while (config->tick_hz >> can->shift > 4096u) can->shift++;
+    can->most_age = (config->tick_hz / 2u) >> can->shift;
     return hbp_join(&can->base, device, config, boot_id);
 }

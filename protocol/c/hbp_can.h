@@ -71,7 +71,8 @@ struct hbp_can {
     uint8_t next[16 + 3];             /* transfer ids */
     uint32_t clock, foreign, orphans, duplicates;
     struct hbp_transfer transfers[HBP_CAN_TRANSFERS];
-    volatile uint32_t now, half_second;
+    volatile uint32_t now, most_age; /* ticks, shifted */
+    uint8_t shift;
     volatile uint16_t head[2], tail[2]; /* of both queues */
     uint8_t from;                       /* the reader's: the queue of the frame that it was shown */
     struct hbp_can_frame messages[HBP_CAN_MESSAGES], streamed[HBP_CAN_STREAMED];

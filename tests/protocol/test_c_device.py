@@ -37,6 +37,7 @@ from protocol.messages import (
     Request,
     Setpoint,
     StateCommand,
+    StreamEvent,
     StreamGet,
     StreamSet,
     StreamStart,
@@ -324,3 +325,48 @@ def test_same_frames_as_in_python_on_can(steps: list, rates: BusRates, extended:
         assert our_frames == their_frames
         assert same(our_messages, their_messages), (our_messages, their_messages)
         assert c.session.bad == python.counters.bad
+
+
+@pytest.mark.parametrize("rates", [CLASSIC, FD], ids=["classic", "FD"])
+@pytest.mark.parametrize("kind", [CanDevice, CompiledCan])
+@pytest.mark.parametrize("away", [0.4, 0.6, 60.0, 2**32 / 20e6, 2**32 / 20e6 + 0.1])
+def test_after_a_bus_that_was_away_comes_nothing_old(kind: type, away: float, rates: BusRates) -> None:
+    """However long it was: a counter of 32 bits of ticks has come round by the last but one."""
+    device, wire = kind(SmallDrive(), identity(), rates, False), CanWire(rates, 1)
+    device.advance(0)
+    config = StreamSet(0, StreamEvent.PWM, 1 if rates.fd else 8, 0, (1, 2))
+    for tid, message in enumerate((config, StreamStart(1 << 0)), start=1):
+        device.receive(wire.encode(Frame(int(message.TYPE), MAJOR, tid, 1, message.pack())))
+    while device.take():
+        pass
+    tick = 0
+    for period in range(0, 160, 16):
+        device.session.push_samples(period, period * TICKS, samples(period, 16))
+        tick = (period + 15) * TICKS
+        device.advance(tick)
+    tick += round(away * 20e6)
+    device.advance(tick)
+    classes = [number >> 8 & 7 for number, _, _ in can_rows.parts(b"".join(iter(device.take, b"")))]
+    assert CanClass.STATUS in classes  # the heartbeat
+    assert (max(classes) >= CanClass.SAMPLES) == (away < 0.5)
+
+
+def test_a_fault_raised_any_number_of_times_is_seen(tmp_path: Path) -> None:
+    """Between two polls the interrupt may raise faults over and over; none is lost, whatever the count."""
+    (tmp_path / "raise.c").write_text("""
+#include <stdio.h>
+#include "hbp.h"
+static struct hbp h;
+int main(void)
+{
+    for (unsigned n = 1; n < 1100; n++) {
+        h.raised = h.seen = n << 24 | 5u; /* the same faults, seen before */
+        for (unsigned k = 0; k < n; k++) hbp_raise(&h, k % 2 ? 4u : 1u);
+        if (h.raised == h.seen || (h.raised & 0xFFFFFFu) != (n > 1 ? 5u : 1u)) return printf("%u: %x\\n", n, h.raised), 1;
+    }
+    return 0;
+}
+""")
+    program = tmp_path / "raise"
+    subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "raise.c", SOURCE / "hbp.c", "-o", program], check=True)
+    subprocess.run([program], check=True)
