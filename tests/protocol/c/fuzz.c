@@ -163,14 +163,21 @@ static void check_heartbeat(struct node *node, const uint8_t *payload, size_t n)
     node->dropped = get(payload + 20, 4);
 }
 
+/* Whether a reply to HELLO has the nonce of another. */
+static int other_hello(const struct asked *asked, const uint8_t *body)
+{
+    return body[0] == HBP_TYPE_HELLO && !(body[1] & 0x20u) && get(body + 8, 4) != get(asked->payload, 4);
+}
+
 static void check_reply(struct node *node, const uint8_t *body, size_t n)
 {
     const struct asked *asked = &queue[queue_tail % 64u];
     for (;; asked = &queue[queue_tail % 64u]) {
         REQUIRE(queue_head != queue_tail); /* nobody asked: an answer to damage, say */
         queue_tail++;
-        if (asked->type == body[0] && asked->tid == get(body + 2, 2) && asked->node == body[6]) break;
-        REQUIRE(slow);
+        if (asked->type == body[0] && asked->tid == get(body + 2, 2) && asked->node == body[6] && !(slow && other_hello(asked, body)))
+            break;
+        REQUIRE(slow); /* the reply to this one found no room */
     }
     n_replies++;
     if (body[1] & 0x20u) {
@@ -485,11 +492,12 @@ static void check_can_samples(const struct hbp_can_frame *f)
     const struct node *node = &nodes[0];
     uint32_t slot = (((f->id >> 8 & 7u) - 5u) << 4) | (f->id & 15u), most = bus.data_bitrate ? 60u : 6u;
     unsigned counter = bus.data_bitrate ? 4u : 2u;
-    for (unsigned k = 0; k < HBP_STREAMS; k++) {
-        const struct hbp_stream *s = &node->device->streams[k];
+    for (unsigned k = 0; k < 2 * HBP_STREAMS; k++) { /* one that is configured, else one that was: its slots may be another's */
+        const struct hbp_stream *s = &node->device->streams[k % HBP_STREAMS];
         const uint8_t *at = f->data + counter;
         uint32_t number, index;
         unsigned from = 0, to = 0, groups = (slot - s->slot) & 31u;
+        if (s->configured != (k < HBP_STREAMS)) continue;
         if (!s->decimation || s->event != HBP_STREAM_PWM || groups >= s->groups) continue;
         for (unsigned g = 0; g <= groups; g++) {
             unsigned bytes = 0;
