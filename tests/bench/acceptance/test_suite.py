@@ -15,6 +15,12 @@ from accepting import Accepting
 from benches import on_an_unkind_bench
 
 from bench.acceptance.results import Verdict, tightest
+from protocol.device.compiled import CompiledLink
+from sim.config.params import BenchParams
+from sim.ports.device import SimulatedDevice
+from sim.ports.networks import ByteNetwork
+from sim.ports.virtual import VirtualLink
+from tests.compilers import needs_compiler
 
 SOME = "hall_wire_broken or hall_glitches or torque_constant or fig09"  # noise, draws of the sensors, parameters
 IDEAL_HALL = "[hall]\ndelta_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nhysteresis_deg = 0.0\njitter_deg = 0.0\n"
@@ -49,8 +55,23 @@ def test_an_untouched_drive_passes_everything_and_everything_is_explained(accept
     assert repr(some) == repr({name: run.measured[name] for name in some})
 
 
-@pytest.mark.parametrize("better", BETTER)
-def test_a_drive_that_is_better_passes_and_is_nowhere_near_a_limit_for_that(better: str, accepting: Accepting) -> None:
+def behind_c(params: BenchParams, seed: int = 0) -> VirtualLink:
+    """As `VirtualLink.of`, but its device side is the one in C."""
+    return VirtualLink(SimulatedDevice(params, seed, network=ByteNetwork(CompiledLink(1 << 21))))
+
+
+@pytest.mark.parametrize(
+    ("better", "compiled"),
+    [
+        ("ideal Hall sensors", False),
+        pytest.param("no noise, ideal inverter", True, marks=needs_compiler, id="no noise, ideal inverter, behind C"),
+    ],
+)
+def test_a_drive_that_is_better_passes_and_is_nowhere_near_a_limit_for_that(
+    better: str, compiled: bool, accepting: Accepting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if compiled:
+        monkeypatch.setattr(VirtualLink, "of", behind_c)
     Path("better.toml").write_text(BETTER[better])
     run = accepting(config=Path("better.toml"))
     assert {name: m.value for name, m in run.measured.items() if m.verdict is not Verdict.PASS} == {}
