@@ -438,6 +438,7 @@ class Client:
         watch = self._watches.setdefault(node, _Watch())
         if watch.feed and not on and watch.last_alive > -1e8:
             watch.longest = max(watch.longest, self.now() - watch.last_alive)
+            self._note_pause(self.now() - self._polled)
         watch.feed = on
         if on:
             watch.last_alive, watch.longest, watch.pause = -1e9, 0.0, 0.0

@@ -365,6 +365,10 @@ def test_a_watchdog_that_this_host_starved_is_laid_at_its_door(network: str) -> 
     bench.drive.clear_faults()
     bench.turn(50.0)  # feeding begins anew
     assert bench.client.starved(1) == ""
+    bench.client.run_for(0.1)
+    link.device.advance(round(0.43 * 16000))
+    bench.client.feed(1, on=False)  # what stops the drive comes first
+    assert re.fullmatch(words, bench.client.starved(1))
 
 
 # -- recordings that fail ---------------------------------------------------------------------------------------------

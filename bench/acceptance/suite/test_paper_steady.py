@@ -399,6 +399,7 @@ def test_fig08_steady(
         drive.observe(observer)
         settle(record, speed, within=0.1)
         steady[observer] = whole_turns(record(1.5 * turns_for_thd(drive, speed)))
+    drive.stop()  # what follows takes longer than the watchdog
     std = {}
     for observer, capture in steady.items():
         error, words = error_deg(capture, observer), WORDS[observer]

@@ -281,6 +281,7 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
         settle(record, low)
         step = around(record, 0.1, lambda: drive.speed(high * RPM), 0.65 + until)
         runs[observer] = from_reference(step, low, observer)
+    drive.stop()  # what follows may take longer than the watchdog
     stds = {}
     for observer, run in runs.items():
         word = WORDS[observer]
@@ -335,6 +336,7 @@ def test_fig11_load_step(
         settle(record, speed)
         step = around(record, before, lambda: load.torque(amperes * drive.torque_constant), 1.0)
         runs[observer] = from_dip(step, 0.8 * before, observer)
+    drive.stop()  # what follows may take longer than the watchdog
     stds = {}
     for observer, run in runs.items():
         word = WORDS[observer]
@@ -425,6 +427,7 @@ def test_fig12_load_angle(
     for name, share in (("less_L", LESS), ("more_L", MORE)):
         wrong = step(f"shift.{name}", share, 0.0) - own_shift
         step(f"compensated.{name}", share, -wrong / effect if effect else k_ic)
+    drive.stop()  # as in Fig. 10
     own = runs["shift"].part(0.2)
     captures = [run.capture for run in runs.values()]
     psi_f = drive.parameters["psi_f_hat"]
