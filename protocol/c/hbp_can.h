@@ -36,10 +36,10 @@ extern "C" {
 #define HBP_CAN_MESSAGES 32 /* frames of messages that can wait, a power of two; the longest reply must fit in half of them */
 #endif
 #ifndef HBP_CAN_STREAMED
-#define HBP_CAN_STREAMED 32 /* frames of streams that can wait, a power of two, 16 at least */
+#define HBP_CAN_STREAMED 16 /* frames of streams that can wait, a power of two, 16 at least */
 #endif
 #ifndef HBP_CAN_TRANSFERS
-#define HBP_CAN_TRANSFERS 4 /* identifiers of which transfers come in at the same time: 2 and one or two for each host */
+#define HBP_CAN_TRANSFERS (2 + HBP_HOSTS) /* transfers that come in at the same time: ALIVE, SETPOINT, and each host's requests */
 #endif
 
 #define HBP_CAN_EXTENDED 0x80000000u /* bit of `id`: 29 bits */
