@@ -39,7 +39,7 @@ extern "C" {
 #define HBP_CAN_STREAMED 16 /* frames of streams that can wait, a power of two, 16 at least */
 #endif
 #ifndef HBP_CAN_TRANSFERS
-#define HBP_CAN_TRANSFERS (2 + HBP_HOSTS) /* transfers that come in at the same time: ALIVE, SETPOINT, and each host's requests */
+#define HBP_CAN_TRANSFERS 3 /* transfers that come in at the same time, two more than hosts: ALIVE, SETPOINT, each host's requests */
 #endif
 
 #define HBP_CAN_EXTENDED 0x80000000u /* bit of `id`: 29 bits */
