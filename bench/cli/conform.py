@@ -59,7 +59,7 @@ def command(
     unknown, never passed; the claim at the end names it.
 
     Exit codes: 0 no check failed, 1 a check failed or the link was lost, 2 a wrong argument or an error, 5 outputs may
-    still be on, 130 interrupted.
+    still be on, 6 none failed, but a level was run and is not shown (START was refused), 130 interrupted.
 
     \b
     Examples:

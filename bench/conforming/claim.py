@@ -16,17 +16,22 @@ from protocol import __version__
 from protocol.framing import MAJOR, MINOR
 from protocol.text import counted
 
-FAILED, UNSAFE = 1, 5  # exit codes
+FAILED, UNSAFE, INCOMPLETE = 1, 5, 6  # exit codes
 
 
 @dataclass(frozen=True)
 class Claim:
-    """`level`: the highest one that was seen, -1 for none; `conforms` is None where nothing can be said."""
+    """`level`: the highest one that was shown, -1 for none; `conforms` is None where nothing can be said.
+
+    A level is shown if checks of it passed, those without which it is nothing (`Check.critical`) among them. `missing`:
+    what was run, and is not shown for that.
+    """
 
     level: int
     conforms: bool | None
     words: str
     untested: tuple[str, ...]
+    missing: tuple[str, ...]
 
     @property
     def verdict(self) -> str:
@@ -36,9 +41,11 @@ class Claim:
 
 def claim(run: Run) -> Claim:
     """What can be said of the device after a run."""
-    seen = [number for number in range(MOTION + 1) if _passed(run.results, number)]
-    level = next((n - 1 for n in range(MOTION + 2) if n not in seen), MOTION)
-    untested = [f"level {n} ({LEVELS[n]})" for n in range(level + 1, MOTION + 1)]
+    tested = [number for number in range(MOTION + 1) if _passed(run.results, number)]
+    missing = {number: found for number in range(len(LEVELS)) if (found := _missing(run.results, number))}
+    level = next((n - 1 for n in range(MOTION + 2) if n not in tested or n in missing), MOTION)
+    untested = [f"level {n} ({LEVELS[n]})" for n in range(level + 1, MOTION + 1) if n not in tested]
+    not_shown = [f"level {n} ({LEVELS[n]}), for want of {', '.join(ids)}" for n, ids in missing.items()]
     failed, unknown = _ids(run.results, Verdict.FAILED), _ids(run.results, Verdict.UNKNOWN)
     passed = run.count(Verdict.PASSED)
     if failed:
@@ -52,14 +59,22 @@ def claim(run: Run) -> Claim:
         )
     else:
         conforms = True
-        on_can = ", on CAN" if _passed(run.results, CAN) else ""
+        on_can = ", on CAN" if _passed(run.results, CAN) and CAN not in missing else ""
         words = f"conforms to HBP {MAJOR}.{MINOR} at level {level}{on_can}: {counted(passed, 'check')} passed"
     if unknown:
         few = ", ".join(unknown[:6]) + (f" and {len(unknown) - 6} more" if len(unknown) > 6 else "")
         words += f", {len(unknown)} unknown: {few}"
+    if not_shown:
+        words += f"; not shown: {'; '.join(not_shown)}"
     if untested:
         words += f"; not tested: {', '.join(untested)}"
-    return Claim(level, conforms, words, tuple(untested))
+    return Claim(level, conforms, words, tuple(untested), tuple(not_shown))
+
+
+def _missing(results: Sequence[Result], level: int) -> list[str]:
+    """Checks without which the level is nothing, and of which nothing was seen."""
+    found = (result for result in results if result.check.level == level and result.check.critical)
+    return [result.check.id for result in found if result.verdict is Verdict.UNKNOWN]
 
 
 def _passed(results: Sequence[Result], level: int) -> bool:
@@ -76,7 +91,9 @@ def exit_code(run: Run) -> int:
         return UNSAFE
     if run.count(Verdict.FAILED) or run.troubles or (run.ended and not run.signal):
         return FAILED
-    return 128 + run.signal if run.signal else 0
+    if run.signal:
+        return 128 + run.signal
+    return INCOMPLETE if claim(run).missing else 0
 
 
 def about(run: Run, station: dict[str, Any], started: str) -> dict[str, Any]:
@@ -94,6 +111,7 @@ def as_data(run: Run, about_run: dict[str, Any]) -> dict[str, Any]:
         "conforms": found.conforms,
         "conforms_at_level": found.level if found.conforms else None,
         "not_tested": list(found.untested),
+        "not_shown": list(found.missing),
         "counts": {str(verdict): run.count(verdict) for verdict in Verdict},
         "ended_early": run.ended,
         "outputs_may_be_on": run.unsafe,

@@ -172,8 +172,9 @@ class Device:
         """Those that have these flags and not those. NotApplicable where there are none."""
         found = [p for p in self.descriptor.parameters if p.flags & flags == flags and not p.flags & without]
         if not found:
-            names = " and ".join(flag.name or "" for flag in Flag if flag & flags) or "settable"
-            raise NotApplicable(f"no parameter is {names}")
+            names = " and ".join(flag.name or "" for flag in Flag if flag & flags)
+            which = " that can be set" if without & Flag.READ_ONLY else ""
+            raise NotApplicable(f"no parameter{which} is {names or 'there'}")
         return found
 
     def parameter(self, record: Channel) -> ParamReply:

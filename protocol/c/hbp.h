@@ -49,6 +49,7 @@
  *
  *     static const struct hbp_config config = {
  *         .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES, .tick_hz = 170000000, .pwm_hz = 20000,
+ *         .tick0 = FIRST_TICK,  // of the timer at the first call of hbp_tick
  *         .name = "my drive", .firmware = "1.0", .serial = "0123456789abcdef01234567", .build = "1a2b3c4",
  *         .channels = channels, .n_channels = 3, .parameters = parameters, .n_parameters = 3,
  *         .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
@@ -107,7 +108,10 @@
 extern "C" {
 #endif
 
-/* ---- options: set them on the command line, or in a file named by -DHBP_OPTIONS='"my_options.h"' -------------------------- */
+/* ---- options: on the command line, or in a file named by -DHBP_OPTIONS='"my_options.h"' -------------------------------------
+ *
+ * They make the size of the structures below: they must be the same for every file that includes this one, hbp.c too.
+ */
 
 #ifdef HBP_OPTIONS
 #include HBP_OPTIONS
@@ -119,7 +123,7 @@ extern "C" {
 #define HBP_TX_MAX 256 /* payload of the largest frame sent, 128 to 1024 */
 #endif
 #ifndef HBP_TX_BYTES
-#define HBP_TX_BYTES 1024 /* transmit queue of a link, a power of two, twice HBP_TX_MAX at least */
+#define HBP_TX_BYTES 1024 /* transmit queue of a link: a power of two, 2 * (HBP_TX_MAX + 24) at least */
 #endif
 #ifndef HBP_CHANNELS
 #define HBP_CHANNELS 16 /* channels of a device, at most */
@@ -128,7 +132,7 @@ extern "C" {
 #define HBP_POOLS 2 /* streams of samples that a device can have at once, 1 to 4 */
 #endif
 #ifndef HBP_POOL_BYTES
-#define HBP_POOL_BYTES 640 /* room for the blocks of one: twice HBP_TX_MAX at least */
+#define HBP_POOL_BYTES 640 /* room for the blocks of one: a multiple of 4, 2 * (HBP_TX_MAX + 4) at least */
 #endif
 #ifndef HBP_EDGES
 #define HBP_EDGES 16 /* Hall edges that can wait, a power of two */
@@ -328,9 +332,10 @@ struct hbp_config {
     uint8_t node;               /* 1 … ; on CAN at most 15 */
     uint8_t role;
     uint32_t features;          /* HBP_FEATURE_EDGES, HBP_FEATURE_COMMIT */
-    uint32_t tick_hz, pwm_hz;   /* tick_hz is a multiple of pwm_hz */
-    uint64_t tick0;             /* tick of PWM period 0, the first call of hbp_tick */
-    const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes; serial and build may be null */
+    uint32_t tick_hz, pwm_hz;   /* ticks in a second, a multiple of pwm_hz; calls of hbp_tick in a second */
+    uint64_t tick0;             /* tick of PWM period 0, the first call of hbp_tick: by it samples lie beside edges */
+    const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes, what is longer is cut; all but the
+                                                     name may be null */
     const struct hbp_channel *channels;
     const struct hbp_parameter *parameters;
     uint16_t n_channels, n_parameters;
@@ -450,7 +455,10 @@ struct hbp_link { /* a byte link */
 /* A byte link that carries `bytes_per_s`; 0 where that is not known. */
 void hbp_link_init(struct hbp_link *link, float bytes_per_s);
 
-/* Add a device; the first one answers to node 0. 0, or why not: HBP_ERROR_BAD_VALUE (a table or a number that SPEC does not allow). */
+/* Add a device; the first one answers to node 0. It returns 0, or HBP_ERROR_BAD_VALUE, and the device stays silent: node 0 or one that is
+ * there already; a name of a device, channel or parameter that is empty or longer than 16; an id or a name that comes twice; a type that
+ * there is not; a scale of 0; a range upside down; more channels than HBP_CHANNELS; tick_hz that is no multiple of pwm_hz; enter,
+ * setpoint or outputs_on missing; a parameter without `value`, where there is no `get`. */
 uint16_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id);
 
 /* Take bytes that have come, cut anywhere. `now`: 64-bit tick. */

@@ -28,8 +28,9 @@ from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
 from bench.conforming.run import Options, Run, conform
 from bench.conforming.verdicts import Verdict
 from bench.errors import BenchError, UnsafeError
-from protocol.errors import LinkClosed, NoReply
+from protocol.errors import LinkClosed, NoReply, Refused
 from protocol.links import Link
+from protocol.messages import DriveState, ErrorCode
 from sim.ports.virtual import VirtualLink
 from tests.compilers import needs_compiler
 from tests.devices import FULL, serving
@@ -107,6 +108,28 @@ def test_what_was_not_seen_is_unknown_and_the_claim_names_it() -> None:
         found.words,
     )
     assert exit_code(run) == 0
+
+
+def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = simulated()
+    enter = device.drive.app.enter_state
+
+    def refusing(state: DriveState) -> None:
+        if state is DriveState.RUNNING:
+            raise Refused("no supply", ErrorCode.NOT_SUPPORTED, 42)
+        enter(state)
+
+    monkeypatch.setattr(device.drive.app, "enter_state", refusing)
+    run = on_simulated(STATES, device)
+    assert not ended(run, Verdict.FAILED)
+    assert {"state.stop-obeyed", "watchdog.trips"} <= set(ended(run, Verdict.UNKNOWN))
+    found = claim(run)
+    assert (found.level, found.conforms, exit_code(run)) == (STREAMS, True, 6)
+    assert found.words.startswith("conforms to HBP 1.0 at level 2: ")
+    assert found.words.endswith(
+        "; not shown: level 3 (states and setpoints), for want of state.stop-obeyed, watchdog.trips; "
+        "not tested: level 4 (motion)"
+    )
 
 
 def test_streams_that_somebody_left_are_there_again() -> None:

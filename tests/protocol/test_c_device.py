@@ -62,6 +62,7 @@ void power_stage(int on); uint8_t power_stage_is_on(void); void use_speed(float 
 size_t uart_received(const uint8_t **bytes); size_t uart_send(const uint8_t *bytes, size_t n); uint64_t ticks(void);
 uint32_t timer(void); void measure_and_control(void *sample); uint32_t captured(void); uint8_t code_before(void);
 uint8_t code_after(void); uint16_t encoder(void); void pwm_interrupt(void); void capture_interrupt(void);
+#define FIRST_TICK 8500
 """
 
 
@@ -354,7 +355,6 @@ def test_after_a_bus_that_was_away_comes_nothing_old(kind: type, away: float, ra
 def test_a_fault_raised_any_number_of_times_is_seen(tmp_path: Path) -> None:
     """Between two polls the interrupt may raise faults over and over; none is lost, whatever the count."""
     (tmp_path / "raise.c").write_text("""
-#include <stdio.h>
 #include "hbp.h"
 static struct hbp h;
 int main(void)
@@ -362,7 +362,7 @@ int main(void)
     for (unsigned n = 1; n < 1100; n++) {
         h.raised = h.seen = n << 24 | 5u; /* the same faults, seen before */
         for (unsigned k = 0; k < n; k++) hbp_raise(&h, k % 2 ? 4u : 1u);
-        if (h.raised == h.seen || (h.raised & 0xFFFFFFu) != (n > 1 ? 5u : 1u)) return printf("%u: %x\\n", n, h.raised), 1;
+        if (h.raised == h.seen || (h.raised & 0xFFFFFFu) != (n > 1 ? 5u : 1u)) return 1;
     }
     return 0;
 }
@@ -375,8 +375,6 @@ int main(void)
 def test_its_own_divisions_are_right(tmp_path: Path) -> None:
     """Against the compiler's, for indices and ticks of any size."""
     (tmp_path / "divide.c").write_text("""
-#include <stdio.h>
-#include <stdlib.h>
 #include "hbp.c"
 static uint64_t state = 1;
 static uint64_t draw(void)
