@@ -20,6 +20,8 @@ either = Group("stream", STREAMS)
 
 RATE = 400.0  # Hz of samples that are looked at one by one
 WATCHED = 0.4  # s
+SYNCED = 0.005  # s between two TIME_SYNCs
+AHEAD, BEHIND = 0.002, 0.005  # s that a device may need from a sample to its frame, and from a frame to the link
 MASK = 0xFFFFFFFF
 UNREAD = (0.6, 2.0, 4.0)  # s for which the link is not read, one after the other, until frames are dropped
 SETTLE = 0.5  # s after that in which what waited is read
@@ -113,6 +115,45 @@ def tick_of_index(device: Device) -> str:
     newest = now - unwrapped(blocks[-1].index, now)
     rule = f"tick0 {tick0} + index * {ticks} each"
     return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
+
+
+@check("tick-is-now", 11, "A sample's tick is the time at which it was taken, by the clock of TIME_SYNC")
+def tick_is_now(device: Device) -> str:
+    """No sample is younger than the TIME_SYNC after it, and the newest ones are as old as the TIME_SYNC before them."""
+    told = device.configure(0, ids(device.channels[:1]), RATE)
+    step = told.asked.decimation * device.ticks_per_period
+    device.start_streams(1)
+    asked: list[tuple[int, int]] = []  # how much had been heard when it was answered, and its tick
+    for _ in range(round(2 * WATCHED / SYNCED)):
+        _, tick = device.probe.tick()
+        asked.append((len(device.probe.heard), tick))
+        device.probe.listen(SYNCED)
+    if any(after < before for (_, before), (_, after) in pairwise(asked)):
+        raise Unknown("the tick of TIME_SYNC goes back")
+    ahead, behind = [], []
+    for block in device.streamed(0, SYNCED):
+        newest = block.tick + (block.n - 1) * step
+        before = [tick for place, tick in asked if place <= block.place]
+        after = [tick for place, tick in asked if place > block.place]
+        behind += [_signed(before[-1] - newest)] if before else []
+        ahead += [_signed(newest - after[0])] if after else []
+    if not ahead or not behind:
+        raise Unknown("no frame came between two TIME_SYNCs")
+    period, early, late = device.ticks_per_period, max(ahead), min(behind)
+    if early > period + AHEAD * device.hz:
+        raise Failed(
+            f"a sample came whose tick is {1e3 * early / device.hz:.1f} ms later than that of a TIME_SYNC after it"
+        )
+    if late > period + BEHIND * device.hz:
+        raise Failed(
+            f"the newest sample of every frame is {1e3 * late / device.hz:.1f} ms older than a TIME_SYNC before it"
+        )
+    return f"the newest sample of {len(behind)} frames lies between the TIME_SYNCs before and after it"
+
+
+def _signed(ticks: int) -> int:
+    """A difference of ticks of 32 bits."""
+    return ((ticks + (1 << 31)) & MASK) - (1 << 31)
 
 
 @check("no-gaps", 11, "DISCONTINUITY says that the index jumps although no frame was lost")

@@ -61,6 +61,8 @@ TO_STREAMS = {
     "cfg-id-stale": "stream.cfg-id-in-frames",
     "index-odd": "stream.index-divisible",
     "sample-tick-back": "stream.tick-of-index",
+    "samples-of-the-past": "stream.tick-is-now",
+    "samples-of-the-future": "stream.tick-is-now",
     "channels-sorted": "stream.channel-order",
     "stop-drops": "stream.stop-sends",
     "drop-uncounted": "stream.tx-dropped",
