@@ -357,6 +357,12 @@ class LiveRun:
         """Result and exit code of a run that came to its end: nothing that was not seen is called ok."""
         if not stats.samples_seen:
             return "no samples came", 1
+        if self._silent:
+            return f"no samples came in the last {self.client.now() - self._last_samples[1]:.1f} s", 1
+        if self.drive.number not in self.client.heartbeats:
+            return "no heartbeat came", 1
+        if misdated := stats.misdated(self.drive.identity.tick_hz):
+            return f"{IMPLAUSIBLE}: {misdated}", 1
         if self._judge is None:
             return "ok", 0
         if implausible := self._judge.implausible(stats.errors):

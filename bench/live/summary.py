@@ -27,6 +27,9 @@ from protocol.text import counted
 PAUSE = WATCHDOG  # s in which this program did not run, from which on a summary says so
 
 
+MISDATED = 0.1  # s by which all samples are off the heartbeats around them, beyond which their time is wrong
+
+
 class RunStatistics(Sink):
     """Sink that keeps the figures of a run; bounded memory. `segment` names the part of the run that is going on."""
 
@@ -43,11 +46,15 @@ class RunStatistics(Sink):
         self.host_differ = 0
         self.mean: dict[str, float] = {}  # over the last chunk
         self._observers = observers
+        self._newest = 0  # tick of the newest sample since the heartbeat before, 0: none came
+        self._ages: list[int] = []  # ticks from there to each heartbeat: least and most
 
     def samples(self, chunk: SampleChunk) -> None:
         """Count, and add position errors of the samples taken while the drive was running."""
         n = len(chunk)
         self.samples_seen += n
+        if n:
+            self._newest = int(chunk.tick[-1])
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
@@ -75,6 +82,21 @@ class RunStatistics(Sink):
             return
         self.device.add(heartbeat)
         self.faults |= heartbeat.faults  # its event may have been lost with the link
+        if self._newest:
+            age = heartbeat.tick - self._newest
+            self._ages = [min(age, *self._ages), max(age, *self._ages)] if self._ages else [age, age]
+            self._newest = 0
+
+    def misdated(self, tick_hz: int) -> str:
+        """What is wrong with the samples' times by the drive's own clock; '' if nothing is."""
+        least, most = (age / tick_hz for age in self._ages or (0, 0))
+        if -MISDATED <= most and least <= MISDATED:
+            return ""
+        off, where = (least, "past") if least > MISDATED else (-most, "future")
+        return (
+            f"samples are dated {off:.2g} s in the {where} by the drive's own clock: tick0 or pwm_hz is not what it "
+            "says, or not every PWM period is one of its samples'"
+        )
 
     def event(self, node: int, event: DeviceEvent) -> None:
         """Remember faults."""

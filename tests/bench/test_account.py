@@ -28,6 +28,7 @@ from protocol.errors import LinkError
 from protocol.messages import DriveState, Fault, MessageType
 from protocol.streams import SampleChunk
 from sim.ports.device import SimulatedDevice
+from tests.devices import FULL, serving
 
 PERIOD = 1250  # ticks
 
@@ -369,6 +370,42 @@ def test_a_watchdog_that_this_host_starved_is_laid_at_its_door(network: str) -> 
     link.device.advance(round(0.43 * 16000))
     bench.client.feed(1, on=False)  # what stops the drive comes first
     assert re.fullmatch(words, bench.client.starved(1))
+
+
+# -- telemetry that cannot be believed --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("fault", "words"), [("past", "past"), ("future", "future")])
+def test_samples_that_are_not_of_now_are_implausible(fault: str, words: str) -> None:
+    with serving(FULL, [f"samples-of-the-{fault}"], carrier="bytes") as device:
+        ended = run(device.link, speed_rpm=None, duration=1.0)
+    assert ended.exit_code == 1
+    assert re.match(
+        rf"implausible: samples are dated 0\.\d+ s in the {words} by the drive's own clock: tick0", ended.summary.result
+    )
+    with serving(FULL, carrier="bytes") as device:
+        assert run(device.link, speed_rpm=None, duration=1.0).summary.result == "ok"
+
+
+def test_a_drive_without_a_heartbeat_is_not_ok() -> None:
+    class WithoutHeartbeats(WatchedLink):
+        def read(self, timeout: float, settle: float = 0.0) -> bytes:
+            frames = super().read(timeout, settle).split(b"\0")
+            return b"\0".join(raw for raw in frames if not (raw and cobs.decode(raw)[0] == MessageType.HEARTBEAT))
+
+    ended = run(WithoutHeartbeats(simulated()), speed_rpm=None, duration=1.0)
+    assert (ended.summary.result, ended.exit_code) == ("no heartbeat came", 1)
+
+
+def test_a_drive_that_falls_silent_before_the_end_is_not_ok() -> None:
+    class FallsSilent(WatchedLink):
+        def read(self, timeout: float, settle: float = 0.0) -> bytes:
+            data = super().read(timeout, settle)
+            return data if self.clock() < 1.0 else b""
+
+    ended = run(FallsSilent(simulated()), speed_rpm=None, duration=4.0)
+    assert ended.exit_code == 1
+    assert re.fullmatch(r"no samples came in the last [34]\.\d s", ended.summary.result)
 
 
 # -- recordings that fail ---------------------------------------------------------------------------------------------

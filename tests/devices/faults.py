@@ -722,11 +722,11 @@ _streams("channels-sorted", ChannelsSorted)
 
 
 class SamplesOfThePast(Stream):
-    """Indices and ticks of samples are those of 18 samples before: they do not lie beside edges and events."""
+    """Indices and ticks of samples are those of 120 samples before: they do not lie beside edges and events."""
 
     def frame(self, records: list[Record]) -> tuple[Type, bytes]:
         (index, tick, data), *rest = records
-        late = 0 if self.edges else 18 * self.decimation
+        late = 0 if self.edges else 120 * self.decimation
         return super().frame([(index - late, tick - 1000 * late, data), *rest])
 
 
@@ -735,12 +735,12 @@ _streams("samples-of-the-past", SamplesOfThePast)
 
 @fault("samples-of-the-future")
 class SamplesOfTheFuture(Device):
-    """Samples have ticks that are 10 ms late, as `tick0` is."""
+    """Samples have ticks that are 0.2 s late, as `tick0` is."""
 
     class stream_kind(Stream):  # noqa: N801
         def frame(self, records: list[Record]) -> tuple[Type, bytes]:
             (index, tick, data), *rest = records
-            return super().frame([(index, tick if self.edges else tick + 10_000, data), *rest])
+            return super().frame([(index, tick if self.edges else tick + 200_000, data), *rest])
 
     def stream_set(self, message: Message, peer: Peer) -> bytes:
         return self._later(super().stream_set(message, peer))
@@ -749,7 +749,7 @@ class SamplesOfTheFuture(Device):
         return self._later(super().stream_get(message, peer))
 
     def _later(self, reply: bytes) -> bytes:
-        return reply[:16] + struct.pack("<Q", 10_000) + reply[24:]
+        return reply[:16] + struct.pack("<Q", 200_000) + reply[24:]
 
 
 @fault("busy-ignored")
