@@ -90,7 +90,7 @@ class RunStatistics(Sink):
     def misdated(self, tick_hz: int) -> str:
         """What is wrong with the samples' times by the drive's own clock; '' if nothing is."""
         least, most = (age / tick_hz for age in self._ages or (0, 0))
-        if -MISDATED <= most and least <= MISDATED:
+        if most >= -MISDATED and least <= MISDATED:
             return ""
         off, where = (least, "past") if least > MISDATED else (-most, "future")
         return (

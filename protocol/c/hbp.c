@@ -1209,40 +1209,58 @@ void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine)
 
 /* ---- a device joins a link ----------------------------------------------------------------------------------------------- */
 
-static int well_named(const char *name)
+static int fits(const char *text, size_t least, size_t most)
 {
-    size_t n = text_length(name);
-    return n >= 1 && n <= 16;
+    size_t n = text_length(text);
+    return n >= least && n <= most;
 }
 
-static int sound(const struct hbp_config *config)
+static uint32_t wrong_channel(const struct hbp_config *config, uint32_t k)
 {
-    if (!config->node || !config->pwm_hz || !config->tick_hz || config->tick_hz % config->pwm_hz) return 0;
-    if (!config->enter || !config->setpoint || !config->outputs_on || !well_named(config->name)) return 0;
-    if (config->n_channels > HBP_CHANNELS) return 0;
-    for (unsigned k = 0; k < config->n_channels; k++) {
-        const struct hbp_channel *c = &config->channels[k];
-        if (!well_named(c->name) || c->type < HBP_RAW_U8 || c->type > HBP_RAW_F32) return 0;
-        if (!finite_number(c->scale) || c->scale == 0.0f || !finite_number(c->offset)) return 0;
-        for (unsigned j = 0; j < k; j++)
-            if (config->channels[j].id == c->id || same_text(config->channels[j].name, c->name)) return 0;
-    }
-    for (unsigned k = 0; k < config->n_parameters; k++) {
-        const struct hbp_parameter *p = &config->parameters[k];
-        if (!well_named(p->name) || (!p->value && !config->get) || !(p->lo <= p->hi)) return 0;
-        for (unsigned j = 0; j < k; j++)
-            if (config->parameters[j].id == p->id || same_text(config->parameters[j].name, p->name)) return 0;
-    }
-    return 1;
+    const struct hbp_channel *c = &config->channels[k];
+    if (!fits(c->name, 1, 16)) return HBP_WRONG_CHANNEL_NAME;
+    if (c->type < HBP_RAW_U8 || c->type > HBP_RAW_F32) return HBP_WRONG_CHANNEL_TYPE;
+    if (!finite_number(c->scale) || c->scale == 0.0f || !finite_number(c->offset)) return HBP_WRONG_CHANNEL_SCALE;
+    if ((uint32_t)c->at + hbp_widths[c->type] > config->sample_bytes) return HBP_WRONG_CHANNEL_PLACE;
+    for (uint32_t j = 0; j < k; j++)
+        if (config->channels[j].id == c->id || same_text(config->channels[j].name, c->name)) return HBP_WRONG_CHANNEL_TWICE;
+    return 0;
 }
 
-uint16_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id)
+static uint32_t wrong_parameter(const struct hbp_config *config, uint32_t k)
+{
+    const struct hbp_parameter *p = &config->parameters[k];
+    if (!fits(p->name, 1, 16)) return HBP_WRONG_PARAMETER_NAME;
+    if (!(p->lo <= p->initial && p->initial <= p->hi)) return HBP_WRONG_PARAMETER_RANGE;
+    if (!p->value && !config->get) return HBP_WRONG_PARAMETER_VALUE;
+    for (uint32_t j = 0; j < k; j++)
+        if (config->parameters[j].id == p->id || same_text(config->parameters[j].name, p->name)) return HBP_WRONG_PARAMETER_TWICE;
+    return 0;
+}
+
+static uint32_t wrong(const struct hbp_config *config)
+{
+    uint32_t code = 0, k;
+    if (!config->node || !config->role) return HBP_WRONG_NODE;
+    if (!config->pwm_hz || !config->tick_hz || config->tick_hz % config->pwm_hz) return HBP_WRONG_RATE;
+    if (!config->enter || !config->setpoint || !config->outputs_on) return HBP_WRONG_FUNCTION;
+    if (!fits(config->name, 1, 16) || !fits(config->firmware, 0, 16)) return HBP_WRONG_TEXT;
+    if (!fits(config->serial, 0, 24) || !fits(config->build, 0, 24)) return HBP_WRONG_TEXT;
+    if (config->n_channels > HBP_CHANNELS) return HBP_WRONG_COUNT;
+    for (k = 0; k < config->n_channels && !code; k++) code = wrong_channel(config, k);
+    if (code) return code | (k - 1u);
+    for (k = 0; k < config->n_parameters && !code; k++) code = wrong_parameter(config, k);
+    return code ? code | (k - 1u) : 0;
+}
+
+uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id)
 {
     uint8_t record[RECORD];
     struct hbp **last = &link->first;
-    if (!sound(config)) return HBP_ERROR_BAD_VALUE;
+    uint32_t code = wrong(config);
+    if (code) return code;
     for (; *last; last = &(*last)->other)
-        if ((*last)->config->node == config->node) return HBP_ERROR_BAD_VALUE;
+        if ((*last)->config->node == config->node) return HBP_WRONG_NODE;
     memset(h, 0, sizeof *h);
     h->config = config;
     h->link = link;
@@ -1444,16 +1462,18 @@ static const struct hbp_way byte_way = {
     byte_send, byte_beats, byte_shape, byte_open, byte_close, byte_samples, byte_edges, 0,
 };
 
-void hbp_link_init(struct hbp_link *link, float bytes_per_s)
+void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size)
 {
+    if (size != sizeof *link) return; /* hbp_add tells it */
     memset(link, 0, sizeof *link);
     link->base.way = &byte_way;
     link->base.capacity = bytes_per_s;
     link->skipping = 1;
 }
 
-uint16_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+uint32_t hbp_add_sized(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id, size_t size)
 {
+    if (size != sizeof *link + sizeof *device) return HBP_WRONG_OPTIONS;
     return hbp_join(&link->base, device, config, boot_id);
 }
 

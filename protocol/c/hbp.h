@@ -51,7 +51,8 @@
  *         .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES, .tick_hz = 170000000, .pwm_hz = 20000,
  *         .tick0 = FIRST_TICK,  // of the timer at the first call of hbp_tick
  *         .name = "my drive", .firmware = "1.0", .serial = "0123456789abcdef01234567", .build = "1a2b3c4",
- *         .channels = channels, .n_channels = 3, .parameters = parameters, .n_parameters = 3,
+ *         .channels = channels, .n_channels = 3, .sample_bytes = sizeof(struct sample),
+ *         .parameters = parameters, .n_parameters = 3,
  *         .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
  *     };
  *     static struct hbp_link link_;
@@ -60,7 +61,7 @@
  *     int main(void)
  *     {
  *         hbp_link_init(&link_, 0.0f);                                      // bytes/s that it carries, 0: not known
- *         if (hbp_add(&link_, &drive, &config, random_number())) return 1;  // another boot_id at each boot
+ *         if (hbp_add(&link_, &drive, &config, random_number())) return 1;  // look at what it returns; another boot_id at each boot
  *         for (;;) {
  *             const uint8_t *bytes;
  *             size_t n = uart_received(&bytes);                             // cut anywhere
@@ -334,11 +335,11 @@ struct hbp_config {
     uint32_t features;          /* HBP_FEATURE_EDGES, HBP_FEATURE_COMMIT */
     uint32_t tick_hz, pwm_hz;   /* ticks in a second, a multiple of pwm_hz; calls of hbp_tick in a second */
     uint64_t tick0;             /* tick of PWM period 0, the first call of hbp_tick: by it samples lie beside edges */
-    const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes, what is longer is cut; all but the
-                                                     name may be null */
+    const char *name, *firmware, *serial, *build; /* at most 16, 16, 24, 24 bytes; all but the name may be null */
     const struct hbp_channel *channels;
     const struct hbp_parameter *parameters;
     uint16_t n_channels, n_parameters;
+    uint16_t sample_bytes;      /* sizeof of the structure that hbp_tick is given */
     void *user;
     uint16_t (*enter)(void *user, uint8_t state, float *detail); /* power stage on in RUNNING, at zero current, and off in all
                                                                     other states; may refuse ARMED and RUNNING */
@@ -452,14 +453,41 @@ struct hbp_link { /* a byte link */
 
 /* ---- functions ----------------------------------------------------------------------------------------------------------- */
 
-/* A byte link that carries `bytes_per_s`; 0 where that is not known. */
-void hbp_link_init(struct hbp_link *link, float bytes_per_s);
+/* Why a device was not added; the lower 16 bits are the number of the channel or parameter, from 0. */
+enum {
+    HBP_WRONG_OPTIONS = 0x10000,         /* hbp.c was compiled with other options than the file that calls it */
+    HBP_WRONG_NODE = 0x20000,            /* node 0, one that is there already, beyond 15 on CAN; or role 0 */
+    HBP_WRONG_RATE = 0x30000,            /* tick_hz is no multiple of pwm_hz */
+    HBP_WRONG_FUNCTION = 0x40000,        /* enter, setpoint or outputs_on is missing */
+    HBP_WRONG_TEXT = 0x50000,            /* no name, or a text that is too long */
+    HBP_WRONG_COUNT = 0x60000,           /* more channels than HBP_CHANNELS */
+    HBP_WRONG_BUS = 0x70000,             /* hbp_can_init */
+    HBP_WRONG_CHANNEL_NAME = 0x110000,   /* empty or longer than 16 bytes */
+    HBP_WRONG_CHANNEL_TYPE = 0x120000,   /* not one of HBP_RAW_… */
+    HBP_WRONG_CHANNEL_SCALE = 0x130000,  /* 0, or not finite */
+    HBP_WRONG_CHANNEL_PLACE = 0x140000,  /* it ends behind sample_bytes */
+    HBP_WRONG_CHANNEL_TWICE = 0x150000,  /* its id or its name is another one's too */
+    HBP_WRONG_PARAMETER_NAME = 0x210000, /* empty or longer than 16 bytes */
+    HBP_WRONG_PARAMETER_RANGE = 0x220000, /* initial is not from lo to hi */
+    HBP_WRONG_PARAMETER_VALUE = 0x230000, /* neither `value` nor `get` */
+    HBP_WRONG_PARAMETER_TWICE = 0x240000, /* its id or its name is another one's too */
+};
 
-/* Add a device; the first one answers to node 0. It returns 0, or HBP_ERROR_BAD_VALUE, and the device stays silent: node 0 or one that is
- * there already; a name of a device, channel or parameter that is empty or longer than 16; an id or a name that comes twice; a type that
- * there is not; a scale of 0; a range upside down; more channels than HBP_CHANNELS; tick_hz that is no multiple of pwm_hz; enter,
- * setpoint or outputs_on missing; a parameter without `value`, where there is no `get`. */
-uint16_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id);
+/* A byte link that carries `bytes_per_s`; 0 where that is not known. */
+void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size);
+
+static inline void hbp_link_init(struct hbp_link *link, float bytes_per_s)
+{
+    hbp_link_init_sized(link, bytes_per_s, sizeof *link);
+}
+
+/* Add a device; the first one answers to node 0. 0, or HBP_WRONG_…: then the device stays silent. */
+uint32_t hbp_add_sized(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id, size_t size);
+
+static inline uint32_t hbp_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+{
+    return hbp_add_sized(link, device, config, boot_id, sizeof *link + sizeof *device);
+}
 
 /* Take bytes that have come, cut anywhere. `now`: 64-bit tick. */
 void hbp_rx(struct hbp_link *link, uint64_t now, const uint8_t *data, size_t n);

@@ -432,9 +432,10 @@ static const struct hbp_way can_way = {
     can_send, can_beats, can_shape, can_open, can_close, can_samples, can_edges, 1,
 };
 
-uint16_t hbp_can_init(struct hbp_can *can, const struct hbp_can_bus *bus)
+uint32_t hbp_can_init_sized(struct hbp_can *can, const struct hbp_can_bus *bus, size_t size)
 {
-    if (!bus->bitrate || (bus->data_bitrate && HBP_CAN_BYTES < 64)) return HBP_ERROR_BAD_VALUE;
+    if (size != sizeof *can) return HBP_WRONG_OPTIONS;
+    if (!bus->bitrate || (bus->data_bitrate && HBP_CAN_BYTES < 64)) return HBP_WRONG_BUS;
     memset(can, 0, sizeof *can);
     can->base.way = &can_way;
     can->base.capacity = 1.0f;
@@ -442,9 +443,10 @@ uint16_t hbp_can_init(struct hbp_can *can, const struct hbp_can_bus *bus)
     return 0;
 }
 
-uint16_t hbp_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+uint32_t hbp_can_add_sized(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id, size_t size)
 {
-    if (can->base.first || config->node > 15) return HBP_ERROR_BAD_VALUE;
+    if (size != sizeof *can + sizeof *device) return HBP_WRONG_OPTIONS;
+    if (can->base.first || config->node > 15) return HBP_WRONG_NODE;
     can->slots[0] = (uint8_t)(boot_id % 32u);
     can->slots[1] = (uint8_t)(boot_id % 16u);
     while (config->tick_hz >> can->shift > 4096u) can->shift++;

@@ -78,11 +78,21 @@ struct hbp_can {
     struct hbp_can_frame messages[HBP_CAN_MESSAGES], streamed[HBP_CAN_STREAMED];
 };
 
-/* 0, or HBP_ERROR_BAD_VALUE: a bus that was not compiled for (HBP_CAN_BYTES), or without a bit rate. */
-uint16_t hbp_can_init(struct hbp_can *can, const struct hbp_can_bus *bus);
+/* 0, HBP_WRONG_BUS (one that was not compiled for: HBP_CAN_BYTES; or without a bit rate), or HBP_WRONG_OPTIONS. */
+uint32_t hbp_can_init_sized(struct hbp_can *can, const struct hbp_can_bus *bus, size_t size);
+
+static inline uint32_t hbp_can_init(struct hbp_can *can, const struct hbp_can_bus *bus)
+{
+    return hbp_can_init_sized(can, bus, sizeof *can);
+}
 
 /* The one device on this controller; see hbp_add. */
-uint16_t hbp_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id);
+uint32_t hbp_can_add_sized(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id, size_t size);
+
+static inline uint32_t hbp_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+{
+    return hbp_can_add_sized(can, device, config, boot_id, sizeof *can + sizeof *device);
+}
 
 /* Take a data frame that has come, whosever. `id` with HBP_CAN_EXTENDED if it has 29 bits. */
 void hbp_can_rx(struct hbp_can *can, uint64_t now, uint32_t id, const uint8_t *data, size_t n);

@@ -35,7 +35,7 @@ uint8_t *hbp_put_edge(uint8_t *to, const struct hbp_hall_edge *edge, uint8_t fla
 uint32_t hbp_get32(const uint8_t *from);
 uint32_t hbp_crc(uint32_t crc, const uint8_t *data, size_t n);
 uint32_t hbp_in_time(const struct hbp *h, uint32_t latency_ms, uint32_t decimation);
-uint16_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id);
+uint32_t hbp_join(struct hbp_link_base *link, struct hbp *h, const struct hbp_config *config, uint32_t boot_id);
 void hbp_receive(struct hbp *h, const uint8_t *raw, uint8_t host, int mine); /* header + payload */
 void hbp_pass_time(struct hbp *h, uint64_t now);
 void hbp_advance(struct hbp *h, uint64_t now);

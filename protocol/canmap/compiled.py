@@ -30,10 +30,10 @@ class CompiledCan:
         self._bus = _Bus(rates.bitrate, rates.data_bitrate or 0, extended)
         self._flags = FDF | BRS if rates.fd else 0
         self.session = CompiledSession(self._lib, app, identity)
-        code = self._lib.hbp_can_init(self._at, ctypes.byref(self._bus))
-        code = code or self._lib.hbp_can_add(self._at, self.session.at, self.session.config, identity.boot_id)
+        code = self._lib.shim_can_init(self._at, ctypes.byref(self._bus))
+        code = code or self._lib.shim_can_add(self._at, self.session.at, self.session.config, identity.boot_id)
         if code:
-            raise ValueError(f"node {identity.node}: hbp_can_add returns {code}")
+            raise ValueError(f"node {identity.node}: hbp_can_add returns {code:#x}")
 
     def receive(self, frames: bytes) -> None:
         """Take CAN_RECORDs from the bus, those of others too."""

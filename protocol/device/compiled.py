@@ -131,7 +131,7 @@ class _Config(ctypes.Structure):
         ("node", _U8), ("role", _U8), ("features", _U32), ("tick_hz", _U32), ("pwm_hz", _U32), ("tick0", _U64),
         ("name", _TEXT), ("firmware", _TEXT), ("serial", _TEXT), ("build", _TEXT),
         ("channels", ctypes.POINTER(_Channel)), ("parameters", ctypes.POINTER(_Parameter)),
-        ("n_channels", _U16), ("n_parameters", _U16), ("user", _ANY),
+        ("n_channels", _U16), ("n_parameters", _U16), ("sample_bytes", _U16), ("user", _ANY),
         ("enter", _ENTER), ("setpoint", _SETPOINT), ("outputs_on", _OUTPUTS_ON), ("clear", _CLEAR),
         ("commit", _COMMIT), ("get", _GET), ("set", _SET),
     )  # fmt: skip
@@ -152,16 +152,16 @@ def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
         ("shim_state", _U8, _ANY),
         ("shim_watchdog_ms", _U16, _ANY),
         ("shim_can_take", ctypes.c_int, _ANY, ctypes.POINTER(_U32), _ANY),
-        ("hbp_link_init", None, _ANY, _F32),
-        ("hbp_add", _U16, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
+        ("shim_link_init", None, _ANY, _F32),
+        ("shim_add", _U32, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
         ("hbp_rx", None, _ANY, _U64, _TEXT, _SIZE),
         ("hbp_poll", None, _ANY, _U64),
         ("hbp_tx_peek", _SIZE, _ANY, ctypes.POINTER(_ANY)),
         ("hbp_tx_advance", None, _ANY, _SIZE),
         ("hbp_fault", None, _ANY, _U32),
         ("hbp_log", None, _ANY, _U8, _TEXT),
-        ("hbp_can_init", _U16, _ANY, _ANY),
-        ("hbp_can_add", _U16, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
+        ("shim_can_init", _U32, _ANY, _ANY),
+        ("shim_can_add", _U32, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
         ("hbp_can_rx", None, _ANY, _U64, _U32, _TEXT, _SIZE),
         ("hbp_can_poll", None, _ANY, _U64),
         ("hbp_can_gave_up", None, _ANY),
@@ -309,7 +309,7 @@ class CompiledSession:
             identity.node, identity.role, identity.features, identity.tick_hz, identity.pwm_hz, identity.tick0,
             identity.name.encode(), identity.firmware.encode(), identity.serial.encode(), identity.build.encode(),
             (_Channel * max(1, len(channels)))(*channels), (_Parameter * max(1, len(parameters)))(*parameters),
-            len(channels), len(parameters), None,
+            len(channels), len(parameters), self._dtype.itemsize, None,
             _ENTER(refusing(lambda state: app.enter_state(DriveState(state)))),
             _SETPOINT(refusing(lambda mode, value, value2: app.setpoint(SetpointMode(mode), value, value2))),
             _OUTPUTS_ON(answering(lambda: int(app.outputs_on))),
@@ -337,13 +337,13 @@ class CompiledLink:
         self._at = ctypes.addressof(self._memory)
         self._tick = 0
         self.sessions: dict[int, CompiledSession] = {}
-        self._lib.hbp_link_init(self._at, capacity or 0.0)
+        self._lib.shim_link_init(self._at, capacity or 0.0)
 
     def add(self, app: DeviceApp, identity: Identity) -> CompiledSession:
         """Return the session of one more device; ValueError for one that C refuses."""
         session = CompiledSession(self._lib, app, identity)
-        if code := self._lib.hbp_add(self._at, session.at, session.config, identity.boot_id):
-            raise ValueError(f"node {identity.node}: hbp_add returns {code}")
+        if code := self._lib.shim_add(self._at, session.at, session.config, identity.boot_id):
+            raise ValueError(f"node {identity.node}: hbp_add returns {code:#x}")
         self.sessions[identity.node] = session
         return session
 

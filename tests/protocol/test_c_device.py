@@ -402,3 +402,91 @@ int main(void)
     program = tmp_path / "divide"
     subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "divide.c", "-o", program], check=True)
     subprocess.run([program], check=True)
+
+
+WRONG = {
+    "c.node = 0": "HBP_WRONG_NODE",
+    "c.role = 0": "HBP_WRONG_NODE",
+    "c.pwm_hz = 3": "HBP_WRONG_RATE",
+    "c.enter = NULL": "HBP_WRONG_FUNCTION",
+    "c.outputs_on = NULL": "HBP_WRONG_FUNCTION",
+    'c.name = ""': "HBP_WRONG_TEXT",
+    'c.serial = "0123456789012345678901234"': "HBP_WRONG_TEXT",
+    "c.n_channels = HBP_CHANNELS + 1": "HBP_WRONG_COUNT",
+    'channels[1].name = "a name of 17 char"': "HBP_WRONG_CHANNEL_NAME | 1",
+    "channels[1].type = 0": "HBP_WRONG_CHANNEL_TYPE | 1",
+    "channels[2].scale = 0": "HBP_WRONG_CHANNEL_SCALE | 2",
+    "channels[2].type = HBP_RAW_I32": "HBP_WRONG_CHANNEL_PLACE | 2",
+    "channels[2].id = 1": "HBP_WRONG_CHANNEL_TWICE | 2",
+    'channels[1].name = "x"': "HBP_WRONG_CHANNEL_TWICE | 1",
+    "parameters[0].name = NULL": "HBP_WRONG_PARAMETER_NAME",
+    "parameters[1].initial = 3": "HBP_WRONG_PARAMETER_RANGE | 1",
+    "parameters[1].value = NULL": "HBP_WRONG_PARAMETER_VALUE | 1",
+    "parameters[1].id = 1": "HBP_WRONG_PARAMETER_TWICE | 1",
+    "": "0",
+}
+
+
+def test_what_is_wrong_with_a_configuration_is_named(tmp_path: Path) -> None:
+    """hbp_add tells which channel or parameter is wrong, and how; one byte beyond the sample is seen."""
+    cases = "".join(
+        f"    fill();\n    {what};\n    if (hbp_add(&l, &h, &c, 1) != ({code})) return puts({json.dumps(what)}), 1;\n"
+        "    l.base.first = NULL;\n"
+        for what, code in WRONG.items()
+    )
+    (tmp_path / "wrong.c").write_text(f"""
+#include <stdio.h>
+#include "hbp.h"
+struct sample {{ uint16_t a, b; uint8_t c; }};
+static struct hbp_channel channels[HBP_CHANNELS + 1];
+static struct hbp_parameter parameters[2];
+static float value = 1;
+static uint16_t enter(void *u, uint8_t s, float *d) {{ return (void)u, (void)s, (void)d, 0; }}
+static uint16_t setpoint(void *u, uint8_t m, float v, float w, float *d)
+{{ return (void)u, (void)m, (void)v, (void)w, (void)d, 0; }}
+static uint8_t outputs_on(void *u) {{ return (void)u, 0; }}
+static struct hbp_config c;
+static struct hbp_link l;
+static struct hbp h;
+static void fill(void)
+{{
+    const struct hbp_channel some[3] = {{
+        {{1, HBP_RAW_U16, 0, 0, offsetof(struct sample, a), 1, 0, "x"}},
+        {{2, HBP_RAW_U16, 0, 0, offsetof(struct sample, b), 1, 0, "y"}},
+        {{3, HBP_RAW_U8, 0, 0, offsetof(struct sample, c), 1, 0, "z"}},
+    }};
+    const struct hbp_parameter two[2] = {{{{1, 0, 0, 0, 2, 1, &value, "p"}}, {{2, 0, 0, 0, 2, 1, &value, "q"}}}};
+    const struct hbp_config whole = {{
+        .node = 1, .role = HBP_ROLE_DRIVE, .tick_hz = 1000, .pwm_hz = 100, .name = "drive", .channels = channels,
+        .n_channels = 3, .sample_bytes = sizeof(struct sample), .parameters = parameters, .n_parameters = 2,
+        .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
+    }};
+    for (unsigned k = 0; k < 3; k++) channels[k] = some[k];
+    for (unsigned k = 0; k < 2; k++) parameters[k] = two[k];
+    c = whole;
+}}
+int main(void)
+{{
+    hbp_link_init(&l, 0);
+{cases}    return 0;
+}}
+""")
+    program = tmp_path / "wrong"
+    subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "wrong.c", SOURCE / "hbp.c", "-o", program], check=True)
+    done = subprocess.run([program], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("", 0)
+
+
+def test_other_options_in_another_file_are_told(tmp_path: Path) -> None:
+    (tmp_path / "other.c").write_text("""
+#include "hbp.h"
+static struct hbp_config c;
+static struct hbp_link l;
+static struct hbp h;
+int main(void) { return hbp_link_init(&l, 0), hbp_add(&l, &h, &c, 1) != HBP_WRONG_OPTIONS; }
+""")
+    for options in ("-DHBP_TX_BYTES=4096", "-DHBP_CHANNELS=40", "-DHBP_EDGES=64"):
+        own = [*compiler(), "-I", SOURCE]
+        subprocess.run([*own, options, "-c", tmp_path / "other.c", "-o", tmp_path / "other.o"], check=True)
+        subprocess.run([*own, tmp_path / "other.o", SOURCE / "hbp.c", "-o", tmp_path / "other"], check=True)
+        subprocess.run([tmp_path / "other"], check=True)

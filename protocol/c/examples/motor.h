@@ -91,7 +91,7 @@ static const struct hbp_config motor_config = {
     .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES | HBP_FEATURE_SIMULATED,
     .tick_hz = MOTOR_TICK_HZ, .pwm_hz = MOTOR_PWM_HZ, .tick0 = MOTOR_PERIOD,
     .name = MOTOR_NAME, .firmware = "1.0",
-    .channels = motor_channels, .n_channels = sizeof motor_channels / sizeof motor_channels[0],
+    .sample_bytes = sizeof(struct sample), .channels = motor_channels, .n_channels = sizeof motor_channels / sizeof motor_channels[0],
     .parameters = motor_parameters, .n_parameters = sizeof motor_parameters / sizeof motor_parameters[0],
     .enter = motor_enter, .setpoint = motor_setpoint, .outputs_on = motor_outputs_on,
 };

@@ -7,6 +7,20 @@ size_t shim_link_bytes(void) { return sizeof(struct hbp_link); }
 size_t shim_can_bytes(void) { return sizeof(struct hbp_can); }
 size_t shim_device_bytes(void) { return sizeof(struct hbp); }
 
+/* What the header has as inline functions. */
+void shim_link_init(struct hbp_link *link, float bytes_per_s) { hbp_link_init(link, bytes_per_s); }
+uint32_t shim_can_init(struct hbp_can *can, const struct hbp_can_bus *bus) { return hbp_can_init(can, bus); }
+
+uint32_t shim_add(struct hbp_link *link, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+{
+    return hbp_add(link, device, config, boot_id);
+}
+
+uint32_t shim_can_add(struct hbp_can *can, struct hbp *device, const struct hbp_config *config, uint32_t boot_id)
+{
+    return hbp_can_add(can, device, config, boot_id);
+}
+
 /* `n` samples from PWM period `index` on, `stride` bytes from one to the next. While no stream runs, periods may be left out. */
 void shim_ticks(struct hbp *h, uint64_t index, const uint8_t *samples, size_t stride, size_t n)
 {

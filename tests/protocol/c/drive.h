@@ -141,6 +141,7 @@ static void configure_drive(struct hbp_config *config, struct hbp_parameter para
     config->firmware = "1.0";
     config->channels = channels;
     config->n_channels = (uint16_t)n_channels;
+    config->sample_bytes = sizeof(struct sample);
     config->parameters = parameters;
     config->n_parameters = 4;
     config->user = app;

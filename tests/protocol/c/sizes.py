@@ -27,8 +27,11 @@ FLAGS = (*CORE, "-Os", "-ffunction-sections", "-fdata-sections", "-DHBP_CHANNELS
 LIMIT = 60.0  # s, for QEMU
 
 COMMON = ("hbp_tick", "hbp_edge", "hbp_may_run", "hbp_raise", "hbp_fault", "hbp_log")
-BYTES = (*COMMON, *(f"hbp_{name}" for name in ("link_init", "add", "rx", "poll", "tx_peek", "tx_advance")))
-CAN = (*COMMON, *(f"hbp_can_{name}" for name in ("init", "add", "rx", "poll", "peek", "advance", "gave_up")))
+BYTES = (*COMMON, *(f"hbp_{name}" for name in ("link_init_sized", "add_sized", "rx", "poll", "tx_peek", "tx_advance")))
+CAN = (
+    *COMMON,
+    *(f"hbp_can_{name}" for name in ("init_sized", "add_sized", "rx", "poll", "peek", "advance", "gave_up")),
+)
 
 
 @dataclass(frozen=True)

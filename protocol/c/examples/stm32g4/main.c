@@ -110,7 +110,7 @@ static const struct hbp_config config = {
     .node = 1, .role = HBP_ROLE_DRIVE, .features = HBP_FEATURE_EDGES, .tick_hz = CLOCK_HZ, .pwm_hz = PWM_HZ,
     .tick0 = TOP, /* TIM1 is at its top for the first time TOP ticks after both timers were started */
     .name = "stm32g4 example", .firmware = "1.0", .serial = serial,
-    .channels = channels, .n_channels = sizeof channels / sizeof channels[0],
+    .sample_bytes = sizeof(struct sample), .channels = channels, .n_channels = sizeof channels / sizeof channels[0],
     .parameters = parameters, .n_parameters = sizeof parameters / sizeof parameters[0],
     .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on, .clear = clear,
 };
@@ -321,7 +321,7 @@ static void start_link(void)
     hbp_link_init(&link, BAUD / 10.0f);
 }
 
-static uint16_t join(uint32_t boot_id)
+static uint32_t join(uint32_t boot_id)
 {
     return hbp_add(&link, &drive, &config, boot_id);
 }
@@ -381,7 +381,7 @@ static void start_link(void)
     (void)hbp_can_init(&can, &bus);
 }
 
-static uint16_t join(uint32_t boot_id)
+static uint32_t join(uint32_t boot_id)
 {
     return hbp_can_add(&can, &drive, &config, boot_id);
 }
