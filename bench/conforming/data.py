@@ -77,7 +77,7 @@ def periods(device: Device, told: Configured) -> int:
 
 def unwrapped(index: int, now: int) -> int:
     """The number with these low 32 bits that is nearest to `now`."""
-    return now + ((index - now + (1 << 31)) & MASK) - (1 << 31)
+    return now + _signed(index - now)
 
 
 @check("index-divisible", 11, "(1..65535) are taken: two streams with the same decimation have the same instants")
@@ -108,9 +108,8 @@ def tick_of_index(device: Device) -> str:
     ticks, tick0, now = device.ticks_per_period, told.reply.tick0, periods(device, told)
     for block in blocks:
         index = unwrapped(block.index, now)
-        off = (block.tick - tick0 - index * ticks) & MASK
+        off = _signed(block.tick - tick0 - index * ticks)
         if off:
-            off -= (off >> 31) << 32
             raise Failed(f"index {block.index} has the tick {block.tick}: {off} from tick0 {tick0} + index * {ticks}")
     newest = now - unwrapped(blocks[-1].index, now)
     rule = f"tick0 {tick0} + index * {ticks} each"

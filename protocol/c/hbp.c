@@ -1336,6 +1336,7 @@ static uint32_t encoded_length(uint32_t payload)
 }
 
 #define REPLY_ROOM (HBP_TX_MAX + 20u) /* bytes of the queue that streams leave to replies */
+#define WAIT 0.05f                    /* s that streams may let a reply wait, and a frame, where the rate is known */
 
 static int put_frame(struct hbp_link *link, const uint8_t *header, enum hbp_rank rank, const uint8_t *head, size_t n_head,
                      const uint8_t *body, size_t n_body)
@@ -1346,6 +1347,7 @@ static int put_frame(struct hbp_link *link, const uint8_t *header, enum hbp_rank
     if (rank == HBP_RANK_STREAM) needed += REPLY_ROOM;
     else if (rank != HBP_RANK_REPLY) needed += REPLY_ROOM / 2u;
     if (used + needed > HBP_TX_BYTES) return 0;
+    if (rank == HBP_RANK_STREAM && link->base.capacity > 0.0f && (float)used > WAIT * link->base.capacity) return 0;
     HBP_BARRIER();
     e.link = link;
     e.at = link->head;

@@ -60,7 +60,7 @@
  *
  *     int main(void)
  *     {
- *         hbp_link_init(&link_, 0.0f);                                      // bytes/s that it carries, 0: not known
+ *         hbp_link_init(&link_, 0.0f);                                      // bytes/s that it carries: baud / 10; 0 for USB
  *         if (hbp_add(&link_, &drive, &config, random_number())) return 1;  // look at what it returns; another boot_id at each boot
  *         for (;;) {
  *             const uint8_t *bytes;
@@ -473,7 +473,8 @@ enum {
     HBP_WRONG_PARAMETER_TWICE = 0x240000, /* its id or its name is another one's too */
 };
 
-/* A byte link that carries `bytes_per_s`; 0 where that is not known. */
+/* A byte link that carries `bytes_per_s` (a UART: baud / 10), 0 where that is not known. By it streams are refused that do not fit, and
+ * those that do let no reply wait for long, however large the queue is. */
 void hbp_link_init_sized(struct hbp_link *link, float bytes_per_s, size_t size);
 
 static inline void hbp_link_init(struct hbp_link *link, float bytes_per_s)

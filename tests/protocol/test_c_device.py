@@ -404,6 +404,26 @@ int main(void)
     subprocess.run([program], check=True)
 
 
+@pytest.mark.parametrize("rate", [5760, 11520, 92160])
+def test_streams_do_not_keep_a_reply_waiting_on_a_slow_link(rate: int) -> None:
+    """What is before the reply takes less than the 250 ms after which a host asks again, though nobody read for 2 s."""
+    link = CompiledLink(1 << 16, float(rate))
+    session = link.add(SmallDrive(), identity())
+    link.advance(0)
+    link.receive(wire_of(StreamSet(0, StreamEvent.PWM, 16000 * 40 // rate, 20, (3, 4)), 1))
+    link.receive(wire_of(StreamStart(1), 2))
+    link.data_to_send()
+    for period in range(0, 32000, 16):
+        session.push_samples(period, period * TICKS, samples(period, 16))
+        link.advance((period + 16) * TICKS)
+    link.receive(wire_of(StateCommand(Command.STOP, 0), 3))
+    sent = link.data_to_send()
+    replies = [frame.tid for frame in frames_in(sent) if frame.is_reply]
+    assert replies == [3]
+    before = next(n for n in range(len(sent) + 1) if any(frame.tid == 3 for frame in frames_in(sent[:n])))
+    assert 0 < before < 0.25 * rate
+
+
 WRONG = {
     "c.node = 0": "HBP_WRONG_NODE",
     "c.role = 0": "HBP_WRONG_NODE",
