@@ -37,6 +37,7 @@ LAST = 10.0  # s of a stretch that are judged at most
 BLOCK = 0.25  # s over which Hall sensors and encoder are compared
 TURNS = 3.0  # electrical revolutions from which on they are
 RATIO_OFF = 0.25  # of one, by which their ratio may be off
+FOLLOWED = math.pi / 2  # electrical rad between two samples, above which an encoder's turns cannot be counted by them
 LATE = 0.5  # s for each pole pair, from which on half of one shows in the ratio, though edges may come 0.2 s late
 TOO_MUCH = 1.25  # of i_max that the mean current may be
 NO_SUM = 0.5  # of a phase current, rms, that the sum of the three may be
@@ -96,6 +97,7 @@ class Plausibility(Sink):
         self._last_theta: float | None = None
         self._hall = self._turned = self._since = 0.0
         self._hall_along = self._turned_total = self._compared = 0.0
+        self._too_fast = False  # for its encoder to be followed from sample to sample
         self._sectors = 0.0  # since the last chunk of samples
         self._wires, self._emf = Wires(), BackEmf(parameters)
 
@@ -152,7 +154,12 @@ class Plausibility(Sink):
         if not self._theta:
             return
         theta = chunk.physical(self._theta)
-        if chunk.gaps or self._last_theta is None:
+        step = abs(sectors) * SECTOR / len(chunk)  # electrical rad between two samples
+        if self._omega:
+            step = max(step, float(np.abs(chunk.physical(self._omega)).mean()) / self._rate)
+        too_fast = step > FOLLOWED
+        self._too_fast |= too_fast
+        if chunk.gaps or self._last_theta is None or too_fast:
             self._hall = self._turned = self._since = 0.0
         else:
             self._turned += float(wrap(np.diff(theta, prepend=self._last_theta)).sum())
@@ -220,6 +227,8 @@ class Plausibility(Sink):
         unseen = []
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
+        elif self._too_fast and self._edges and self._turned_total < TURNS * math.tau:
+            unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
         if self._n_p is None:
             unseen.append("speed (no parameter n_p)")
         elif not self._omega and not self._edges:

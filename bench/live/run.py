@@ -179,19 +179,19 @@ class LiveRun:
                 require(self.drive, "--load", NEEDS["--load"])
             if options.observer:
                 require(self.drive, "--observer", [f"observer:{options.observer}"])
-            envelope = self.rig.drive.envelope = Envelope(
-                max(abs(act.speed_rpm) for act in acts), load=max(abs(act.load_a) for act in acts)
-            )
-            check_limits(self.drive, envelope)
-            require_consent(self.drive, self.target, envelope, options.yes, confirm)
+            check_limits(self.drive, self.rig.drive.envelope)
+            require_consent(self.drive, self.target, self.rig.drive.envelope, options.yes, confirm)
         if options.clear_faults:
             self.drive.clear_faults()
 
     # -- streaming ----------------------------------------------------------------------------------------------
 
-    def configure(self) -> StreamConfig:
-        """Configure samples and edges; returns the stream of samples that will come."""
+    def configure(self, acts: tuple[Act, ...]) -> StreamConfig:
+        """Configure samples and edges for what will be done; returns the stream of samples that will come."""
         options, identity = self.options, self.drive.identity
+        if acts:
+            most = max(abs(act.speed_rpm) for act in acts)
+            self.rig.drive.envelope = Envelope(most, load=max(abs(act.load_a) for act in acts))
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
@@ -541,7 +541,8 @@ def run(
         live = LiveRun(options, link, target, screen)
         try:
             live.look()
-            stream, acts = live.configure(), live.acts()
+            acts = live.acts()
+            stream = live.configure(acts)
             live.check(acts, confirm)
             return live.go(stream, acts, report, hold)
         except BaseException as error:

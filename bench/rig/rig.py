@@ -35,7 +35,7 @@ from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
 from bench.rig.restore import failures_of
 from bench.rig.settings import Settings
-from bench.rig.streams import configure
+from bench.rig.streams import configure, edge_rate
 from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
@@ -179,7 +179,7 @@ class Rig:
         edges = (
             node.set_edges() if node.offers_edges else no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
         )
-        self.samples = configure(node, choices, decimation, slower)
+        self.samples = configure(node, choices, decimation, slower, edge_rate(node, self.drive.envelope))
         return edges
 
     def load_machine(self) -> NodeLoad | None:

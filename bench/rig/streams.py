@@ -6,12 +6,19 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-from bench.device.node import Node
+from bench.analysis.units import pole_pairs
+from bench.device.node import MAX_LATENCY_MS, Node
 from bench.errors import BenchError, DoesNotFit
+from bench.rig.envelope import Envelope
+from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
-from protocol.streams import MAX_DECIMATION, StreamConfig
+from protocol.framing import encoded_length
+from protocol.streams import EDGE_RECORD, MAX_DECIMATION, STREAM_HEADER, StreamConfig
 
 _TOLERANCE = 1e-4  # rates are printed with six digits
+_USABLE = 0.9  # of a byte link; replies are in the rest
+_HEARTBEATS = 20 * encoded_length(56)  # bytes/s, of a drive and a load machine
+_LEAST = 0.1  # of a link, that samples get however many edges there are
 
 
 def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
@@ -28,12 +35,16 @@ def decimation_of(pwm_hz: int, rate_hz: float | None) -> int:
 
 
 def configure(
-    node: Node, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
+    node: Node,
+    choices: Sequence[tuple[Channel, ...]],
+    decimation: int = 1,
+    slower: bool = False,
+    edges_per_s: float = 0.0,
 ) -> StreamConfig:
     """Configure the sample stream with the first of `choices` that the link carries at `decimation`.
 
-    With `slower` the last one may come at the highest rate that fits. Raises DoesNotFit, with what
-    would fit, and NodeError for channels or a rate that the node refuses.
+    With `slower` the last one may come at the highest rate that fits, beside `edges_per_s` Hall edges and the
+    heartbeats. Raises DoesNotFit, with what would fit, and NodeError for channels or a rate that the node refuses.
     """
     for channels in choices[:-1]:
         with suppress(DoesNotFit):
@@ -44,4 +55,34 @@ def configure(
     except DoesNotFit as error:
         if not slower or not error.decimation:
             raise
-        return node.set_samples(channels, error.decimation)
+        config = node.set_samples(channels, error.decimation)
+        while (enough := _decimation_beside(node, config, edges_per_s)) > config.decimation:
+            config = node.set_samples(channels, enough)
+        return config
+
+
+def edge_rate(node: Node, envelope: Envelope) -> float:
+    """Hall edges a second at the speed of `envelope`; 0 where that, or the number of pole pairs, is not known."""
+    if not math.isfinite(envelope.speed_rpm) or not node.has_parameter("n_p"):
+        return 0.0
+    n_p = pole_pairs({"n_p": node.parameter("n_p").value})
+    return 6 * (n_p or 0) * envelope.speed_rpm / 60
+
+
+def _decimation_beside(node: Node, config: StreamConfig, edges_per_s: float) -> int:
+    """The decimation at which the link carries samples as in `config`, and edges and heartbeats that come beside them.
+
+    A device counts an edge stream as one frame in each latency, whatever the speed, and its heartbeats not at all
+    (SPEC, chapter 11). On CAN it counts 1000 edges a second, and the worst case of everything: enough.
+    """
+    if node.load <= 0.0 or isinstance(node.client.session.wire, CanWire):
+        return config.decimation
+    frame = encoded_length(STREAM_HEADER.size + config.block * config.dtype.itemsize)
+    frames_per_s = config.rate / config.block
+    edge_frame = encoded_length(STREAM_HEADER.size + EDGE_RECORD.itemsize)
+    latest = 1000 / MAX_LATENCY_MS  # frames a second of either stream, at least
+    link = (frame * frames_per_s + edge_frame * latest) / node.load  # bytes/s
+    edge_frames = min(edges_per_s, frames_per_s + latest)  # they go out before samples
+    edges = edges_per_s * EDGE_RECORD.itemsize + edge_frames * (edge_frame - EDGE_RECORD.itemsize)
+    room = max(_USABLE * link - _HEARTBEATS - edges, _LEAST * link)
+    return min(math.ceil(config.decimation * frame * frames_per_s / room), MAX_DECIMATION)

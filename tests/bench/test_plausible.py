@@ -32,6 +32,11 @@ WRONG = {
 UNSEEN = {
     "no encoder": ({"encoder__present": 0}, {}, "position error (no angle with the flag REFERENCE)"),
     "too short": ({}, {"duration": 0.4}, "whether 300 r/min are held (too short a time)"),
+    "sampled too seldom": (
+        {},
+        {"speed_rpm": 1000.0, "rate_hz": 64.0},  # 100 electrical revolutions a second
+        "Hall sensors against the encoder (too few samples in an electrical revolution)",
+    ),
     "too slow": ({}, {"speed_rpm": 3.0}, "whether 3 r/min are held (too slow to tell)"),
 }
 
