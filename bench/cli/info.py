@@ -60,13 +60,15 @@ def _show(target: str, node: dict[str, Any]) -> None:
     )
     echo()
     table(
-        ["parameter", "value", "default", "lowest", "highest", "unit"],
+        ["parameter", "value", "default", "lowest", "highest", "unit", "flags"],
         [
-            [p["name"], *(_number(p[key]) for key in ("value", "default", "lo", "hi")), p["unit"]]
+            [p["name"], *(_number(p[key]) for key in ("value", "default", "lo", "hi")), p["unit"], p["flags"]]
             for p in node["parameters"]
         ],
     )
     echo()
+    for oddity in node["odd"]:
+        echo(f"odd: {oddity}")
 
 
 def _show_bus(target: str, bus: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from protocol.canmap.plan import BusPlan
 from protocol.codes import fault_names
 from protocol.errors import NoReply, Refused, RemoteProtocolError
 from protocol.links import open_link
-from protocol.messages import Feature, Heartbeat, HelloReply
+from protocol.messages import Feature, Heartbeat, HelloReply, Role
 from protocol.signals import Flag
 
 SCAN_SECONDS = 0.6  # for which further nodes on a bus are waited for
@@ -68,8 +68,8 @@ def inspect_bus(client: Client, drive: Node) -> dict[str, Any] | None:
 
 
 def inspect_node(node: Node) -> dict[str, Any]:
-    """One node, as plain data in SI units."""
-    return {
+    """One node, as plain data in SI units; `odd` says what is strange about it."""
+    found = {
         "identity": describe(node.identity),
         "health": _health(node.next_heartbeat()),
         "channels": [
@@ -98,6 +98,27 @@ def inspect_node(node: Node) -> dict[str, Any]:
             for record, reply in zip(node.descriptor.parameters, node.parameter_replies().values(), strict=True)
         ],
     }
+    return found | {"odd": _odd(found)}
+
+
+def _odd(node: dict[str, Any]) -> list[str]:
+    """What a firmware engineer would want to know of a node as `inspect_node` describes it."""
+    found = []
+    if "heartbeat" in node["health"]:
+        found.append("no heartbeat in 0.5 s; SPEC asks for one each 100 ms: does the main loop run?")
+    if node["identity"]["role"] not in (Role.DRIVE.name.lower(), Role.LOAD.name.lower()):
+        found.append(f"its {node['identity']['role']} is none of SPEC's")
+    for row in (*node["channels"], *node["parameters"]):
+        if row["unit"].startswith("unit "):
+            found.append(f"{row['name']}: {row['unit']} is none of SPEC's")
+    for parameter in node["parameters"]:
+        name, value, lo, hi = (parameter[key] for key in ("name", "value", "lo", "hi"))
+        for what in ("value", "default"):
+            if not lo <= parameter[what] <= hi:
+                found.append(f"{name}: its {what} {parameter[what]:.6g} is not in {lo:.6g} … {hi:.6g}")
+        if "whole" in parameter["flags"] and not float(value).is_integer():
+            found.append(f"{name} = {value:.6g} is no whole number, as its flag says")
+    return found
 
 
 def _health(heartbeat: Heartbeat | None) -> dict[str, Any]:

@@ -49,15 +49,16 @@ def require_consent(
         return
     most = min(drive.parameter("i_max").value, envelope.current) if drive.has_parameter("i_max") else None
     current = "its own limit" if most is None else f"{most:g} A"
+    speed = f"up to {abs(envelope.speed_rpm):g} r/min, " if envelope.speed_rpm else "to be held at rest, "
     what = (
-        f"{drive.identity.name} (boot {drive.identity.boot_id:08x}) on {target}: "
-        f"up to {abs(envelope.speed_rpm):g} r/min, phase current up to {current}"
+        f"{drive.identity.name} (boot {drive.identity.boot_id:08x}) on {target}: {speed}phase current up to {current}"
     )
     if confirm is None:
         raise UnsafeError(
-            f"will not spin {what}: nobody to ask, give --yes (in Python: yes=True) if the shaft is clear"
+            f"refusing to energise {what}: no terminal to confirm; "
+            "pass --yes (in Python: yes=True) if the shaft is clear"
         )
-    if not confirm(f"Spin {what}. Is the shaft clear?"):
+    if not confirm(f"{'Spin' if envelope.speed_rpm else 'Energise'} {what}. Is the shaft clear?"):
         raise UnsafeError("not confirmed: the drive was not energised")
 
 

@@ -113,13 +113,13 @@ def _numbers() -> Iterator[Case]:
     for number in ("zero", "nan", "inf", "negative"):
         yield Case(f"n-p-{number}", WATCH, (0, 2), never="nan r/min")
         yield Case(f"n-p-{number}", SPIN, (0, 1, 2), links=BYTES, never="nan r/min")
-        yield Case(f"n-p-{number}", INFO, (0,), ("n_p",), BYTES)
+        yield Case(f"n-p-{number}", INFO, (0,), (r"odd: n_p: its value \S+ is not in 1 … 64",), BYTES)
         yield Case(f"n-p-{number}", HALL, (2,), ("n_p",))
         yield Case(f"n-p-{number}", ACCEPT, (0, 1, 2, 6))
     yield Case("i-max-nan", SPIN, (2,), ("i_max", "nan"), BYTES, never="--load")
     yield Case("i-max-nan", ACCEPT, (0, 1, 2))
     yield Case("watchdog-nan", SPIN, (0, 1, 2), links=BYTES)
-    yield Case("watchdog-nan", INFO, (0,), ("watchdog",))
+    yield Case("watchdog-nan", INFO, (0,), ("odd: watchdog: its value nan",))
 
 
 def _hellos() -> Iterator[Case]:
@@ -133,7 +133,7 @@ def _hellos() -> Iterator[Case]:
         for command in (INFO, LOOK, ACCEPT):
             yield Case(fault, command, (2,), words)
     yield Case("role-7", SPIN, (2,), ("role 7",), BYTES, never="baud")
-    yield Case("role-7", INFO, (0,), (r"\b7\b",))
+    yield Case("role-7", INFO, (0,), ("odd: its role 7 is none",))
     yield Case("role-7", ACCEPT, (2,), ("role 7",))
     yield Case("state-9", INFO, (0,), (r"\b9\b",), BYTES, never="baud")
     yield Case("state-9", SPIN, (1, 2, 5), never="baud")  # nobody knows whether it is off

@@ -19,7 +19,7 @@ from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_si
 from processes import Program, Sim
 from virtual_run import RecordingScreen, at_rest, physical, simulated
 
-from bench.cli.conform import command
+from bench.cli import cli
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import checks, chosen
 from bench.conforming.checks import Carrier
@@ -151,7 +151,7 @@ def test_streams_that_somebody_left_are_there_again() -> None:
 
 def test_a_physical_drive_is_energised_by_consent_only() -> None:
     link = VirtualLink(physical())
-    with pytest.raises(UnsafeError, match="nobody to ask"):
+    with pytest.raises(UnsafeError, match=r"refusing to energise .*, phase current .*: no terminal to confirm"):
         run_on(link, STATES, yes=False)
     asked: list[str] = []
 
@@ -279,7 +279,7 @@ def invoke() -> Any:
             return replace(run, options=asked)
 
         with patch.object(conforming, "conform", instead), patch("protocol.links.open_link", lambda target: Closed()):
-            return CliRunner().invoke(command, [TARGET, *arguments])
+            return CliRunner().invoke(cli, ["conform", TARGET, *arguments])
 
     return invoke
 
@@ -366,7 +366,7 @@ def test_arguments_that_are_wrong(invoke: Any, found: dict[str, Run]) -> None:
 
 
 def test_the_help_has_the_levels_and_an_example() -> None:
-    text = CliRunner().invoke(command, ["--help"]).output
+    text = CliRunner().invoke(cli, ["conform", "--help"]).output
     assert "bench conform serial:/dev/ttyACM0" in text
     assert all(re.search(rf"^ +{level}  \w", text, re.MULTILINE) for level in range(6))
 

@@ -290,7 +290,7 @@ def never_armed(link: WatchedLink) -> bool:
 @pytest.mark.parametrize("what", [{}, {"speed_rpm": None, "load_a": 1.0}], ids=["drive", "load alone"])
 def test_a_physical_bench_is_not_energised_where_nobody_can_be_asked(what: dict[str, float | None]) -> None:
     link: Link = WatchedLink(physical())
-    with pytest.raises(UnsafeError, match=r"will not spin simulated drive .* on serial:/dev/ttyTEST.*--yes"):
+    with pytest.raises(UnsafeError, match=r"refusing to energise simulated drive .* on serial:/dev/ttyTEST.*--yes"):
         run(link, confirm=None, **what)  # type: ignore[arg-type]
     assert never_armed(link)
     with pytest.raises(LinkClosed):

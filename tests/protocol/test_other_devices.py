@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from lying_link import LyingLink
 from small_drive import PARAMETERS, SmallDrive, identity, small_link
 
-from bench.cli.info import command
+from bench.cli import cli
 from bench.device import description as inspect
 from bench.device.client import Client
 from bench.device.node import Node
@@ -68,8 +68,8 @@ def info(monkeypatch: pytest.MonkeyPatch):
 
     def run(link: LyingLink) -> tuple[dict, str, BaseException | None]:
         monkeypatch.setattr(inspect, "open_link", lambda target: link)
-        result = CliRunner().invoke(command, ["tcp:x:1", "--json"])
-        text = CliRunner().invoke(command, ["tcp:x:1"]).output
+        result = CliRunner().invoke(cli, ["info", "tcp:x:1", "--json"])
+        text = CliRunner().invoke(cli, ["info", "tcp:x:1"]).output
         return json.loads(result.stdout, parse_constant=pytest.fail), text, result.exception
 
     return run

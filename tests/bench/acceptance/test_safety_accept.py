@@ -217,8 +217,8 @@ def test_a_physical_drive_is_not_energised_where_nobody_can_be_asked(
     boot = link.device.drive.identity.boot_id
     assert app.get_param("i_max") == 8
     assert re.fullmatch(
-        rf"will not spin simulated drive \(boot {boot:08x}\) on serial:\S+: up to {speed}(\.\d+)? r/min, phase current "
-        rf"up to {current} A: nobody to ask, give --yes \(in Python: yes=True\) if the shaft is clear",
+        rf"refusing to energise simulated drive \(boot {boot:08x}\) on serial:\S+: up to {speed}(\.\d+)? r/min, phase "
+        rf"current up to {current} A: no terminal to confirm; pass --yes \(in Python: yes=True\) if the shaft is clear",
         str(refused.value),
     )
     assert never_armed(link)
