@@ -243,16 +243,18 @@ class Probe:
         """Send a request, again where it is not answered, and return its answer. Raises NoAnswer."""
         return self.ask_frame(self.frame(kind, payload), tries=tries)
 
-    def ask_frame(self, frame: Frame, *, tries: int = TRIES, wire: bytes | None = None) -> Answer:
-        """The same for any frame; `wire` is written in its place."""
+    def ask_frame(
+        self, frame: Frame, *, tries: int = TRIES, wire: bytes | None = None, patience: float = PATIENCE
+    ) -> Answer:
+        """The same for any frame; `wire` is written in its place. Each try waits `patience` s."""
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
             self.write(self.line.encode(frame) if wire is None else wire)
-            if self.until(lambda since=since: bool(self.answers(frame, since)), PATIENCE):  # type: ignore[misc]
+            if self.until(lambda since=since: bool(self.answers(frame, since)), patience):  # type: ignore[misc]
                 first = self.answers(frame, since)[0]
                 return Answer(first, first.at - sent)
         often = f" in {tries} tries" if tries > 1 else ""
-        raise NoAnswer(f"{name_of(frame.type)} was not answered within {PATIENCE:g} s{often}")
+        raise NoAnswer(f"{name_of(frame.type)} was not answered within {patience:g} s{often}")
 
     def ask_again(self, frame: Frame) -> Answer:
         """Repeat a request that has been answered.

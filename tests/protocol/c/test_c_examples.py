@@ -132,9 +132,11 @@ def test_the_watchdog_turns_off_what_a_killed_host_left(start: Callable[..., Pro
 def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: Path) -> None:
     with subprocess.Popen([on_a_pty], stdout=subprocess.PIPE, text=True, preexec_fn=ends_with_this) as drive:
         assert drive.stdout is not None
-        check = start("hall", "check", target_in(drive.stdout), "--yes")
-        assert check.end() == 0, check.out + check.err
-        drive.kill()
+        try:
+            check = start("hall", "check", target_in(drive.stdout), "--yes")
+            assert check.end() == 0, check.out + check.err
+        finally:
+            drive.kill()
     assert any(line.startswith("HEALTHY") for line in check.out)
 
 

@@ -33,14 +33,19 @@ void timer0_interrupt(void)
     while ((int32_t)(ticks() - (uint32_t)motor.now) >= (int32_t)MOTOR_PERIOD) motor_period(&drive);
 }
 
-void uart0_rx_interrupt(void);
-void uart0_rx_interrupt(void)
+static void take_in(void)
 {
-    UART0->interrupt = 2;
     while ((UART0->state & UART_RX_FULL) && ring_head - ring_tail < RING) {
         ring[ring_head % RING] = (uint8_t)UART0->data;
         ring_head = ring_head + 1u;
     }
+}
+
+void uart0_rx_interrupt(void);
+void uart0_rx_interrupt(void)
+{
+    UART0->interrupt = 2;
+    take_in();
 }
 
 static uint64_t now(void)
@@ -60,6 +65,9 @@ static void receive(void)
         bytes[n++] = ring[ring_tail % RING];
         ring_tail = ring_tail + 1u;
     }
+    __asm volatile("cpsid i" ::: "memory");
+    take_in(); /* a byte that found the ring full interrupts no second time */
+    __asm volatile("cpsie i" ::: "memory");
     if (n) hbp_rx(&link, now(), bytes, n);
 }
 
