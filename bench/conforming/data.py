@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.device import Block, Configured, Device, ids, width
 from bench.conforming.levels import MOTION, STREAMS
-from bench.conforming.probe import steps
+from bench.conforming.probe import MOST_QUEUED, read, steps
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.canmap.layout import sample_layout
+from protocol.codes import MessageType
 from protocol.descriptor import Channel
+from protocol.messages import TimeSyncReply
 from protocol.streams import DISCONTINUITY, OVERRUN
 
 check = Group("stream", STREAMS, Carrier.BYTES)
@@ -25,7 +28,9 @@ AHEAD, BEHIND = 0.002, 0.005  # s that a device may need from a sample to its fr
 MASK = 0xFFFFFFFF
 UNREAD = (0.6, 2.0, 4.0)  # s for which the link is not read, one after the other, until frames are dropped
 SETTLE = 0.5  # s after that in which what waited is read
-LOAD_LATENCY = 20  # ms
+SLOWED = 8  # times at most that a rate is lowered until a stream takes no more than its share of the link
+HALF = 0.4  # of the link, that each of two streams may take
+LOADED = 0.6  # of the link, that one may take which is to lose nothing while it is read, beside heartbeats
 SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
 
 
@@ -122,10 +127,11 @@ def tick_is_now(device: Device) -> str:
     told = device.configure(0, ids(device.channels[:1]), RATE)
     step = told.asked.decimation * device.ticks_per_period
     device.start_streams(1)
-    asked: list[tuple[int, int]] = []  # how much had been heard when it was answered, and its tick
+    asked: list[tuple[int, int]] = []  # the place of its answer, and its tick
     for _ in range(round(2 * WATCHED / SYNCED)):
-        _, tick = device.probe.tick()
-        asked.append((len(device.probe.heard), tick))
+        answer = device.probe.ask(MessageType.TIME_SYNC)
+        place = next(n for n, each in enumerate(device.probe.heard) if each is answer.heard)
+        asked.append((place, read(answer.frame, TimeSyncReply).tx_tick))
         device.probe.listen(SYNCED)
     if any(after < before for (_, before), (_, after) in pairwise(asked)):
         raise Unknown("the tick of TIME_SYNC goes back")
@@ -270,10 +276,22 @@ def _both_ways(device: Device) -> Both:
     return found
 
 
+def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float) -> tuple[Configured, float]:
+    """Stream 0 at `rate`, or at a lower one at which it takes no more than `share` of the link; and that rate."""
+    told = device.configure(0, ids(chosen), rate)
+    for _ in range(SLOWED):
+        if told.reply.load <= share:
+            break
+        rate = device.pwm_hz / told.asked.decimation * share / told.reply.load
+        told = device.configure(0, ids(chosen), rate)
+    return told, rate
+
+
 def _streamed_both_ways(device: Device) -> Both:
     chosen = _few(device)
     rate = min(RATE, device.pwm_hz / 4)
-    forth, back = device.configure(0, ids(chosen), rate), device.configure(1, ids(chosen[::-1]), rate)
+    forth, rate = _within(device, chosen, rate, HALF)
+    back = device.configure(1, ids(chosen[::-1]), rate)
     if forth.asked.decimation != back.asked.decimation:
         raise Unknown(f"the second one fits with decimation {back.asked.decimation} only")
     device.start_streams(3)
@@ -295,6 +313,7 @@ def stop_sends(device: Device) -> str:
     device.probe.listen(0.2)
     early = len(device.blocks(0))
     device.stop_streams()
+    device.probe.until(lambda: bool(device.blocks(0)), WATCHED)
     blocks = device.blocks(0)
     if early:
         raise Unknown("a frame came before STREAM_STOP")
@@ -360,13 +379,25 @@ def _overload(device: Device) -> Overload:
         if _dropped(device) != before:
             break
     probe.listen(SETTLE)
-    counted = (_dropped(device) - before) & MASK
-    frames = device.blocks(0)
+    beat = device.fresh()
+    counted = (beat.tx_dropped - before) & MASK
+    frames = _up_to(device, beat.tick)
     device.stop_streams()
     if not counted and not any((b.seq - a.seq - 1) & 0xFFFF for a, b in pairwise(frames)) and not _jumped(frames, told):
         raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s in which the link was not read, {rate}")
     words = f"{rate}, {len(frames)} frames"
     return Overload(words, told.asked.decimation, told.reply.block, frames, counted, probe.line.damaged - damaged)
+
+
+def _up_to(device: Device, tick: int) -> list[Block]:
+    """The frames of stream 0, of which the last one is not older than `tick`: a slow link has a long queue."""
+
+    def there() -> bool:
+        blocks = device.blocks(0)
+        return bool(blocks) and _signed(blocks[-1].tick - tick) >= 0
+
+    device.probe.until(there, MOST_QUEUED)
+    return device.blocks(0)
 
 
 def _jumped(frames: list[Block], told: Configured) -> bool:
@@ -378,7 +409,7 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
     chosen = device.fitting(device.channels)
     rate = float(device.pwm_hz)
     while True:
-        told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
+        told, rate = _within(device, chosen, rate, LOADED)
         before = _dropped(device)
         device.start_streams(1)
         device.streamed(0, 0.3)
@@ -386,7 +417,7 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         dropped = _dropped(device) != before
         device.stop_streams()
         if not dropped:
-            told = device.configure(0, ids(chosen), rate, LOAD_LATENCY)
+            told = device.configure(0, ids(chosen), rate)
             actual = device.pwm_hz / told.asked.decimation
             return told, f"{len(chosen)} channels ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
         if told.asked.decimation >= SLOWEST:

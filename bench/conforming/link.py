@@ -93,8 +93,9 @@ def no_delimiter(device: Device) -> str:
 
 
 def _answered(probe: Probe, before: bytes, patience: float = PATIENCE) -> str:
-    frame, wire = probe.frame(TIME_SYNC), probe.line.encode
-    return accepted(probe.ask_frame(frame, tries=1, wire=before + wire(frame), patience=patience), "TIME_SYNC")
+    frame = probe.frame(TIME_SYNC)
+    wire = before + probe.line.encode(frame)
+    return accepted(probe.ask_frame(frame, tries=1, wire=wire, patience=patience), "TIME_SYNC")
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------

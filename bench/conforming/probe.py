@@ -6,6 +6,7 @@ tids, flags and lengths are the caller's. It decides nothing. Time is the link's
 
 from __future__ import annotations
 
+import math
 import random
 import struct
 from collections.abc import Callable
@@ -19,8 +20,18 @@ from cobs import cobs
 
 from bench.conforming.verdicts import Failed, Unknown
 from protocol.codes import Command, DriveState, ErrorCode, MessageType
-from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, encode_frame, parse_frame
+from protocol.framing import (
+    CONNECT_PREAMBLE,
+    MAJOR,
+    MAX_PAYLOAD,
+    Deframer,
+    Frame,
+    encode_frame,
+    encoded_length,
+    parse_frame,
+)
 from protocol.links import Link
+from protocol.links.serial import SerialLink
 from protocol.messages import (
     UNACKNOWLEDGED,
     ErrorReply,
@@ -165,6 +176,9 @@ class Probe:
         self._tid = random.randrange(1, 0x10000)
         self._alive = 0
         self._fed = -1e9
+        baud = self.link.target.baud if isinstance(self.link, SerialLink) else math.inf
+        self._longest = 10 * encoded_length(MAX_PAYLOAD) / baud
+        """s that the longest frame is under way on a UART."""
 
     # -- writing and reading --------------------------------------------------------------------------------------
 
@@ -250,7 +264,7 @@ class Probe:
         for _ in range(tries):
             since, sent = len(self.heard), self.now()
             self.write(self.line.encode(frame) if wire is None else wire)
-            if self.until(lambda since=since: bool(self.answers(frame, since)), patience):  # type: ignore[misc]
+            if self.until(lambda since=since: bool(self.answers(frame, since)), patience + self._longest):  # type: ignore[misc]
                 first = self.answers(frame, since)[0]
                 return Answer(first, first.at - sent)
         often = f" in {tries} tries" if tries > 1 else ""
@@ -321,7 +335,7 @@ class Probe:
         before, end = 0, self.now() + MOST_QUEUED
         while (now := streamed()) != before and self.now() < end:
             before = now
-            self.listen(QUIET)
+            self.listen(max(QUIET, self._longest))
 
     def hello(self, nonce: int | None = None, rx_max: int = 1024) -> HelloReply:
         """Say HELLO; without `nonce` with a new one. Raises NoAnswer; Failed where it is refused or cannot be read."""

@@ -179,7 +179,8 @@ class Rig:
         edges = (
             node.set_edges() if node.offers_edges else no_edge_stream(node.number, identity.tick_hz, identity.pwm_hz)
         )
-        self.samples = configure(node, choices, decimation, slower, edge_rate(node, self.drive.envelope))
+        edges_per_s = edge_rate(node, self.drive.envelope) if slower else 0.0
+        self.samples = configure(node, choices, decimation, slower, edges_per_s)
         return edges
 
     def load_machine(self) -> NodeLoad | None:

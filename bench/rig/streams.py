@@ -17,7 +17,7 @@ from protocol.streams import EDGE_RECORD, MAX_DECIMATION, STREAM_HEADER, StreamC
 
 _TOLERANCE = 1e-4  # rates are printed with six digits
 _USABLE = 0.9  # of a byte link; replies are in the rest
-_HEARTBEATS = 20 * encoded_length(56)  # bytes/s, of a drive and a load machine
+_HEARTBEATS = 20 * encoded_length(44)  # bytes/s: a drive's and a load machine's, ten a second each
 _LEAST = 0.1  # of a link, that samples get however many edges there are
 
 

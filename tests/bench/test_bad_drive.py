@@ -23,11 +23,12 @@ from tests.devices.spec import State
 BYTES, ALL = ("pty", "tcp"), ("pty", "tcp", "slcan")
 SHOUT = ("OUTPUTS MAY STILL BE ON", "cut the power")
 LONGER = SPIN.replace("0.8", "2.0")
+FITTED = f"{SPIN} --fit"
 REFUSED = SPIN.replace(" --yes", "")  # nobody can be asked
 UNFED = ACCEPT.replace("test_stop", "test_watchdog")
 NAMES = {
     SPIN: "spin", LONGER: "spin_longer", REFUSED: "spin_refused", WATCH: "watch", INFO: "info", LOOK: "hall_passive",
-    HALL: "hall", ACCEPT: "accept", UNFED: "accept_watchdog",
+    FITTED: "spin_fitted", HALL: "hall", ACCEPT: "accept", UNFED: "accept_watchdog",
 }  # fmt: skip
 
 
@@ -110,6 +111,7 @@ def _numbers() -> Iterator[Case]:
     for number in ("nan", "inf", "negative"):
         yield Case(f"fits-{number}", WATCH, (2,), ("not fit",), BYTES, never=r"nan\b|\binf\b|--rate -|--rate 0\b")
         yield Case(f"fits-{number}", ACCEPT, (2,), ("not fit",))
+        yield Case(f"load-{number}", FITTED, (0,), ("--fit: ", r"result +ok"))
     for number in ("zero", "nan", "inf", "negative"):
         yield Case(f"n-p-{number}", WATCH, (0, 2), never="nan r/min")
         yield Case(f"n-p-{number}", SPIN, (0, 1, 2), links=BYTES, never="nan r/min")

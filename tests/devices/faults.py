@@ -293,8 +293,22 @@ def _fits(detail: float) -> type[Device]:
     return DoesNotFit
 
 
+def _load(told: float) -> type[Device]:
+    """Samples fit from decimation 2 on, and their load is this."""
+
+    class Load(Device):
+        def stream_set(self, message: Message, peer: Peer) -> bytes:
+            if message.payload[1] == PWM and int.from_bytes(message.payload[2:4], "little") < 2:
+                raise Refusal(Code.DOES_NOT_FIT, 2.0)
+            reply = super().stream_set(message, peer)
+            return reply[:8] + struct.pack("<f", told) + reply[12:]
+
+    return Load
+
+
 for _name, _argument in (("nan", nan), ("inf", inf), ("negative", -3.5)):
     fault(f"fits-{_name}")(_fits(_argument))
+    fault(f"load-{_name}")(_load(_argument))
 
 
 def _value_of(name: str, value: float) -> type[Device]:
