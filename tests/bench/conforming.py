@@ -9,6 +9,7 @@ from unittest.mock import patch
 
 from virtual_run import RecordingScreen
 
+from bench.conforming import probe
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import chosen
 from bench.conforming.checks import Check
@@ -17,9 +18,11 @@ from bench.conforming.verdicts import Verdict
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link
+from protocol.links.target import SerialTarget
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork
+from sim.ports.uart import BITS_PER_CHARACTER, Pacer
 from sim.ports.virtual import VirtualLink
 from tests.devices import FULL, carriers, serving, virtual
 from tests.devices.device import Device
@@ -139,6 +142,39 @@ def on_device(
 
 def on_simulated(level: int, device: SimulatedDevice) -> Run:
     return run_on(VirtualLink(device), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz)))
+
+
+class UartLink(VirtualLink):
+    """To a simulated bench behind a UART of `baud`: bytes come when the line has had the time to send them."""
+
+    def __init__(self, device: SimulatedDevice, baud: int) -> None:
+        super().__init__(device, step=1e-3)
+        self.target = SerialTarget(self.name, baud)
+        self._pacer = Pacer(baud)
+        self._sent = b""
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        end = self.clock() + timeout
+        while not (data := self._passed()) and self.clock() < end:
+            self.device.advance(self._step)
+        return data
+
+    def _passed(self) -> bytes:
+        free = self._pacer.allowance(self.clock())
+        self._sent += self.device.data_to_send(max(0, free - len(self._sent)))
+        data, self._sent = self._sent[:free], self._sent[free:]
+        self._pacer.spend(len(data))
+        return data
+
+
+def on_uart(level: int, baud: int) -> Run:
+    """The run on a simulated bench that knows its UART's rate and has room for half a second of frames."""
+    network = ByteNetwork(DeviceLink(TxQueue(bulk_limit=baud // 20, capacity=baud / BITS_PER_CHARACTER)))
+    device = SimulatedDevice(load_params(), 1, network=network)
+    with patch.object(probe, "SerialLink", UartLink):
+        return run_on(
+            UartLink(device, baud), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz))
+        )
 
 
 def narrow() -> SimulatedDevice:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner, Result
-from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_simulated, options, run_on
+from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_simulated, on_uart, options, run_on
 from processes import Program, Sim
 from virtual_run import RecordingScreen, at_rest, physical, simulated
 
@@ -72,6 +72,13 @@ def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) ->
     assert claim(run).conforms
     assert at_rest(device)
     assert device.bench.parameters == before
+
+
+@pytest.mark.parametrize("baud", [57_600, 115_200])
+def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
+    run = on_uart(STREAMS, baud)
+    assert not ended(run, Verdict.FAILED)
+    assert ended(run, Verdict.UNKNOWN) == ["stream.edges-before-samples"]  # its motor is at rest
 
 
 def test_a_level_has_those_below_it_and_nothing_is_energised_below_the_third() -> None:
