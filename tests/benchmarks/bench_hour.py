@@ -32,9 +32,12 @@ def hour(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
             sys.executable, "-m", "bench", "live", sim.target, "--yes", "--viewer", "none", "--speed", "1000",
             "--duration", f"{seconds:g}", "--save", str(file), "--json", "-",
         ]  # fmt: skip
-        live = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        live = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         with closing(Memory(live.pid)) as memory:
-            summary = json.loads(live.communicate()[0])
+            printed, said = live.communicate()
+    if live.returncode:  # also where the motor did not turn for all of it
+        raise RuntimeError(f"bench live: exit code {live.returncode}\n{said}")
+    summary = json.loads(printed)
     streamed = streamed_in_part(file)
     most, flat, slope = memory.after(warm)
     rate = summary["recording"]["bytes"] / summary["duration_s"]
