@@ -1,8 +1,8 @@
 """The views of a run, as a rerun blueprint.
 
-Left, the last half minute (bands from minima and maxima); in the middle, every sample of the last moments; right, the
-stator plane, losses and logs. The same blueprint serves the live view and the file. A view that the run's channels
-cannot fill is left out. Nothing here logs data.
+First page: left, the last half minute (bands from minima and maxima); in the middle, every sample of the last moments;
+right, the stator plane, the run in words and its log. Second page: what the last second comes to. The same blueprint
+serves the live view and the file. A view that the run's channels cannot fill is left out. Nothing here logs data.
 """
 
 from __future__ import annotations
@@ -16,51 +16,70 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from bench.analysis.colours import GROUND
 from bench.recording.info import Mark, RunInfo, ns_from_tick
-from bench.rerunio import schema
-from bench.rerunio.plane import X_RANGE, Y_RANGE, Plane
-from bench.rerunio.plots import TREND, Line, Plot, plots
+from bench.rerunio import last_second, plane, schema
+from bench.rerunio.last_second import LastSecond
+from bench.rerunio.plane import Plane
+from bench.rerunio.plots import LEGEND_SHARE, TREND, Line, Plot, plots
+from bench.rerunio.states import drive_entity
 
 HALL = 0.1  # seconds that the Hall view shows
-HALL_QUERIED = 0.3  # of which it is told, for the code that its first moments begin with
-LEGEND_SHARE = 0.27  # of a plot's width, left free of data for its legend
+HALL_QUERIED = 0.2  # more of which it is told, for the code that its first moments begin with
+SECTORS_SHOWN = 15  # in the Hall view, if the speed is known: so that each has room for its name
+LEAST_HALL, MOST_HALL = 0.005, 2.0  # s
 ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
 WIDTH = 1.5  # of a line, in points
 COARSE = 10.0  # s that plots of samples show where there are only minima and maxima
+
+SECOND_NAMES = {
+    schema.BY_ANGLE: "Mean position error [°] over the electrical angle [°]",
+    schema.HARMONICS: "Harmonics 2 to 20 of the phase currents [% of the fundamental]",
+    schema.LATE: "Hall edges: measured minus ideal angle [°], late is positive; sector I is 1",
+}
 
 Span = tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]
 
 
 def blueprint(
-    run: RunInfo, marks: Sequence[Mark] = (), whole: tuple[int, int] | None = None, coarse: bool = False
+    run: RunInfo,
+    marks: Sequence[Mark] = (),
+    whole: tuple[int, int] | None = None,
+    coarse: bool = False,
+    sector: float | None = None,
 ) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest.
 
     `whole`: first and last tick of a recorded run, which the long plots show all of; `coarse`: where samples are mostly
-    left out, so that the others show more than the last moments.
+    left out, so that the others show more than the last moments. `sector`: how long a sector lasts, s, where the speed
+    is known.
     """
     found = plots(run)
     if whole is not None:
         found = {key: _of_all(plot, coarse) for key, plot in found.items()}
     trend = None if whole is None else _ticks(run, *whole)
     states = _lanes(
-        f"Drive, last {TREND:g} s" if trend is None else "Drive", schema.DRIVE,
-        trend or _span(TREND), trend or _span(TREND / (1 - LEGEND_SHARE)),
+        f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
+        trend or _span(TREND), None if whole is None else _wide(run, *whole),
     )  # fmt: skip
+    seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
     hall = _lanes(
-        f"Hall sensors a, b, c and sector, last {HALL:g} s", schema.HALL_LANES, _span(HALL_QUERIED), _span(HALL)
-    )
-    trends = _rows([plot for plot in found.values() if plot.entity == schema.TREND], trend)
-    waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST])
+        f"Hall sensors and sector, last {seconds:.2g} s{', near marks and faults only' if coarse else ''}",
+        schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds),
+    )  # fmt: skip
+    second_page = _last_second(run, found, whole)
+    apart = {"bus"} if second_page else set()
+    trends = _rows([p for key, p in found.items() if p.entity == schema.TREND and key not in apart], run, whole)
+    waves = _rows([plot for plot in found.values() if plot.entity == schema.FAST], run)
     columns = [_column(trends, [states]), _column(waves, [hall] if run.hall else []), _texts(Plane(run).contents)]
     shares = [5, 5, 4.4]
     views: rrb.Container = rrb.Horizontal(
         *(column for column in columns if column),
         column_shares=[share for share, column in zip(shares, columns, strict=True) if column],
+        name="Run",
     )
     if marks:
-        views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1])
+        views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
     return rrb.Blueprint(
-        views,
+        rrb.Tabs(views, second_page, active_tab=0) if second_page else views,
         rrb.TopPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
@@ -77,40 +96,69 @@ def _of_all(plot: Plot, coarse: bool) -> Plot:
     return plot
 
 
-def _rows(found: Sequence[Plot], whole: Span | None = None) -> list[rrb.View | rrb.Container]:
+def _rows(found: Sequence[Plot], run: RunInfo, whole: tuple[int, int] | None = None) -> list[rrb.View | rrb.Container]:
     """A column's plots from top to bottom; those for which there is no room share the last place, as tabs."""
     known = sum(not plot.by_unit for plot in found)
     room = max(ROWS, MOST_ROWS - known)
-    views: list[rrb.View | rrb.Container] = [_view(plot, whole) for plot in found]
+    views: list[rrb.View | rrb.Container] = [_view(plot, run, whole) for plot in found]
     return views if len(views) <= room else [*views[: room - 1], rrb.Tabs(*views[room - 1 :], active_tab=0)]
 
 
 def _column(rows: Sequence[rrb.View | rrb.Container], lanes: Sequence[rrb.View]) -> rrb.Container | None:
     """Plots, and below them timelines of states; None without either."""
-    shares = [3.0] * len(rows) + [2.5] * len(lanes)
+    shares = [3.0] * len(rows) + [2.7] * len(lanes)
     return rrb.Vertical(*rows, *lanes, row_shares=shares) if shares else None
 
 
 def _texts(stator: str) -> rrb.Container:
     """The column of the stator plane, left out where `stator`, what it shows, is empty, and of the texts."""
-    losses = rrb.TextDocumentView(name="Losses [counts]", origin=f"/{schema.HEALTH_TEXT}")
     log = rrb.TextLogView(
         name="Log",
         origin="/log",
         contents=["/log/**"],
         columns=rrb.TextLogColumns(timeline_columns=[schema.TIMELINE], text_log_columns=["loglevel", "body"]),
     )
-    summary = rrb.TextDocumentView(name="Run and summary", origin=f"/{schema.SUMMARY}")
+    words = rrb.TextDocumentView(name="Losses; summary at the end", origin=f"/{schema.RUN_TEXT}")
     if not stator:
-        return rrb.Vertical(losses, log, summary, row_shares=[2.6, 3.9, 5])
-    plane = rrb.Spatial2DView(
+        return rrb.Vertical(words, log, row_shares=[6, 5])
+    view = rrb.Spatial2DView(
         name=f"Stator plane: {stator}",
         origin="/stator",
         contents=["/stator/**"],
         background=GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=X_RANGE, y_range=Y_RANGE),
+        visual_bounds=rrb.VisualBounds2D(x_range=plane.X_RANGE, y_range=plane.Y_RANGE),
     )
-    return rrb.Vertical(plane, losses, rrb.Tabs(log, summary, name="Texts"), row_shares=[5, 2.6, 3.9])
+    return rrb.Vertical(view, words, log, row_shares=[4.4, 4, 3.1])
+
+
+def _last_second(run: RunInfo, found: Mapping[str, Plot], whole: tuple[int, int] | None) -> rrb.Container | None:
+    """The second page: what the last second comes to, and the DC bus; None where there is nothing of it."""
+    made = LastSecond(run).views
+    if not made:
+        return None
+    views: list[rrb.View] = [_of_second(view) for view in made]
+    if "bus" in found:
+        views.append(_view(found["bus"], run, whole))
+    views.append(rrb.TextDocumentView(name="In numbers", origin=f"/{schema.NUMBERS}"))
+    return rrb.Grid(*views, grid_columns=min(3, len(views)), name="Last second")
+
+
+def _of_second(view: str) -> rrb.View:
+    if view == schema.DQ:
+        return rrb.Spatial2DView(
+            name="Current vector, last 0.2 s: i_d to the right, i_q up",
+            origin=f"/{schema.DQ}",
+            contents=[f"/{schema.DQ}/**"],
+            background=GROUND,
+            visual_bounds=rrb.VisualBounds2D(x_range=last_second.X_RANGE, y_range=last_second.Y_RANGE),
+        )
+    return rrb.BarChartView(
+        name=SECOND_NAMES[view],
+        origin=f"/{view}",
+        contents=[f"/{view}/**"],
+        background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
+        plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop),
+    )
 
 
 def _marked(run: RunInfo, marks: Sequence[Mark]) -> rrb.StateTimelineView:
@@ -118,20 +166,39 @@ def _marked(run: RunInfo, marks: Sequence[Mark]) -> rrb.StateTimelineView:
     return _lanes("Marks", schema.ACCEPTANCE, span, span)
 
 
-def _lanes(name: str, entity: str, queried: Span, shown: Span) -> rrb.StateTimelineView:
+def _lanes(name: str, entity: str, queried: Span, shown: Span | None) -> rrb.StateTimelineView:
+    """Timelines of states over the time `shown`, or over all of what there is of `queried`."""
     return rrb.StateTimelineView(
-        name=name, origin="/", contents=[f"/{entity}"], time_ranges=_queried(queried), time_view=_shown(shown)
-    )
+        name=name, origin="/", contents=[f"/{entity}"],
+        time_ranges=_queried(queried), time_view=None if shown is None else _shown(shown),
+    )  # fmt: skip
 
 
-def _view(plot: Plot, whole: Span | None) -> rrb.TimeSeriesView:
-    """A plot of the last moments, or of the span `whole`."""
-    shown = whole or _span(plot.seconds / (1 - LEGEND_SHARE))
-    return time_series(plot, {plot.entity: plot.lines}, whole or _span(plot.seconds), shown)
+def _view(plot: Plot, run: RunInfo, whole: tuple[int, int] | None) -> rrb.TimeSeriesView:
+    """A plot of the last moments, or of the ticks `whole`.
+
+    A live plot of the last half minute shows what there is of it, beside the room that its guide makes for the legend.
+    """
+    queried, shown = _span(plot.seconds), _span(plot.seconds / (1 - LEGEND_SHARE))
+    if plot.entity == schema.FAST:
+        return time_series(plot, {plot.entity: plot.lines} | _guide(plot, schema.GUIDE), queried, shown)
+    lines = {plot.entity: plot.lines} | _guide(plot, schema.ROOM)
+    if whole is None:
+        return time_series(plot, lines, shown, None)
+    return time_series(plot, lines, _ticks(run, *whole), _wide(run, *whole))
 
 
-def time_series(plot: Plot, lines: Mapping[str, Sequence[Line]], queried: Span, shown: Span) -> rrb.TimeSeriesView:
-    """A view with the name and range of `plot`, of `lines` by entity, over the time `shown`."""
+def _guide(plot: Plot, entity: str) -> dict[str, Sequence[Line]]:
+    """The line that makes room in a plot and is not seen: it bears the name of another, so that the legend has one."""
+    first = plot.lines[0]
+    unseen = replace(first, component=plot.guide, unseen=True)
+    return {entity: (unseen,)} if plot.least or entity == schema.ROOM else {}
+
+
+def time_series(
+    plot: Plot, lines: Mapping[str, Sequence[Line]], queried: Span, shown: Span | None
+) -> rrb.TimeSeriesView:
+    """A view with the name and range of `plot`, of `lines` by entity, over the time `shown`, or all of `queried`."""
     return rrb.TimeSeriesView(
         name=plot.name,
         origin="/",
@@ -141,12 +208,13 @@ def time_series(plot: Plot, lines: Mapping[str, Sequence[Line]], queried: Span, 
         background=rrb.archetypes.PlotBackground(color=GROUND, show_grid=True),
         plot_legend=rrb.PlotLegend(visible=True, corner=rrb.Corner2D.LeftTop),
         time_ranges=_queried(queried),
-        axis_x=_shown(shown),
+        axis_x=None if shown is None else _shown(shown),
     )
 
 
 def _series(line: Line) -> rrb.Visualizer:
-    return rr.SeriesLines(names=line.name, colors=line.colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
+    colour = (*line.colour, 0) if line.unseen else line.colour
+    return rr.SeriesLines(names=line.name, colors=colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
         mappings=[
             VisualizerComponentMapping(
                 target="Scalars:scalars",
@@ -155,6 +223,11 @@ def _series(line: Line) -> rrb.Visualizer:
             )
         ]
     )
+
+
+def _wide(run: RunInfo, first: int, last: int) -> Span:
+    """From one device tick to another, with room for a legend before."""
+    return _ticks(run, first - round((last - first) * LEGEND_SHARE / (1 - LEGEND_SHARE)), last)
 
 
 def _ticks(run: RunInfo, first: int, last: int) -> Span:

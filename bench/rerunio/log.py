@@ -26,8 +26,9 @@ from bench.recording.overview import ERROR
 from bench.rerunio import markdown, schema, states
 from bench.rerunio.blocks import Block
 from bench.rerunio.hall_lanes import HallLanes
+from bench.rerunio.last_second import LastSecond
 from bench.rerunio.plane import Picture, Plane
-from bench.rerunio.plots import left_out, trend_lines
+from bench.rerunio.plots import LEGEND_SHARE, TREND, Line, Plot, left_out, plots, trend_lines
 from bench.rerunio.trend import Rows, TrendBinner
 from protocol.messages import DeviceEvent, DriveState, EventCode, Heartbeat
 from protocol.signals import STATUS_SOURCE_MASK, STATUS_SOURCE_SHIFT, STATUS_STATE_MASK, Status
@@ -38,6 +39,7 @@ REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newe
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
 TREND_LOT = 10  # bins, at least, that go out together
+GUIDE_STEP = 0.025  # s between two rows of the guides
 RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
@@ -55,9 +57,12 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 
 
 class RunLog:
-    """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more."""
+    """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more.
 
-    def __init__(self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0) -> None:
+    `live`: the long plots follow the newest sample, and their guides leave room for legends before the first.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0, live: bool = False) -> None:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
@@ -65,6 +70,7 @@ class RunLog:
         self._by_config: dict[int, _Stream] = {}  # the same, by id of the configuration
         self._layouts: dict[tuple[str, ...], pa.Schema] = {}
         self._lanes: dict[str, str] = dict.fromkeys(states.lanes(run), states.UNKNOWN)
+        self._drive = states.drive_entity(run)
         self._lanes_ns = 0
         self._hall = HallLanes(run)
         self.marks: list[Mark] = []
@@ -75,6 +81,12 @@ class RunLog:
         bands, means = trend_lines(run)
         self._trend_lines = [*bands, *means]
         self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands), max(TREND_LOT, round(lot / TREND_BIN)))
+        shown = [plot for plot in plots(run).values() if plot.entity == schema.TREND or plot.least]
+        self._guides = [plot for plot in shown if plot.entity == schema.FAST]
+        self._rooms = [plot for plot in shown if plot.entity == schema.TREND]
+        self._live = live
+        self._first_ns: int | None = None  # of the run, or since the drive has rebooted
+        self._last_second = LastSecond(run)
         self._plane = Plane(run)
         self._pictures: list[tuple[int, Picture]] = []
         self._lot_ns, self._next_lot_ns = round(lot * 1e9), 0
@@ -84,15 +96,14 @@ class RunLog:
     def start(self) -> None:
         """Log what does not change: identity, colours of states, the stator plane's frame."""
         log = self._stream.log
-        self.summary(identity_text(self.run))
-        for entity, colours in states.STATE_COLOURS.items():
+        for entity, colours in states.state_colours(self.run).items():
             log(entity, states.configuration(colours), static=True)
-        for entity, parts in self._plane.frame():
+        for entity, parts in (*self._plane.frame(), *self._last_second.frame()):
             log(entity, parts, static=True)
 
     def summary(self, markdown: str) -> None:
-        """Replace the summary document."""
-        self._stream.log(schema.SUMMARY, _markdown(markdown), static=True)
+        """Show the summary from now on, whatever the moment that is looked at."""
+        self._stream.log(schema.RUN_TEXT, _markdown(markdown), static=True)
 
     # -- blocks -------------------------------------------------------------------------------------------------
 
@@ -139,14 +150,20 @@ class RunLog:
         shown = {column.component: pa.array(values[column.name]) for column in columns}
         shown |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         self._send(schema.FAST, t_ns, shown)
-        trends = {
-            line.component: pa.array((errors[line.channel] if line.error else values[line.channel] * line.factor)
-                                     .astype(np.float32))
-            for line in self._trend_lines
-            if line.channel in (errors if line.error else values)
-        }  # fmt: skip
+        if "u_dc" in values:
+            values[schema.U_LIMIT] = _limit(values["u_dc"])
+        trends: dict[str, pa.Array] = {}
+        for line in self._trend_lines:
+            try:
+                value = _of(line, values, errors)
+            except KeyError:  # it has no minima and maxima of its own
+                continue
+            if line.mean:  # what is known of it is its least and its most: in between lies the mean of both
+                value = np.repeat((value[::2] + value[1::2]) / 2, 2)
+            trends[line.component] = pa.array(value.astype(np.float32))
         if trends:
             self._send(schema.TREND, t_ns, trends)
+            self._send_room(int(t_ns[-1]), {name: float(of[-1].as_py()) for name, of in trends.items()})
 
     def mark(self, mark: Mark) -> None:
         """Log a stretch of an acceptance run; the lane that shows it is drawn by `finish`, from all of them."""
@@ -183,6 +200,10 @@ class RunLog:
             self._send_rest()
             self._next_plane_ns = self._next_health_ns = self._next_lot_ns = self._lanes_ns = self._now_ns = t_ns
             self._hall.restart()
+            self._last_second.restart()
+            self._first_ns = None
+        if self._first_ns is None:
+            self._first_ns = t_ns
         self._now_ns = max(self._now_ns, t_ns)
 
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
@@ -195,9 +216,13 @@ class RunLog:
             return
         errors = self._errors(values)
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
+        values |= _derived(values)
+        columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
         self._send(stream.entity, t_ns, columns)
+        self._last_second.samples(chunk, values)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
+        self._send_guide(int(t_ns[0]), int(t_ns[-1]))
         self._hall.samples(t_ns, chunk.raw)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
@@ -214,16 +239,21 @@ class RunLog:
         self._send(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
             self._hall.edges(t_ns, chunk.hall_new)
+            self._last_second.edges(chunk)
 
     def _send_rest(self) -> None:
         self._send_lot()
         self._send_trend(self._trend.rest())
 
     def _send_lot(self) -> None:
-        """Log the Hall lanes and the pictures of the stator plane since the last time."""
+        """Log the Hall lanes and the pictures since the last time."""
         t_ns, codes = self._hall.take()
         if len(t_ns):
-            self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_LANES.take(pa.array(codes))})
+            self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
+        if (tick := self._last_second.due()) is not None:
+            self._at(int(ns_from_tick(tick, self.run.tick_hz)))
+            for entity, part in self._last_second.pictures():
+                self._stream.log(entity, part)
         pictures, self._pictures = self._pictures, []
         if pictures:
             t_ns = np.array([at for at, _ in pictures])
@@ -274,10 +304,7 @@ class RunLog:
 
     def _add_trend(self, t_ns: NDArray[np.int64], values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
         if self._trend_lines:
-            found = [
-                errors[line.channel] if line.error else values[line.channel] * np.float32(line.factor)
-                for line in self._trend_lines
-            ]
+            found = [_of(line, values, errors) for line in self._trend_lines]
             self._send_trend(self._trend.add(t_ns, np.stack(found).astype(np.float32, copy=False)))
 
     def _send_trend(self, rows: Rows | None) -> None:
@@ -285,6 +312,26 @@ class RunLog:
             t_ns, values = rows
             columns = {line.component: pa.array(row) for line, row in zip(self._trend_lines, values, strict=True)}
             self._send(schema.TREND, t_ns, columns)
+            newest = {line.component: float(row[-1]) for line, row in zip(self._trend_lines, values, strict=True)}
+            self._send_room(int(t_ns[-1]), newest)
+
+    def _send_room(self, t_ns: int, newest: Mapping[str, float]) -> None:
+        """Log where the long plots begin at least, and how far they reach; `newest`: values by component."""
+        start = t_ns
+        if self._live:
+            shown = min(round(TREND * 1e9), t_ns - (t_ns if self._first_ns is None else self._first_ns))
+            start -= round(shown * LEGEND_SHARE / (1 - LEGEND_SHARE))
+        columns = {plot.guide: pa.array(_least(plot, newest), pa.float32()) for plot in self._rooms}
+        if columns:
+            self._send(schema.ROOM, np.array([start, t_ns]), columns)
+
+    def _send_guide(self, first_ns: int, last_ns: int) -> None:
+        """Log how far the plots of the last moments reach at least."""
+        step = round(GUIDE_STEP * 1e9)
+        t_ns = np.arange(first_ns - first_ns % step, last_ns + 1, step)
+        signs = np.where(t_ns // step % 2, 1.0, -1.0).astype(np.float32)
+        if self._guides:
+            self._send(schema.GUIDE, t_ns, {plot.guide: pa.array(plot.least * signs) for plot in self._guides})
 
     # -- states, events, health ---------------------------------------------------------------------------------
 
@@ -297,7 +344,7 @@ class RunLog:
     def _log_lanes(self, t_ns: int) -> None:
         self._lanes_ns = t_ns
         self._at(t_ns)
-        self._stream.log(schema.DRIVE, rr.StateChange(state=list(self._lanes.values())))
+        self._stream.log(self._drive, rr.StateChange(state=list(self._lanes.values())))
 
     def _telemetry_lane(self, t_ns: NDArray[np.int64], chunk: SampleChunk) -> None:
         if not chunk.gaps and self._lanes["telemetry"] == states.COMPLETE:
@@ -322,8 +369,9 @@ class RunLog:
             self._lane(
                 int(t_ns[row]),
                 state=DriveState(word & STATUS_STATE_MASK).name,
-                source=states.SOURCES[(word & STATUS_SOURCE_MASK) >> STATUS_SOURCE_SHIFT],
-                correction=states.CORRECTION[bool(word & Status.CORRECTION_ON)],
+                angle=states.angle_text(
+                    (word & STATUS_SOURCE_MASK) >> STATUS_SOURCE_SHIFT, bool(word & Status.CORRECTION_ON)
+                ),
             )
         self._status = int(words[-1])
 
@@ -358,7 +406,7 @@ class RunLog:
         columns = {name: pa.array(np.array([value], np.float64)) for name, value in values.items()}
         self._send(schema.HEALTH, np.array([self._now_ns], np.int64), columns)
         self._at(self._now_ns)
-        self._stream.log(schema.HEALTH_TEXT, _markdown(health_text(values)))
+        self._stream.log(schema.RUN_TEXT, _markdown(f"{health_text(values)}\n\n{identity_text(self.run)}"))
 
 
 class _Column:
@@ -385,13 +433,42 @@ class _Stream:
     configs: list[StreamConfig] = field(default_factory=list)
 
 
+_DERIVED = (schema.U_ABS, schema.U_LIMIT)
+
+
+def _limit(u_dc: Values) -> Values:
+    limit: Values = u_dc / np.float32(np.sqrt(3))
+    return limit
+
+
+def _derived(values: Mapping[str, Values]) -> dict[str, Values]:
+    """Quantities that no channel holds, (n,) each, of those of which there is everything."""
+    found: dict[str, Values] = {}
+    if "u_dc" in values:
+        found[schema.U_LIMIT] = _limit(values["u_dc"])
+    if all(name in values for name in schema.VOLTAGE_VECTOR):
+        found[schema.U_ABS] = np.hypot(*(values[name] for name in schema.VOLTAGE_VECTOR))
+    return found
+
+
+def _of(line: Line, values: Mapping[str, Values], errors: Mapping[str, Values]) -> Values:
+    """What a line shows, (n,). Raises KeyError without it."""
+    return errors[line.channel] if line.error else values[line.derived or line.channel] * np.float32(line.factor)
+
+
+def _least(plot: Plot, newest: Mapping[str, float]) -> list[float]:
+    """The ends of the least range of a plot."""
+    centre = 0.0 if plot.about_zero else newest.get(plot.lines[0].component, 0.0)
+    return [centre - plot.least, centre + plot.least]
+
+
 def _band(table: pa.Table, name: str) -> NDArray[Any]:
     """Minima and maxima in turn, shape (2 bins,)."""
     return np.stack([numbers(table.column(f"{name}.{end}")) for end in ("min", "max")], axis=1).reshape(-1)
 
 
 def identity_text(run: RunInfo) -> str:
-    """The summary document before there is a summary: what is running."""
+    """What is running, and what of it is not shown."""
     rows: list[tuple[str, object]] = [
         ("started", run.started),
         ("tick rate", f"{run.tick_hz / 1e6:g} MHz"),
@@ -399,7 +476,7 @@ def identity_text(run: RunInfo) -> str:
     ]
     rows += [(key, told(value)) for key, value in run.identity.items()]
     rows += [("not shown", why) for why in left_out(run)]
-    return f"### Run in progress\n\n{markdown.table(('', ''), rows)}"
+    return markdown.table(("what is tested", ""), rows)
 
 
 def health_text(values: Mapping[str, int]) -> str:
@@ -408,12 +485,15 @@ def health_text(values: Mapping[str, int]) -> str:
     damaged, rejected = (v.get(f"health:{name}", "–") for name in ("rx_bad", "setpoints_rejected"))
     return "\n".join(
         [
-            "| lost so far | by index | by sequence | by the device |",
-            "|---|---|---|---|",
-            f"| samples | {v['lost:samples']} | {v['lost:sample_frames']} frames | {v['lost:by_device']} frames |",
-            f"| Hall edges | {v['lost:edges']} | – | – |",
-            f"| live view only | {v['lost:live_blocks']} blocks | – | – |",
-            f"| to the drive | {damaged} damaged frames | {rejected} setpoints rejected | – |",
+            "| lost so far | |",
+            "|---|---|",
+            f"| samples, by index | {v['lost:samples']} |",
+            f"| Hall edges, by index | {v['lost:edges']} |",
+            f"| frames, by sequence | {v['lost:sample_frames']} |",
+            f"| frames dropped by the drive | {v['lost:by_device']} |",
+            f"| blocks, live view only | {v['lost:live_blocks']} |",
+            f"| frames damaged at the drive | {damaged} |",
+            f"| set points rejected | {rejected} |",
         ]
     )
 

@@ -19,9 +19,9 @@ from bench.analysis.colours import RGB
 from bench.recording.info import RunInfo, ns_from_tick
 from bench.recording.reader import Run
 from bench.rerunio import schema
-from bench.rerunio.dashboard import LEGEND_SHARE, Span, time_series
+from bench.rerunio.dashboard import Span, time_series
 from bench.rerunio.log import RunLog
-from bench.rerunio.plots import Line, Plot, plots
+from bench.rerunio.plots import LEGEND_SHARE, Line, Plot, plots
 from bench.rerunio.viewing import LOT, closeups, rrd_file, show
 
 A, B = "a", "b"
@@ -128,14 +128,14 @@ def _absolute(first: float, last: float) -> Span:
 
 def _once(found: Iterable[Plot]) -> list[Plot]:
     """One plot for each quantity: the first, which is the long one, where there are two of the same channels."""
-    shown: dict[tuple[tuple[str, bool], ...], Plot] = {}
+    shown: dict[tuple[tuple[str, bool, str], ...], Plot] = {}
     for plot in found:
         shown.setdefault(_lines(plot.lines), replace(plot, name=plot.name.rpartition(", last")[0]))
     return list(shown.values())
 
 
-def _lines(lines: Iterable[Line]) -> tuple[tuple[str, bool], ...]:
-    return tuple((line.channel, line.error) for line in lines)
+def _lines(lines: Iterable[Line]) -> tuple[tuple[str, bool, str], ...]:
+    return tuple((line.channel, line.error, line.derived) for line in lines)
 
 
 def pale(colour: RGB) -> RGB:

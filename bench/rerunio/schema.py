@@ -22,23 +22,33 @@ TIMELINE = "device_time"
 FAST = SAMPLES  # the drive's samples at full rate, and the position errors
 TREND = "trend"  # minima and maxima over 10 ms of what the long plots show
 HALL = EDGES  # Hall edges, tick-exact
-HALL_LANES = f"{EDGES}/lanes"  # the Hall code at each edge, and again in between, to look at
+HALL_LANES = "a-b-c-sector"  # the Hall code at each edge, and again in between; its name tells the rows
 EVENTS = "log/drive"
 NOTES = "log/host"
 HEALTH = "health"  # loss and error counters, once a second
-HEALTH_TEXT = "health/text"  # the same for people
 TOUCH = "touch"  # nothing, in a live view only
-DRIVE = "drive"  # state, faults, angle source, correction, telemetry: one lane each
+DRIVE = "state-faults-angle-telemetry"  # one lane each, named in their order; without a channel `status` no angle
+DRIVE_WITHOUT_ANGLE = "state-faults-telemetry"
+GUIDE = "view/guide"  # lines without a colour, which give the plots of the last moments a least range
+ROOM = "view/room"  # the same for the long plots, and room for their legends; in rerun's order after what is seen
 ACCEPTANCE = "acceptance"  # marks of an acceptance run, and one lane that shows them
 PLANE = "stator/plane"
 VECTORS = "stator/vectors"
 LEGEND = f"{VECTORS}/legend"
-SUMMARY = "summary"
+RUN_TEXT = "run"  # who is tested and what was lost so far, once a second; at the end the summary
+
+# of the last second
+BY_ANGLE = "by_angle"  # mean position errors over the electrical angle, by estimate
+HARMONICS = "harmonics"  # of the phase currents, by phase
+LATE = "late"  # by how much each Hall edge is, by direction
+DQ = "dq"  # i_d and i_q as a vector
+NUMBERS = "numbers"  # the same and more, to read
 
 # components
 LOSS_FIELDS = ("lost:samples", "lost:sample_frames", "lost:edges", "lost:by_device", "lost:live_blocks")
 
-DQ_CURRENTS, DQ_REFERENCES = ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
+PHASES, DQ_CURRENTS, DQ_REFERENCES = ("i_a", "i_b", "i_c"), ("i_d", "i_q"), ("i_d_ref", "i_q_ref")
+VOLTAGE_VECTOR = ("u_alpha", "u_beta")
 SPEED_REFERENCE = "omega_ref"
 
 DEG = 180 / math.pi
@@ -64,6 +74,15 @@ def mean_component(component: str) -> str:
     return f"mean_{component}"
 
 
+def derived_component(quantity: str) -> str:
+    """Component of a quantity that no channel holds."""
+    return f"derived:{quantity}"
+
+
+U_ABS, U_LIMIT = "u_abs", "u_limit"
+"""Derived quantities: the size of the voltage vector, and u_dc/sqrt(3), the most that it is without overmodulation."""
+
+
 LABELS = {
     f"{what}_{short}": source.name.lower().replace("_", " ").replace("hall", "Hall")
     for source, short in SHORT.items()
@@ -74,6 +93,8 @@ LABELS = {
     "omega_ref": "reference",
     "i_d_ref": "i_d reference",
     "i_q_ref": "i_q reference",
+    U_ABS: "|u|",
+    U_LIMIT: "limit u_dc/√3",
 }
 
 

@@ -149,7 +149,7 @@ class LiveSink(Sink):
         from bench.rerunio.log import RunLog
 
         try:
-            log = RunLog(self._stream, self.run)
+            log = RunLog(self._stream, self.run, live=True)
             log.start()
             self._ready.set()
             while True:

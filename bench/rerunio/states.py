@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from bench.analysis.colours import BAD, FAULTY, GOOD, OBSERVERS, OFF, QUIET, RGB, TABLE, WARNING
+from bench.analysis.colours import BAD, FAULTY, GOOD, OBSERVERS, OFF, QUIET, RGB, WARNING
 from bench.analysis.verdict import Verdict, worst
 from bench.recording.info import Mark, RunInfo
 from bench.rerunio import schema
@@ -19,16 +19,15 @@ from protocol.signals import OTHER_SOURCE, SECTOR_OF_CODE, AngleSource
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
 ILLEGAL = "illegal"
 NO_EDGE = "no edge yet"
+LOW, HIGH, NOT_KNOWN = "0", "1", "?"
 
 HALL_COLOURS: dict[str, RGB] = {
-    **{f"{sensor}=0": OFF for sensor in "abc"},
-    **{f"{sensor}=1": TABLE[f"i_{sensor}"].rgb for sensor in "abc"},
-    **{sector: (QUIET, (72, 72, 72))[i % 2] for i, sector in enumerate(SECTORS)},
-    **{f"{sensor}=?": OFF for sensor in "abc"},
+    **dict.fromkeys((LOW, NOT_KNOWN, NO_EDGE), OFF),
+    HIGH: (150, 150, 150),
     ILLEGAL: BAD,
-    NO_EDGE: OFF,
+    **{sector: (48 + 24 * i, 48 + 24 * i, 48 + 24 * i) for i, sector in enumerate(SECTORS)},
 }
-_HALL_LABELS = {f"{sensor}={bit}": label for sensor in "abc" for bit, label in (("0", "0"), ("1", sensor), ("?", "?"))}
+"""Sectors are brighter from I to VI, so that a shaft that turns is a staircase where no name has room."""
 
 
 def _shade(short: str) -> RGB:
@@ -37,16 +36,18 @@ def _shade(short: str) -> RGB:
     return red, green, blue
 
 
-_STATUS_LANES = frozenset(("source", "correction"))  # that the channel `status` alone can fill
+_ANGLE = "angle"  # the lane that the channel `status` alone can fill
 UNKNOWN = "unknown"
-NO_FAULT, COMPLETE, GAP = "no fault", "telemetry complete", "TELEMETRY GAP"
-CORRECTION = ("back-EMF correction off", "back-EMF correction on")
-SOURCES = (  # by the two bits of `status` that name an AngleSource
-    "angle: encoder",
-    "angle: average speed",
-    "angle: vector tracking",
-    "angle: another observer",
-)
+NO_FAULT, COMPLETE, GAP = "no fault", "complete", "GAP"
+CORRECTED = ", back-EMF correction on"
+SOURCES = ("encoder", "average speed", "vector tracking", "another observer")
+"""By the two bits of `status` that name an AngleSource."""
+_SOURCE_COLOURS = {
+    SOURCES[AngleSource.ENCODER]: _shade("enc"),
+    SOURCES[AngleSource.AVERAGE_SPEED]: _shade("avg"),
+    SOURCES[AngleSource.VECTOR_TRACKING]: _shade("vt"),
+    SOURCES[OTHER_SOURCE]: QUIET,
+}
 DRIVE_LANES: dict[str, dict[str, RGB]] = {
     "state": {
         DriveState.BOOT.name: QUIET,
@@ -56,17 +57,10 @@ DRIVE_LANES: dict[str, dict[str, RGB]] = {
         DriveState.FAULT.name: BAD,
     },
     "faults": {NO_FAULT: OFF, **{fault.name or "": BAD for fault in Fault}},
-    "source": {
-        SOURCES[AngleSource.ENCODER]: _shade("enc"),
-        SOURCES[AngleSource.AVERAGE_SPEED]: _shade("avg"),
-        SOURCES[AngleSource.VECTOR_TRACKING]: _shade("vt"),
-        SOURCES[OTHER_SOURCE]: QUIET,
-    },
-    "correction": {CORRECTION[0]: OFF, CORRECTION[1]: _shade("vt")},
+    _ANGLE: {f"{word}{more}": colour for word, colour in _SOURCE_COLOURS.items() for more in ("", CORRECTED)},
     "telemetry": {COMPLETE: OFF, GAP: BAD},
 }
-"""Words of each lane of the drive: every word tells by itself which lane it stands in."""
-DRIVE_COLOURS = {UNKNOWN: OFF} | {word: colour for lane in DRIVE_LANES.values() for word, colour in lane.items()}
+"""Words of each lane of the drive, by its entity."""
 VERDICT_COLOURS: dict[Verdict, RGB] = {
     Verdict.PASS: GOOD,
     Verdict.FAIL: BAD,
@@ -77,33 +71,47 @@ VERDICT_COLOURS: dict[Verdict, RGB] = {
 }
 UNMARKED = "unmarked"
 _NAMED = 2  # marks that a stretch of the lane names; the log has them all
-STATE_COLOURS: dict[str, dict[str, RGB]] = {schema.HALL_LANES: HALL_COLOURS, schema.DRIVE: DRIVE_COLOURS}
+DRIVE_COLOURS = {UNKNOWN: OFF} | {word: colour for lane in DRIVE_LANES.values() for word, colour in lane.items()}
 
 
-def _hall_lanes() -> pa.Array:
+def state_colours(run: RunInfo) -> dict[str, dict[str, RGB]]:
+    """Colours of states, by entity."""
+    return {schema.HALL_LANES: HALL_COLOURS, drive_entity(run): DRIVE_COLOURS}
+
+
+def _hall_words() -> pa.Array:
     lanes = []
-    for code in range(8):
-        sector = SECTOR_OF_CODE[code]
-        sensors = [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")]
+    for code, sector in enumerate(SECTOR_OF_CODE):
+        sensors = [(LOW, HIGH)[code >> bit & 1] for bit in range(3)]
         lanes.append([*sensors, SECTORS[sector] if sector >= 0 else ILLEGAL])
-    lanes.append([*(f"{sensor}=?" for sensor in "abc"), NO_EDGE])
+    lanes.append([NOT_KNOWN] * 3 + [NO_EDGE])
     return pa.array(lanes, pa.list_(pa.string()))
 
 
-HALL_LANES = _hall_lanes()  # by Hall code, and for UNKNOWN_CODE: states of the lanes a, b, c and sector
+HALL_WORDS = _hall_words()
+"""By Hall code, and for UNKNOWN_CODE: states of the lanes a, b, c and sector."""
 
 
 def lanes(run: RunInfo) -> tuple[str, ...]:
     """The lanes of the drive that the run can fill."""
-    return tuple(lane for lane in DRIVE_LANES if lane not in _STATUS_LANES or "status" in run.words)
+    return tuple(lane for lane in DRIVE_LANES if lane != _ANGLE or "status" in run.words)
+
+
+def drive_entity(run: RunInfo) -> str:
+    """The entity of the drive's lanes: its name tells which there are."""
+    return schema.DRIVE if _ANGLE in lanes(run) else schema.DRIVE_WITHOUT_ANGLE
+
+
+def angle_text(source: int, corrected: bool) -> str:
+    """Whose angle the control uses, and whether vector tracking's is corrected by the back-EMF."""
+    return f"{SOURCES[source]}{CORRECTED if corrected else ''}"
 
 
 def configuration(colours: Mapping[str, RGB]) -> rr.StateConfiguration:
     """Colours and labels of the states of an entity."""
     packed = np.array([r << 24 | g << 16 | b << 8 | 0xFF for r, g, b in colours.values()], np.uint32)
     visible = [value not in (UNKNOWN, UNMARKED) for value in colours]
-    labels = [_HALL_LABELS.get(value, value) for value in colours]
-    return rr.StateConfiguration(values=list(colours), labels=labels, colors=packed, visible=visible)
+    return rr.StateConfiguration(values=list(colours), labels=list(colours), colors=packed, visible=visible)
 
 
 def fault_text(faults: int) -> str:

@@ -19,7 +19,7 @@ from bench.analysis.chunks import between
 from bench.errors import RecordingError
 from bench.files import part_of
 from bench.recording.info import RunInfo
-from bench.recording.layout import numbers
+from bench.recording.layout import EDGES, numbers
 from bench.recording.losses import LossAccount
 from bench.recording.overview import BIN, coarser
 from bench.recording.reader import Run, Segment, overviews
@@ -36,6 +36,7 @@ CLOSE = 60.0  # s that are shown sample by sample
 AROUND = 0.5  # s before and after a fault or a mark that are, in a longer run
 MOST_CLOSE = 30  # of those
 BINS = 36_000  # that a long run is shown as, at most: half an hour of 50 ms
+LOOK, LOOKED_BACK, ENOUGH = 3, 45, 12  # s, s, sectors: from what the length of a sector is found
 FLUSH_TIMEOUT = 60.0  # s
 
 Span = tuple[int, int]
@@ -50,7 +51,8 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
     near = closeups(run, begin, end)
     with rrd_file(path, run.info) as stream:
         whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
-        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, coarse=near is not None))
+        sector = None if whole is None else sector_time(run, *whole)
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector))
         log = RunLog(stream, run.info, LOT)
         log.start()
         show(run, log, begin, end, near)
@@ -79,6 +81,26 @@ def rrd_file(path: Path, info: RunInfo) -> Iterator[rr.RecordingStream]:
         raise
     finally:
         part.unlink(missing_ok=True)
+
+
+def sector_time(run: Run, first: int, last: int) -> float | None:
+    """How long the Hall sectors from tick `first` to `last` lasted when the shaft last turned, s; None if it did not.
+
+    The last three quarters of a minute are looked at.
+    """
+    second = run.info.tick_hz
+    if EDGES not in run.names:
+        return None
+    for back in range(LOOKED_BACK // LOOK):
+        end = last - back * LOOK * second
+        begin = max(first, end - LOOK * second)
+        ticks = [chunk.tick for segment in run.segments for chunk in segment.pieces(EDGES, begin, end)]
+        found = np.diff(np.concatenate(ticks)) if ticks else np.zeros(0)
+        if len(found) >= ENOUGH:
+            return float(np.median(found)) / second
+        if begin == first:
+            break
+    return None
 
 
 def closeups(run: Run, first: int, last: int) -> list[Span] | None:

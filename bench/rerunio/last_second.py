@@ -1,0 +1,293 @@
+"""What the last second comes to: errors over the angle, harmonics, how late the Hall edges are, the current vector.
+
+None of it is a plot over time. It is made anew twice a second of device time, from samples without a gap, and is blank
+where it is undefined: a shaft that rests has no harmonics. Angles are electrical, by the encoder; harmonics of a drive
+without an encoder are taken over its first estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from bench.analysis.colours import RGB, TABLE
+from bench.analysis.position import wrap
+from bench.analysis.units import RPM
+from bench.analysis.waveforms import Thd, thd_by_angle
+from bench.analysis.waveforms.harmonics import ORDER, PERIODS
+from bench.recording.info import RunInfo
+from bench.rerunio import markdown, schema
+from bench.rerunio.states import SECTORS
+from protocol.signals import SECTOR_OF_CODE
+from protocol.streams import EdgeChunk, SampleChunk
+
+SPAN = 1.0  # s
+PERIOD = 0.5  # s of device time from one picture to the next
+BINS = 36  # of an electrical revolution
+MOST_ROWS = 4096  # samples from which harmonics are found
+TRAIL, TRAIL_POINTS = 0.2, 400  # s of the current vector's way, in so many points at most
+FORWARD, REVERSE = "forward", "reverse"
+WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
+X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.25, 1.25)  # of the current plane
+_CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
+_SECTOR_OF_CODE = np.array(SECTOR_OF_CODE)
+
+Values = NDArray[Any]
+Part = tuple[str, rr.AsComponents]
+Drawn = tuple[list[Part], list[tuple[str, str]]]
+"""Entities with their content, and lines of the table of numbers."""
+
+
+class LastSecond:
+    """Keeps what has come in the last second and makes pictures of it. `views` tells which a run can fill."""
+
+    def __init__(self, run: RunInfo) -> None:
+        self._run = run
+        self._reference = run.position_reference
+        estimates = run.position_estimates
+        self._angle = self._reference or (estimates[0] if estimates else None)
+        self._estimates = estimates if self._reference else ()
+        self._phases = [name for name in schema.PHASES if run.has(name)] if self._angle else []
+        self._dq = run.has(*schema.DQ_CURRENTS)
+        self._voltage = run.has("u_dc", *schema.VOLTAGE_VECTOR)
+        wanted = (self._angle, *self._estimates, *self._phases, "u_dc", *schema.DQ_CURRENTS, *schema.DQ_REFERENCES)
+        self._wanted = [name for name in dict.fromkeys(wanted) if name and any(c.name == name for c in run.channels)]
+        edges = self._reference is not None and "edges" in run.identity.get("features", ("edges",))
+        self.views = tuple(
+            view
+            for view, there in (
+                (schema.BY_ANGLE, bool(self._estimates)),
+                (schema.DQ, self._dq),
+                (schema.LATE, edges),
+                (schema.HARMONICS, bool(self._phases)),
+            )
+            if there
+        )
+        self._ticks = round(SPAN * run.tick_hz)
+        self._samples: deque[tuple[NDArray[np.int64], dict[str, Values]]] = deque()
+        self._edges: deque[tuple[NDArray[np.int64], Values, Values]] = deque()
+        self._next = 0  # tick
+        self._drawn: set[str] = set()
+
+    def restart(self) -> None:
+        """Start anew: the drive has rebooted, or samples are missing."""
+        self._samples.clear()
+        self._edges.clear()
+        self._next = 0
+
+    def samples(self, chunk: SampleChunk, values: Mapping[str, Values]) -> None:
+        """Take samples and their `values` by channel or derived quantity, (n,) each."""
+        if not self.views or not len(chunk):
+            return
+        first = max((gap.position for gap in chunk.gaps), default=0)
+        if chunk.gaps:
+            self.restart()
+        kept = {name: values[name][first:] for name in (*self._wanted, schema.U_ABS) if name in values}
+        tick = chunk.tick[first:]
+        self._samples.append((tick, kept))
+        oldest = int(tick[-1]) - self._ticks
+        while self._samples and int(self._samples[0][0][-1]) < oldest:
+            self._samples.popleft()
+        while self._edges and int(self._edges[0][0][-1]) < oldest:
+            self._edges.popleft()
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take Hall edges."""
+        if schema.LATE in self.views:
+            self._edges.append((chunk.tick, chunk.hall_old, chunk.hall_new))
+
+    def due(self) -> int | None:
+        """The tick of the newest sample if it is time for new pictures, else None."""
+        if not self._samples or (tick := int(self._samples[-1][0][-1])) < self._next:
+            return None
+        self._next = tick + round(PERIOD * self._run.tick_hz)
+        return tick
+
+    # -- pictures -----------------------------------------------------------------------------------------------
+
+    def frame(self) -> Iterator[Part]:
+        """Yield entity and static content: circle, axes and names of the current plane."""
+        if schema.DQ not in self.views:
+            return
+        turn = np.linspace(0, 2 * math.pi, 121)
+        circle = np.stack([np.cos(turn), np.sin(turn)], axis=1).tolist()
+        axes = [[(-1.15, 0.0), (1.15, 0.0)], [(0.0, -1.15), (0.0, 1.15)]]
+        yield (
+            f"{schema.DQ}/lines",
+            rr.LineStrips2D([circle, *axes], colors=[_CIRCLE, _AXIS, _AXIS], radii=[-1.2, -0.6, -0.6], draw_order=-10),
+        )
+        places, names = [(1.3, 0.0), (0.0, -1.1)], ["i_d", "i_q"]
+        colours = [TABLE[name].rgb for name in names]
+        yield (
+            f"{schema.DQ}/names",
+            rr.Points2D(places, labels=names, colors=colours, radii=0.0, show_labels=True, draw_order=-5),
+        )
+
+    def pictures(self) -> Iterator[Part]:
+        """Yield entity and content of the last second; what is not defined any more is cleared."""
+        tick = np.concatenate([tick for tick, _ in self._samples])
+        rows = slice(int(np.searchsorted(tick, tick[-1] - self._ticks)), None)
+        names = self._samples[-1][1].keys()
+        values = {name: np.concatenate([v[name] for _, v in self._samples if name in v])[rows] for name in names}
+        tick = tick[rows]
+        if not all(np.isfinite(value).all() for value in values.values()):
+            return  # a float channel of a physical drive can hold anything
+        theta = np.unwrap(values[self._angle].astype(np.float64)) if self._angle else None
+        facts: list[tuple[str, str]] = [("over", f"the last {(tick[-1] - tick[0]) / self._run.tick_hz:.2f} s")]
+        if theta is not None:
+            facts += self._speed(tick, theta)
+        parts: list[Part] = []
+        for view, make in (
+            (schema.BY_ANGLE, self._by_angle),
+            (schema.DQ, self._current_plane),
+            (schema.HARMONICS, self._harmonics),
+            (schema.LATE, self._late),
+        ):
+            if view in self.views:
+                more, text = make(tick, theta, values)
+                parts += more
+                facts += text
+        if self._voltage:
+            facts += self._modulation(values)
+        drawn = {entity for entity, _ in parts}
+        for entity in self._drawn - drawn:
+            yield entity, rr.Clear(recursive=False)
+        self._drawn = drawn
+        yield from parts
+        rows_of_text = markdown.table(("last second", ""), facts)
+        yield schema.NUMBERS, rr.TextDocument(rows_of_text, media_type=rr.MediaType.MARKDOWN)
+
+    def _speed(self, tick: NDArray[np.int64], theta: Values) -> list[tuple[str, str]]:
+        seconds = (tick[-1] - tick[0]) / self._run.tick_hz
+        if seconds <= 0:
+            return []
+        omega = float(theta[-1] - theta[0]) / seconds
+        n_p = self._run.n_p
+        mechanical = f"{omega / (RPM * n_p):.1f} r/min, " if n_p else ""
+        return [("mean speed", f"{mechanical}{omega / math.tau:.2f} Hz electrical")]
+
+    def _by_angle(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
+        """Mean error in each bin of the angle, a bar for each estimate side by side."""
+        parts: list[Part] = []
+        facts: list[tuple[str, str]] = []
+        width = 360.0 / BINS
+        bins = np.floor(np.mod(theta, math.tau) * (BINS / math.tau)).astype(np.int64) % BINS
+        number = np.bincount(bins, minlength=BINS)
+        whole = abs(theta[-1] - theta[0]) >= math.tau
+        seen = number > 0
+        for k, name in enumerate(self._estimates):
+            error = np.degrees(wrap(theta - values[name]))
+            text = f"mean {error.mean():+.2f}, std {error.std():.2f}, max {np.abs(error).max():.2f} deg"
+            facts.append((f"error of {schema.label(name)}", text))
+            if whole:
+                mean = np.bincount(bins, error, BINS)[seen] / number[seen]
+                bar = 0.9 * width / len(self._estimates)
+                at = (np.flatnonzero(seen) + 0.05) * width + bar * (k + 0.5)
+                parts.append((f"{schema.BY_ANGLE}/{_entity(schema.label(name))}",
+                              _bars(at, mean, bar, self._run.colours[name])))  # fmt: skip
+        return parts, facts
+
+    def _current_plane(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
+        """The current vector's way over the last moments, its mean and its reference; the circle is a round number."""
+        n = max(1, int(np.searchsorted(tick[-1] - tick[::-1], TRAIL * self._run.tick_hz)))
+        step = max(1, n // TRAIL_POINTS)
+        d, q = (values[name][-n:][::step] for name in schema.DQ_CURRENTS)
+        full = schema.nice_ceiling(float(np.hypot(d, q).max()))
+        means = [float(values[name].mean()) for name in schema.DQ_CURRENTS]
+        trail = np.stack([d, -q], axis=1) / full
+        mean_d, mean_q = float(d.mean()) / full, -float(q.mean()) / full
+        parts: list[Part] = [
+            (f"{schema.DQ}/trail", rr.LineStrips2D([trail.tolist()], colors=[TABLE["i_q"].rgb], radii=[-1.0])),
+            (f"{schema.DQ}/mean", rr.Arrows2D(vectors=[(mean_d, mean_q)], colors=[(255, 255, 255)], radii=[-1.6])),
+            (f"{schema.DQ}/circle", rr.Points2D([(-1.2, -1.12)], labels=[f"circle {full:g} A"], colors=[_FAINT],
+                                                radii=0.0, show_labels=True)),
+        ]  # fmt: skip
+        if all(name in values for name in schema.DQ_REFERENCES):
+            ref = [float(values[name][-1]) / full for name in schema.DQ_REFERENCES]
+            parts.append((f"{schema.DQ}/reference",
+                          rr.Points2D([(ref[0], -ref[1])], colors=[TABLE["i_q_ref"].rgb], radii=[-4.0])))  # fmt: skip
+        return parts, [("i_d, i_q, mean", f"{means[0]:+.3f} A, {means[1]:+.3f} A")]
+
+    def _harmonics(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
+        """Harmonics 2 to 20 of the phase currents in % of the fundamental, and their distortion."""
+        parts: list[Part] = []
+        texts: list[str] = []
+        for k, name in enumerate(self._phases):
+            try:
+                found = distortion(theta, values[name])
+            except ValueError as error:
+                texts.append(f"{name} undefined: {error}")
+                break
+            order = np.arange(2, len(found.amplitudes) + 1)
+            share = 100 * found.amplitudes[1:] / found.amplitudes[0]
+            parts.append((f"{schema.HARMONICS}/{name}",
+                          _bars(order + 0.28 * (k - 1), share, 0.26, self._run.colours[name])))  # fmt: skip
+            texts.append(f"{name} {100 * found.value:.1f} % of {found.amplitudes[0]:.3g} A")
+        return parts, [("THD", ", ".join(texts))]
+
+    def _late(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
+        """By how much each edge comes after its ideal angle, in the direction of travel."""
+        if not self._edges:
+            return [], []
+        at, old, new = (np.concatenate(column) for column in zip(*self._edges, strict=True))
+        known = (at >= tick[0]) & (at <= tick[-1])
+        at, before, after = at[known], _SECTOR_OF_CODE[old[known] & 7], _SECTOR_OF_CODE[new[known] & 7]
+        step = (after - before) % len(SECTORS)
+        valid = (before >= 0) & (after >= 0)
+        angle = np.interp(at, tick, theta)
+        parts: list[Part] = []
+        facts: list[tuple[str, str]] = []
+        for k, (way, opened, sign) in enumerate(((FORWARD, after, 1.0), (REVERSE, before, -1.0))):
+            met = valid & (step == (1 if sign > 0 else len(SECTORS) - 1))
+            sector = opened[met]
+            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(SECTORS))))
+            number = np.bincount(sector, minlength=len(SECTORS))
+            seen = np.flatnonzero(number)
+            if not len(seen):
+                continue
+            mean = np.bincount(sector, late, len(SECTORS))[seen] / number[seen]
+            parts.append((f"{schema.LATE}/{way}", _bars(seen + 1 + 0.4 * (k - 0.5), mean, 0.36, WAYS[way])))
+            each = ", ".join(f"{SECTORS[s]} {value:+.1f}" for s, value in zip(seen, mean, strict=True))
+            facts.append((f"edges late, {way}", f"{each} deg"))
+        return parts, facts
+
+    def _modulation(self, values: Mapping[str, Values]) -> list[tuple[str, str]]:
+        bus, size = values["u_dc"], values[schema.U_ABS]
+        text = f"{float(bus.mean()):.2f} V, {float(bus.min()):.2f} to {float(bus.max()):.2f} V"
+        if float(bus.min()) <= 0:
+            return [("DC bus", text)]
+        share = 100 * math.sqrt(3) * size / bus
+        return [("DC bus", text), ("modulation", f"{share.mean():.1f} %, max {share.max():.1f} % of u_dc/√3")]
+
+
+def distortion(theta: Values, current: Values) -> Thd:
+    """Harmonics of `current` (n,) over the unwrapped angle `theta` (n,) rad, from about 4096 samples or fewer.
+
+    Raises ValueError for fewer than three electrical revolutions, and where there is no fundamental.
+    """
+    n = len(theta)
+    revolutions = abs(float(theta[-1] - theta[0])) / math.tau
+    if revolutions < PERIODS:
+        raise ValueError(f"{revolutions:.1f} electrical revolutions in a second, of {PERIODS} at least")
+    if n > MOST_ROWS and revolutions * MOST_ROWS / n >= PERIODS + 1:
+        theta, current = theta[-MOST_ROWS:], current[-MOST_ROWS:]
+    else:
+        step = -(-n // MOST_ROWS)
+        theta, current = theta[::step], current[::step]
+    widest = float(np.abs(np.diff(theta)).max())
+    return thd_by_angle(theta, current, order=max(2, min(ORDER, math.ceil(math.pi / widest) - 1)))
+
+
+def _bars(at: Values, values: Values, width: float, colour: RGB) -> rr.BarChart:
+    return rr.BarChart(values, abscissa=at, widths=np.full(len(at), width), color=colour)
+
+
+def _entity(label: str) -> str:
+    """A label as a part of an entity's path, to be read in a legend."""
+    return "".join(char if char.isalnum() else "-" for char in label)
