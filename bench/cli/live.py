@@ -143,7 +143,7 @@ def command(
     settings = replace(station, operator=operator or station.operator, config=config)
     options = live.LiveOptions(target=target, channels=names, settings=settings, **given)
     from bench.cli.output import Progress, pairs, table
-    from bench.live.summary import ERROR_HEADERS, Summary, error_rows, run_rows
+    from bench.live.summary import ASKED_HEADERS, ERROR_HEADERS, Summary, asked_rows, error_rows, run_rows
 
     unwritten: list[BenchError] = []
 
@@ -153,9 +153,10 @@ def command(
             if json_file is not None:
                 write_json(json_file, summary.as_json())
             if json_file != STANDARD_OUTPUT:
-                if errors := error_rows(summary):
-                    table(ERROR_HEADERS, errors)
-                    echo()
+                for headers, rows in ((ASKED_HEADERS, asked_rows(summary)), (ERROR_HEADERS, error_rows(summary))):
+                    if rows:
+                        table(headers, rows)
+                        echo()
                 pairs(f"run on {summary.target}", run_rows(summary))
         except BenchError as error:  # how the run ended matters more
             unwritten.append(error)

@@ -65,12 +65,27 @@ class _Power:
 
 @dataclass
 class _Asked:
-    """A stretch of the run in which one speed was asked for, mechanical r/min."""
+    """A stretch of the run in which one speed was asked for, mechanical r/min, and one load, A."""
 
     speed_rpm: float
-    looks: deque[tuple[float, float, float]] = field(default_factory=deque)
-    """Duration in s, mean speed in r/min, mean current in A, chunk by chunk; of the last `LAST` s."""
+    load_a: float = 0.0
+    title: str = ""
+    looks: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+    """Duration in s, mean speed in r/min, mean current and mean i_q in A, chunk by chunk; of the last `LAST` s."""
     seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Came:
+    """What was asked for in a stretch of the run, and what came in its last third; NaN where that was not seen."""
+
+    title: str
+    speed_asked_rpm: float
+    speed_came_rpm: float
+    load_asked_a: float
+    i_q_came_a: float
+    seen_by: str
+    """What the speed was seen by."""
 
 
 class Plausibility(Sink):
@@ -101,9 +116,15 @@ class Plausibility(Sink):
         self._sectors = 0.0  # since the last chunk of samples
         self._wires, self._emf = Wires(), BackEmf(parameters)
 
-    def ask(self, speed_rpm: float) -> None:
-        """From now on this speed is asked for."""
-        self._asked.append(_Asked(speed_rpm))
+    def ask(self, speed_rpm: float, load_a: float = 0.0, title: str = "") -> None:
+        """From now on this speed is asked for, and this load."""
+        self._asked.append(_Asked(speed_rpm, load_a, title))
+
+    def came(self) -> list[Came]:
+        """What was asked for and what came, one by one."""
+        return [
+            Came(a.title, a.speed_rpm, _mean(a.looks, 1), a.load_a, _mean(a.looks, 3), self._by) for a in self._asked
+        ]
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
@@ -182,12 +203,13 @@ class Plausibility(Sink):
             omega = sectors * SECTOR / seconds
         else:
             return
-        current = math.nan
+        current = i_q = math.nan
         if {"i_d", "i_q"} <= self._names:
             current = float(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")).mean())
+            i_q = float(chunk.physical("i_q").mean())
         asked = self._asked[-1]
         asked.seconds += seconds
-        asked.looks.append((seconds, omega / self._n_p / RPM, current))
+        asked.looks.append((seconds, omega / self._n_p / RPM, current, i_q))
         while sum(look[0] for look in asked.looks) > min(LAST, max(asked.seconds / 3.0, BLOCK)):
             asked.looks.popleft()
 
@@ -294,5 +316,7 @@ class Plausibility(Sink):
         return [words]
 
 
-def _mean(looks: Sequence[tuple[float, float, float]], column: int) -> float:
-    return sum(look[0] * look[column] for look in looks) / sum(look[0] for look in looks)
+def _mean(looks: Sequence[tuple[float, ...]], column: int) -> float:
+    """Over the time; NaN of nothing."""
+    seconds = sum(look[0] for look in looks)
+    return sum(look[0] * look[column] for look in looks) / seconds if seconds else math.nan

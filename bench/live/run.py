@@ -287,6 +287,9 @@ class LiveRun:
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
             summary.result, ended = self._with_recording(result, exit_code)
+            if acts:
+                summary.outputs = "MAY STILL BE ON" if self.unsafe else "off, by the drive's heartbeat"
+            summary.asked = self._judge.came() if self._judge else []
             summary.live_view = outputs.viewed()
             with suppress(RecordingError):  # `outputs.failure` tells
                 self._uninterrupted(lambda: outputs.end_recording(as_markdown(summary)))
@@ -412,7 +415,7 @@ class LiveRun:
                 if self.rig.drive.on:
                     self.drive.speed(act.speed_rpm * RPM)
                     if self._judge is not None:
-                        self._judge.ask(act.speed_rpm)
+                        self._judge.ask(act.speed_rpm, act.load_a, act.title)
             except (HbpError, BenchError) as error:
                 self._trip(str(error))
         while (left := end - self.client.now()) > 0:

@@ -17,6 +17,7 @@ from bench.device.client import WATCHDOG, Client, Sink
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.files import finite
+from bench.live.plausible import Came
 from bench.rerunio import markdown
 from bench.rerunio.schema import label
 from protocol.codes import fault_names
@@ -153,6 +154,9 @@ class Summary:
     faults: list[str] = field(default_factory=list)
     bus: dict[str, Any] | None = None
     result: str = "ok"
+    asked: list[Came] = field(default_factory=list)
+    outputs: str = ""
+    """How they were seen at the end of a run that switched them on."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain data; numbers that do not exist are null."""
@@ -239,8 +243,29 @@ def error_rows(summary: Summary) -> list[list[str]]:
     ]
 
 
+ASKED_HEADERS = ("asked for, and seen in the last third", "r/min asked", "seen", "A load asked", "i_q seen")
+
+
+def asked_rows(summary: Summary) -> list[list[str]]:
+    """What was asked for and what came, as text under ASKED_HEADERS."""
+    return [
+        [
+            came.title,
+            f"{came.speed_asked_rpm:g}",
+            _or_unknown(came.speed_came_rpm, 1),
+            f"{came.load_asked_a:g}",
+            _or_unknown(came.i_q_came_a, 2),
+        ]
+        for came in summary.asked
+    ]
+
+
+def _or_unknown(value: float, places: int) -> str:
+    return "unknown" if math.isnan(value) else f"{value:.{places}f}"
+
+
 def run_rows(summary: Summary) -> list[list[str]]:
-    """The figures of a run but for the position errors, as pairs of name and text."""
+    """All values of a run that do not stand in a table of their own, as pairs of name and text."""
     lost, link, latency = summary.lost, summary.link, summary.latency_ms
     paused = summary.longest_pause_s >= PAUSE
     rows = [
@@ -250,27 +275,7 @@ def run_rows(summary: Summary) -> list[list[str]]:
         ["lost by index", f"{counted(lost.samples_by_index, 'sample')}, {counted(lost.edges_by_index, 'edge')}"],
         ["lost by sequence", counted(lost.frames_by_sequence, "frame")],
         ["dropped by the drive", counted(lost.frames_by_device, "frame")],
-        [
-            "damaged, stale, out of order",
-            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
-            + (f"; {counted(link['late'], 'edge')} too late" if link["late"] else ""),
-        ],
-        [
-            "malformed, unknown, unexpected",
-            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames"
-            + (f"; {link['of_no_stream']} of no stream" if link["of_no_stream"] else ""),
-        ],
-        ["requests", f"{link['retries']} repeated"],
-        [
-            "at the drive",
-            f"{counted(link['damaged_at_drive'], 'frame')} damaged, "
-            f"{counted(link['setpoints_rejected'], 'setpoint')} rejected",
-        ],
-        [
-            "link",
-            f"{counted(link['outages'], 'outage')}, {link['downtime_s']:.1f} s down, "
-            f"{counted(link['reboots'], 'reboot')}",
-        ],
+        *_link_rows(link),
         ["CPU of the host", f"{summary.cpu_percent:.1f} % of a core"],
         *([["longest pause of this program", f"{summary.longest_pause_s:.2f} s"]] if paused else []),
         *([] if summary.bus is None else bus_rows(summary.bus)),
@@ -298,21 +303,59 @@ def run_rows(summary: Summary) -> list[list[str]]:
                 f"{summary.host_observers['different']} of {summary.host_observers['compared']} samples differ",
             ]
         )
+    if summary.outputs:
+        rows.append(["outputs at the end", summary.outputs])
     rows.append(["faults", ", ".join(summary.faults) or "none"])
     rows.append(["result", summary.result])
     return rows
 
 
-def as_markdown(summary: Summary) -> str:
-    """The summary as a markdown document."""
-    errors = error_rows(summary)
-    return "\n\n".join(
+TRAFFIC = ("bytes", "frames")  # of a link: no trouble
+
+
+def _link_rows(link: dict[str, Any]) -> list[list[str]]:
+    """What went wrong on the link: one line if nothing did."""
+    if not any(value for name, value in link.items() if name not in TRAFFIC):
+        return [["link", "no outage, no reboot; nothing damaged, out of order, unknown, repeated or rejected"]]
+    return [
         [
-            "# Summary",
-            *([markdown.table(ERROR_HEADERS, errors)] if errors else []),
-            markdown.table(("run", ""), run_rows(summary)),
-        ]
-    )
+            "damaged, stale, out of order",
+            f"{link['damaged']}, {link['stale']}, {link['out_of_order']} frames"
+            + (f"; {counted(link['late'], 'edge')} too late" if link["late"] else ""),
+        ],
+        [
+            "malformed, unknown, unexpected",
+            f"{link['malformed']}, {link['unknown']}, {link['unexpected_replies']} frames"
+            + (f"; {link['of_no_stream']} of no stream" if link["of_no_stream"] else ""),
+        ],
+        ["requests", f"{link['retries']} repeated"],
+        [
+            "at the drive",
+            f"{counted(link['damaged_at_drive'], 'frame')} damaged, "
+            f"{counted(link['setpoints_rejected'], 'setpoint')} rejected",
+        ],
+        [
+            "link",
+            f"{counted(link['outages'], 'outage')}, {link['downtime_s']:.1f} s down, "
+            f"{counted(link['reboots'], 'reboot')}",
+        ],
+    ]
+
+
+def as_markdown(summary: Summary) -> str:
+    """The summary as a markdown document, narrow enough for a column of the dashboard."""
+    parts = ["# Summary", f"**Result: {markdown.escaped(summary.result)}**"]
+    if summary.asked:
+        rows = [[title, f"{rpm} → {seen}", f"{load} → {i_q}"] for title, rpm, seen, load, i_q in asked_rows(summary)]
+        parts.append(markdown.table(("asked for → seen", "r/min", "load → i_q, A"), rows))
+    if summary.position_error_deg:
+        lines: list[list[str]] = []
+        for segment, name, *values in error_rows(summary):
+            lines += [[segment, "", "", ""]] if segment else []
+            lines.append([f"– {name}", *values])
+        parts.append(markdown.table(("position error, el. deg", "mean", "std", "max"), lines))
+    parts.append(markdown.table(("run", ""), run_rows(summary)[:-1]))
+    return "\n\n".join(parts)
 
 
 def _degrees(moments: Moments) -> dict[str, float]:

@@ -14,9 +14,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from bench.analysis.colours import GROUND
+from bench.analysis.colours import BAD, GROUND
 from bench.recording.info import Mark, RunInfo, ns_from_tick
 from bench.rerunio import last_second, plane, schema
+from bench.rerunio.extent import Extent
 from bench.rerunio.last_second import LastSecond
 from bench.rerunio.plane import Plane
 from bench.rerunio.plots import LEGEND_SHARE, TREND, Line, Plot, plots
@@ -27,13 +28,13 @@ HALL_QUERIED = 0.2  # more of which it is told, for the code that its first mome
 SECTORS_SHOWN = 15  # in the Hall view, if the speed is known: so that each has room for its name
 LEAST_HALL, MOST_HALL = 0.005, 2.0  # s
 ROWS, MOST_ROWS = 3, 5  # of plots in a column: beside plots that the vocabulary knows, and without any
-WIDTH = 1.5  # of a line, in points
+WIDTH, MARK = 1.5, 3.0  # of a line and a mark, in points
 COARSE = 10.0  # s that plots of samples show where there are only minima and maxima
 
 SECOND_NAMES = {
-    schema.BY_ANGLE: "Mean position error [°] over the electrical angle [°]",
-    schema.HARMONICS: "Harmonics 2 to 20 of the phase currents [% of the fundamental]",
-    schema.LATE: "Hall edges: measured minus ideal angle [°], late is positive; sector I is 1",
+    schema.BY_ANGLE: "Mean error over electrical angle [°]",
+    schema.HARMONICS: "Current harmonics 2 to 20 [%]",
+    schema.LATE: "Hall edges late by [°], sectors 1 to 6",
 }
 
 Span = tuple[rrb.TimeRangeBoundary, rrb.TimeRangeBoundary]
@@ -45,16 +46,17 @@ def blueprint(
     whole: tuple[int, int] | None = None,
     coarse: bool = False,
     sector: float | None = None,
+    extents: Mapping[str, Extent] | None = None,
 ) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest.
 
     `whole`: first and last tick of a recorded run, which the long plots show all of; `coarse`: where samples are mostly
     left out, so that the others show more than the last moments. `sector`: how long a sector lasts, s, where the speed
-    is known.
+    is known; `extents`: how far the long plots reach, by their key, where that is known.
     """
     found = plots(run)
     if whole is not None:
-        found = {key: _of_all(plot, coarse) for key, plot in found.items()}
+        found = {key: _of_all(plot, coarse, (extents or {}).get(key)) for key, plot in found.items()}
     trend = None if whole is None else _ticks(run, *whole)
     states = _lanes(
         f"Drive, last {TREND:g} s" if whole is None else "Drive", drive_entity(run),
@@ -87,10 +89,14 @@ def blueprint(
     )
 
 
-def _of_all(plot: Plot, coarse: bool) -> Plot:
-    """A plot of a recorded run: what is long shows all of it."""
+def _of_all(plot: Plot, coarse: bool, extent: Extent | None) -> Plot:
+    """A plot of a recorded run: what is long shows all of it, and says how far it goes."""
     if plot.entity == schema.TREND:
-        return replace(plot, name=plot.name.rpartition(", last")[0])
+        name = plot.name.rpartition(", min/max, last")[0]
+        if extent is None:
+            return replace(plot, name=name)
+        return replace(plot, name=f"{name}, {extent.words}", y_range=extent.shown or plot.y_range,
+                       marked=extent.shown is not None)  # fmt: skip
     if coarse:
         return replace(plot, name=f"{plot.name.rpartition(', last')[0]}, last {COARSE:g} s", seconds=COARSE)
     return plot
@@ -122,7 +128,7 @@ def _texts(stator: str) -> rrb.Container:
     if not stator:
         return rrb.Vertical(words, log, row_shares=[6, 5])
     view = rrb.Spatial2DView(
-        name=f"Stator plane: {stator}",
+        name="Stator plane",
         origin="/stator",
         contents=["/stator/**"],
         background=GROUND,
@@ -146,7 +152,7 @@ def _last_second(run: RunInfo, found: Mapping[str, Plot], whole: tuple[int, int]
 def _of_second(view: str) -> rrb.View:
     if view == schema.DQ:
         return rrb.Spatial2DView(
-            name="Current vector, last 0.2 s: i_d to the right, i_q up",
+            name="Current vector, last 0.2 s",
             origin=f"/{schema.DQ}",
             contents=[f"/{schema.DQ}/**"],
             background=GROUND,
@@ -183,6 +189,8 @@ def _view(plot: Plot, run: RunInfo, whole: tuple[int, int] | None) -> rrb.TimeSe
     if plot.entity == schema.FAST:
         return time_series(plot, {plot.entity: plot.lines} | _guide(plot, schema.GUIDE), queried, shown)
     lines = {plot.entity: plot.lines} | _guide(plot, schema.ROOM)
+    if plot.marked:
+        lines[schema.BEYOND] = (replace(plot.lines[0], component=plot.beyond, name="beyond", colour=BAD, points=True),)
     if whole is None:
         return time_series(plot, lines, shown, None)
     return time_series(plot, lines, _ticks(run, *whole), _wide(run, *whole))
@@ -214,7 +222,12 @@ def time_series(
 
 def _series(line: Line) -> rrb.Visualizer:
     colour = (*line.colour, 0) if line.unseen else line.colour
-    return rr.SeriesLines(names=line.name, colors=colour, widths=WIDTH, aggregation_policy="MinMax").visualizer(
+    looks: rr.SeriesLines | rr.SeriesPoints
+    if line.points:
+        looks = rr.SeriesPoints(names=line.name, colors=colour, markers="cross", marker_sizes=MARK)
+    else:
+        looks = rr.SeriesLines(names=line.name, colors=colour, widths=WIDTH, aggregation_policy="MinMax")
+    return looks.visualizer(
         mappings=[
             VisualizerComponentMapping(
                 target="Scalars:scalars",

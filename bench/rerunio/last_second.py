@@ -34,7 +34,7 @@ MOST_ROWS = 4096  # samples from which harmonics are found
 TRAIL, TRAIL_POINTS = 0.2, 400  # s of the current vector's way, in so many points at most
 FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
-X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.25, 1.25)  # of the current plane
+X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.4, 1.25)  # of the current plane
 _CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
 _SECTOR_OF_CODE = np.array(SECTOR_OF_CODE)
 
@@ -122,7 +122,7 @@ class LastSecond:
             f"{schema.DQ}/lines",
             rr.LineStrips2D([circle, *axes], colors=[_CIRCLE, _AXIS, _AXIS], radii=[-1.2, -0.6, -0.6], draw_order=-10),
         )
-        places, names = [(1.3, 0.0), (0.0, -1.1)], ["i_d", "i_q"]
+        places, names = [(1.3, 0.0), (0.0, -1.28)], ["i_d", "i_q"]
         colours = [TABLE[name].rgb for name in names]
         yield (
             f"{schema.DQ}/names",
@@ -139,7 +139,7 @@ class LastSecond:
         if not all(np.isfinite(value).all() for value in values.values()):
             return  # a float channel of a physical drive can hold anything
         theta = np.unwrap(values[self._angle].astype(np.float64)) if self._angle else None
-        facts: list[tuple[str, str]] = [("over", f"the last {(tick[-1] - tick[0]) / self._run.tick_hz:.2f} s")]
+        facts: list[tuple[str, str]] = []
         if theta is not None:
             facts += self._speed(tick, theta)
         parts: list[Part] = []
@@ -160,7 +160,8 @@ class LastSecond:
             yield entity, rr.Clear(recursive=False)
         self._drawn = drawn
         yield from parts
-        rows_of_text = markdown.table(("last second", ""), facts)
+        seconds = (tick[-1] - tick[0]) / self._run.tick_hz
+        rows_of_text = markdown.table((f"last {seconds:.2f} s", ""), facts)
         yield schema.NUMBERS, rr.TextDocument(rows_of_text, media_type=rr.MediaType.MARKDOWN)
 
     def _speed(self, tick: NDArray[np.int64], theta: Values) -> list[tuple[str, str]]:
@@ -183,8 +184,8 @@ class LastSecond:
         seen = number > 0
         for k, name in enumerate(self._estimates):
             error = np.degrees(wrap(theta - values[name]))
-            text = f"mean {error.mean():+.2f}, std {error.std():.2f}, max {np.abs(error).max():.2f} deg"
-            facts.append((f"error of {schema.label(name)}", text))
+            text = f"{error.mean():+.2f}, {error.std():.2f}, {np.abs(error).max():.2f} deg"
+            facts.append((f"{schema.label(name)}: mean, std, max", text))
             if whole:
                 mean = np.bincount(bins, error, BINS)[seen] / number[seen]
                 bar = 0.9 * width / len(self._estimates)
@@ -205,7 +206,7 @@ class LastSecond:
         parts: list[Part] = [
             (f"{schema.DQ}/trail", rr.LineStrips2D([trail.tolist()], colors=[TABLE["i_q"].rgb], radii=[-1.0])),
             (f"{schema.DQ}/mean", rr.Arrows2D(vectors=[(mean_d, mean_q)], colors=[(255, 255, 255)], radii=[-1.6])),
-            (f"{schema.DQ}/circle", rr.Points2D([(-1.2, -1.12)], labels=[f"circle {full:g} A"], colors=[_FAINT],
+            (f"{schema.DQ}/circle", rr.Points2D([(-1.1, -1.2)], labels=[f"circle {full:g} A"], colors=[_FAINT],
                                                 radii=0.0, show_labels=True)),
         ]  # fmt: skip
         if all(name in values for name in schema.DQ_REFERENCES):
@@ -217,19 +218,19 @@ class LastSecond:
     def _harmonics(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
         """Harmonics 2 to 20 of the phase currents in % of the fundamental, and their distortion."""
         parts: list[Part] = []
-        texts: list[str] = []
+        texts: list[tuple[str, str]] = []
         for k, name in enumerate(self._phases):
             try:
                 found = distortion(theta, values[name])
             except ValueError as error:
-                texts.append(f"{name} undefined: {error}")
-                break
+                texts.append((f"THD {name}", f"undefined: {error}"))
+                continue
             order = np.arange(2, len(found.amplitudes) + 1)
             share = 100 * found.amplitudes[1:] / found.amplitudes[0]
             parts.append((f"{schema.HARMONICS}/{name}",
                           _bars(order + 0.28 * (k - 1), share, 0.26, self._run.colours[name])))  # fmt: skip
-            texts.append(f"{name} {100 * found.value:.1f} % of {found.amplitudes[0]:.3g} A")
-        return parts, [("THD", ", ".join(texts))]
+            texts.append((f"THD {name}", f"{100 * found.value:.1f} % of {found.amplitudes[0]:.3g} A"))
+        return parts, texts
 
     def _late(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
         """By how much each edge comes after its ideal angle, in the direction of travel."""
@@ -253,8 +254,8 @@ class LastSecond:
                 continue
             mean = np.bincount(sector, late, len(SECTORS))[seen] / number[seen]
             parts.append((f"{schema.LATE}/{way}", _bars(seen + 1 + 0.4 * (k - 0.5), mean, 0.36, WAYS[way])))
-            each = ", ".join(f"{SECTORS[s]} {value:+.1f}" for s, value in zip(seen, mean, strict=True))
-            facts.append((f"edges late, {way}", f"{each} deg"))
+            each = [f"{SECTORS[s]} {value:+.1f}" for s, value in zip(seen, mean, strict=True)]
+            facts += [(f"edges late, {way}, deg", ", ".join(each[at : at + 3])) for at in range(0, len(each), 3)]
         return parts, facts
 
     def _modulation(self, values: Mapping[str, Values]) -> list[tuple[str, str]]:
@@ -263,7 +264,7 @@ class LastSecond:
         if float(bus.min()) <= 0:
             return [("DC bus", text)]
         share = 100 * math.sqrt(3) * size / bus
-        return [("DC bus", text), ("modulation", f"{share.mean():.1f} %, max {share.max():.1f} % of u_dc/√3")]
+        return [("DC bus", text), ("|u| of u_dc/√3", f"{share.mean():.1f} %, max {share.max():.1f} %")]
 
 
 def distortion(theta: Values, current: Values) -> Thd:

@@ -25,6 +25,7 @@ from bench.recording.layout import EDGE_FIELDS, numbers, stream_key, stream_name
 from bench.recording.overview import ERROR
 from bench.rerunio import markdown, schema, states
 from bench.rerunio.blocks import Block
+from bench.rerunio.extent import Extents
 from bench.rerunio.hall_lanes import HallLanes
 from bench.rerunio.last_second import LastSecond
 from bench.rerunio.plane import Picture, Plane
@@ -85,6 +86,7 @@ class RunLog:
         self._guides = [plot for plot in shown if plot.entity == schema.FAST]
         self._rooms = [plot for plot in shown if plot.entity == schema.TREND]
         self._live = live
+        self.extents = None if live else Extents()
         self._first_ns: int | None = None  # of the run, or since the drive has rebooted
         self._last_second = LastSecond(run)
         self._plane = Plane(run)
@@ -152,7 +154,7 @@ class RunLog:
         self._send(schema.FAST, t_ns, shown)
         if "u_dc" in values:
             values[schema.U_LIMIT] = _limit(values["u_dc"])
-        trends: dict[str, pa.Array] = {}
+        trends: dict[str, NDArray[np.float32]] = {}
         for line in self._trend_lines:
             try:
                 value = _of(line, values, errors)
@@ -160,10 +162,9 @@ class RunLog:
                 continue
             if line.mean:  # what is known of it is its least and its most: in between lies the mean of both
                 value = np.repeat((value[::2] + value[1::2]) / 2, 2)
-            trends[line.component] = pa.array(value.astype(np.float32))
+            trends[line.component] = value.astype(np.float32)
         if trends:
-            self._send(schema.TREND, t_ns, trends)
-            self._send_room(int(t_ns[-1]), {name: float(of[-1].as_py()) for name, of in trends.items()})
+            self._send_rows(t_ns, trends)
 
     def mark(self, mark: Mark) -> None:
         """Log a stretch of an acceptance run; the lane that shows it is drawn by `finish`, from all of them."""
@@ -185,6 +186,10 @@ class RunLog:
     def finish(self) -> None:
         """Log what was held back: for a bin or a second that is not full yet, or until all marks are known."""
         self._send_rest()
+        for plot in self._rooms if self.extents is not None else ():
+            extent = None if self.extents is None else self.extents.of(plot)
+            if extent is not None and len(extent.marks):
+                self._send(schema.BEYOND, extent.t_ns, {plot.beyond: pa.array(extent.marks)})
         if self.marks:
             lane, colours = states.mark_lane(self.marks, self.run.tick_hz)
             self._stream.log(schema.ACCEPTANCE, states.configuration(colours), static=True)
@@ -310,10 +315,14 @@ class RunLog:
     def _send_trend(self, rows: Rows | None) -> None:
         if rows is not None:
             t_ns, values = rows
-            columns = {line.component: pa.array(row) for line, row in zip(self._trend_lines, values, strict=True)}
-            self._send(schema.TREND, t_ns, columns)
-            newest = {line.component: float(row[-1]) for line, row in zip(self._trend_lines, values, strict=True)}
-            self._send_room(int(t_ns[-1]), newest)
+            self._send_rows(t_ns, {line.component: row for line, row in zip(self._trend_lines, values, strict=True)})
+
+    def _send_rows(self, t_ns: NDArray[np.int64], rows: Mapping[str, NDArray[np.float32]]) -> None:
+        """Log what the long plots show, by component."""
+        self._send(schema.TREND, t_ns, {name: pa.array(row) for name, row in rows.items()})
+        self._send_room(int(t_ns[-1]), {name: float(row[-1]) for name, row in rows.items()})
+        if self.extents is not None:
+            self.extents.add(t_ns, rows)
 
     def _send_room(self, t_ns: int, newest: Mapping[str, float]) -> None:
         """Log where the long plots begin at least, and how far they reach; `newest`: values by component."""

@@ -53,6 +53,7 @@ class Line:
     mean: bool = False
     derived: str = ""
     unseen: bool = False
+    points: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,19 @@ class Plot:
     by_unit: bool = False
     seconds: float = WAVE
     """How far back it shows."""
+    marked: bool = False
+    """Whether it leaves peaks out and marks them."""
     least: float = 0.0
     """Half of the range that it shows at least,"""
     about_zero: bool = True
     """about 0, or about the newest value of its first line."""
     guide: str = ""
     """Component of the line without a colour that sees to it, see `schema.GUIDE`."""
+
+    @property
+    def beyond(self) -> str:
+        """Component of the marks where it leaves peaks out, see `schema.BEYOND`."""
+        return f"beyond:{self.guide}"
 
 
 def plots(run: RunInfo) -> dict[str, Plot]:

@@ -30,6 +30,7 @@ TOUCH = "touch"  # nothing, in a live view only
 DRIVE = "state-faults-angle-telemetry"  # one lane each, named in their order; without a channel `status` no angle
 DRIVE_WITHOUT_ANGLE = "state-faults-telemetry"
 GUIDE = "view/guide"  # lines without a colour, which give the plots of the last moments a least range
+BEYOND = "view/beyond"  # marks at the edge of a long plot where it leaves peaks out
 ROOM = "view/room"  # the same for the long plots, and room for their legends; in rerun's order after what is seen
 ACCEPTANCE = "acceptance"  # marks of an acceptance run, and one lane that shows them
 PLANE = "stator/plane"

@@ -23,9 +23,10 @@ from bench.recording.layout import EDGES, numbers
 from bench.recording.losses import LossAccount
 from bench.recording.overview import BIN, coarser
 from bench.recording.reader import Run, Segment, overviews
-from bench.rerunio import dashboard
+from bench.rerunio import dashboard, schema
 from bench.rerunio.blocks import Block
 from bench.rerunio.log import RunLog
+from bench.rerunio.plots import plots
 from bench.rerunio.sinks import abandon, new_stream
 from protocol.messages import EventCode
 from protocol.streams import EdgeChunk, SampleChunk
@@ -57,6 +58,10 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
         log.start()
         show(run, log, begin, end, near)
         log.finish()
+        assert log.extents is not None
+        found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
+        extents = {key: extent for key, extent in found.items() if extent is not None}
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, extents))
 
 
 @contextmanager
@@ -104,7 +109,7 @@ def sector_time(run: Run, first: int, last: int) -> float | None:
 
 
 def closeups(run: Run, first: int, last: int) -> list[Span] | None:
-    """What of the ticks `first` to `last` of a long run is shown sample by sample: what is near a fault or a mark.
+    """What of the ticks `first` to `last` of a long run is shown sample by sample: near a fault, a mark, and the end.
 
     None where it is short, and all of it is.
     """
@@ -116,7 +121,8 @@ def closeups(run: Run, first: int, last: int) -> list[Span] | None:
     ticks = sorted({*faults, *(mark.first_tick for mark in run.marks)})
     around = round(AROUND * second)
     found: list[Span] = []
-    for tick in [tick for tick in ticks if first <= tick <= last][:MOST_CLOSE]:
+    end = min(last, run.span[1])
+    for tick in [*[tick for tick in ticks if first <= tick < end][:MOST_CLOSE], end]:
         span = max(first, tick - around), min(last, tick + around)
         if found and span[0] <= found[-1][1]:
             found[-1] = found[-1][0], span[1]
