@@ -47,12 +47,14 @@ def blueprint(
     coarse: bool = False,
     sector: float | None = None,
     extents: Mapping[str, Extent] | None = None,
+    page: int = 0,
 ) -> rrb.Blueprint:
     """The dashboard of a run; with `marks`, those of an acceptance run over its whole length below the rest.
 
     `whole`: first and last tick of a recorded run, which the long plots show all of; `coarse`: where samples are mostly
     left out, so that the others show more than the last moments. `sector`: how long a sector lasts, s, where the speed
-    is known; `extents`: how far the long plots reach, by their key, where that is known.
+    is known; `extents`: how far the long plots reach, by their key, where that is known;
+    `page`: the one that it opens at, from 0.
     """
     found = plots(run)
     if whole is not None:
@@ -81,7 +83,7 @@ def blueprint(
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
     return rrb.Blueprint(
-        rrb.Tabs(views, second_page, active_tab=0) if second_page else views,
+        rrb.Tabs(views, second_page, active_tab=page) if second_page else views,
         rrb.TopPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),

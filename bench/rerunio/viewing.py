@@ -43,17 +43,18 @@ FLUSH_TIMEOUT = 60.0  # s
 Span = tuple[int, int]
 
 
-def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None = None) -> None:
-    """Write the part of a run from tick `first` to `last` for rerun's viewer. Raises RecordingError.
+def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0) -> None:
+    """Write the part of a run from tick `first` to `last` for rerun's viewer, opened at a page of the dashboard.
 
+    Raises RecordingError.
     The file appears, or replaces an earlier one, when it is whole.
     """
     begin, end = -1 if first is None else first, 1 << 62 if last is None else last
-    near = closeups(run, begin, end)
+    near = closeups(run, begin, end, and_end=True)
     with rrd_file(path, run.info) as stream:
         whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
         sector = None if whole is None else sector_time(run, *whole)
-        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector))
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
         log = RunLog(stream, run.info, LOT)
         log.start()
         show(run, log, begin, end, near)
@@ -61,7 +62,7 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
         assert log.extents is not None
         found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
         extents = {key: extent for key, extent in found.items() if extent is not None}
-        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, extents))
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, extents, page))
 
 
 @contextmanager
@@ -108,8 +109,10 @@ def sector_time(run: Run, first: int, last: int) -> float | None:
     return None
 
 
-def closeups(run: Run, first: int, last: int) -> list[Span] | None:
-    """What of the ticks `first` to `last` of a long run is shown sample by sample: near a fault, a mark, and the end.
+def closeups(run: Run, first: int, last: int, and_end: bool = False) -> list[Span] | None:
+    """What of the ticks `first` to `last` of a long run is shown sample by sample: what is near a fault or a mark.
+
+    With `and_end` also the end, where a viewer opens.
 
     None where it is short, and all of it is.
     """
@@ -121,8 +124,8 @@ def closeups(run: Run, first: int, last: int) -> list[Span] | None:
     ticks = sorted({*faults, *(mark.first_tick for mark in run.marks)})
     around = round(AROUND * second)
     found: list[Span] = []
-    end = min(last, run.span[1])
-    for tick in [*[tick for tick in ticks if first <= tick < end][:MOST_CLOSE], end]:
+    chosen = [tick for tick in ticks if first <= tick <= last][:MOST_CLOSE]
+    for tick in sorted({*chosen, min(last, run.span[1])}) if and_end else chosen:
         span = max(first, tick - around), min(last, tick + around)
         if found and span[0] <= found[-1][1]:
             found[-1] = found[-1][0], span[1]

@@ -19,7 +19,8 @@ from bench.rerunio.plots import plots
 VIEWS = {
     "TimeSeries": len(plots(synthetic.run_info())),
     "StateTimeline": 2,
-    "2D": 1,
+    "2D": 2,
+    "BarChart": 3,
     "TextDocument": 2,
     "TextLog": 1,
 }
@@ -31,18 +32,20 @@ HOSTILE = ("a/b c|:#", "`*x*` [y](z)", "\x1b[2J\u202e\n")
 def test_every_line_of_every_plot_has_data(recording: Path, made: synthetic.SyntheticRun) -> None:
     shown = plots(synthetic.run_info())
     known = {key for key, plot in shown.items() if not plot.by_unit}
-    assert known == {"error_trend", "speed", "dq", "position", "error", "phases"}
+    assert known == {"error_trend", "speed", "dq", "bus", "position", "error", "phases", "bus_wave"}
     found = components(recording)
     for plot in shown.values():
         for line in plot.lines:
             n = found[f"/{plot.entity}"][line.component]
             assert n == (len(made.index) if plot.entity == schema.FAST else 600), line
-    assert found["/drive"]["StateChange:state"] >= 4
+    assert found[f"/{schema.DRIVE}"]["StateChange:state"] >= 4
     assert found["/stator/vectors"]["Arrows2D:vectors"] == 30  # one in 0.1 s
-    assert found["/health/text"]["TextDocument:text"] == 4
+    assert found["/run"]["TextDocument:text"] == 5  # once a second, and the summary
+    assert found["/numbers"]["TextDocument:text"] == 6  # twice a second
+    assert all(found[f"/{bar}/{of}"] for bar, of in (("by_angle", "vector-tracking"), ("harmonics", "i_a")))
+    assert found["/late/forward"]
     assert found["/log/drive"]["TextLog:text"] == found["/log/host"]["TextLog:text"] == 1
     assert found["/stator/plane/lines"]
-    assert found["/summary"]
 
 
 def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
@@ -65,7 +68,7 @@ def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Pa
     assert counts == VIEWS
     assert len(state.views) == sum(VIEWS.values())
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
-    assert {view.name for view in state.views if not view.visible} <= {"Run and summary"}
+    assert all(view.visible for view in state.views)
     (timeline,) = state.recordings[0].timelines
     assert (timeline.name, timeline.time_type) == (schema.TIMELINE, "duration")
     assert timeline.start == 100_000_000_000

@@ -11,7 +11,7 @@ import synthetic
 from bench.recording.reader import Run
 from bench.rerunio import schema
 
-SENSORS = {code: [f"{sensor}={code >> bit & 1}" for bit, sensor in enumerate("abc")] for code in range(8)}
+SENSORS = {code: [f"{code >> bit & 1}" for bit in range(3)] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
 
 
@@ -61,7 +61,7 @@ def test_without_the_channel_the_last_edge_tells_the_code(tmp_path: Path, rpm: f
     turned = moments >= (made.edge_tick[0] / synthetic.TICK_HZ if len(made.edge_tick) else np.inf)
     shown = shown_at(found, moments)
     assert [words for words, has in zip(shown, turned, strict=True) if has] == truth(made, moments[turned])
-    assert all(words == ["a=?", "b=?", "c=?"] for words, has in zip(shown, turned, strict=True) if not has)
+    assert all(words == ["?", "?", "?"] for words, has in zip(shown, turned, strict=True) if not has)
 
 
 def test_a_drive_without_hall_channel_and_edges_has_no_lanes(tmp_path: Path) -> None:

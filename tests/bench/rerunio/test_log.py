@@ -45,13 +45,13 @@ def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
 
 
 def test_the_drives_lanes_are_those_that_it_can_fill(tmp_path: Path) -> None:
-    for name, n in (("status", 5), ("i_a", 3)):
+    for name, entity in (("status", "state-faults-angle-telemetry"), ("i_a", "state-faults-telemetry")):
         made = synthetic.SyntheticRun(0.3, config=synthetic.config(synthetic.named(name, "u_dc")))
         sink = RunSink(tmp_path / f"{name}.run", synthetic.run_info(channels=made.config.channels), wait=True)
         made.feed(sink)
         sink.close()
-        words = [row for _, row in column(tmp_path / f"{name}.run", schema.DRIVE, "StateChange:state")]
-        assert {len(row) for row in words} == {n}
+        words = [row for _, row in column(tmp_path / f"{name}.run", entity, "StateChange:state")]
+        assert {len(row) for row in words} == {entity.count("-") + 1}
         assert "unknown" not in words[-1]
 
 

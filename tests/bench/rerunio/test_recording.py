@@ -59,8 +59,8 @@ def test_the_drives_lanes_follow_its_status_word(recording: Path, made: syntheti
     for sample, t_ns in enumerate(ns_from_tick(made.tick, synthetic.TICK_HZ)):
         words = changed[at[np.searchsorted(at, t_ns, side="right") - 1]]
         assert words[0] == "RUNNING"
-        assert words[2] == ("angle: average speed", "angle: vector tracking")[(status[sample] >> 5) - 1]
-        assert words[3] == "back-EMF correction " + ("off", "on")[status[sample] >> 4 & 1]
+        source = ("average speed", "vector tracking")[(status[sample] >> 5) - 1]
+        assert words[2] == source + ("", ", back-EMF correction on")[status[sample] >> 4 & 1]
 
 
 def test_gaps_an_outage_and_a_new_configuration_come_back(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
@@ -111,10 +111,10 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
         chunks.append(SampleChunk(config, index, index * synthetic.TICKS, np.zeros(1, config.dtype), gaps))
     path = synthetic.recorded(tmp_path / "a.run", *chunks)
     states = synthetic.column(path, schema.DRIVE, "StateChange:state")
-    lanes = {at: row[4] for at, row in states}
-    assert lanes[200_000_000] == "TELEMETRY GAP"
-    assert lanes[400_000_000] == "telemetry complete"
-    assert min(at for at, word in lanes.items() if word == "TELEMETRY GAP") == 200_000_000
+    lanes = {at: row[3] for at, row in states}
+    assert lanes[200_000_000] == "GAP"
+    assert lanes[400_000_000] == "complete"
+    assert min(at for at, word in lanes.items() if word == "GAP") == 200_000_000
 
 
 def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
