@@ -1,6 +1,9 @@
-"""Records the show on the simulated drive and draws docs/dashboard.png from the recording, in rerun's headless viewer.
+"""Records the simulated drive and draws docs/dashboard*.png from the recordings, in rerun's headless viewer.
 
 python docs/make_dashboard_png.py      (needs a Vulkan driver; Mesa's, which draws without a GPU, will do)
+
+`dashboard.png`: the show with a load of 4 A, at 1920x1080. `dashboard-rest.png`: a drive at rest, as a laptop shows it,
+at 1366x768. `dashboard-last-second.png`: the second page at 3000 r/min.
 """
 
 from __future__ import annotations
@@ -9,34 +12,71 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from bench.rerunio.viewer import binary, free_port
+from bench.recording.reader import Run
+from bench.rerunio.viewer import HOST, binary, free_port
+from bench.rerunio.viewing import write_rrd
 
-MOMENT = 14.0  # s after the first sample: 500 r/min and 4 A, controlled by the vector-tracking observer
+
+@dataclass(frozen=True)
+class Picture:
+    """A page of the dashboard, of what `bench live` records with these options, up to `moment` s after its start."""
+
+    name: str
+    options: tuple[str, ...]
+    moment: float
+    page: int
+    size: str
+
+
+PICTURES = (
+    Picture("dashboard.png", (), 14.0, 0, "1920x1080"),
+    Picture("dashboard-rest.png", ("sim", "--duration", "4"), 3.5, 0, "1366x768"),
+    Picture("dashboard-last-second.png", ("sim", "--speed", "3000", "--load", "2", "--duration", "6"), 5.5, 1, "1366x768"),
+)
 
 
 def main() -> None:
     """Record, draw, save."""
     with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder, "show.rrd")
-        subprocess.run(
-            [sys.executable, "-m", "bench", "live", "--viewer", "none", "--save", str(recording)],
-            stdin=subprocess.DEVNULL,
-            check=True,
-        )
-        port = free_port(9990)
-        options = {"hide_welcome_screen": True, "memory_limit": "2GB", "executable_path": str(binary())}
-        with ViewerClient.spawn(headless=True, port=port, **options) as viewer:
-            viewer.open(str(recording))
-            while (state := viewer.get_state()).loading or not (state.recordings and state.recordings[0].timelines):
-                time.sleep(0.1)
-            first = state.recordings[0].timelines[0].start / 1e9
-            viewer.set_time("device_time", duration=first + MOMENT, play_state="paused")
-            time.sleep(2.0)  # for the views to follow
-            viewer.save_screenshot(str(Path(__file__).with_name("dashboard.png")))
+        for picture in PICTURES:
+            recording, rrd = Path(folder, f"{picture.name}.run"), Path(folder, f"{picture.name}.rrd")
+            command = [sys.executable, "-m", "bench", "live", *picture.options, "--viewer", "none"]
+            subprocess.run([*command, "--save", str(recording)], stdin=subprocess.DEVNULL, check=True)
+            run = Run(recording)
+            last = run.span[0] + round(picture.moment * run.info.tick_hz)
+            write_rrd(run, rrd, None, last, picture.page)
+            draw(rrd, Path(__file__).with_name(picture.name), picture.size)
+
+
+def draw(rrd: Path, png: Path, size: str) -> None:
+    """Let the viewer draw a file."""
+    port = free_port(9990)
+    arguments = ["--headless", "--bind", HOST, "--port", str(port), "--hide-welcome-screen", "--window-size", size]
+    viewer = subprocess.Popen([str(binary()), *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        client = connected(port)
+        client.open(str(rrd))
+        while (state := client.get_state()).loading or not (state.recordings and state.recordings[0].timelines):
+            time.sleep(0.1)
+        time.sleep(4.0)  # for the views to follow, and for what the viewer says of itself to go away
+        client.save_screenshot(str(png))
+    finally:
+        viewer.kill()
+        viewer.wait()
+
+
+def connected(port: int) -> ViewerClient:
+    """A client of the viewer that listens there, once it does."""
+    while True:
+        try:
+            return ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
+        except ConnectionError:
+            time.sleep(0.1)
 
 
 if __name__ == "__main__":

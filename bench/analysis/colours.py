@@ -59,9 +59,9 @@ TABLE = {f"theta_{short}": look for short, look in OBSERVERS.items()} | {
     "i_d_ref": Look("#708848", "#989858"),
     "i_d": Look("#60e0e0", "#087870"),
     "i_q": Look("#c080c0", "#d048d0"),  # and the current as a vector
-    "i_a": Look("#588828", "#305818"),  # and Hall sensor a
-    "i_b": Look("#ffb830", "#c88048"),
-    "i_c": Look("#60c8e0", "#2888c0"),
+    "i_a": Look("#c0f0b0", "#305818"),
+    "i_b": Look("#c89070", "#c88048"),
+    "i_c": Look("#88a0a8", "#2888c0"),
     "u_alpha": Look("#d84090", "#881880"),  # and the voltage as a vector
     "u_beta": Look("#d090c8", "#c06898"),
     "u_dc": Look("#0880d8", "#0828d8"),

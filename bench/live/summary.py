@@ -344,7 +344,7 @@ def _link_rows(link: dict[str, Any]) -> list[list[str]]:
 
 def as_markdown(summary: Summary) -> str:
     """The summary as a markdown document, narrow enough for a column of the dashboard."""
-    parts = ["# Summary", f"**Result: {markdown.escaped(summary.result)}**"]
+    parts = ["### Summary", f"**Result: {markdown.escaped(summary.result)}**"]
     if summary.asked:
         rows = [[title, f"{rpm} → {seen}", f"{load} → {i_q}"] for title, rpm, seen, load, i_q in asked_rows(summary)]
         parts.append(markdown.table(("asked for → seen", "r/min", "load → i_q, A"), rows))

@@ -37,7 +37,8 @@ class Extent:
     @property
     def words(self) -> str:
         """For the title of a plot."""
-        return f"{self.least:.3g} to {self.most:.3g}".replace("-", "−")
+        ends = (np.format_float_positional(end, 3, fractional=False, trim="-") for end in (self.least, self.most))
+        return " to ".join(ends).replace("-", "−")
 
 
 class Extents:

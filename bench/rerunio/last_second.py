@@ -223,7 +223,7 @@ class LastSecond:
             try:
                 found = distortion(theta, values[name])
             except ValueError as error:
-                texts.append((f"THD {name}", f"undefined: {error}"))
+                texts.append((f"THD {name}", f"undefined: {str(error).partition(':')[0]}"))
                 continue
             order = np.arange(2, len(found.amplitudes) + 1)
             share = 100 * found.amplitudes[1:] / found.amplitudes[0]

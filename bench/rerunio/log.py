@@ -8,6 +8,7 @@ messages, not by samples.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -60,10 +61,13 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 class RunLog:
     """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more.
 
-    `live`: the long plots follow the newest sample, and their guides leave room for legends before the first.
+    `live`: the long plots follow the newest sample, and their guides leave room for legends before the first. Of each
+    block only the samples of its last `newest` s are logged one by one, for a viewer that does not show the others.
     """
 
-    def __init__(self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0, live: bool = False) -> None:
+    def __init__(
+        self, stream: rr.RecordingStream, run: RunInfo, lot: float = 0.0, live: bool = False, newest: float = math.inf
+    ) -> None:
         self.run = run
         self._stream = stream
         self._now_ns = 0  # newest device time seen
@@ -86,6 +90,7 @@ class RunLog:
         self._guides = [plot for plot in shown if plot.entity == schema.FAST]
         self._rooms = [plot for plot in shown if plot.entity == schema.TREND]
         self._live = live
+        self._newest_ns = newest * 1e9
         self.extents = None if live else Extents()
         self._first_ns: int | None = None  # of the run, or since the drive has rebooted
         self._last_second = LastSecond(run)
@@ -223,7 +228,8 @@ class RunLog:
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         values |= _derived(values)
         columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
-        self._send(stream.entity, t_ns, columns)
+        shown = int(np.searchsorted(t_ns, t_ns[-1] - self._newest_ns))
+        self._send(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
         self._last_second.samples(chunk, values)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)

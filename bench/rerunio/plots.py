@@ -31,7 +31,7 @@ QUANTITIES = {
 }
 OTHER = "Other channels"
 BUS = "DC bus and voltage vector [V]"
-LIMIT_COLOUR: RGB = (150, 150, 150)
+LIMIT_COLOUR: RGB = (200, 196, 190)
 Range = tuple[float, float] | None
 LINES = 8  # of a plot by unit: not more than there are spare colours
 

@@ -124,7 +124,7 @@ def test_lines_of_a_plot_and_arrows_of_the_plane_differ(name: str) -> None:
 @pytest.mark.parametrize("name", ["usual", "all that there is"])
 def test_the_same_lines_differ_on_paper(name: str) -> None:
     for plot in plots(run_of(name)).values():
-        shown = {line.name: rgb(look(line.channel).paper) for line in plot.lines}
+        shown = {line.name: rgb(look(line.channel).paper) for line in plot.lines if not line.derived}
         assert too_near(shown, LEAST_PAPER) == [], plot.name
 
 
@@ -170,11 +170,26 @@ def test_the_hosts_estimate_has_its_observers_colour_where_the_drives_own_is_not
 def test_what_stands_in_one_lane_differs() -> None:
     """Words of one meaning may share a colour: all faults, and what is quiet."""
     marks = {verdict.name: colour for verdict, colour in states.VERDICT_COLOURS.items()}
-    hall = {sensor: {word: states.HALL_COLOURS[word] for word in (f"{sensor}=0", f"{sensor}=1")} for sensor in "abc"}
-    for lane in (*states.DRIVE_LANES.values(), marks, *hall.values()):
+    hall = {word: states.HALL_COLOURS[word] for word in (states.LOW, states.HIGH, states.ILLEGAL)}
+    for lane in (*states.DRIVE_LANES.values(), marks, hall):
         words = {colour: word for word, colour in lane.items()}
         assert too_near({word: colour for colour, word in words.items()}) == []
 
 
 def test_series_of_up_to_four_differ_on_paper() -> None:
     assert too_near({colour: rgb(colour) for colour in SERIES[:4]}, spare=LEAST_PAPER) == []
+
+
+def test_no_colour_stands_for_two_things_on_the_first_page() -> None:
+    """Normal eyes tell apart whatever a usual drive shows there, not only what stands in one plot."""
+    run = run_of("usual")
+    shown = {line.channel.replace("omega_", "theta_"): line.colour
+             for key in ("error_trend", "speed", "dq", "position", "phases") for line in plots(run)[key].lines}  # fmt: skip
+    del shown["i_q_ref"]  # a reference, as that of the speed
+    shown |= {"voltage": TABLE["u_alpha"].rgb, "back-EMF": TABLE["e_alpha"].rgb}
+    places = dict(zip(shown, seen(shown.values(), "normal"), strict=True))
+    near = {
+        f"{one}, {other}": round(float(np.linalg.norm(places[one] - places[other])), 1)
+        for one, other in combinations(shown, 2)
+    }
+    assert {pair: distance for pair, distance in near.items() if distance < LEAST["normal"]} == {}
