@@ -83,8 +83,8 @@ class Limits:
 
     def told(self, value: float) -> str:
         """`value` with its unit, to four digits; an answer in words."""
-        if self.unit == YES_NO and value in (0.0, 1.0):
-            return "yes" if value else "no"
+        if self.unit == YES_NO:
+            return {1.0: "yes", 0.0: "no"}.get(value, f"{value:.4g}")
         return f"{value:.4g} {self.unit}".rstrip()
 
     def __str__(self) -> str:

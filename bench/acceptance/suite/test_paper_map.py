@@ -22,6 +22,7 @@ from bench.acceptance.suite.common import (
     Measure,
     percent,
     ratio,
+    shares,
     thd_of_current,
     turns_for_thd,
     whole_turns,
@@ -44,7 +45,7 @@ def _name(observer: str, load: float, speed: float) -> str:
 @called("Fig. 13: distortion of the current")
 @limits(
     *(
-        Limits(_name(observer, load, speed), "%", about="THD of i_a")
+        Limits(_name(observer, load, speed), "%", about=f"THD of i_a at {shares(load, speed)}")
         for observer in APPROACHES
         for load in LOADS
         for speed in SPEEDS
