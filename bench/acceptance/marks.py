@@ -130,12 +130,21 @@ def declared_limits(item: pytest.Item) -> list[Limits]:
 
 
 def label_of(item: pytest.Item) -> str:
-    """What a test is called for people; empty if nobody has said. BenchError for braces that name no parameter."""
+    """What a test is called for people: what `called` says, or its function's name with the values of its parameters.
+
+    BenchError for braces that name no parameter.
+    """
+    from bench.acceptance.naming import in_words
     from bench.errors import BenchError
 
-    if (mark := item.get_closest_marker(CALLED)) is None:
-        return ""
     case = getattr(item, "callspec", None)
+    if (mark := item.get_closest_marker(CALLED)) is None:
+        found = [in_words(getattr(item, "originalname", item.name).removeprefix("test_"))]
+        if case is not None:
+            plain = all(isinstance(value, str | int | float) for value in case.params.values())
+            values = [f"{name.replace('_', ' ')} {value}" for name, value in case.params.items()]
+            found += values if plain else [case.id]
+        return ", ".join(found)
     try:
         return str(mark.args[0]).format(**({"id": case.id} | case.params if case else {}))
     except (LookupError, AttributeError, ValueError, TypeError) as error:

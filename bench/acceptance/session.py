@@ -285,9 +285,9 @@ class BenchSession:
             raise
 
     @property
-    def _deselected(self) -> tuple[str, ...]:
+    def _deselected(self) -> dict[str, str]:
         chosen = {item.nodeid for item in self._items}
-        return tuple(self._names[item.nodeid] for item in self._known if item.nodeid not in chosen)
+        return {self._names[item.nodeid]: label_of(item) for item in self._known if item.nodeid not in chosen}
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""

@@ -14,8 +14,8 @@ from urllib.parse import quote
 
 from markupsafe import Markup, escape
 
+from bench.acceptance.naming import in_words
 from bench.acceptance.report import words
-from bench.acceptance.report.naming import in_words
 from bench.acceptance.report.subject import SHOWN, drive, subject
 from bench.acceptance.report_files import keep_only
 from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
@@ -176,7 +176,7 @@ def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Fi
             for measurement in found:
                 yield _Finding(test, verdict, measurement.why, measurement)
             if test.result.verdict is verdict and not found:
-                why = f"{test.folding}: {test.result.why}" if test.unmade else test.result.why
+                why = ": ".join(text for text in (test.folding if test.unmade else "", test.result.why) if text)
                 yield _Finding(test, verdict, why)
 
 

@@ -35,6 +35,7 @@ def subject(run: RunResult) -> list[Row]:
     silent = f"{NOT_STATED} by the drive" if run.identity else "no drive answered"
     firmware = ", build ".join(text for text in (said["firmware"], said["build"]) if text)
     changed = sum(measurement.limits.overridden for measurement in run.measurements)
+    software = _software(run)
     rows = [
         Row("Drive", said["name"], "" if said["name"] else silent),
         Row("Serial number", said["serial"], "" if said["serial"] else silent),
@@ -44,11 +45,10 @@ def subject(run: RunResult) -> list[Row]:
         Row("Operator", run.operator, "" if run.operator else NOT_STATED),
         Row("Date and time", date(run.started), f"took {duration(run.wall_seconds)}"),
         Row("Link", run.target, "the simulated drive" if run.target == "sim" else ""),
-        Row("Software", _software(run), ""),
+        Row("Software", software, "" if software else NOT_STATED),
     ]
     if changed:
-        where = f"{changed} of {len(run.measurements)} are from bench.toml, and marked"
-        rows.append(Row("Limits", where))
+        rows.append(Row("Limits", f"{changed} of {len(run.measurements)} are from bench.toml, and marked"))
     return rows
 
 

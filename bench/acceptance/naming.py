@@ -6,8 +6,8 @@ import re
 
 GREEK = frozenset({"alpha", "delta", "omega", "phi", "psi", "tau", "theta"})
 WORDS = {
-    "max": "maximum", "min": "minimum", "std": "standard deviation", "emf": "EMF", "rms": "RMS", "rpm": "r/min",
-    "thd": "THD",
+    "emf": "EMF", "hall": "Hall", "max": "maximum", "min": "minimum", "rms": "RMS", "rpm": "r/min",
+    "std": "standard deviation", "thd": "THD",
 }  # fmt: skip
 SUBSCRIPT = 3  # letters at most: `u_dc` is a symbol, `d_ratio` is none
 
