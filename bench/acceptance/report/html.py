@@ -63,7 +63,7 @@ class _Test:
     @property
     def short(self) -> bool:
         """Whether it has its place on one page."""
-        return not self.folded and not self.result.log and len(self.figures) <= 1
+        return (self.unmade or not self.folded) and not self.result.log and len(self.figures) <= 1
 
     @property
     def recording(self) -> str:

@@ -89,7 +89,7 @@ def percent(share: float) -> int:
 
 def shares(load: float, speed: float) -> str:
     """A working point in words."""
-    return f"{percent(load)} % of the rated current and {percent(speed)} % of the rated speed"
+    return f"{percent(load)} % of rated current, {percent(speed)} % of rated speed"
 
 
 def own_angle(drive: Drive) -> str | None:
