@@ -243,7 +243,7 @@ def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults
 def test_hall_glitches_error(
     drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
 ) -> None:
-    """The position error under the same false pulses: bounded, and as before soon after."""
+    """The position error under a thousand false pulses a second: bounded, and as before soon after."""
     speed, burst, after = _glitches(drive, rated, record, hall_faults)
     error_after = error_deg(after, PROPOSED)
     needed = only(burst, "theta_enc", "omega_enc", "theta_vt")
@@ -286,7 +286,7 @@ def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure
 def test_watchdog_under_load(
     drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
 ) -> None:
-    """The same under a quarter of the rated torque: the currents that held it are gone."""
+    """The host falls silent under a quarter of the rated torque: the currents that held it are gone."""
     load.torque(0.25 * rated.current * drive.torque_constant)
     run, last, *_ = _silence(drive, rated, record, load.off)
     fault = tripped(run)
