@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bench.acceptance.marks import energises, limit, limits, needs
+    from bench.acceptance.marks import called, energises, limit, limits, must_be_yes, needs, yes
     from bench.acceptance.results import Verdict
     from bench.analysis.capture import Capture
     from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, Limits
@@ -30,13 +30,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "RATED_CURRENT", "RATED_SPEED", "RPM", "Capture", "Drive", "DriveTripped", "Limits", "Ratings", "Verdict",
-    "energises", "limit", "limits", "needs",
+    "called", "energises", "limit", "limits", "must_be_yes", "needs", "yes",
 ]  # fmt: skip
 
 _HOMES = {
     "RPM": "bench.rig.consent", "Capture": "bench.analysis.capture",
     **dict.fromkeys(("Drive", "DriveTripped"), "bench.rig.drive"),
-    **dict.fromkeys(("energises", "limit", "limits", "needs"), "bench.acceptance.marks"),
+    **dict.fromkeys(
+        ("called", "energises", "limit", "limits", "must_be_yes", "needs", "yes"), "bench.acceptance.marks"
+    ),
     **dict.fromkeys(("Limits", "Verdict"), "bench.acceptance.results"),
     **dict.fromkeys(("RATED_CURRENT", "RATED_SPEED"), "bench.analysis.limits"),
     "Ratings": "bench.rig.ratings",

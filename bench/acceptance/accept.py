@@ -52,6 +52,7 @@ class AcceptOptions:
     bench_toml: Path | None = None
     config: Path | None = None
     operator: str | None = None
+    motor: str | None = None
     jobs: int = 1
     yes: bool = False
     allow_skipped: bool = False
@@ -195,6 +196,7 @@ def _arguments(options: AcceptOptions) -> list[str]:
         ("--bench-toml", options.bench_toml),
         ("--bench-config", options.config),
         ("--bench-operator", options.operator),
+        ("--bench-motor", options.motor),
         ("-n", options.jobs if options.jobs > 1 else None),
     )
     for name, value in given:

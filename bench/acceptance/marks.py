@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 
-from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, Limits
+from bench.analysis.limits import RATED_CURRENT, RATED_SPEED, YES_NO, Limits
 from bench.rig.envelope import Envelope
 
 if TYPE_CHECKING:
     from bench.rig.ratings import Ratings
 
-LIMITS, NEEDS, ENERGISES = "bench_limits", "bench_needs", "bench_energises"
+LIMITS, NEEDS, ENERGISES, CALLED = "bench_limits", "bench_needs", "bench_energises", "bench_called"
 MARKS = {
     LIMITS: "what the test measures, with limits (bench.acceptance.limit)",
     NEEDS: "what the rig must have for it (bench.acceptance.needs)",
     ENERGISES: "how far it goes (bench.acceptance.energises)",
+    CALLED: "its name for people (bench.acceptance.called)",
 }
 Test = TypeVar("Test", bound=Callable[..., Any])
 
@@ -40,6 +41,24 @@ def limit(
 def limits(*declared: Limits) -> pytest.MarkDecorator:
     """Declare several measurements: for a map, whose names a loop makes."""
     return pytest.mark.bench_limits(*declared)
+
+
+def yes(name: str, *, about: str = "") -> pytest.MarkDecorator:
+    """Declare a measurement that is an answer, which must be yes: `measure(name, True)`."""
+    return limits(must_be_yes(name, about))
+
+
+def must_be_yes(name: str, about: str = "") -> Limits:
+    """Limits of an answer that must be yes, for `limits`."""
+    return Limits(name, YES_NO, 1.0, 1.0, about)
+
+
+def called(name: str) -> pytest.MarkDecorator:
+    """Give a test a name for people, in place of its function's: for the report.
+
+    Parameters of the test stand in braces, and so does the `id` of the case: `called("Hall wire {wire} broken")`.
+    """
+    return pytest.mark.bench_called(name)
 
 
 def needs(*what: str) -> pytest.MarkDecorator:
@@ -108,6 +127,28 @@ def declared_limits(item: pytest.Item) -> list[Limits]:
         if names.count(name) > 1:
             raise BenchError(f"{item.nodeid} declares '{name}' twice")
     return found
+
+
+def label_of(item: pytest.Item) -> str:
+    """What a test is called for people: what `called` says, or its function's name with the values of its parameters.
+
+    BenchError for braces that name no parameter.
+    """
+    from bench.acceptance.naming import in_words
+    from bench.errors import BenchError
+
+    case = getattr(item, "callspec", None)
+    if (mark := item.get_closest_marker(CALLED)) is None:
+        found = [in_words(getattr(item, "originalname", item.name).removeprefix("test_"))]
+        if case is not None:
+            plain = all(isinstance(value, str | int | float) for value in case.params.values())
+            values = [f"{name.replace('_', ' ')} {value}" for name, value in case.params.items()]
+            found += values if plain else [case.id]
+        return ", ".join(found)
+    try:
+        return str(mark.args[0]).format(**({"id": case.id} | case.params if case else {}))
+    except (LookupError, AttributeError, ValueError, TypeError) as error:
+        raise BenchError(f"{item.nodeid}: called('{mark.args[0]}') names no parameter of the test: {error}") from None
 
 
 def needed(item: pytest.Item) -> list[str]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from bench.acceptance.results import Figure, Measurement, Verdict, worst
 from bench.analysis.capture import Capture
-from bench.analysis.limits import Limits
+from bench.analysis.limits import YES_NO, Limits
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
@@ -62,6 +62,8 @@ class Running:
         if any(m.name == full for m in self.measurements):
             raise BenchError(f"{self.name} measures '{name}' twice")
         value = float(value)
+        if declared.unit == YES_NO and value not in (0.0, 1.0) and not math.isnan(value):
+            raise BenchError(f"{self.name} answers '{name}' with {value:.4g}: yes is 1 or True, no is 0 or False")
         flaws = list(dict.fromkeys(flaw for capture in captures for flaw in capture.flaws()))
         if flaws:
             verdict, why = Verdict.INVALID, "; ".join(flaws)
@@ -123,9 +125,7 @@ class Running:
 
 def value_text(measurement: Measurement) -> str:
     """Value, limits, verdict and reason in one line."""
-    value = (
-        "not measured" if measurement.value is None else f"{measurement.value:.4g} {measurement.limits.unit}".rstrip()
-    )
+    value = "not measured" if measurement.value is None else measurement.limits.told(measurement.value)
     why = f" ({measurement.why})" if measurement.why else ""
     return f"{value} [{measurement.limits}] {measurement.verdict}{why}"
 

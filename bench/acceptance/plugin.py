@@ -39,6 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--bench-config", metavar="FILE", help="figures of the simulated drive (TOML)")
     group.addoption("--bench-toml", metavar="FILE", help="the bench: target, load, limits (default: ./bench.toml)")
     group.addoption("--bench-operator", metavar="NAME", help="who runs this, for the report")
+    group.addoption("--bench-motor", metavar="TEXT", help="which motor this is, for the report")
     group.addoption("--bench-yes", action="store_true", help="the shaft is clear: energise a physical drive")
     group.addoption("--bench-allow-skipped", action="store_true", help="PASS, not INCOMPLETE, where tests were skipped")
     group.addoption("--bench-report", metavar="DIR", help="write report.html, figures and recordings there")

@@ -83,6 +83,8 @@ class TestResult:
     parameters: Mapping[str, float] = field(default_factory=dict)
     """The drive's parameters that the test set, as it last set them."""
     wall_seconds: float = 0.0
+    label: str = ""
+    """What it is called for people; empty where only its name is known."""
     log: str = ""
     """Traceback or notes, for whoever looks into a failure."""
 
@@ -106,6 +108,10 @@ class RunResult:
     """Which bench it was made on."""
     operator: str = ""
     """Who made it."""
+    motor: str = ""
+    """Which motor it was made on."""
+    deselected: Mapping[str, str] = field(default_factory=dict)
+    """The tests that there are and that were not chosen: what they are called for people, by name."""
     wall_seconds: float = 0.0
     error: str = ""
     """What kept the run from starting or from going on."""
@@ -161,6 +167,7 @@ class Setup:
     identity: Mapping[str, Any] = field(default_factory=dict)
     parameters: tuple[ParameterValue, ...] = ()
     rig: Mapping[str, str] = field(default_factory=dict)
+    deselected: Mapping[str, str] = field(default_factory=dict)
 
 
 class Carried(NamedTuple):

@@ -21,12 +21,12 @@ import pytest
 
 from bench.acceptance.collected import RESULT, RIG, RUNNING, SCREEN, long_name, names_of
 from bench.acceptance.judging import NOT_BEGUN, Phase, judge
-from bench.acceptance.marks import announced, declared_limits, needed, rated_by
+from bench.acceptance.marks import announced, declared_limits, label_of, needed, rated_by
 from bench.acceptance.measuring import Running, file_name, require_apart, value_text
 from bench.acceptance.report_files import claim
 from bench.acceptance.requirements import missing
 from bench.acceptance.results import Carried, RunResult, Setup, TestResult, Verdict, to_json, worst
-from bench.analysis.limits import Limits
+from bench.analysis.limits import UNITS, Limits
 from bench.analysis.versions import versions
 from bench.device.client import Client
 from bench.device.description import describe
@@ -88,7 +88,12 @@ class BenchSession:
         option = self.config.option
         settings = read_settings(Path(option.bench_toml) if option.bench_toml else None)
         config = Path(option.bench_config) if option.bench_config else settings.config
-        return replace(settings, config=config, operator=option.bench_operator or settings.operator)
+        return replace(
+            settings,
+            config=config,
+            operator=option.bench_operator or settings.operator,
+            motor=option.bench_motor or settings.motor,
+        )
 
     @property
     def directory(self) -> Path | None:
@@ -165,6 +170,8 @@ class BenchSession:
     def check_names(self) -> None:
         """Names that tell tests apart, and limits in bench.toml that fit them. BenchError if anything is amiss."""
         require_apart(self._names.values())
+        for item in self._known:
+            label_of(item)
         list(self.declared(self._known))  # limits that leave no room
         measured = {
             name: [declared.name for declared in declared_limits(item)]
@@ -260,7 +267,9 @@ class BenchSession:
             if not self.setup.identity:
                 elsewhere = self._elsewhere
                 unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}
-                self.setup = Setup(describe(rig.drive.node.identity), rig.before, rig.describe() | unused)
+                rated = {rating: f"{value:g} {UNITS[rating]}" for rating, value in self.ratings.told.items()}
+                described = rig.describe() | rated | unused
+                self.setup = Setup(describe(rig.drive.node.identity), rig.before, described, self._deselected)
             yield rig
             rig.summary(_words(running, rig.drive.changed))
 
@@ -274,6 +283,11 @@ class BenchSession:
                 if isinstance(what, OutputsMayBeOn):
                     self.unsafe = self.error = str(what)
             raise
+
+    @property
+    def _deselected(self) -> dict[str, str]:
+        chosen = {item.nodeid for item in self._items}
+        return {self._names[item.nodeid]: label_of(item) for item in self._known if item.nodeid not in chosen}
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
         """Skip the test if the rig has not what it needs."""
@@ -324,6 +338,7 @@ class BenchSession:
             quality=rig.quality() if rig is not None else Quality(),
             parameters=dict(rig.drive.changed) if rig is not None else {},
             wall_seconds=phase.seconds,
+            label=label_of(item),
             log=phase.log,
         )
 
@@ -411,6 +426,8 @@ class BenchSession:
             versions=versions(),
             station=self.settings.station,
             operator=self.settings.operator,
+            motor=self.settings.motor,
+            deselected=self.setup.deselected,
             wall_seconds=(datetime.now().astimezone() - self.began).total_seconds(),
             error=self.error,
             unsafe=self.unsafe,

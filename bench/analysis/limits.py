@@ -9,10 +9,13 @@ from numbers import Real
 
 RATED_SPEED, RATED_CURRENT = "rated speed", "rated current"
 """What limits can be shares of: the drive's rated speed (mechanical r/min) and current (A, peak)."""
+YES_NO = "yes/no"
+"""The unit of an answer, which is 1 for yes and 0 for no."""
 LOAD_ANGLE = "load angle"
 """What limits can be wider by a share of, in electrical degrees: by how much the back-EMF of the rated current's flux
 turns the motor's, so that a tenth of it is what an inductance wrong by a tenth does to an estimated angle.
 """
+UNITS = {RATED_SPEED: "r/min", RATED_CURRENT: "A", LOAD_ANGLE: "deg"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,8 @@ class Limits:
             if isinstance(limit, bool) or not isinstance(limit, Real) or not math.isfinite(limit):
                 raise ValueError(f"{self.name}: a limit must be a finite number, got {limit!r}")
             object.__setattr__(self, side, float(limit))  # JSON takes no number of numpy's
+            if self.unit == YES_NO and limit not in (0, 1):
+                raise ValueError(f"{self.name}: the answer is 1 for yes or 0 for no, and the limit is {limit:.4g}")
         if self.of not in ("", RATED_SPEED, RATED_CURRENT):
             raise ValueError(f"{self.name}: no rating '{self.of}': there are '{RATED_SPEED}' and '{RATED_CURRENT}'")
         if self.of and self.plus:
@@ -76,10 +81,18 @@ class Limits:
             distances.append(self.hi - value)
         return min(distances, default=None)
 
+    def told(self, value: float) -> str:
+        """`value` with its unit, to four digits; an answer in words."""
+        if self.unit == YES_NO:
+            return {1.0: "yes", 0.0: "no"}.get(value, f"{value:.4g}")
+        return f"{value:.4g} {self.unit}".rstrip()
+
     def __str__(self) -> str:
         return f"{self._words()} ({self.scaled})" if self.scaled and not self.overridden else self._words()
 
     def _words(self) -> str:
+        if self.unit == YES_NO and (self.lo, self.hi) != (None, None):
+            return " or ".join(self.told(answer) for answer in (1.0, 0.0) if self.allow(answer))
         unit = f" × {self.of}" if self.of else f" {self.unit}" if self.unit else ""
         unit += f", wider by {self.plus:.4g} × {LOAD_ANGLE}" if self.plus else ""
         if self.lo is not None and self.hi is not None:

@@ -16,7 +16,7 @@ class Verdict(StrEnum):
     PASS = "PASS"
     INCOMPLETE = "INCOMPLETE"  # of a run: all that was tested passed, and not all was tested
     FAIL = "FAIL"  # the drive is not as it should be
-    INVALID = "INVALID"  # the data cannot tell: samples were lost, the clock jumped, a sensor was saturated
+    INVALID = "INVALID"  # the data are insufficient: samples were lost, the clock jumped, a sensor was saturated
     ERROR = "ERROR"  # the bench is not as it should be
     ABORTED = "ABORTED"  # somebody ended the run
     SKIPPED = "SKIPPED"  # the rig has not what the test needs

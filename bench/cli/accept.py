@@ -47,6 +47,7 @@ class _Screen(Progress):
               help="Target, load and limits of this bench (default: ./bench.toml).")  # fmt: skip
 @config_option
 @click.option("--operator", metavar="NAME", help="Who runs this, for the report.")
+@click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")
 @click.option("--jobs", metavar="N", type=click.IntRange(1, 64), default=1,
               help="Processes that share the tests; on the simulated drive only; needs pytest-xdist.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+MOST_LETTERS = 90  # of a string in a page's margin
 
 
 def page(package: str, template: str, filters: Mapping[str, Callable[..., Any]], **given: Any) -> str:
@@ -22,6 +25,14 @@ def page(package: str, template: str, filters: Mapping[str, Callable[..., Any]],
     )
     environment.filters |= filters
     return environment.get_template(template).render(given)
+
+
+def css_string(text: str) -> Markup:
+    """A string for a style sheet in a page: all but plain letters and digits is escaped, so it ends nothing."""
+    shown = " ".join(text.split())[:MOST_LETTERS]
+    return Markup(
+        '"' + "".join(c if c == " " or (c.isascii() and c.isalnum()) else f"\\{ord(c):x} " for c in shown) + '"'
+    )
 
 
 def embedded(picture: Path) -> str:

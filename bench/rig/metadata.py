@@ -38,12 +38,11 @@ def run_info(
 
 
 def about_bench(settings: Settings) -> dict[str, Any]:
-    """Station and operator, where they are told, and what the simulated drive has that is not its default, by key."""
+    """Station, operator and motor, if they are known, and how the simulated drive differs from the default, by key."""
     about: dict[str, Any] = {}
-    if settings.station:
-        about["station"] = settings.station
-    if settings.operator:
-        about["operator"] = settings.operator
+    for name in ("station", "operator", "motor"):
+        if said := getattr(settings, name):
+            about[name] = said
     if settings.config is not None:
         about["configuration"] = {"file": str(settings.config), **changed_keys(settings.config)}
     return about

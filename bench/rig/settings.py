@@ -3,6 +3,7 @@
     target = "serial:/dev/ttyACM0"     # as on the command line; "sim" is the simulated drive in virtual time
     station = "bench 3"                # which bench this is, for recordings and reports
     operator = "A. Person"             # who runs it; --operator says it for one run
+    motor = "type 42, no. 17"          # which motor the drive has; --motor says it for one run
     config = "my-motor.toml"           # figures of the simulated drive, where target is "sim"
 
     [rig]
@@ -38,7 +39,16 @@ from protocol.errors import TargetError
 from protocol.links.target import parse_target
 
 FILE = "bench.toml"
-_TOP = {"target": str, "station": str, "operator": str, "config": str, "rig": dict, "rated": dict, "limits": dict}
+_TOP = {
+    "target": str,
+    "station": str,
+    "operator": str,
+    "motor": str,
+    "config": str,
+    "rig": dict,
+    "rated": dict,
+    "limits": dict,
+}
 _RIG = {"load": str, "person": bool}
 _RATED = {"speed_rpm": Real, "current": Real}
 LOADS = ("node", "none", "person")
@@ -55,6 +65,8 @@ class Settings:
     """Which bench this is."""
     operator: str = ""
     """Who runs it."""
+    motor: str = ""
+    """Which motor the drive has."""
     config: Path | None = None
     load: str = "node"
     person: bool = False
@@ -133,6 +145,7 @@ def read_settings(path: Path | None) -> Settings:
         target=data.get("target", ""),
         station=data.get("station", ""),
         operator=data.get("operator", ""),
+        motor=data.get("motor", ""),
         config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),

@@ -14,18 +14,21 @@ from urllib.parse import quote
 
 from markupsafe import Markup, escape
 
+from bench.acceptance.naming import in_words
 from bench.acceptance.report import words
+from bench.acceptance.report.subject import SHOWN, drive, subject
 from bench.acceptance.report_files import keep_only
-from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest, untested
+from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
 from bench.errors import BenchError
 from bench.files import write
-from bench.reports.html import embedded, page
+from bench.reports.html import css_string, embedded, page
 from protocol.text import counted
 
 NAME = "report.html"
-MOST_ROWS = 12  # a test of more measurements shows those that did not pass and folds the others
+MOST_ROWS = 12  # of a table on one page; a test of more shows measurements that did not pass and folds the others
 FAILED = (Verdict.FAIL,)
-NOT_JUDGED = (Verdict.ABORTED, Verdict.ERROR, Verdict.INVALID)
+NOT_TESTED = (Verdict.ABORTED, Verdict.SKIPPED)
+NOT_JUDGED = (Verdict.ERROR, Verdict.INVALID)
 
 
 class ReportError(BenchError):
@@ -44,6 +47,11 @@ class _Test:
     unmade: bool  # it had measurements to make and made none
 
     @property
+    def label(self) -> str:
+        """Its name for people."""
+        return self.result.label or in_words(self.result.name)
+
+    @property
     def folding(self) -> str:
         """What the rows that are folded are."""
         if self.unmade:
@@ -53,14 +61,14 @@ class _Test:
         return f"{counted(len(self.folded), 'measurement')}, all of which passed"
 
     @property
+    def short(self) -> bool:
+        """Whether it has its place on one page."""
+        return (self.unmade or not self.folded) and not self.result.log and len(self.figures) <= 1
+
+    @property
     def recording(self) -> str:
         """Relative address of its recording; empty without one."""
         return quote(self.result.recording)
-
-    @property
-    def to_look_at(self) -> list[Measurement]:
-        """Measurements that did not pass and say where in the recording they were made."""
-        return [m for m in self.result.measurements if m.verdict in FAILED + NOT_JUDGED and m.span]
 
 
 @dataclass(frozen=True)
@@ -68,10 +76,19 @@ class _Finding:
     """A measurement that did not pass, or, without a measurement, a test that did not."""
 
     test: _Test
-    name: str
     verdict: Verdict
     why: str
     measurement: Measurement | None = None
+
+
+@dataclass
+class _Gap:
+    """Tests that were not made, or not to their end, for one reason."""
+
+    verdict: Verdict
+    why: str
+    tests: list[_Test]
+    measurements: int = 0
 
 
 def write_report(run: RunResult, directory: Path) -> Path:
@@ -87,10 +104,16 @@ def write_report(run: RunResult, directory: Path) -> Path:
         _FILTERS,
         run=run,
         tests=tests,
+        drive=drive(run),
+        subject=subject(run),
+        identity={key: value for key, value in run.identity.items() if key not in SHOWN},
+        meaning=words.meaning(run),
+        gaps=_gaps(tests),
         failed=list(_findings(tests, FAILED)),
         not_judged=list(_findings(tests, NOT_JUDGED)),
         units={parameter.name: parameter.unit for parameter in run.parameters},
         parameters=sorted(run.parameters, key=lambda p: p.value == p.default),
+        whole=MOST_ROWS,
     )
     path = directory / NAME
     write(path, text, f"report {path}")
@@ -124,6 +147,24 @@ def _embedded(figure: Figure, test: TestResult, directory: Path) -> str:
         raise ReportError(f"figure {path} of test {test.name} cannot be read: {error.strerror}") from None
 
 
+def _gaps(tests: list[_Test]) -> list[_Gap]:
+    """What was not tested, by its reason: the one with the most measurements first."""
+    found: dict[tuple[Verdict, str], _Gap] = {}
+    for test in tests:
+        result = test.result
+        reasons = [(m.verdict, m.why or result.why) for m in result.measurements if m.verdict in NOT_TESTED]
+        if not reasons and result.verdict in NOT_TESTED:
+            reasons, count = [(result.verdict, result.why)], 0
+        else:
+            count = 1
+        for reason in reasons:
+            gap = found.setdefault(reason, _Gap(*reason, []))
+            gap.measurements += count
+            if test not in gap.tests:
+                gap.tests.append(test)
+    return sorted(found.values(), key=lambda gap: -gap.measurements)
+
+
 def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Finding]:
     """What ended with one of `verdicts`, in their order: measurements, and tests that none of theirs speaks for.
 
@@ -133,10 +174,10 @@ def _findings(tests: list[_Test], verdicts: tuple[Verdict, ...]) -> Iterator[_Fi
         for test in tests:
             found = [m for m in test.result.measurements if m.verdict is verdict and not test.unmade]
             for measurement in found:
-                yield _Finding(test, measurement.name, verdict, measurement.why, measurement)
+                yield _Finding(test, verdict, measurement.why, measurement)
             if test.result.verdict is verdict and not found:
-                why = f"{test.folding}: {test.result.why}" if test.unmade else test.result.why
-                yield _Finding(test, test.result.name, verdict, why)
+                why = ": ".join(text for text in (test.folding if test.unmade else "", test.result.why) if text)
+                yield _Finding(test, verdict, why)
 
 
 def _breakable(name: str) -> Markup:
@@ -150,8 +191,11 @@ def _breakable(name: str) -> Markup:
 _FILTERS: dict[str, Callable[..., Any]] = {
     "breakable": _breakable,
     "counted": counted,
+    "css_string": css_string,
     "duration": words.duration,
+    "in_words": in_words,
     "labelled": words.labelled,
+    "limits": words.limits_text,
     "made": words.made,
     "margin": words.margin_text,
     "number": words.number,
@@ -161,7 +205,6 @@ _FILTERS: dict[str, Callable[..., Any]] = {
     "setting": words.setting,
     "span": words.span_text,
     "tally": words.tally,
-    "untested": untested,
     "tightest": tightest,
     "value": words.value_text,
     "zone": words.zone,

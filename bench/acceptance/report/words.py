@@ -11,14 +11,15 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from bench.acceptance.results import Measurement, Verdict
-from bench.analysis.limits import Limits
+from bench.acceptance.results import Measurement, RunResult, Verdict
+from bench.analysis.limits import YES_NO, Limits
 from bench.analysis.sources import source_name
-from protocol.text import told
+from protocol.text import counted, told
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
 MOST_DECIMALS = 9
 NOTHING = "–"
+NOT_A_NUMBER = "NaN"
 ACRONYMS = {"crc": "CRC", "id": "ID", "pwm": "PWM"}
 ZONE = (20.0, 80.0)  # % of a bar's length that the permitted values take up, where they have both ends
 
@@ -26,20 +27,33 @@ ZONE = (20.0, 80.0)  # % of a bar's length that the permitted values take up, wh
 def number(value: float, decimals: int | None = None) -> str:
     """`value` with that many decimals; without, as many as its own size calls for."""
     if not math.isfinite(value):
-        return "NaN" if math.isnan(value) else ("∞" if value > 0 else "−∞")
+        return NOT_A_NUMBER if math.isnan(value) else ("∞" if value > 0 else "−∞")
     if abs(value) >= 1e9 or 0 < abs(value) < 1e-6:
         return _minus(f"{value:.4g}")
     return _minus(f"{value:.{(_decimals(value) if decimals is None else decimals)}f}")
 
 
 def value_text(measurement: Measurement) -> str:
-    """The value, without its unit."""
-    value = measurement.value
-    return NOTHING if value is None else number(value, digits(value, measurement.limits))
+    """The value with its unit."""
+    value, limits = measurement.value, measurement.limits
+    if value is None:
+        return NOTHING
+    if limits.unit == YES_NO:
+        return NOT_A_NUMBER if math.isnan(value) else limits.told(value)
+    return f"{number(value, digits(value, limits))} {limits.unit}".rstrip()
+
+
+def limits_text(limits: Limits) -> tuple[str, str]:
+    """The limits, and where they come from if they are shares of a rating."""
+    text = str(limits).replace("-", "−")
+    first, bracket, rest = text.partition(" (")
+    return (first, rest.removesuffix(")")) if bracket and limits.scaled else (text, "")
 
 
 def margin_text(measurement: Measurement) -> str:
-    """The margin, signed, and its share of the room that there is."""
+    """The margin, signed, and its share of the room that there is; an answer has none."""
+    if measurement.limits.unit == YES_NO:
+        return NOTHING
     value, margin, share = measurement.value, measurement.margin, measurement.share
     if value is None or margin is None or not math.isfinite(margin):
         return NOTHING
@@ -65,6 +79,29 @@ def digits(value: float, limits: Limits) -> int:
     return decimals
 
 
+def meaning(run: RunResult) -> str:
+    """What the verdict of a run says, in a sentence."""
+    tests = [test.verdict for test in run.tests]
+    failed, passed, skipped = (tests.count(v) for v in (Verdict.FAIL, Verdict.PASS, Verdict.SKIPPED))
+    tested = f"{passed} of {counted(len(tests), 'test')} passed, {skipped} {'was' if skipped == 1 else 'were'} not made"
+    match run.verdict:
+        case Verdict.PASS if passed < len(tests):
+            return f"All that was tested is within its limits: {tested}."
+        case Verdict.PASS:
+            return "All measurements are within their limits."
+        case Verdict.FAIL:
+            return f"The drive did not pass: {failed} of {counted(len(tests), 'test')} failed."
+        case Verdict.INCOMPLETE if not passed:
+            return "Nothing was tested."
+        case Verdict.INCOMPLETE:
+            return f"Not everything was tested: {tested}."
+        case Verdict.INVALID:
+            return "The data are insufficient for a verdict."
+        case Verdict.ABORTED:
+            return f"The run was ended early: {passed} of {counted(len(tests), 'test')} passed."
+    return "The bench is at fault: there is no verdict on the drive."
+
+
 def zone(limits: Limits) -> tuple[float, float] | None:
     """From where to where a bar is permitted, in % of its length; None where there are no limits."""
     if limits.lo is None and limits.hi is None:
@@ -76,7 +113,7 @@ def place(measurement: Measurement) -> float | None:
     """Where on a bar the value lies, in % of its length, held to its ends; None where there is nothing to show."""
     value, limits = measurement.value, measurement.limits
     lo, hi = limits.lo, limits.hi
-    if value is None or math.isnan(value) or (lo is None and hi is None):
+    if value is None or math.isnan(value) or (lo is None and hi is None) or limits.unit == YES_NO:
         return None
     if lo is not None and hi is not None:
         start, width, length = lo, hi - lo, ZONE[1] - ZONE[0]
@@ -119,7 +156,7 @@ def duration(seconds: float) -> str:
 
 def paragraphs(text: str) -> list[str]:
     """Paragraphs of a docstring, filled: only indented lines and items of lists keep their own lines."""
-    blocks = re.split(r"\n\s*\n", inspect.cleandoc(text))
+    blocks = re.split(r"\n\s*\n", inspect.cleandoc(text.replace("`", "")))
     return [re.sub(r"\n(?![ \t]|[-*] )", " ", block) for block in blocks if block.strip()]
 
 

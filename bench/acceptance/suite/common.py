@@ -87,6 +87,11 @@ def percent(share: float) -> int:
     return round(100.0 * share)
 
 
+def shares(load: float, speed: float) -> str:
+    """A working point in words."""
+    return f"{percent(load)} % of rated current, {percent(speed)} % of rated speed"
+
+
 def own_angle(drive: Drive) -> str | None:
     """The angle source of tests that are about the drive: the proposed one, or what a drive without it uses."""
     return PROPOSED if offers(drive.node, PROPOSED) else None

@@ -17,12 +17,14 @@ from bench.acceptance import (
     RPM,
     Capture,
     Drive,
-    Limits,
     Ratings,
+    called,
     energises,
     limit,
     limits,
+    must_be_yes,
     needs,
+    yes,
 )
 from bench.acceptance.faults import PAIRS, WIRES, HallFaults
 from bench.acceptance.fixtures import Record
@@ -69,8 +71,9 @@ EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pa
 TENTH, SIXTH = 1 / 10, 1 / 6  # of the rated speed
 
 
+@called("Hall wire {wire} broken")
 @limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical turns of before")
-@limit("named", "", lo=1, hi=1, about="1: HALL is the fault, and the only one")
+@yes("named", about="HALL is the fault, and the only one")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the break on")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
 @limits(held("speed_again", 2, "mean once the wire is whole and the fault is cleared"))
@@ -118,10 +121,11 @@ def test_hall_wire_broken(
     )
 
 
+@called("Hall wiring diagnosed")
 @limits(
-    Limits("as_specified", "", 1, 1, "1: nothing is wrong before anything is"),
-    *(Limits(name, "", 1, 1, f"1: diagnosed as {words}") for name, words in (OPEN | EXCHANGED).items()),
-    Limits("as_specified_again", "", 1, 1, "1: nothing is wrong once all is put back"),
+    must_be_yes("as_specified", "nothing is wrong before anything is"),
+    *(must_be_yes(name, f"diagnosed as {words}") for name, words in (OPEN | EXCHANGED).items()),
+    must_be_yes("as_specified_again", "nothing is wrong once all is put back"),
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
 @needs(*TURNS, "encoder", "channel:hall", "load.speed", "hall-faults")
@@ -158,9 +162,10 @@ def test_hall_wiring_is_named(
     measure("outputs_off", 100.0 * off.mean(), *runs)
 
 
+@called("Hall wires {pair[0]} and {pair[1]} exchanged")
 @limit("current_max", "A", hi=1.6, of=RATED_CURRENT, about="largest phase current while the drive was to turn")
 @limit("speed_max", "r/min", hi=0.2, of=RATED_SPEED, about="largest speed, either way")
-@limit("only_hall", "", lo=1, hi=1, about="1: it tripped with HALL or not at all")
+@yes("only_hall", about="it tripped with HALL or not at all")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest phase current from 5 ms after STOP on")
 @needs(*TURNS, "encoder", "currents", "load.speed", "hall-faults")
 @energises(rated_speed=1 / 30, rated_current=1)
@@ -208,6 +213,7 @@ def test_hall_wires_exchanged(
     )
 
 
+@called("False pulses on the Hall wires")
 @limit("implausible_edges", "", lo=4, about="edges that skip a sector or lead to 000 or 111: the burst came")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the burst on")
 @limits(held("speed_after", 2, "mean 0.2 s later"))
@@ -227,6 +233,7 @@ def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults
     measure("speed_after", 100.0 * rpm(after).mean() / speed, after)
 
 
+@called("Position error under false pulses")
 @limit("error_max", "deg", hi=90, about="largest position error during the burst and 0.1 s after it")
 @limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the set point, in the same time")
 @limit("error_std_after", "deg", hi=STD, about="position error 0.2 s later")
@@ -236,7 +243,7 @@ def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults
 def test_hall_glitches_error(
     drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
 ) -> None:
-    """The position error under the same false pulses: bounded, and as before soon after."""
+    """The position error under a thousand false pulses a second: bounded, and as before soon after."""
     speed, burst, after = _glitches(drive, rated, record, hall_faults)
     error_after = error_deg(after, PROPOSED)
     needed = only(burst, "theta_enc", "omega_enc", "theta_vt")
@@ -254,9 +261,10 @@ def test_hall_glitches_error(
 SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last that the drive hears
 
 
+@called("Watchdog")
 @limit("lateness", "ms", lo=-5, hi=60, about="from the last set point to FAULT, less the drive's watchdog time")
-@limit("named", "", lo=1, hi=1, about="1: WATCHDOG is the fault, and the only one")
-@limit("outputs_off", "", lo=1, hi=1, about="1: the heartbeats after that say so")
+@yes("named", about="WATCHDOG is the fault, and the only one")
+@yes("outputs_off", about="the heartbeats after that say so")
 @needs(*TURNS)
 @energises(rated_speed=LAST, rated_current=1)
 def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
@@ -270,6 +278,7 @@ def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure
     measure("outputs_off", off)
 
 
+@called("Watchdog under load")
 @limit("current_before", "A", lo=0.125, of=RATED_CURRENT, about="largest phase current before: a torque to take away")
 @limit("off_lateness", "ms", lo=-5, hi=60, about="until all currents are gone for good, less the drive's watchdog time")
 @needs(*TURNS, "currents", "load", "parameter:psi_f_hat")
@@ -277,7 +286,7 @@ def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure
 def test_watchdog_under_load(
     drive: Drive, rated: Ratings, load: Load, record: Record, measure: Measure, figure: Figure
 ) -> None:
-    """The same under a quarter of the rated torque: the currents that held it are gone."""
+    """The host falls silent under a quarter of the rated torque: the currents that held it are gone."""
     load.torque(0.25 * rated.current * drive.torque_constant)
     run, last, *_ = _silence(drive, rated, record, load.off)
     fault = tripped(run)

@@ -14,9 +14,11 @@ from bench.acceptance import (
     Drive,
     Limits,
     Ratings,
+    called,
     energises,
     limit,
     limits,
+    must_be_yes,
     needs,
 )
 from bench.acceptance.fixtures import Record
@@ -58,6 +60,7 @@ MISMATCHES = {
 }
 
 
+@called("Wrong motor parameters")
 @limits(
     *errors("nominal_", about="with the drive's own parameters"),
     *(
@@ -113,6 +116,7 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
     measure("current_max", max(current(run).max() for run in runs), *runs)
 
 
+@called("Hall edges")
 @limits(
     *(
         Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
@@ -120,7 +124,7 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
     ),
     Limits("hysteresis", "deg", None, 3, "between an edge met backwards and forwards, mean of the six"),
     Limits("edges_dropped", "", None, 0, "edges between sectors that are no neighbours"),
-    Limits("wiring_as_specified", "", 1, 1, "1: Hall codes and encoder agree on the specified wiring"),
+    must_be_yes("wiring_as_specified", "Hall codes and encoder agree on the specified wiring"),
 )
 @needs(*TURNS, "encoder", "observer:encoder", "channel:hall", "feature:EDGES")
 @energises(rated_speed=1 / 10, rated_current=1 / 2)
@@ -137,6 +141,7 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
     measure("edges_dropped", offsets.dropped, *turning)
 
 
+@called("Back-EMF and encoder")
 @limit("psi_f", "mV·s", about="back-EMF over electrical speed")
 @limit("psi_f_deviation", "%", lo=-10, hi=10, about="of it from the drive's parameter psi_f_hat")
 @limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical turns by the encoder for one by the Hall sensors")
@@ -160,6 +165,7 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
     measure("u_dc_ripple", 100.0 * np.ptp(run["u_dc"]) / run["u_dc"].mean(), run)
 
 
+@called("Delays between the angles")
 @limit("encoder", "us", hi=30, about="by which encoder and back-EMF differ: early or late, every error has it in it")
 @limit("hall", "us", hi=50, about="by which Hall edges and back-EMF differ")
 @needs(
@@ -193,6 +199,7 @@ def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, me
     assert late is not Late.UNCLEAR, words
 
 
+@called("Torque constant")
 @limit("i_q_light", "A", hi=0.25, of=RATED_CURRENT, about="mean with light load: friction")
 @limit("torque_deviation", "%", lo=-12, hi=12, about="of the current that half the torque adds, from half the current")
 @limit("current_sum", "A", hi=0.02, of=RATED_CURRENT, about="mean of i_a + i_b + i_c under load, its size")
@@ -212,6 +219,7 @@ def test_torque_constant(drive: Drive, rated: Ratings, load: Load, record: Recor
     measure("current_sum", abs((loaded["i_a"] + loaded["i_b"] + loaded["i_c"]).mean()), loaded)
 
 
+@called("Offsets of the current sensors")
 @limits(
     *(
         Limits(f"offset_{phase}", "A", -0.02, 0.02, f"mean of i_{phase}, outputs off, shaft at rest", of=RATED_CURRENT)

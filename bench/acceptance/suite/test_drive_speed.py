@@ -18,6 +18,7 @@ from bench.acceptance import (
     Drive,
     Limits,
     Ratings,
+    called,
     energises,
     limit,
     limits,
@@ -58,6 +59,7 @@ from bench.rig.loads import Load, NodeLoad
 from protocol.codes import DriveState
 
 
+@called("Reversal")
 @limit("zero_lag", "ms", hi=60, about="from the reference's zero to standstill")
 @limit("settling_time", "ms", hi=500, about="from the reference's end until the speed stays within 20 % of it")
 @limit("overshoot", "%", hi=50, about="past the new speed, of the step")
@@ -100,6 +102,7 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
 LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the drive begins to look at the back-EMF
 
 
+@called("Lowest speed at {torque} % of the rated torque")
 @limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the set point: it turns, and does not run away"))
 @limit("backwards", "deg", hi=360, about="farthest that the shaft swings back, electrical: not for good")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
@@ -139,6 +142,7 @@ def test_lowest_speed(
     )
 
 
+@called("Rated speed")
 @limits(held("speed", 1, "mean, counted from Hall edges of the same kind"))
 @limit("speed_ripple", "r/min", hi=0.05, of=RATED_SPEED, about="of the drive's estimate, which has Hall ripple in it")
 @limit("current_max", "A", hi=0.75, of=RATED_CURRENT, about="largest phase current")
@@ -153,6 +157,7 @@ def test_full_speed(drive: Drive, rated: Ratings, record: Record, measure: Measu
     measure("current_max", current(run).max(), run)
 
 
+@called("Position error at rated speed")
 @limits(*errors(""))
 @needs(*TURNS, *VECTOR, "encoder")
 @energises(rated_speed=1, rated_current=1)
@@ -162,6 +167,7 @@ def test_full_speed_error(drive: Drive, rated: Ratings, record: Record, measure:
     measure_error(measure, record(0.2))
 
 
+@called("High power")
 @limits(held("speed", 2, "mean by the encoder"))
 @limit("i_q", "A", hi=1, of=RATED_CURRENT, about="mean: three quarters of load and the friction")
 @limits(*errors("", about="with iron that saturates", saturated=0.1))
@@ -190,6 +196,7 @@ def test_high_power(drive: Drive, rated: Ratings, load: Load, record: Record, me
     measure("current_max", current(run).max(), run)
 
 
+@called("Stall and restart")
 @limit("current_held", "A", lo=0.5, hi=OVER, of=RATED_CURRENT, about="largest while the shaft is held: it pushes")
 @limit("speed_held", "r/min", hi=0.005, of=RATED_SPEED, about="largest speed while the shaft is held")
 @limit("rise_time", "ms", hi=300, about="from the first movement to 90 % of the speed")
@@ -234,6 +241,7 @@ def test_stall_and_restart(
     )
 
 
+@called("Stop")
 @limits(held("speed_before", 2, "mean before STOP: there was something to switch off"))
 @limit("command_time", "ms", hi=100, about="from before the command was sent until the drive is not RUNNING")
 @limit("off_time", "ms", hi=5, about="from then until all currents are gone for good")

@@ -9,7 +9,20 @@ from typing import NamedTuple
 
 import pytest
 
-from bench.acceptance import RATED_CURRENT, RPM, Capture, Drive, Limits, Ratings, energises, limit, limits, needs
+from bench.acceptance import (
+    RATED_CURRENT,
+    RPM,
+    Capture,
+    Drive,
+    Limits,
+    Ratings,
+    called,
+    energises,
+    limit,
+    limits,
+    needs,
+    yes,
+)
 from bench.acceptance.fixtures import Record
 from bench.acceptance.suite.common import NEARLY_GONE, OVER, SLOW, TURNS, Measure, held, rpm, run_at, speed_rpm
 from bench.acceptance.suite.events import current, largest, tripped
@@ -50,11 +63,12 @@ CASES = [
 ]
 
 
-@limit("named", lo=1, hi=1, about="1: this is the fault, and the only one")
+@called("Protection: {id}")
+@yes("named", about="this is the fault, and the only one")
 @limit("trip_time", "ms", hi=100, about="from before the threshold or the current was set until FAULT")
 @limit("current_max", "A", hi=PULSE * OVER, of=RATED_CURRENT, about="largest phase current")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
-@limit("seen", lo=1, hi=1, about="1: the current sensors reach as far as the threshold of the current")
+@yes("seen", about="the current sensors reach as far as the threshold of the current")
 @limits(held("speed_again", 2, "mean once the threshold is back and the fault is cleared"))
 @needs(*TURNS, "currents", "channel:u_dc")
 @energises(rated_speed=SLOW, rated_current=1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, energises, limit, limits, needs
+from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, called, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.by_speed import Panel, draw_by_speed
 from bench.acceptance.plots.transients import draw_transient
@@ -34,6 +34,7 @@ from bench.acceptance.suite.common import (
     ratio,
     rpm,
     settle,
+    shares,
     speed_rpm,
     thd_of_current,
     turns_for_thd,
@@ -88,18 +89,31 @@ def _point(load: float, speed: float) -> str:
     return f"load{percent(load)}.speed{percent(speed)}"
 
 
-def _allowed(point: str, speed: float) -> list[Limits]:
-    """Limits of the error."""
+def _allowed(point: str, speed: float, at: str = "") -> list[Limits]:
+    """Limits of the error; `at` says in words at which point."""
     wide = 1.0 if speed >= FROM else WIDER
     return [
-        Limits(f"error_mean{point}", "deg", -wide * MEAN, wide * MEAN, "mean position error of the Kalman filter"),
-        Limits(f"error_std{point}", "deg", None, wide * STD, "its standard deviation"),
-        Limits(f"error_max{point}", "deg", None, wide * LARGEST, "its largest"),
+        Limits(f"error_mean{point}", "deg", -wide * MEAN, wide * MEAN, f"mean position error of the Kalman filter{at}"),
+        Limits(f"error_std{point}", "deg", None, wide * STD, f"its standard deviation{at}"),
+        Limits(f"error_max{point}", "deg", None, wide * LARGEST, f"its largest{at}"),
     ]
 
 
-@limits(*(declared for load in LOADS for speed in SPEEDS for declared in _allowed(f".{_point(load, speed)}", speed)))
-@limits(*(Limits(f"thd.{_point(THD_LOAD, speed)}", "%", about="THD of i_a") for speed in THD_SPEEDS))
+@called("Kalman filter over speed and load")
+@limits(
+    *(
+        declared
+        for load in LOADS
+        for speed in SPEEDS
+        for declared in _allowed(f".{_point(load, speed)}", speed, f" at {shares(load, speed)}")
+    )
+)
+@limits(
+    *(
+        Limits(f"thd.{_point(THD_LOAD, speed)}", "%", about=f"THD of i_a at {shares(THD_LOAD, speed)}")
+        for speed in THD_SPEEDS
+    )
+)
 @limit("proposed.error_std.speed17", "deg", about="the paper's observer on the same samples, half the load")
 @limit("proposed.error_std.speed33", "deg", about="the same")
 @limit(
@@ -154,6 +168,7 @@ def test_edge_kalman_map(
     )
 
 
+@called("Kalman filter: transients")
 @limit("speed_step.error_max", "deg", hi=10, about="a sixth to a third of the rated speed near no load")
 @limit("load_step_half.error_max", "deg", hi=15, about="near no load to half the torque, speed by the drive")
 @limit("load_step_full.error_max", "deg", hi=12, about="2.5 % to full current, speed by the load, as Fig. 12")
@@ -211,6 +226,7 @@ Where the back-EMF at `omega_on` is a tenth of R_s i_max, 30 % of R_s take three
 """
 
 
+@called("Kalman filter: wrong motor parameters")
 @limits(
     *(
         Limits(f"error_std.speed{percent(speed)}", "deg", None, std, "position error")

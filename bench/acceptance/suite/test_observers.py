@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, energises, limits, needs
+from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, called, energises, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.suite.common import TURNS, Measure, electrical_turn, ratio, speed_rpm, whole_turns
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
@@ -88,6 +88,7 @@ CASES = [
 ]
 
 
+@called("Observer: {id}")
 @needs(*TURNS, "encoder", "observer:encoder", "load.speed", "feature:EDGES", "channel:hall")
 @energises(rated_speed=SPEEDS["fast"], rated_current=1)
 @pytest.mark.parametrize(("short", "reach"), CASES)

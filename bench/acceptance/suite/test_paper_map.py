@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.acceptance import RPM, Drive, Limits, Ratings, energises, limit, limits, needs
+from bench.acceptance import RPM, Drive, Limits, Ratings, called, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.by_speed import draw_thd_map
 from bench.acceptance.suite.common import (
@@ -22,6 +22,7 @@ from bench.acceptance.suite.common import (
     Measure,
     percent,
     ratio,
+    shares,
     thd_of_current,
     turns_for_thd,
     whole_turns,
@@ -41,9 +42,10 @@ def _name(observer: str, load: float, speed: float) -> str:
     return f"thd.{WORDS[observer]}.load{percent(load)}.speed{percent(speed)}"
 
 
+@called("Fig. 13: distortion of the current")
 @limits(
     *(
-        Limits(_name(observer, load, speed), "%", about="THD of i_a")
+        Limits(_name(observer, load, speed), "%", about=f"THD of i_a at {shares(load, speed)}")
         for observer in APPROACHES
         for load in LOADS
         for speed in SPEEDS

@@ -21,10 +21,12 @@ from bench.acceptance import (
     Drive,
     Limits,
     Ratings,
+    called,
     energises,
     limit,
     limits,
     needs,
+    yes,
 )
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
@@ -71,6 +73,7 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
     return Limits(name, "deg", round(value - tolerance, 2), round(value + tolerance, 2), about)
 
 
+@called("Table I: misplaced Hall sensors")
 @limits(
     *(
         _near(f"delta_{sector}", delta, TOLERANCE, f"edge that opens sector {sector}")
@@ -84,7 +87,7 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
 )
 @limit("hysteresis", "deg", hi=HYSTERESIS, about="between an edge met backwards and forwards, mean of the six")
 @limit("edges_dropped", "", hi=0, about="edges between sectors that are no neighbours")
-@limit("wiring_as_specified", "", lo=1, about="1: Hall codes and encoder agree on the specified wiring")
+@yes("wiring_as_specified", about="Hall codes and encoder agree on the specified wiring")
 @needs("observer:encoder", "hall-placement")
 @energises(rated_speed=1 / 10, rated_current=1 / 2)
 def test_table1_hall_edges(
@@ -151,6 +154,7 @@ def _expected(delta: F64) -> Expected:
 EXPECTED = _expected(np.array(PLACED))
 
 
+@called("Fig. 2: average speed with misplaced Hall sensors")
 @limits(
     *(
         _near(f"jump_{sector}", jump, 4.0, f"of the estimate where sector {sector} opens")
@@ -241,6 +245,7 @@ def _frequencies(k_p: float, f_m: float) -> F64:
     return np.where(np.abs(f - k * f_m) < APART * f_m, (k + np.where(f < k * f_m, -APART, APART)) * f_m, f)
 
 
+@called("Fig. 6: frequency response")
 @limit("low_pass_gain_off", "dB", hi=2.5, about="from theta*: largest deviation from (11)")
 @limit("low_pass_phase_off", "deg", hi=8.0, about="from theta*: the same")
 @limit("high_pass_gain_off", "dB", hi=2.5, about="from theta_h: largest deviation from (11)")
@@ -364,6 +369,7 @@ GOOD = 8.0  # deg std: where sensors are placed as well as that, dead time can l
 ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EMF
 
 
+@called("Fig. 8: steady state at low speed")
 @limit("error_std_average", "deg", about="with the average speed in the control loop")
 @limit("error_max_average", "deg", about="the same")
 @limit("error_std_proposed", "deg", hi=25.0, about="with the proposed observer in the control loop")

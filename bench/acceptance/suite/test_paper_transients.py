@@ -17,6 +17,7 @@ from bench.acceptance import (
     Drive,
     Limits,
     Ratings,
+    called,
     energises,
     limit,
     limits,
@@ -193,6 +194,7 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
     return from_reference(stretch.capture, 0.0, observer)
 
 
+@called("Fig. 9: start-up")
 @limit("average.initial_error", "deg", hi=45, about="between the rotor and the centre of its Hall sector")
 @limit("proposed.initial_error", "deg", hi=45, about="between the rotor and the centre of its Hall sector")
 @limit("average.error_max", "deg", hi=60, about="largest position error from the start on")
@@ -256,6 +258,7 @@ def test_fig09_start_up(
 # -- Fig. 10 --------------------------------------------------------------------------------------------------------
 
 
+@called("Fig. 10: speed step")
 @limits(*error_limits("transient"))
 @limits(*error_limits("steady"))
 @limits(Limits("proposed.error_mean", "deg", -MEAN, MEAN, "position error in steady state", plus=0.05))
@@ -305,6 +308,7 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
 # -- Fig. 11 --------------------------------------------------------------------------------------------------------
 
 
+@called("Fig. 11: load step")
 @limits(*error_limits("transient"))
 @limits(*error_limits("steady"))
 @limit("error_std_ratio", hi=0.9, about=f"in the transient, proposed to average speed; below {LITTLE:g} deg as that")
@@ -374,6 +378,7 @@ def error_shift(after: Transient) -> float:
     return float(error_deg(after.part(0.2), PROPOSED).mean() - error_deg(unloaded, PROPOSED).mean())
 
 
+@called("Fig. 12: load angle")
 @limit("shift", "deg", about="of the mean error, no load to full load: the drive's own L_hat")
 @limit("shift.less_L", "deg", about="the same with 0.92 L_hat")
 @limit("shift.more_L", "deg", about="the same with 1.08 L_hat")

@@ -24,6 +24,7 @@ from tests.compilers import needs_compiler
 
 SOME = "hall_wire_broken or hall_glitches or torque_constant or fig09"  # noise, draws of the sensors, parameters
 IDEAL_HALL = "[hall]\ndelta_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nhysteresis_deg = 0.0\njitter_deg = 0.0\n"
+MOST_BYTES = 5.5e6  # of a report with all its plots, which is to go by mail
 BETTER = {
     "ideal Hall sensors": IDEAL_HALL,
     "no noise, ideal inverter": "[inverter]\ndead_time = 0.0\n[current_sensor]\nnoise_rms = 0.0\nbits = 24\n",
@@ -31,13 +32,16 @@ BETTER = {
 
 
 def test_an_untouched_drive_passes_everything_and_everything_is_explained(accepting: Accepting) -> None:
-    run = accepting()
+    run = accepting(report=Path("report"))
     assert run.code == 0
     assert {test.verdict for test in run.result.tests} == {Verdict.PASS}
+    assert Path("report/report.html").stat().st_size < MOST_BYTES
     assert {m.verdict for m in run.result.measurements} == {Verdict.PASS}
 
     assert [name for name, often in Counter(test.name for test in run.result.tests).items() if often > 1] == []
     assert [name for name, often in Counter(m.name for m in run.result.measurements).items() if often > 1] == []
+    assert [name for name, often in Counter(test.label for test in run.result.tests).items() if often > 1] == []
+    assert [test.label for test in run.result.tests if "_" in test.label or "[" in test.label] == []
     assert [test.name for test in run.result.tests if not test.title] == []
     assert [m.name for m in run.result.measurements if not m.limits.about] == []
     bounds = [(m.name, bound) for m in run.result.measurements for bound in (m.limits.lo, m.limits.hi)]
