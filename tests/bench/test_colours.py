@@ -183,8 +183,11 @@ def test_series_of_up_to_four_differ_on_paper() -> None:
 def test_no_colour_stands_for_two_things_on_the_first_page() -> None:
     """Normal eyes tell apart whatever a usual drive shows there, not only what stands in one plot."""
     run = run_of("usual")
-    shown = {line.channel.replace("omega_", "theta_"): line.colour
-             for key in ("error_trend", "speed", "dq", "position", "phases") for line in plots(run)[key].lines}  # fmt: skip
+    shown = {
+        line.channel.replace("omega_", "theta_"): line.colour
+        for key in ("error_trend", "speed", "dq", "position", "phases")
+        for line in plots(run)[key].lines
+    }
     del shown["i_q_ref"]  # a reference, as that of the speed
     shown |= {"voltage": TABLE["u_alpha"].rgb, "back-EMF": TABLE["e_alpha"].rgb}
     places = dict(zip(shown, seen(shown.values(), "normal"), strict=True))
