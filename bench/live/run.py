@@ -272,6 +272,7 @@ class LiveRun:
             options.web_port,
             lambda tick: None if self._clock is None else self._clock.host_time(tick),
             stored=Stored(options.keep, options.split),
+            sector=self._sector(acts),
         )
         try:
             if outputs.view is not None:
@@ -307,6 +308,11 @@ class LiveRun:
         finally:
             with undisturbed():
                 outputs.close()
+
+    def _sector(self, acts: tuple[Act, ...]) -> float | None:
+        """How long a Hall sector lasts at the highest speed that is asked for, s."""
+        speed = max((abs(act.speed_rpm) for act in acts), default=0.0)
+        return math.tau / (6.0 * self._pole_pairs * speed * RPM) if speed and self._pole_pairs else None
 
     def _run_acts(self, acts: tuple[Act, ...], stats: RunStatistics) -> tuple[str, int, float, float]:
         """All between start and stop of the streams. Returns result, exit code, duration in s, CPU in percent."""

@@ -1,6 +1,6 @@
 """What the last second comes to: errors over the angle, harmonics, how late the Hall edges are, the current vector.
 
-None of it is a plot over time. It is made anew twice a second of device time, from samples without a gap, and is blank
+None of it is a plot over time. It is made anew every second of device time, from samples without a gap, and is blank
 where it is undefined: a shaft that rests has no harmonics. Angles are electrical, by the encoder; harmonics of a drive
 without an encoder are taken over its first estimate.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,9 @@ from protocol.signals import SECTOR_OF_CODE
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
-PERIOD = 0.5  # s of device time from one picture to the next
+PERIOD = 1.0  # s of device time from one picture to the next
 BINS = 36  # of an electrical revolution
-MOST_ROWS = 4096  # samples from which harmonics are found
+MOST_ROWS = 800  # samples from which harmonics are found
 TRAIL, TRAIL_POINTS = 0.2, 400  # s of the current vector's way, in so many points at most
 FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
@@ -38,8 +38,12 @@ X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.4, 1.25)  # of the current plane
 _CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
 _SECTOR_OF_CODE = np.array(SECTOR_OF_CODE)
 
+_CHANGES = {
+    batch.component_descriptor() for batch in rr.BarChart.from_fields(values=np.zeros(1)).as_component_batches()
+}
+
 Values = NDArray[Any]
-Part = tuple[str, rr.AsComponents]
+Part = tuple[str, rr.AsComponents | Iterable[rr.DescribedComponentBatch]]
 Drawn = tuple[list[Part], list[tuple[str, str]]]
 """Entities with their content, and lines of the table of numbers."""
 
@@ -56,7 +60,7 @@ class LastSecond:
         self._phases = [name for name in schema.PHASES if run.has(name)] if self._angle else []
         self._dq = run.has(*schema.DQ_CURRENTS)
         self._voltage = run.has("u_dc", *schema.VOLTAGE_VECTOR)
-        wanted = (self._angle, *self._estimates, *self._phases, "u_dc", *schema.DQ_CURRENTS, *schema.DQ_REFERENCES)
+        wanted = (self._angle, *self._phases, "u_dc", *schema.DQ_CURRENTS, *schema.DQ_REFERENCES)
         self._wanted = [name for name in dict.fromkeys(wanted) if name and any(c.name == name for c in run.channels)]
         edges = self._reference is not None and "edges" in run.identity.get("features", ("edges",))
         self.views = tuple(
@@ -81,14 +85,15 @@ class LastSecond:
         self._edges.clear()
         self._next = 0
 
-    def samples(self, chunk: SampleChunk, values: Mapping[str, Values]) -> None:
-        """Take samples and their `values` by channel or derived quantity, (n,) each."""
+    def samples(self, chunk: SampleChunk, values: Mapping[str, Values], errors: Mapping[str, Values]) -> None:
+        """Take samples, their `values` by channel or derived quantity, and `errors` of estimates in deg, (n,) each."""
         if not self.views or not len(chunk):
             return
         first = max((gap.position for gap in chunk.gaps), default=0)
         if chunk.gaps:
             self.restart()
         kept = {name: values[name][first:] for name in (*self._wanted, schema.U_ABS) if name in values}
+        kept |= {schema.error_component(name): errors[name][first:] for name in self._estimates}
         tick = chunk.tick[first:]
         self._samples.append((tick, kept))
         oldest = int(tick[-1]) - self._ticks
@@ -112,7 +117,10 @@ class LastSecond:
     # -- pictures -----------------------------------------------------------------------------------------------
 
     def frame(self) -> Iterator[Part]:
-        """Yield entity and static content: circle, axes and names of the current plane."""
+        """Yield entity and static content: places and colours of bars; circle, axes and names of the current plane."""
+        for entity, at, width, colour in self._bars():
+            look = rr.BarChart(np.zeros(len(at)), abscissa=at, widths=np.full(len(at), width), color=colour)
+            yield entity, [part for part in look.as_component_batches() if part.component_descriptor() not in _CHANGES]
         if schema.DQ not in self.views:
             return
         turn = np.linspace(0, 2 * math.pi, 121)
@@ -128,6 +136,20 @@ class LastSecond:
             f"{schema.DQ}/names",
             rr.Points2D(places, labels=names, colors=colours, radii=0.0, show_labels=True, draw_order=-5),
         )
+
+    def _bars(self) -> Iterator[tuple[str, Values, float, RGB]]:
+        """Entity, places on the axis, width and colour of every bar chart."""
+        if schema.BY_ANGLE in self.views:
+            wide = 360.0 / BINS
+            bar = 0.9 * wide / len(self._estimates)
+            for k, name in enumerate(self._estimates):
+                yield _by_angle(name), (np.arange(BINS) + 0.05) * wide + bar * (k + 0.5), bar, self._run.colours[name]
+        for k, name in enumerate(self._phases):
+            at = np.arange(2, ORDER + 1) + 0.28 * (k - 1)
+            yield f"{schema.HARMONICS}/{name}", at, 0.26, self._run.colours[name]
+        if schema.LATE in self.views:
+            for k, (way, colour) in enumerate(WAYS.items()):
+                yield f"{schema.LATE}/{way}", np.arange(len(SECTORS)) + 1 + 0.4 * (k - 0.5), 0.36, colour
 
     def pictures(self) -> Iterator[Part]:
         """Yield entity and content of the last second; what is not defined any more is cleared."""
@@ -177,21 +199,14 @@ class LastSecond:
         """Mean error in each bin of the angle, a bar for each estimate side by side."""
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        width = 360.0 / BINS
         bins = np.floor(np.mod(theta, math.tau) * (BINS / math.tau)).astype(np.int64) % BINS
-        number = np.bincount(bins, minlength=BINS)
         whole = abs(theta[-1] - theta[0]) >= math.tau
-        seen = number > 0
-        for k, name in enumerate(self._estimates):
-            error = np.degrees(wrap(theta - values[name]))
+        for name in self._estimates:
+            error = values[schema.error_component(name)]
             text = f"{error.mean():+.2f}, {error.std():.2f}, {np.abs(error).max():.2f} deg"
             facts.append((f"{schema.label(name)}: mean, std, max", text))
             if whole:
-                mean = np.bincount(bins, error, BINS)[seen] / number[seen]
-                bar = 0.9 * width / len(self._estimates)
-                at = (np.flatnonzero(seen) + 0.05) * width + bar * (k + 0.5)
-                parts.append((f"{schema.BY_ANGLE}/{_entity(schema.label(name))}",
-                              _bars(at, mean, bar, self._run.colours[name])))  # fmt: skip
+                parts.append((_by_angle(name), _values(_mean(bins, error, BINS))))
         return parts, facts
 
     def _current_plane(self, tick: Any, theta: Any, values: Mapping[str, Values]) -> Drawn:
@@ -219,16 +234,15 @@ class LastSecond:
         """Harmonics 2 to 20 of the phase currents in % of the fundamental, and their distortion."""
         parts: list[Part] = []
         texts: list[tuple[str, str]] = []
-        for k, name in enumerate(self._phases):
+        for name in self._phases:
             try:
                 found = distortion(theta, values[name])
             except ValueError as error:
                 texts.append((f"THD {name}", f"undefined: {str(error).partition(':')[0]}"))
                 continue
-            order = np.arange(2, len(found.amplitudes) + 1)
-            share = 100 * found.amplitudes[1:] / found.amplitudes[0]
-            parts.append((f"{schema.HARMONICS}/{name}",
-                          _bars(order + 0.28 * (k - 1), share, 0.26, self._run.colours[name])))  # fmt: skip
+            share = np.zeros(ORDER - 1)
+            share[: len(found.amplitudes) - 1] = 100 * found.amplitudes[1:] / found.amplitudes[0]
+            parts.append((f"{schema.HARMONICS}/{name}", _values(share)))
             texts.append((f"THD {name}", f"{100 * found.value:.1f} % of {found.amplitudes[0]:.3g} A"))
         return parts, texts
 
@@ -244,17 +258,16 @@ class LastSecond:
         angle = np.interp(at, tick, theta)
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        for k, (way, opened, sign) in enumerate(((FORWARD, after, 1.0), (REVERSE, before, -1.0))):
+        for way, opened, sign in ((FORWARD, after, 1.0), (REVERSE, before, -1.0)):
             met = valid & (step == (1 if sign > 0 else len(SECTORS) - 1))
             sector = opened[met]
             late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(SECTORS))))
-            number = np.bincount(sector, minlength=len(SECTORS))
-            seen = np.flatnonzero(number)
+            seen = np.flatnonzero(np.bincount(sector, minlength=len(SECTORS)))
             if not len(seen):
                 continue
-            mean = np.bincount(sector, late, len(SECTORS))[seen] / number[seen]
-            parts.append((f"{schema.LATE}/{way}", _bars(seen + 1 + 0.4 * (k - 0.5), mean, 0.36, WAYS[way])))
-            each = [f"{SECTORS[s]} {value:+.1f}" for s, value in zip(seen, mean, strict=True)]
+            mean = _mean(sector, late, len(SECTORS))
+            parts.append((f"{schema.LATE}/{way}", _values(mean)))
+            each = [f"{SECTORS[s]} {mean[s]:+.1f}" for s in seen]
             facts += [(f"edges late, {way}, deg", ", ".join(each[at : at + 3])) for at in range(0, len(each), 3)]
         return parts, facts
 
@@ -268,7 +281,7 @@ class LastSecond:
 
 
 def distortion(theta: Values, current: Values) -> Thd:
-    """Harmonics of `current` (n,) over the unwrapped angle `theta` (n,) rad, from about 4096 samples or fewer.
+    """Harmonics of `current` (n,) over the unwrapped angle `theta` (n,) rad, from about 800 samples or fewer.
 
     Raises ValueError for fewer than three electrical revolutions, and where there is no fundamental.
     """
@@ -285,10 +298,17 @@ def distortion(theta: Values, current: Values) -> Thd:
     return thd_by_angle(theta, current, order=max(2, min(ORDER, math.ceil(math.pi / widest) - 1)))
 
 
-def _bars(at: Values, values: Values, width: float, colour: RGB) -> rr.BarChart:
-    return rr.BarChart(values, abscissa=at, widths=np.full(len(at), width), color=colour)
+def _mean(bins: NDArray[np.int64], values: Values, n: int) -> Values:
+    """Mean of `values` in each of `n` bins, (n,); 0 where there is none."""
+    number = np.bincount(bins, minlength=n)
+    return np.bincount(bins, values, n) / np.maximum(number, 1)
 
 
-def _entity(label: str) -> str:
-    """A label as a part of an entity's path, to be read in a legend."""
-    return "".join(char if char.isalnum() else "-" for char in label)
+def _values(values: Values) -> rr.BarChart:
+    """New values of a bar chart."""
+    return rr.BarChart.from_fields(values=values)
+
+
+def _by_angle(estimate: str) -> str:
+    """Entity of the errors of an estimate: its legend shows the name."""
+    return f"{schema.BY_ANGLE}/{''.join(char if char.isalnum() else '-' for char in schema.label(estimate))}"

@@ -41,7 +41,7 @@ REPEAT = 1.0  # s between repetitions of a state: late viewers get only the newe
 PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
 TREND_LOT = 10  # bins, at least, that go out together
-GUIDE_STEP = 0.025  # s between two rows of the guides
+GUIDE_STEP, GUIDE_ROWS = 0.025, 4  # s between two rows of the guides, and how many go out together
 RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
@@ -90,6 +90,7 @@ class RunLog:
         self._guides = [plot for plot in shown if plot.entity == schema.FAST]
         self._rooms = [plot for plot in shown if plot.entity == schema.TREND]
         self._live = live
+        self._guided_ns = 0
         self._newest_ns = newest * 1e9
         self.extents = None if live else Extents()
         self._first_ns: int | None = None  # of the run, or since the drive has rebooted
@@ -230,7 +231,7 @@ class RunLog:
         columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
         shown = int(np.searchsorted(t_ns, t_ns[-1] - self._newest_ns))
         self._send(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
-        self._last_second.samples(chunk, values)
+        self._last_second.samples(chunk, values, errors)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._send_guide(int(t_ns[0]), int(t_ns[-1]))
@@ -341,9 +342,13 @@ class RunLog:
             self._send(schema.ROOM, np.array([start, t_ns]), columns)
 
     def _send_guide(self, first_ns: int, last_ns: int) -> None:
-        """Log how far the plots of the last moments reach at least."""
+        """Log how far the plots of the last moments reach at least; a few rows in one message."""
         step = round(GUIDE_STEP * 1e9)
-        t_ns = np.arange(first_ns - first_ns % step, last_ns + 1, step)
+        begin = max(self._guided_ns, first_ns - first_ns % step) if last_ns > self._guided_ns else first_ns
+        t_ns = np.arange(begin, last_ns + 1, step)
+        if len(t_ns) < GUIDE_ROWS:
+            return
+        self._guided_ns = int(t_ns[-1]) + step
         signs = np.where(t_ns // step % 2, 1.0, -1.0).astype(np.float32)
         if self._guides:
             self._send(schema.GUIDE, t_ns, {plot.guide: pa.array(plot.least * signs) for plot in self._guides})

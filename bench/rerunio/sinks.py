@@ -56,7 +56,9 @@ class LiveSink(Sink):
 
     host_time: Callable[[float], float | None] | None = None
 
-    def __init__(self, run: RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic) -> None:
+    def __init__(
+        self, run: RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic, sector: float | None = None
+    ) -> None:
         self.run = run
         self.latency = Percentiles()
         self.logged_samples = 0
@@ -70,7 +72,7 @@ class LiveSink(Sink):
         self._queue: queue.Queue[_Item] = queue.Queue(HOLD_QUEUE if hold else LIVE_QUEUE)
         self._closing = threading.Event()
         self._hold = hold
-        self._stream, self.url = _serve(run, port)
+        self._stream, self.url = _serve(run, port, sector)
         self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
         self._thread.start()
         self._ready.wait(READY_TIMEOUT)  # until it has imported what it needs, because streaming data would not wait
@@ -192,7 +194,7 @@ def abandon(stream: rr.RecordingStream) -> None:
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
 
 
-def _serve(run: RunInfo, port: int) -> tuple[rr.RecordingStream, str]:
+def _serve(run: RunInfo, port: int, sector: float | None) -> tuple[rr.RecordingStream, str]:
     import rerun as rr
 
     from bench.rerunio import dashboard
@@ -200,5 +202,5 @@ def _serve(run: RunInfo, port: int) -> tuple[rr.RecordingStream, str]:
     stream = new_stream(run)
     server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="128MiB")
     stream.set_sinks(server)
-    stream.send_blueprint(dashboard.blueprint(run))
+    stream.send_blueprint(dashboard.blueprint(run, sector=sector))
     return stream, server.uri

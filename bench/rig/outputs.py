@@ -57,10 +57,12 @@ class Outputs:
         host_time: Callable[[float], float | None] | None = None,
         wait: bool = False,
         stored: Stored = FOR_EVER,
+        sector: float | None = None,
     ) -> None:
         """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time.
 
-        `stored`: how a recording is kept that goes on for long.
+        `stored`: how a recording is kept that goes on for long. `sector`: how long a Hall sector will last, s, where
+        that is known.
         """
         self.file: RunSink | None = None
         self._rrd = save if save is not None and save.suffix == RRD else None
@@ -74,7 +76,7 @@ class Outputs:
             from bench.rerunio.viewer import LiveView, chosen
 
             try:
-                self.view = LiveView(run, chosen(viewer), web_port=web_port)
+                self.view = LiveView(run, chosen(viewer), web_port=web_port, sector=sector)
             except BaseException:
                 if self.file is not None:
                     self.file.close()
