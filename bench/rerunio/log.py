@@ -336,7 +336,7 @@ class RunLog:
         start = t_ns
         if self._live:
             shown = min(round(TREND * 1e9), t_ns - (t_ns if self._first_ns is None else self._first_ns))
-            start -= round(shown * LEGEND_SHARE / (1 - LEGEND_SHARE))
+            start -= round(shown / (1 - LEGEND_SHARE))
         columns = {plot.guide: pa.array(_least(plot, newest), pa.float32()) for plot in self._rooms}
         if columns:
             self._send(schema.ROOM, np.array([start, t_ns]), columns)

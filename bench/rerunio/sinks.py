@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 BLOCK_PERIOD = 0.055  # s of signal a message to a live view
 READY_TIMEOUT = 10.0  # s for rerun to be imported
-HELD = 0.5  # s of samples of each such message: what is in sight, and not what a browser would choke on
+HELD = 0.25  # s of samples of each such message: what is in sight, and not what a browser would choke on
 HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
 TOUCH_PERIOD = 0.4  # s between touches of one that does
 LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
@@ -46,7 +46,7 @@ class LiveSink(Sink):
 
     Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
     `hold` the view is updated every three seconds, all at once, and stands still in between; of the samples it is given
-    those of the last half second, which are in sight: a browser without a GPU draws only a frame or two a second.
+    those of the last quarter of a second, which are in sight: a browser without a GPU draws only a frame or two a second.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.

@@ -115,7 +115,7 @@ def test_the_second_page_shows_what_is_defined_and_nothing_else(turning: tuple[i
             if speed:
                 assert drawn.shows(SECOND_NAMES[view], [darker(colour)], 0.08), view
             else:
-                assert seen(drawn.picture(SECOND_NAMES[view]), darker(colour), 0.08) < 10, view
+                assert seen(drawn.picture(SECOND_NAMES[view]), darker(colour), 0.08) < ENOUGH / 2, view
 
 
 def darker(colour: RGB) -> RGB:

@@ -184,3 +184,23 @@ def test_a_caller_faster_than_the_disk_is_told(
     hold.set()
     file.close()  # it was said
     assert file.error is not None
+
+
+def test_a_live_view_makes_room_for_legends_before_its_first_sample(
+    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The long plots begin so early that three tenths of their width are left to the legend, in short runs too."""
+    run = synthetic.run_info()
+    stream = sinks.new_stream(run)
+    stream.save(tmp_path / "live.rrd")
+    monkeypatch.setattr(sinks, "_serve", lambda *_: (stream, "file"))
+    live = LiveSink(run, 0)
+    made.feed(live)
+    live.close()
+    rows = synthetic.column(tmp_path / "live.rrd", schema.ROOM, "guide:error_trend")
+    assert [row[0] for _, row in rows[:2]] in ([-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0])
+    first = int(made.tick[0]) * 50  # ns
+    drawn = synthetic.column(tmp_path / "live.rrd", schema.TREND, "error_deg:theta_vt")
+    assert drawn[0][0] == pytest.approx(first, abs=10_000_000)
+    last = drawn[-1][0]  # of what the view took: it was fed faster than it can
+    assert (first - rows[0][0]) / (last - rows[0][0]) == pytest.approx(0.3, abs=0.02)
