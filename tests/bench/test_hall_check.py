@@ -366,14 +366,14 @@ def test_a_signal_ends_with_the_outputs_off_and_says_where_the_recording_is(
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("check", "run.run", "--json", "run.run"), "--json takes run.run as the file to write"),
-    (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is a file that is read"),
-    (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json are the same file"),
-    (("learn", "run.run", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
-    (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is a file that is read"),
+    (("check", "run.run", "--json", "run.run"), "--json would write to a file named run.run"),
+    (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is also an input"),
+    (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json name the same file"),
+    (("learn", "run.run", "--out", "x.json", "--json", "x.json"), "--json and --out name the same file"),
+    (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is also an input"),
     (("learn", "sim", "--out", "edges.yaml"), "--out edges.yaml: the name must end in .toml or .json"),
-    (("learn", "run.run", "--write"), "--write needs a drive, and run.run is a recording"),
-    (("check", "run.run", "--passive"), "run.run is a recording: --save and --passive are for a drive"),
+    (("learn", "run.run", "--write"), "--write needs a drive, but run.run is a recording"),
+    (("check", "run.run", "--passive"), "run.run is a recording: --save and --passive need a drive"),
     (("check", "nowhere.run"), "nowhere.run: no such file"),
     (("check", "tcp:127.0.0.1:1", "--config", "rig.toml"), "--config is for the simulated drive"),
 ])  # fmt: skip

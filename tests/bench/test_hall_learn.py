@@ -212,7 +212,7 @@ def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(
     assert set(link.states) == {DriveState.IDLE}
     out = capsys.readouterr().out
     assert "16 parameters written to node 1 and read back" in out
-    assert "node 1 keeps its parameters for the next boot" in out
+    assert "node 1 stored its parameters" in out
     truth = np.concatenate([np.array(TABLE_I) - 0.25, np.array(TABLE_I) + 0.25])
     again = SimulatedDevice(load_params(None), 1, store=store)
     assert np.degrees(stored(again)) == pytest.approx(truth, abs=0.3)
@@ -254,8 +254,8 @@ def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--motor"], "an encoder says nothing"),
-        (["--by", "filter", "--passive"], "the filter sees no voltage"),
+        (["--motor"], "the encoder does not measure motor parameters"),
+        (["--by", "filter", "--passive"], "the filter needs voltages"),
     ],
 )
 def test_what_does_not_go_together_is_said_at_once(

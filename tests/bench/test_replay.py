@@ -161,7 +161,7 @@ def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
     assert str(again.exception).startswith(f"{tmp_path / 'a.replay.run'} exists")
     assert (tmp_path / "a.replay.run" / "run.jsonl").read_bytes() == written
     itself = CliRunner().invoke(cli, ["replay", str(link), "-o", str(drive_run), "--overwrite"])
-    assert f"--out {drive_run} is a file that is read" in itself.output
+    assert f"--out {drive_run} is also an input" in itself.output
     with pytest.raises(BenchError, match="is the recording itself"):
         replay(link, out=drive_run, overwrite=True)
     twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.run"), "--observer", "vt"])

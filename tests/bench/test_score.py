@@ -321,13 +321,13 @@ def test_bounds_that_were_written_hold_and_others_do_not(drive_run: Path, tmp_pa
     assert not any(name.endswith((".n", ".events", "step_ns")) for name in read)
     held = bench_command(drive_run, "--observer", "drive_vt", "--expect", bounds)
     assert held.exit_code == 0, held.output
-    assert f"{len(read)} of {len(read)} figures within" in held.output
+    assert f"{len(read)} of {len(read)} statistics within" in held.output
     for side in ([0, 0.99 * std], [1.01 * std, 9]):  # a known error that vanishes is news too
         bounds.write_text(f"drive_vt.error.std = {side}\ndrive_vt.moving.max = [0, inf]\n")
         outside = bench_command(drive_run, "--observer", "drive_vt", "--expect", bounds)
         assert outside.exit_code == 1
         assert f"OUTSIDE  drive_vt.error.std is {std:.6g}, expected {side[0]:.6g} … {side[1]:.6g}" in outside.output
-        assert "1 of 2 figures within" in outside.output
+        assert "1 of 2 statistics within" in outside.output
 
 
 def test_what_cannot_be_told_is_outside(made_up_board: Scoreboard) -> None:
@@ -362,10 +362,10 @@ def test_no_output_takes_the_place_of_what_is_kept(made_up: Path, tmp_path: Path
     bounds.write_text(old)
     recording = (made_up / "run.jsonl").read_bytes()
     for arguments, words in (
-        (("--json", made_up), f"--json takes {made_up} as the file to write"),
+        (("--json", made_up), f"--json would write to a file named {made_up}"),
         (("--expect", bounds, "--write-expect", bounds, "--overwrite"), f"--write-expect {bounds} is a file that is"),
-        (("--expect", bounds, "--csv", bounds), f"--csv {bounds} is a file that is read"),
-        (("--json", tmp_path / "a", "--csv", tmp_path / "a"), "--json and --csv are the same file"),
+        (("--expect", bounds, "--csv", bounds), f"--csv {bounds} is also an input"),
+        (("--json", tmp_path / "a", "--csv", tmp_path / "a"), "--json and --csv name the same file"),
         (("--write-expect", bounds), f"--write-expect {bounds} exists: choose another name, or --overwrite"),
     ):
         done = bench_command(made_up, *arguments)
