@@ -137,6 +137,6 @@ def draw(of: Measured) -> Figure:
     chart.grid(False, axis="x")
     reach = max(1.15 * float(np.abs(np.concatenate(late_all)).max()), 0.5)
     chart.set_ylim(-reach, reach)
-    style.axis_labels(chart, "edge that opens the sector (turning forwards)", "measured − ideal", unit_y="el. °")
+    style.axis_labels(chart, "edge at the start of the sector (turning forward)", "measured − ideal", unit_y="el. °")
     chart.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=FONT_SIZE, borderaxespad=0.2)
     return figure

@@ -196,7 +196,7 @@ def test_a_bus_that_opens_but_takes_nothing_is_one_outage_and_ends(monkeypatch: 
     link = open_link("can:full/x")
     client = Client(link, reconnect=1.2)
     client.session.connect(1, client.now())
-    with pytest.raises(LinkClosed, match=r"did not come back within 1\.2 s"):
+    with pytest.raises(LinkClosed, match=r"did not return within 1\.2 s"):
         client.run_for(20.0)
     assert client.health.outages == 1
     link.close()

@@ -51,7 +51,7 @@ def one_error(err: str) -> str:
     ("target", "says"),
     [
         ("serial:/dev/ttyNOWHERE", r"no port /dev/ttyNOWHERE"),
-        ("tcp:a..b:7000", r"'a\.\.b' is no host name"),
+        ("tcp:a..b:7000", r"'a\.\.b' is not a host name"),
         ("tcp:127.0.0.1:1", r"nothing listens on port 1 of 127\.0\.0\.1"),
         ("/dev/ttyACM0", r"write serial:/dev/ttyACM0"),
         ("serial:/dev/ttyACM0?boud=9600", r"unknown key 'boud' \(the known one is baud\)"),
@@ -109,7 +109,7 @@ def test_a_device_that_is_no_drive(fail: Fail) -> None:
     device = simulated()
     device.drive.identity = replace(device.drive.identity, role=Role.LOAD)
     link = WatchedLink(device)
-    assert "answers as LOAD, not as a drive" in fail("live", "serial:x", "--speed", "500", link=link)
+    assert "is a LOAD, not a drive" in fail("live", "serial:x", "--speed", "500", link=link)
     assert DriveState.ARMED not in link.states
 
 
@@ -196,17 +196,17 @@ def test_a_configuration_with_a_negative_resistance(fail: Fail, tmp_path: Path, 
         (("--pty", "--tcp", "127.0.0.1:0"), r"give only one of --tcp, --pty"),
         (("--tcp", "127.0.0.1"), r"HOST:PORT"),
         (("--tcp", "127.0.0.1:99999"), r"from 0 to 65535"),
-        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud goes with a serial line"),
-        (("--slcan", "--baud", "9600"), r"a CAN bus has --bitrate"),
+        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud needs a pty"),
+        (("--slcan", "--baud", "9600"), r"for a CAN bus use --bitrate"),
         (("--slcan", "--data-bitrate", "5000000"), r"--data-bitrate needs CAN FD: add --fd"),
         (("--slcan", "--bitrate", "5"), r"bitrate must be between 5000 and 1000000 bit/s, got 5"),
         (("--slcan", "--fd", "--data-bitrate", "9"), r"data bitrate must be between the bitrate, 1000000"),
         (("--socketcand", "127.0.0.1:0", "--fd"), r"socketcand has no CAN FD frames"),
         (("--fd",), r"--fd needs a CAN bus: add --slcan"),
         (("--pty", "--bitrate", "500000"), r"--bitrate needs a CAN bus"),
-        (("--slcan", "--bitrate", "600000"), r"bitrate 600000 is none of slcan's: 10000"),
-        (("--slcan", "--fd", "--data-bitrate", "3000000"), r"data bitrate 3000000 is none of slcan's"),
-        (("--socketcand", "127.0.0.1:0", "--link", "x"), r"--link goes with a pty"),
+        (("--slcan", "--bitrate", "600000"), r"bitrate 600000 is not an slcan rate: 10000"),
+        (("--slcan", "--fd", "--data-bitrate", "3000000"), r"data bitrate 3000000 is not an slcan rate"),
+        (("--socketcand", "127.0.0.1:0", "--link", "x"), r"--link needs a pty"),
         (("--link", "/nowhere/tty"), r"cannot make the link /nowhere/tty: No such file"),
         (("--baud", "0"), r"baud must be between"),
     ],

@@ -441,10 +441,10 @@ def test_the_command_says_what_it_wrote(made: Path, tmp_path: Path, capsys: pyte
 def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "x.csv"
     for arguments, what in (
-        ((made, "-o", tmp_path / "x.txt"), "end it in .csv, .mf4, .mat, .npz, .rrd or .parquet, or give --format"),
-        ((made, "-o", tmp_path / "x.mat", "--format", "csv"), "x.mat ends as mat does, and --format says csv"),
-        ((made, "-o", out, "--from", 2000), "has nothing from 2000 to 1074.99 s: it is from 1000.000 to 1074.990 s"),
-        ((made, "-o", out, "--from", 1030.1, "--to", 1030.12, "--channels", "tau"), "has nothing from 1030.100 s"),
+        ((made, "-o", tmp_path / "x.txt"), "use .csv, .mf4, .mat, .npz, .rrd or .parquet, or --format"),
+        ((made, "-o", tmp_path / "x.mat", "--format", "csv"), "x.mat has the extension of mat, but --format is csv"),
+        ((made, "-o", out, "--from", 2000), "has no data from 2000 to 1074.99 s: it covers 1000.000 to 1074.990 s"),
+        ((made, "-o", out, "--from", 1030.1, "--to", 1030.12, "--channels", "tau"), "has no data from 1030.100 s"),
         ((made, "-o", out, "--channels", "tao"), "has no channel 'tao'; did you mean tau?"),
         (
             (made, "-o", out, "--channels", "xyz"),

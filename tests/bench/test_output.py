@@ -114,7 +114,7 @@ def test_what_is_there_is_neither_replaced_nor_cut_without_overwrite(bench: Call
         path.write_text("precious")
         code, out, err = bench(*(text.format("there") for text in arguments))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
-        assert re.search(r"(exists|holds a report): (choose .*--overwrite to|it is no recorded run)", err), name
+        assert re.search(r"(exists|holds a report): (choose .*--overwrite to|it is not a recorded run)", err), name
         assert path.read_text() == "precious", name
 
 

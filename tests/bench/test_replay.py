@@ -116,10 +116,10 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     [
         ({"k_p": 1e9}, (), "k_p: must be 0..100000, got 1e+09"),
         ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
-        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; there are "),
+        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; available: "),
         ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
-        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; there are hall_timeout"),
-        ({}, ("nobody",), "no observer 'nobody'; there are average_speed (avg), vector_tracking (vt)"),
+        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_timeout"),
+        ({}, ("nobody",), "no observer 'nobody'; available: average_speed (avg), vector_tracking (vt)"),
         ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
         ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is set already"),
     ],
@@ -155,7 +155,7 @@ def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0
     assert "a.replay.run" in done.output
     assert "vector_tracking" in done.output
-    assert re.search(r"observers began anew +1 at the start, \d+ where the drive initialised them\n", done.output)
+    assert re.search(r"observers restarted +1 at the start, \d+ where the drive initialised them\n", done.output)
     written = (tmp_path / "a.replay.run" / "run.jsonl").read_bytes()
     again = CliRunner().invoke(cli, given)
     assert str(again.exception).startswith(f"{tmp_path / 'a.replay.run'} exists")

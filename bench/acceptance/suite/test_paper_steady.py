@@ -310,7 +310,7 @@ def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitud
 
 
 def _answer(capture: Capture) -> complex:
-    """Gain from the injected sine to the estimate. NaN if there was none, or if it cannot be told."""
+    """Gain from the injected sine to the estimate. NaN if there was none, or if it is undefined."""
     turns = capture.t[np.flatnonzero(capture["status"].astype(int) & Status.INJECTION_SYNC)]
     turns = turns[turns > capture.t[0] + BEFORE]
     if not len(turns):
