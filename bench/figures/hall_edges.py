@@ -106,10 +106,10 @@ def draw(of: Measured) -> Figure:
         circle.text(angle + math.pi / 6, 0.62, name, ha="center", va="center", fontsize=FONT_SIZE, color=GREY)
     late_all = []
     for way, mark, hue, shift, inner in (
-        ("forwards", ">", SERIES[1], -0.1, 0.0),
-        ("backwards", "<", SERIES[0], 0.1, 0.3),
+        ("forward", ">", SERIES[1], -0.1, 0.0),
+        ("reverse", "<", SERIES[0], 0.1, 0.3),
     ):
-        passages = [edge.up if way == "forwards" else edge.down for edge in of.edges]
+        passages = [edge.up if way == "forward" else edge.down for edge in of.edges]
         met = np.array([each.n > 0 for each in passages])
         if not met.any():
             continue

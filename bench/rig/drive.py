@@ -1,6 +1,6 @@
 """The drive of a rig: start, setpoints, parameters that are restored.
 
-It keeps to what was announced (its `Envelope`), because that is what a person agreed to: set points are checked here,
+It keeps to what was announced (its `Envelope`), because that is what a person agreed to: setpoints are checked here,
 and the drive's own `i_max` is lowered meanwhile, so that no speed controller goes beyond it. Nothing here looks at
 samples.
 """
@@ -38,7 +38,7 @@ class Drive(Machine):
 
     title = "the drive"
     starts_by_itself = False
-    """Whether a set point starts it, as it does in a notebook."""
+    """Whether a setpoint starts it, as it does in a notebook."""
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
         super().__init__(node, envelope)

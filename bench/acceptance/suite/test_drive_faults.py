@@ -69,7 +69,7 @@ EXCHANGED = {f"swap_{pair}": f"sensors {pair[0]} and {pair[1]} exchanged" for pa
 TENTH, SIXTH = 1 / 10, 1 / 6  # of the rated speed
 
 
-@limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical turns of before")
+@limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical revolutions")
 @limit("named", "", lo=1, hi=1, about="1: HALL is the fault, and the only one")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the break on")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
@@ -119,9 +119,9 @@ def test_hall_wire_broken(
 
 
 @limits(
-    Limits("as_specified", "", 1, 1, "1: nothing is wrong before anything is"),
+    Limits("as_specified", "", 1, 1, "1: wiring as specified before the fault"),
     *(Limits(name, "", 1, 1, f"1: diagnosed as {words}") for name, words in (OPEN | EXCHANGED).items()),
-    Limits("as_specified_again", "", 1, 1, "1: nothing is wrong once all is put back"),
+    Limits("as_specified_again", "", 1, 1, "1: wiring as specified after the fault is removed"),
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
 @needs(*TURNS, "encoder", "channel:hall", "load.speed", "hall-faults")
@@ -228,7 +228,7 @@ def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults
 
 
 @limit("error_max", "deg", hi=90, about="largest position error during the burst and 0.1 s after it")
-@limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the set point, in the same time")
+@limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the setpoint, in the same time")
 @limit("error_std_after", "deg", hi=STD, about="position error 0.2 s later")
 @limit("error_max_after", "deg", hi=LARGEST, about="largest position error 0.2 s later")
 @needs(*TURNS, *VECTOR, "encoder", "channel:hall", "hall-faults")
@@ -254,7 +254,7 @@ def test_hall_glitches_error(
 SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last that the drive hears
 
 
-@limit("lateness", "ms", lo=-5, hi=60, about="from the last set point to FAULT, less the drive's watchdog time")
+@limit("lateness", "ms", lo=-5, hi=60, about="from the last setpoint to FAULT, less the drive's watchdog time")
 @limit("named", "", lo=1, hi=1, about="1: WATCHDOG is the fault, and the only one")
 @limit("outputs_off", "", lo=1, hi=1, about="1: the heartbeats after that say so")
 @needs(*TURNS)
@@ -262,7 +262,7 @@ SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last
 def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
     """The host falls silent at a fifteenth of the rated speed: the drive switches itself off.
 
-    The last that it hears is a set point, whose effect shows in the data when that was.
+    The last that it hears is a setpoint, whose effect shows in the data when that was.
     """
     run, last, named, off = _silence(drive, rated, record, lambda: None)
     measure("lateness", 1e3 * (tripped(run) - last - _watchdog(drive)), run)
@@ -286,8 +286,8 @@ def test_watchdog_under_load(
     measure("off_lateness", 1e3 * (gone - last - _watchdog(drive)), run)
     figure(
         "drive_watchdog",
-        "The host falls silent after a set point, a quarter of the rated torque on the shaft; dashed: current limit",
-        lambda: draw_run(run, ("speed", "dq", "phases"), {"last set point": last, "FAULT": fault}),
+        "The host falls silent after a setpoint, a quarter of the rated torque on the shaft; dashed: current limit",
+        lambda: draw_run(run, ("speed", "dq", "phases"), {"last setpoint": last, "FAULT": fault}),
     )
 
 
