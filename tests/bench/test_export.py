@@ -455,7 +455,7 @@ def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: py
         ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "leave --channels out"),
         ((made, "-o", tmp_path / "none" / "x.csv"), "there is no directory"),
         ((tmp_path / "none.run", "-o", out), "no such file"),
-        ((tmp_path, "-o", out), "is no recorded run"),
+        ((tmp_path, "-o", out), "is not a recorded run"),
     ):
         assert what in failing(capsys, *arguments)
     assert not list(tmp_path.iterdir())
