@@ -452,7 +452,7 @@ def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: py
         ),
         ((made, "-o", out, "--channels", ","), "--channels is empty"),
         ((made, "-o", "-", "--format", "csv"), "an export cannot go to standard output"),
-        ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "leave --channels out"),
+        ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "omit --channels"),
         ((made, "-o", tmp_path / "none" / "x.csv"), "there is no directory"),
         ((tmp_path / "none.run", "-o", out), "no such file"),
         ((tmp_path, "-o", out), "is not a recorded run"),
@@ -518,7 +518,7 @@ def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str
     run = long_run(tmp_path / "a.run", 22_500_000)
     told = failing(capsys, run, "-o", tmp_path / "x.mat")
     assert "samples would take 2.18 GB, and a variable in a .mat file at" in told
-    assert "at most 2.15 GB: take less with --from, --to or --channels" in told
+    assert "at most 2.15 GB: export less with --from, --to or --channels" in told
     assert not (tmp_path / "x.mat").exists()
     for name in ("x" * 63, "x" * 64):
         channels = (exported.Channel(1, name, exported.Unit.A, exported.RawType.U8, 1.0, exported.Flag.CHANNEL),)

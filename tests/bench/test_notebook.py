@@ -306,7 +306,7 @@ def test_one_target_has_one_rig() -> None:
 def test_without_a_load_it_says_so() -> None:
     with (
         bench.connect("sim", settings=Settings(load="none")) as rig,
-        pytest.raises(BenchError, match="there is no load: none answers as node 2 on the drive's link, or"),
+        pytest.raises(BenchError, match="there is no load: no node 2 answers on the drive's link, or"),
     ):
         rig.load.torque(0.1)
 
@@ -472,7 +472,7 @@ def test_settings_change_the_estimate_by_either_name(run: bench.Capture) -> None
 
 
 def test_captures_without_what_an_observer_needs(run: bench.Capture) -> None:
-    with pytest.raises(BenchError, match="theta_vt_host is in this capture already: estimate from the one"):
+    with pytest.raises(BenchError, match="theta_vt_host is already in this capture: use the original"):
         bench.estimate(bench.estimate(run, "vt"), "vector-tracking")
     with bench.connect("sim", channels="theta_enc,i_a") as rig:
         few = rig.record(0.05)
@@ -486,7 +486,7 @@ def test_a_decimated_recording_is_not_estimated(tmp_path: Path) -> None:
     slow = bench.read(tmp_path / "slow.run")
     assert slow.sample_rate == 8000
     assert np.diff(slow.t) == pytest.approx(1 / 8000, rel=1e-9)
-    with pytest.raises(BenchError, match="cannot be run on this capture: it has one sample in 2 PWM periods: all"):
+    with pytest.raises(BenchError, match="cannot be run on this capture: the stream is decimated by 2; observers"):
         bench.estimate(slow, "vt")
 
 

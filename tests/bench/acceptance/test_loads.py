@@ -219,7 +219,7 @@ def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop(link: S
 
 def test_a_fault_that_a_node_had_before_is_named_and_stays(link: SpoiltLink) -> None:
     link.device.load.fault(Fault.OVERCURRENT)
-    fault = r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"
+    fault = r"^node 2 has a latched fault \(OVERCURRENT\): find the cause"
     with rig_with("node", link) as rig, pytest.raises(BenchError, match=fault):
         rig.load.torque(0.05)
     assert link.device.load.state == DriveState.FAULT

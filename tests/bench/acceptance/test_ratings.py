@@ -69,7 +69,7 @@ def test_limits_are_wider_by_a_share_of_the_load_angle() -> None:
     limits = Limits("error", "deg", -2.5, plus=0.1)
     assert str(limits) == "≥ -2.5 deg, widened by 0.1 × load angle"
     assert limits.resolved({RATED_CURRENT: 8.0}) is limits  # a drive that does not tell it has them as they are
-    with pytest.raises(ValueError, match="shares of the rated current, or widened by load angle, not both"):
+    with pytest.raises(ValueError, match="shares of the rated current or widened by load angle, not both"):
         Limits("i", "A", hi=1.0, of=RATED_CURRENT, plus=0.1)
     known = limits.resolved({LOAD_ANGLE: 20.0})
     assert (known.lo, known.hi) == (-4.5, None)

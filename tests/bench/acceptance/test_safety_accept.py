@@ -107,7 +107,7 @@ def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it_and_no_tes
     run = accepting(ENDINGS, link, keyword=f"test_{name} or test_after_deaf")
     assert (run[name].verdict, run[name].why) == (verdict, why)
     assert run["after_deaf"].verdict == "ERROR"
-    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
+    assert re.search(r"has a latched fault \(WATCHDOG\): find the cause", run["after_deaf"].why)
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
     assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
@@ -179,7 +179,7 @@ def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link:
     link.device.drive.fault(Fault.OVERCURRENT)
     run = accepting("def test_turns(drive, record): turn(drive, record)", link)
     assert run["turns"].verdict == "ERROR"
-    assert re.search(r"has a latched fault \(OVERCURRENT\): look into its cause", run["turns"].why)
+    assert re.search(r"has a latched fault \(OVERCURRENT\): find the cause", run["turns"].why)
     assert link.device.drive.state == DriveState.FAULT
     assert never_armed(link)
 

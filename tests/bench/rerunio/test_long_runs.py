@@ -317,7 +317,7 @@ def test_a_run_that_is_over_is_marked_at_a_time(tmp_path: Path) -> None:
     for chunk in chunks(0, 3):
         file.samples(chunk)
     wait_for(file, 300)
-    assert "is being recorded: without --at" in mark(str(tmp_path / "c.run"), "x", "--at", "1")[1]
+    assert "is being recorded: omit --at" in mark(str(tmp_path / "c.run"), "x", "--at", "1")[1]
     file.close()
 
 
@@ -355,7 +355,7 @@ def test_a_disk_that_fills_is_told_in_time_and_the_run_ends_whole(
             time.sleep(0.01)
     words = [text for text, level in file.news if level == "WARN"]
     assert [text.split(":")[0] for text in words] == [f"the disk will be full in {t} min" for t in (9.9, 1.9)]
-    with pytest.raises(RecordingError, match=r"the disk is full: 63 MiB are free .* what came before is whole"):
+    with pytest.raises(RecordingError, match=r"the disk is full: 63 MiB are free .* everything before is complete"):
         file.close()
     monkeypatch.undo()
     run = Run(tmp_path / "a.run")
