@@ -20,7 +20,7 @@ EDGE_HEADERS = ("edge", "forward", "reverse", "+-95 %", "passed", "hyst.", "jitt
 SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
 CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
 EDGE_TITLE = (
-    "Edge angles in electrical degrees; ideal: 0, 60 … 300; passed: forward/reverse passages;",
+    "Edge angles in electrical degrees; ideal: 0, 60 … 300; passed: forward/reverse;",
     "width: of the sector that starts there",
 )
 
@@ -63,7 +63,8 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     """Names and values of all that is no table of its own."""
     codes, turns, measured, emf = health.codes, health.turns, health.measured, health.emf
     rows = [
-        ["turned", f"{turned.how}: {turns.up:.1f} el. revolutions forward, {turns.down:.1f} reverse"],
+        ["turned", turned.how],
+        ["el. revolutions", f"{turns.up:.1f} forward, {turns.down:.1f} reverse"],
         ["data", f"{trace.samples} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
         ["illegal codes", f"{codes.illegal_samples} samples, {codes.illegal} edges; {codes.skipped} sectors skipped"],
     ]

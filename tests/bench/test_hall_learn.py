@@ -75,7 +75,7 @@ def test_edges_known_too_badly_are_refused_with_how_badly() -> None:
     rough = REAL.but(jitter_deg=1.2)
     short = ((60.0, 0.9), (0.0, 0.05), (-60.0, 0.9))
     with pytest.raises(
-        BenchError, match=r"one is known to \+-(\d\.\d\d) deg only \(95 %, [78] passages\), 0.5 deg are"
+        BenchError, match=r"certain is known to \+-(\d\.\d\d) deg \(95 %, [78] passages\); \+-0.5 deg are"
     ):
         learnt(examine(trace(capture(rough.but(turns=short)))))
     long = ((60.0, 9.0), (0.0, 0.05), (-60.0, 9.0))
@@ -245,7 +245,7 @@ def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest
     with pytest.raises(SystemExit) as ended:
         learn(device, "--yes", "--store")
     assert ended.value.code == 2
-    assert "bench hall learn --store needs the feature COMMIT: node 1 (simulated drive)" in capsys.readouterr().err
+    assert "bench hall learn --store needs the feature COMMIT; node 1 (simulated drive)" in capsys.readouterr().err
     assert device.bench.n < 16_000
 
 

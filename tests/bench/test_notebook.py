@@ -248,7 +248,7 @@ def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
             (lambda: rig.drive.speed(math.nan), "speed nan r/min is beyond the announced limit of 300 r/min"),
             (
                 lambda: rig.drive.current(2.0, -1.6),
-                r"current 2\.561 A is beyond the announced limit of 2\.5 A .*Envelope\(current=…\)",
+                r"current 2\.561 A is beyond the announced limit of 2\.5 A.*Envelope\(current=…\)",
             ),
             (lambda: rig.drive.set("i_max", 2.6), r"i_max 2\.6 A is beyond the announced limit of 2\.5 A"),
             (lambda: rig.load.speed(31.6), r"load\.speed 301\.8 r/min is beyond the announced limit of 300 r/min"),  # type: ignore[attr-defined]
