@@ -40,7 +40,7 @@ def check_output(path: Path, what: str, overwrite: bool, recording: bool = False
     except OSError as reason:
         raise error(f"{what} cannot be written: {reason.strerror}") from None
     if recording and not is_run(path):
-        raise BenchError(f"{what} exists: it is no recorded run, which could be replaced: choose another name")
+        raise BenchError(f"{what} exists: it is not a recorded run and is not replaced: choose another name")
     if stat.S_ISDIR(found.st_mode) and not recording:
         raise error(f"{what} cannot be written: it is a directory")
     if not overwrite and (recording or stat.S_ISREG(found.st_mode)):
@@ -73,7 +73,7 @@ def check_directory(path: Path, what: str, error: type[BenchError] = BenchError,
     except OSError as reason:
         raise error(f"{what} cannot be written: {reason.strerror}") from None
     if not stat.S_ISDIR(found.st_mode):
-        raise error(f"{what} cannot be written: {path} is no directory")
+        raise error(f"{what} cannot be written: {path} is not a directory")
     if not os.access(path, os.W_OK | os.X_OK):
         raise error(f"{what} cannot be written: Permission denied")
 

@@ -38,7 +38,7 @@ class DeviceDefect(RemoteProtocolError):
     """The device says something of itself that a host cannot work with. `what` names it, and the number."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"{what}: the firmware must be mended")
+        super().__init__(f"{what}: fix the firmware")
 
 
 class Refused(HbpError):

@@ -42,8 +42,8 @@ NOT_BEGUN = Phase(Verdict.SKIPPED)
 def judge(call: pytest.CallInfo[None], report: Any) -> Phase:
     """The phase that has just ended with `call`, of which pytest made `report`.
 
-    A test that is marked as one that fails (xfail) is judged like any other: a drive is no better for the mark. If it
-    passes against a strict mark, that is an ERROR of the test.
+    A test that is marked as one that fails (xfail) is judged like any other: the mark does not change the verdict. If
+    it passes against a strict mark, that is an ERROR of the test.
     """
     error = None if call.excinfo is None else call.excinfo.value
     marked = getattr(report, "wasxfail", None)

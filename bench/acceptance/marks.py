@@ -30,7 +30,7 @@ Test = TypeVar("Test", bound=Callable[..., Any])
 def limit(
     name: str, unit: str = "", *, lo: float | None = None, hi: float | None = None, about: str = "", of: str = ""
 ) -> pytest.MarkDecorator:
-    """Declare a measurement `name` in `unit` with what is allowed, both bounds included; None is no bound.
+    """Declare a measurement `name` in `unit` with what is allowed, both included; None is no limit.
 
     `of`: the bounds are shares of that rating of the drive, RATED_SPEED (r/min) or RATED_CURRENT (A). Raises ValueError
     for limits that are not finite or leave no room.
@@ -163,7 +163,7 @@ def announced(item: pytest.Item, ratings: Ratings) -> Envelope:
 
 
 def rated_by(item: pytest.Item) -> list[str]:
-    """The ratings that a test's limits and set points are shares of."""
+    """The ratings that a test's limits and setpoints are shares of."""
     mark = item.get_closest_marker(ENERGISES)
     asked = set() if mark is None else mark.args[0].rated_by()
     return sorted(asked | {limits.of for limits in declared_limits(item) if limits.of})

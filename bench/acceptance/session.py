@@ -129,7 +129,7 @@ class BenchSession:
             self.check_names()
             self._require_places()
             if self.settings.load == "person" and self._ask() is None:
-                raise BenchError('load = "person", and nobody can be asked: it needs person = true and a terminal')
+                raise BenchError('load = "person" needs person = true in bench.toml and a terminal')
             self._held.enter_context(signals_as_exceptions(KeyboardInterrupt))
             if self.target == SIM:
                 self.look()
@@ -137,7 +137,7 @@ class BenchSession:
                 if self.config.option.bench_config:
                     raise BenchError(f"--config is for the simulated drive, not for {self.target}")
                 if not self._collects:
-                    raise BenchError(f"{self.target} cannot be tested by several processes at once: leave out -n")
+                    raise BenchError(f"{self.target} cannot be tested by several processes at once: omit -n")
                 self._held.enter_context(alone_on(self.target, load_target(self.settings)))
                 require_agreement(
                     self.target,
@@ -290,7 +290,7 @@ class BenchSession:
         return {self._names[item.nodeid]: label_of(item) for item in self._known if item.nodeid not in chosen}
 
     def require(self, item: pytest.Item, rig: Rig) -> None:
-        """Skip the test if the rig has not what it needs."""
+        """Skip the test if the rig lacks what it needs."""
         lacking = [why for what in needed(item) if (why := missing(what, rig)) is not None]
         lacking += self.ratings.missing(rated_by(item))
         if lacking:

@@ -74,7 +74,7 @@ class Capture:
 
     def _require(self, channel: str) -> None:
         if channel not in self:
-            raise BenchError(f"channel '{channel}' is not in the stream; there are {', '.join(self.names)}")
+            raise BenchError(f"channel '{channel}' is not in the stream; it has {', '.join(self.names)}")
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class Capture:
         """Name of the channel that position estimates are compared with. BenchError without an encoder."""
         if name := reference_angle(self.samples.config.channels):
             return name
-        raise BenchError("the drive streams no reference position: the test needs an encoder")
+        raise BenchError("the drive streams no reference angle: the test needs an encoder")
 
     @cached_property
     def speed(self) -> str:

@@ -57,9 +57,9 @@ def narrowed(config: StreamConfig, channels: Collection[str] | None) -> StreamCo
         return config
     there = [channel.name for channel in config.channels]
     if not channels:
-        raise BenchError(f"no channel is asked for; there are {', '.join(there)}")
+        raise BenchError(f"no channel named; the stream has {', '.join(there)}")
     if lacking := [name for name in channels if name not in there]:
-        raise BenchError(f"channel '{lacking[0]}' is not in the stream; there are {', '.join(there)}")
+        raise BenchError(f"channel '{lacking[0]}' is not in the stream; it has {', '.join(there)}")
     return replace(config, channels=tuple(channel for channel in config.channels if channel.name in channels))
 
 

@@ -8,7 +8,7 @@ late makes both lead by as much, late Hall sensors make the edges lag alone. An 
 is the estimator's own doing.
 
 The angle by the back-EMF is off by what the inductance is wrong by, in proportion to the q current: that is fitted
-beside the delay, where the two can be told apart. It is also off by what the inverter's voltage is not known to, over
+beside the delay, where the two can be separated. It is also off by what the inverter's voltage is not known to, over
 the size of the back-EMF: at low speed more than a delay is worth, and then it counts as unknown. Nothing here judges a
 sensor's place.
 """
@@ -45,19 +45,19 @@ UNSURE = 0.03
 LEAST, MOST = 200, 500_000  # samples, and
 LEAST_EDGES, MOST_EDGES = 36, 300_000  # edges, that a delay is fitted to
 FAR = math.radians(30.0)  # from the others of its kind, from which on an edge is none of them
-ALIKE = 0.97  # correlation of speed and q current from which on their shares cannot be told apart
+ALIKE = 0.97  # correlation of speed and q current above which their effects cannot be separated
 LATE = 30e-6
 """s, from which on a delay is one: the fits are good to about 10 us."""
 AGREE = 25e-6  # s within which two delays are one
 
 
-ASK_BACK_EMF = "let the drive turn the motor faster, and record u_alpha, u_beta, i_a and i_b: the back-EMF tells which"
-ASK_EDGES = "record Hall edges at speeds that differ: they tell which"
-OF_ANOTHER_TIME = "currents and voltages are of another time"
+ASK_BACK_EMF = "let the drive turn the motor faster, and record u_alpha, u_beta, i_a and i_b: the back-EMF shows which"
+ASK_EDGES = "record Hall edges at several speeds: they show which"
+OF_ANOTHER_TIME = "currents and voltages are sampled at another time"
 
 
 class Delays(NamedTuple):
-    """By how many s Hall edges and back-EMF are later than the encoder; NaN where that is not known."""
+    """Delay in s of Hall edges and back-EMF against the encoder; NaN where unknown."""
 
     edges: float
     back_emf: float
@@ -139,23 +139,23 @@ def blame(found: Delays) -> tuple[Late, str]:
         return Late.NONE, ""
     edges_differ, emf_differs = _against(edges, "Hall edges", ""), _against(emf, "back-EMF", "s")
     if math.isnan(emf):
-        other = "they are late" if edges > 0.0 else "the stamps of samples are late against those of edges"
+        other = "they are late" if edges > 0.0 else "the time stamps of samples are late against those of edges"
         return Late.UNCLEAR, f"{edges_differ}: the encoder is {_late(-edges)}, or {other}; {ASK_BACK_EMF}"
     if math.isnan(edges):
         return Late.UNCLEAR, f"{emf_differs}: the encoder is {_late(-emf)}, or {OF_ANOTHER_TIME}; {ASK_EDGES}"
     if abs(edges - emf) < AGREE:
         return Late.ENCODER, f"the encoder is {_late(-emf)}: {emf_differs}, and {edges_differ}"
     if abs(emf) < LATE and edges > 0.0:
-        return Late.HALL, f"the Hall edges are {_late(edges)}: encoder and back-EMF agree against them"
+        return Late.HALL, f"the Hall edges are {_late(edges)}: encoder and back-EMF agree"
     if abs(emf) < LATE:
         return Late.UNCLEAR, (
-            f"{edges_differ}, and the back-EMF does not: no sensor sees an edge before it is there, so the stamps of "
-            f"samples are late against those of edges"
+            f"{edges_differ}, and the back-EMF does not: no sensor sees an edge before it happens, so the time stamps "
+            f"of samples are late against those of edges"
         )
     if abs(edges) < LATE:
         return Late.UNCLEAR, (
             f"{emf_differs}, and the Hall edges do not: encoder and Hall edges are both {_late(-emf)}, or "
-            f"{OF_ANOTHER_TIME}; the two cannot be told apart"
+            f"{OF_ANOTHER_TIME}; these data do not separate the two"
         )
     return Late.BOTH, (
         f"the encoder is {_late(-emf)} and the Hall edges are {_late(edges - emf)}, if the back-EMF is on time: "

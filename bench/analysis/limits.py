@@ -51,9 +51,9 @@ class Limits:
             if self.unit == YES_NO and limit not in (0, 1):
                 raise ValueError(f"{self.name}: the answer is 1 for yes or 0 for no, and the limit is {limit:.4g}")
         if self.of not in ("", RATED_SPEED, RATED_CURRENT):
-            raise ValueError(f"{self.name}: no rating '{self.of}': there are '{RATED_SPEED}' and '{RATED_CURRENT}'")
+            raise ValueError(f"{self.name}: no rating '{self.of}': use '{RATED_SPEED}' or '{RATED_CURRENT}'")
         if self.of and self.plus:
-            raise ValueError(f"{self.name}: limits are shares of the {self.of}, or wider by one of the {LOAD_ANGLE}")
+            raise ValueError(f"{self.name}: limits are shares of the {self.of} or widened by {LOAD_ANGLE}, not both")
         if self.lo is not None and self.hi is not None and self.lo > self.hi:
             raise ValueError(f"{self.name}: the lower limit {self.lo:.4g} is above the upper one, {self.hi:.4g}")
 
@@ -94,7 +94,7 @@ class Limits:
         if self.unit == YES_NO and (self.lo, self.hi) != (None, None):
             return " or ".join(self.told(answer) for answer in (1.0, 0.0) if self.allow(answer))
         unit = f" × {self.of}" if self.of else f" {self.unit}" if self.unit else ""
-        unit += f", wider by {self.plus:.4g} × {LOAD_ANGLE}" if self.plus else ""
+        unit += f", widened by {self.plus:.4g} × {LOAD_ANGLE}" if self.plus else ""
         if self.lo is not None and self.hi is not None:
             return f"= {self.lo:.4g}{unit}" if self.lo == self.hi else f"{self.lo:.4g} … {self.hi:.4g}{unit}"
         if self.hi is not None:

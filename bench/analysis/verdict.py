@@ -1,7 +1,7 @@
 """How a measurement, a test or a run ended.
 
-The verdicts are those of OpenHTF, which tell a bad motor from a broken bench, and INVALID: the data were not good
-enough to say either.
+The verdicts are those of OpenHTF, which separate a bad motor from a broken bench, plus INVALID: the data are
+insufficient for either.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ class Verdict(StrEnum):
     """How a measurement, a test or a run ended."""
 
     PASS = "PASS"
-    INCOMPLETE = "INCOMPLETE"  # of a run: all that was tested passed, and not all was tested
+    INCOMPLETE = "INCOMPLETE"  # of a run: all that was tested passed, but something was not tested
     FAIL = "FAIL"  # the drive is not as it should be
-    INVALID = "INVALID"  # the data are insufficient: samples were lost, the clock jumped, a sensor was saturated
+    INVALID = "INVALID"  # the data are insufficient for a verdict: samples lost, clock jump, saturated sensor
     ERROR = "ERROR"  # the bench is not as it should be
-    ABORTED = "ABORTED"  # somebody ended the run
-    SKIPPED = "SKIPPED"  # the rig has not what the test needs
+    ABORTED = "ABORTED"  # the run was interrupted
+    SKIPPED = "SKIPPED"  # the rig lacks what the test needs
 
 
 # The worst first; a failing drive stays a failing drive whatever else went wrong.

@@ -22,20 +22,20 @@ from protocol.text import printable
 
 _COMMANDS = {
     "live": "Stream a drive into rerun: watch it, spin it, record it.",
-    "view": "Open a recorded run in rerun, any part of it.",
-    "mark": "Mark a moment in a run that another terminal records.",
-    "plot": "Draw the standard figures of a recorded run.",
-    "compare": "Lay two recorded runs over each other: differences beyond noise.",
+    "view": "Open a recorded run, or part of it, in rerun.",
+    "mark": "Mark a moment in a run while another terminal records it.",
+    "plot": "Draw the standard plots of a recorded run.",
+    "compare": "Compare two recorded runs: differences beyond noise.",
     "export": "Export a recorded run: CSV, MDF 4, MATLAB, NumPy, rerun, Parquet.",
     "accept": "Run acceptance tests on a drive: limits, verdicts, a report.",
-    "conform": "Find out whether a device conforms to HBP, check by check.",
-    "hall": "Hall sensors: check their health, learn where their edges lie.",
-    "replay": "Run observers again on a recording, beside the drive's own.",
-    "score": "Score position observers on recordings: errors, lag, cost, ranked.",
-    "sim": "Run the simulated drive on its own, behind a pty, TCP or CAN.",
-    "devices": "List the ports and buses that a drive may be on, or who is on one.",
+    "conform": "Check whether a device conforms to HBP, the protocol.",
+    "hall": "Check the Hall sensors; learn their edge angles.",
+    "replay": "Run observers on a recording, beside the drive's own.",
+    "score": "Rank position observers on recordings by error, lag and cost.",
+    "sim": "Run the simulated drive on a pty, a TCP port or a CAN bus.",
+    "devices": "List available ports and buses, or the nodes on one.",
     "info": "Show a drive's identity, descriptor, parameters and health.",
-    "protocol": "HBP for other tools: a DBC file of the streams on a CAN bus.",
+    "protocol": "Write a DBC file of the streams on a CAN bus, for other tools.",
     "completion": "Print the shell completion script.",
 }
 
@@ -62,7 +62,7 @@ def cli() -> None:
     """Hardware-in-the-loop bench for PMSM drives with low-resolution Hall sensors.
 
     \b
-    Watch the simulated drive do the paper's manoeuvres, nothing to connect:
+    Watch the simulated drive run the paper's manoeuvres; no hardware needed:
       bench live
     Spin your own drive for 20 s and record it:
       bench live serial:/dev/ttyACM0 --speed 500 --duration 20 --save run.run
@@ -78,9 +78,9 @@ def fail(message: str, code: int) -> NoReturn:
 def main(args: list[str] | None = None) -> Any:
     """Entry point: runs the command; every error becomes one line and an exit code that is not 0.
 
-    Exit codes: 0 done; 1 the drive failed, or its link was lost; 2 a wrong argument, or an error of this program too;
+    Exit codes: 0 done; 1 the drive failed, or its link was lost; 2 a wrong argument, or an error of this program;
     3 the recording failed; 4 no viewer; 5 outputs may still be on; 6 acceptance incomplete; 128 + n a signal; 141
-    standard output was closed. With BENCH_TRACEBACK=1 an error that is not foreseen shows its traceback.
+    standard output was closed. With BENCH_TRACEBACK=1 an unexpected error prints its traceback.
     """
     with standard_streams(), none_dropped():
         try:
@@ -117,4 +117,4 @@ def _explain(error: Exception) -> NoReturn:
     if isinstance(error, OSError) and error.strerror:
         fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2)
     words = f"{type(error).__name__}: {error}".rstrip(": ")
-    fail(f"unexpected {words}; this is a defect of hallbench, and BENCH_TRACEBACK=1 shows where it is", 2)
+    fail(f"unexpected {words}; this is a bug in hallbench; set BENCH_TRACEBACK=1 for a traceback", 2)

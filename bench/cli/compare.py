@@ -1,4 +1,4 @@
-"""`bench compare`: two recorded runs laid over each other."""
+"""`bench compare`: the differences of two recorded runs."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 @click.argument("a", metavar="A", type=RUN)
 @click.argument("b", metavar="B", type=RUN)
 @click.option("--align", metavar="NAME", default="begin", show_default=True,
-              help="Time 0 of both: a mark, an event (START, FAULT, IDLE, …); NAME#2: the second one.")  # fmt: skip
-@click.option("--from", "begin", metavar="S", type=Number(), help="From so many s after time 0; may be negative.")
-@click.option("--to", "end", metavar="S", type=Number(), help="Up to so many s after time 0.")
-@click.option("--channels", metavar="NAMES", help="Compare only these, separated by commas (default: all in common).")
+              help="Time 0 in both: a mark or an event (START, FAULT, …); NAME#2: the second one.")  # fmt: skip
+@click.option("--from", "begin", metavar="S", type=Number(), help="Start S seconds after time 0; may be negative.")
+@click.option("--to", "end", metavar="S", type=Number(), help="Stop S seconds after time 0.")
+@click.option("--channels", metavar="A,B,…", help="Compare only these channels [default: all in common].")
 @click.option("--viewer", type=click.Choice(["none", "auto", "native", "web"]), default="none", show_default=True,
-              help="Show both in rerun too; auto: native on a display, else web.")  # fmt: skip
-@click.option("--web-port", type=click.IntRange(1, 65535),
-              help="Port of the web viewer (default: the first free one from 9090).")  # fmt: skip
-@click.option("--save", metavar="FILE", type=FILE, help="Write both as an .rrd for rerun's viewer.")
+              help="Show both in rerun too; auto: native if there is a display, otherwise web.")  # fmt: skip
+@click.option("--web-port", metavar="PORT", type=click.IntRange(1, 65535),
+              help="Port of the web viewer [default: first free port from 9090].")  # fmt: skip
+@click.option("--save", metavar="FILE", type=FILE, help="Write both runs to an .rrd file for rerun.")
 @json_option("the differences")
 @overwrite_option
 def command(
@@ -45,11 +45,12 @@ def command(
     overwrite: bool,
     **shown: str | int | Path | None,
 ) -> None:
-    """Lay two recorded runs over each other, and tell which differences are more than noise.
+    """Compare two recorded runs and report the differences that exceed noise.
 
-    Prints B less A of every channel that both have in the same unit, and of every position error, over the time that
-    both have, with the standard error of the difference by batch means; beyond 3 of them it "differs". Then the events
-    and parameters in which the runs differ. The table is all, unless --viewer or --save asks for pictures.
+    Prints the mean of B minus A for every channel that both runs have in the same unit, and for every position error,
+    over the time they have in common, with the standard error of the difference (from batch means). A difference of
+    more than 3 standard errors is marked "differs". Events and parameters that differ follow. Use --viewer or --save to
+    see both runs in rerun.
 
     \b
     Examples:

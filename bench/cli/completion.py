@@ -11,7 +11,7 @@ from bench.cli.streams import echo
 @click.command("completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def command(shell: str) -> None:
-    """Print the completion script for SHELL.
+    """Print the completion script of a shell.
 
     \b
     Example:

@@ -30,36 +30,40 @@ SHORT = 100  # characters of the evidence of a check that passed, in the table
 @click.command("conform")
 @click.argument("target", type=TARGET)
 @click.option("--level", type=click.IntRange(0, len(LEVELS) - 1), default=DEFAULT_LEVEL, show_default=True,
-              help="Run all checks up to this level; outputs go on from 3, the shaft turns from 4.")  # fmt: skip
+              metavar="N", help="Highest level to run; 3 energises the drive, 4 turns the shaft.")  # fmt: skip
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=100.0, show_default=True,
-              help="Speed at which level 4 turns the motor, r/min.")  # fmt: skip
+              help="Motor speed at level 4, r/min.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
-@json_option("every check")
-@click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, a case for each check.")
-@click.option("--report", metavar="FILE", type=FILE, help="Write one HTML file: the device, and each check's evidence.")
+@json_option("all checks")
+@click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, one test case per check.")
+@click.option(
+    "--report", metavar="FILE", type=FILE, help="Write an HTML report: the device, and the evidence of each check."
+)
 @overwrite_option
-@click.option("--operator", metavar="NAME", default="", help="Who runs this, for the report.")
+@click.option(
+    "--operator", metavar="NAME", default="", help="Operator's name, for the report [default: from bench.toml]."
+)
 def command(
     target: str, json_file: Path | None, junit: Path | None, report: Path | None, overwrite: bool, **given: Any
 ) -> None:
-    """Find out whether the device on TARGET conforms to HBP (protocol/SPEC.md), check by check.
+    """Check whether the device on TARGET conforms to HBP, the protocol (protocol/SPEC.md).
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim.
 
     \b
-    Levels, each with all below it:
-      0  frames, damage, the order of checks, retries
+    Levels; each includes those below it:
+      0  framing, damaged frames, error precedence, retries
       1  identity, descriptor, parameters, heartbeat, clock
-      2  streams, and the account of what is lost: the default
-      3  states, STOP, watchdog, setpoints of zero: outputs go on, at zero current
-      4  motion at --speed, STOP and watchdog while it turns
-      5  CAN: on a bus, what needs no more is run at the lower levels too
+      2  streams, and the counting of lost frames (default)
+      3  states, STOP, watchdog, zero setpoints: outputs on, at zero current
+      4  motion at --speed; STOP and watchdog while turning
+      5  CAN; on a bus, most CAN checks already run at lower levels
 
-    Parameters and streams are left as they were, and outputs off. A check that did not see what it looks for is
-    unknown, never passed; the claim at the end names it.
+    Parameters and streams are restored, and outputs are left off. A check that did not observe what it looks for is
+    unknown, not passed; the result at the end names it.
 
-    Exit codes: 0 no check failed, 1 a check failed or the link was lost, 2 a wrong argument or an error, 5 outputs may
-    still be on, 6 none failed, but a level was run and is not shown (START was refused), 130 interrupted.
+    Exit codes: 0 no check failed, 1 a check failed or the link was lost, 2 wrong argument or error, 5 outputs may still
+    be on, 6 no check failed, but a level could not be shown (for example START was refused), 130 interrupted.
 
     \b
     Examples:
@@ -68,7 +72,7 @@ def command(
       bench conform sim --level 4 --json
     """
     if junit == STANDARD_OUTPUT or report == STANDARD_OUTPUT:
-        raise click.UsageError("only --json goes to standard output: give a file to --junit and --report")
+        raise click.UsageError("only --json can go to standard output: give file names to --junit and --report")
     check_files({"--json": json_file, "--junit": junit, "--report": report}, overwrite)
     from bench.conforming.claim import about, as_data, claim, exit_code
     from bench.conforming.junit import as_xml

@@ -1,4 +1,4 @@
-"""`bench devices`: the ports and buses that a drive may be on, and who is on one of them."""
+"""`bench devices`: the available ports and buses, and the nodes on one of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DETECTION = 2.0  # s
 @json_option("the list")
 @overwrite_option
 def command(target: str | None, json_file: Path | None, overwrite: bool) -> None:
-    """List serial ports and CAN interfaces with the target string of each; with TARGET, the nodes on that link or bus.
+    """List serial ports and CAN interfaces as targets; with TARGET, list the nodes on it.
 
     \b
     Examples:
@@ -36,12 +36,12 @@ def command(target: str | None, json_file: Path | None, overwrite: bool) -> None
         headers, keys = ["target", "description", "USB id", "serial number"], list(_PORT)
         nothing = (
             "no serial ports and no CAN interfaces found; `bench live` runs the simulated drive, "
-            "tcp:HOST:PORT reaches one on the network"
+            "tcp:HOST:PORT connects to a drive on the network"
         )
     else:
         rows, advice = _nodes(target)
         headers, keys = ["node", "role", "name", "firmware", "serial", "build", "state", "boot"], list(_NODE)
-        nothing = f"nobody who speaks HBP answered on {target}: {advice}"
+        nothing = f"no HBP device answered on {target}: {advice}"
     if json_file is not None:
         write_json(json_file, rows)
     elif not rows and target is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import Number
+from bench.cli.number import FROM_HELP, TO_HELP, Number
 from bench.cli.streams import note
 from bench.exports import ENDINGS
 
@@ -16,12 +16,14 @@ from bench.exports import ENDINGS
 @click.command("export")
 @click.argument("run", metavar="RUN", type=RUN)
 @click.option("-o", "--out", metavar="FILE", type=FILE, required=True,
-              help="The file to write; it may tell the format by its ending.")  # fmt: skip
-@click.option("--format", "named", type=click.Choice(list(ENDINGS)), help="The format (default: as FILE ends).")
-@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
-@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
-@click.option("--channels", metavar="A,B", help="Only these channels, and the edges and marks (default: all).")
-@json_option("the files and counts")
+              help="File to write; its extension selects the format.")  # fmt: skip
+@click.option(
+    "--format", "named", type=click.Choice(list(ENDINGS)), help="Format [default: from the extension of FILE]."
+)
+@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
+@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
+@click.option("--channels", metavar="A,B,…", help="Export only these channels, with edges and marks [default: all].")
+@json_option("file names and row counts")
 @overwrite_option
 def command(
     run: Path,
@@ -33,11 +35,11 @@ def command(
     json_file: Path | None,
     overwrite: bool,
 ) -> None:
-    """Export a recorded run for other tools: names, units, times, gaps and marks are kept.
+    """Export a recorded run for other tools, with names, units, times, gaps and marks.
 
-    FILE ends in .csv, .mf4 (MDF 4), .mat (MATLAB), .npz (NumPy), .rrd (rerun) or .parquet. For .csv and .parquet each
-    table has a file of its own beside FILE, as FILE-edges. What is stored in RUN pandas, DuckDB and MATLAB open as it
-    is: see docs/recordings.md.
+    FILE ends in .csv, .mf4 (MDF 4), .mat (MATLAB), .npz (NumPy), .rrd (rerun) or .parquet. With .csv and .parquet,
+    other tables go to files beside FILE, such as FILE-edges. pandas, DuckDB and MATLAB can also read the files in RUN
+    directly: see docs/recordings.md.
 
     \b
     Examples:
@@ -46,9 +48,9 @@ def command(
     """
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
-        raise click.UsageError("--channels names none: give names separated by commas")
+        raise click.UsageError("--channels is empty: give names separated by commas")
     if str(out) == "-":
-        raise click.UsageError("--out -: an export needs a file")
+        raise click.UsageError("--out -: an export cannot go to standard output; give a file name")
     check_files({"--out": out, "--json": json_file}, overwrite, [run])
     from bench.cli.output import pairs
     from bench.exports.export import as_json, export

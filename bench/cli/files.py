@@ -17,7 +17,7 @@ from bench.device.simulator import configuration, shipped
 from bench.files import STANDARD_OUTPUT, check_output, finite, write
 
 FILE = click.Path(dir_okay=False, path_type=Path)
-"""A file that may not be there yet."""
+"""A file that may not exist yet."""
 DIRECTORY = click.Path(file_okay=False, path_type=Path)
 RUN = click.Path(path_type=Path)
 """A recorded run, which is a folder, or where one is to be."""
@@ -33,7 +33,7 @@ class _JsonFile(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Read it, or say why not."""
         if _ARGUMENT.match(str(value)):
-            raise click.UsageError(f"--json takes {value} as the file to write: put it last, or give --json=-", ctx)
+            raise click.UsageError(f"--json would write to a file named {value}: put --json last, or use --json=-", ctx)
         return super().convert(value, param, ctx)
 
 
@@ -42,7 +42,7 @@ def json_option(what: str) -> Callable[[Command], Command]:
     return click.option(
         "--json", "json_file", metavar="[FILE]", is_flag=False, flag_value="-",
         type=_JsonFile(dir_okay=False, allow_dash=True, path_type=Path),
-        help=f"Write {what} as JSON to FILE; without FILE, or for -, to standard output.",
+        help=f"Write {what} as JSON to FILE; to standard output if FILE is omitted or -.",
     )  # fmt: skip
 
 
@@ -55,9 +55,7 @@ class _Configuration(click.Path):
         if file.suffix != ".toml" and not file.exists():
             near = difflib.get_close_matches(str(value), shipped(), n=1, cutoff=0.3)
             hint = f"did you mean {near[0]}? " if near else ""
-            self.fail(
-                f"no file and no motor '{value}'; {hint}bench sim --motors lists those that are shipped", param, ctx
-            )
+            self.fail(f"no file and no motor named '{value}'; {hint}bench sim --motors lists the motors", param, ctx)
         return super().convert(str(file), param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -68,10 +66,10 @@ class _Configuration(click.Path):
 
 config_option = click.option(
     "--config", metavar="FILE|MOTOR", type=_Configuration(exists=True, dir_okay=False, path_type=Path),
-    help="The simulated drive: a TOML file, or a motor of bench sim --motors.",
+    help="Configuration of the simulated drive: a TOML file, or a motor that bench sim --motors lists.",
 )  # fmt: skip
 """`--config`, the same for every command that may start a simulated drive."""
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace output files that exist.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing output files.")
 """`--overwrite`, the same for every command that writes files."""
 
 
@@ -99,17 +97,17 @@ def check_files(
     for option, path in paths.items():
         file = os.path.realpath(path)
         if file in read:
-            raise click.UsageError(f"{option} {path} is a file that is read: choose another name")
+            raise click.UsageError(f"{option} {path} is also an input: choose another name")
         if file in written:
-            raise click.UsageError(f"{written[file]} and {option} are the same file, {path}: choose another name")
+            raise click.UsageError(f"{written[file]} and {option} name the same file, {path}: choose another name")
         written[file] = option
     for option, path in paths.items():
         if path == STANDARD_OUTPUT and option in recordings:
-            raise click.UsageError(f"{option} -: a recording needs a file")
+            raise click.UsageError(f"{option} -: a recording cannot go to standard output; give a name")
         if path != STANDARD_OUTPUT:
             check_output(path, f"{option} {path}", overwrite, option in recordings)
 
 
 def write_json(path: Path, data: object) -> None:
-    """Write plain data to a file of `--json`; numbers that JSON has not are null. Raises BenchError."""
+    """Write plain data to a file of `--json`; numbers that JSON lacks are null. Raises BenchError."""
     write(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n", f"--json {path}")

@@ -1,4 +1,4 @@
-"""`bench hall`: are the Hall sensors healthy, and where do their edges lie?"""
+"""`bench hall`: health and edge angles of the Hall sensors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 
 from bench.cli import fail
 from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
-from bench.cli.number import Number
+from bench.cli.number import FROM_HELP, TO_HELP, Number
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
 from bench.errors import Interrupted, OutputsMayBeOn
@@ -49,21 +49,23 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
     for decorate in reversed((
         click.argument("source", metavar="TARGET|RUN", type=_SourceType()),
         click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=240.0, show_default=True,
-                     help="Highest speed at which the shaft turns both ways, r/min."),
+                     help="Highest speed, forward and reverse, r/min."),
         click.option("--current", "current_a", metavar="A", type=Number(above=0),
-                     help="Largest phase current, A, peak [default: 2, or what the drive allows]."),
+                     help="Highest phase current, A peak [default: 2, or the drive's limit if lower]."),
         click.option("--passive", "--no-spin", "passive", is_flag=True,
-                     help="Energise nothing: the shaft is turned by hand."),
+                     help="Do not energise the drive: turn the shaft by hand."),
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
-                     help="With --passive: watch for S seconds at most."),
-        click.option("--from", "begin", metavar="S", type=Number(), help="Of a recording: from this device time, s."),
-        click.option("--to", "end", metavar="S", type=Number(), help="Of a recording: up to this device time, s."),
+                     help="With --passive: stop after S seconds at the latest."),
+        click.option("--from", "begin", metavar="S", type=Number(), help=f"RUN only: {FROM_HELP}"),
+        click.option("--to", "end", metavar="S", type=Number(), help=f"RUN only: {TO_HELP}"),
         click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
-        click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun."),
+        click.option("--save", metavar="RUN", type=RUN,
+                     help="Record to this folder; NAME.rrd also writes a file for rerun."),
         overwrite_option,
         config_option,
-        click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording."),
-        json_option("everything"),
+        click.option("--operator", metavar="NAME", default="",
+                     help="Operator's name, stored in the recording [default: from bench.toml]."),
+        json_option("all results"),
     )):  # fmt: skip
         function = decorate(function)
     return function
@@ -71,7 +73,7 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
 
 @click.group("hall")
 def command() -> None:
-    """Hall sensors: check their health, learn where their edges lie.
+    """Check the Hall sensors; learn their edge angles.
 
     \b
     Examples:
@@ -83,13 +85,14 @@ def command() -> None:
 @command.command("check")
 @_looking
 def check(source: str, json_file: Path | None, **given: Any) -> None:
-    """Find out whether the Hall sensors, their wires and the encoder are healthy, and what is wrong.
+    """Check the Hall sensors, their wiring and the encoder, and name the fault.
 
-    TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim, the simulated drive in virtual time. Its
-    motor turns slowly both ways, by the encoder where there is one, at no more than --speed and --current; a drive that
-    trips meanwhile is recorded all the same. RUN: a recording in which the shaft turned both ways.
+    TARGET: serial:/dev/ttyACM0, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive, in virtual time). The
+    motor turns slowly forward and reverse, within --speed and --current; the control uses the encoder if there is one.
+    If the drive trips, what was recorded is still evaluated. RUN: a recording in which the shaft turned forward and
+    reverse.
 
-    Exit codes: 0 healthy, 1 a fault was found, 2 cannot tell, or an error, 5 outputs may still be on.
+    Exit codes: 0 healthy, 1 fault found, 2 inconclusive, or error, 5 outputs may still be on.
 
     \b
     Examples:
@@ -113,18 +116,20 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
     type=click.Choice(WAYS),
     default="encoder",
     show_default=True,
-    help="Who says where they lie: the encoder; the Kalman filter of edge-kalman, run here over what was recorded; or "
-    "the drive's own one, by what it has learned so far: nothing turns.",
+    help="What measures the edge angles: the encoder; the Kalman filter edge-kalman, run here on the recorded data; "
+    "or the same filter in the drive, read out without turning the motor.",
 )
-@click.option("--motor", is_flag=True, help="With --by filter or drive: psi_f_hat, R_s_hat, L_s_hat too, as learned.")
-@click.option("--write", is_flag=True, help="Set the drive's edge_up_1 … edge_down_6 and edge_sd, and read them back.")
-@click.option("--store", is_flag=True, help="Write, and have the drive keep all its parameters for the next boot.")
-@click.option("--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for a firmware.")
+@click.option("--motor", is_flag=True, help="With --by filter or drive: also take psi_f_hat, R_s_hat and L_s_hat.")
+@click.option(
+    "--write", is_flag=True, help="Write edge_up_1 … edge_down_6 and edge_sd to the drive, and read them back."
+)
+@click.option("--store", is_flag=True, help="Like --write; the drive also stores all its parameters permanently.")
+@click.option("-o", "--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for firmware.")
 def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Path | None, **given: Any) -> None:
-    """Find where the Hall edges lie, for observers that know them; refused where a check finds a fault.
+    """Measure the edge angles of the Hall sensors, for observers that use them.
 
-    TARGET and RUN are those of bench hall check. Without --write and --out the edges are only shown. A drive keeps what
-    was written until it is switched off, and longer with --store.
+    TARGET and RUN: see bench hall check --help. Refused if the check finds a fault. Without --write or --out,
+    the result is only shown. The drive keeps written values until it loses power; with --store, permanently.
 
     \b
     Examples:
@@ -140,16 +145,16 @@ def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Pa
     write = write or given["store"]
     options = _options(source, given | {"write": write}, {"--json": json_file, "--out": out})
     if motor and options.by == "encoder":
-        raise click.UsageError("--motor: an encoder says nothing of the motor: give --by filter or --by drive")
+        raise click.UsageError("--motor: the encoder does not measure motor parameters; use --by filter or --by drive")
     if options.passive and options.by == "filter":
-        raise click.UsageError("--passive: with the outputs off the filter sees no voltage: give --by encoder")
+        raise click.UsageError("--passive: the filter needs voltages, and the outputs are off; use --by encoder")
     if write and source == "sim":
         raise click.UsageError(
-            "--write: the simulated drive ends with this command, and forgets what was written: give --out FILE, "
-            "for the --config of another run"
+            "--write: the simulated drive exists only during this command; use --out FILE, and --config FILE in the "
+            "next run"
         )
     if write and options.recorded:
-        raise click.UsageError(f"--write needs a drive, and {source} is a recording: give --out FILE")
+        raise click.UsageError(f"--write needs a drive, but {source} is a recording; use --out FILE")
     say = note if json_file == STANDARD_OUTPUT else echo
     with Progress() as screen, _opened(options, screen) as found:
         edges = _learnt(source, found, options, motor, json_file, screen)
@@ -160,7 +165,7 @@ def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Pa
             say(f"{learning.write(found.drive, edges)} parameters written to node {found.drive.number} and read back")
         if options.store and found.drive is not None:
             found.drive.store()
-            say(f"node {found.drive.number} keeps its parameters for the next boot")
+            say(f"node {found.drive.number} stored its parameters")
 
 
 def _learnt(
@@ -181,7 +186,7 @@ def _learnt(
         write_json(json_file, {"source": source, **told})
     screen.pause()
     if json_file != STANDARD_OUTPUT:
-        pairs(f"Lessons of {source}", [["learned by", learned.whose]])
+        pairs(f"Learned from {source}", [["learned by", learned.whose]])
         table(lessons.HEADERS, lessons.rows(learned))
     return learning.taught(learned, motor)
 
@@ -196,9 +201,9 @@ def _options(source: str, given: dict[str, Any], outputs: dict[str, Path | None]
     if options.config is not None and source != "sim":
         raise click.UsageError(f"--config is for the simulated drive, not for {source}")
     if options.recorded and (options.save is not None or options.passive):
-        raise click.UsageError(f"{source} is a recording: --save and --passive are for a drive")
+        raise click.UsageError(f"{source} is a recording: --save and --passive need a drive")
     if not options.recorded and (options.begin, options.end) != (None, None):
-        raise click.UsageError(f"{source} is a drive: --from and --to are for a recording")
+        raise click.UsageError(f"{source} is a drive: --from and --to need a recording")
     return options
 
 

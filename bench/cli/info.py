@@ -16,10 +16,10 @@ from protocol.text import counted, told
 
 @click.command("info")
 @click.argument("target", type=TARGET)
-@json_option("all of it")
+@json_option("all of this")
 @overwrite_option
 def command(target: str, json_file: Path | None, overwrite: bool) -> None:
-    """Show identity, channels, parameters and health of every node on TARGET. Changes nothing in the drive.
+    """Show identity, channels, parameters and health of every node on TARGET. Read-only.
 
     \b
     Examples:
@@ -78,10 +78,10 @@ def _show_bus(target: str, bus: dict[str, Any]) -> None:
     pairs(f"the bus of {target}, watched for a second", bus_rows(bus))
     echo()
     if not bus["fits"]:
-        echo(f"no stream of node {bus['fits_node']} fits on it beside its Hall edges: it is too slow")
+        echo(f"the bus is too slow: beside the Hall edges, no stream of node {bus['fits_node']} fits")
         return
     table(
-        [f"what fits on it of node {bus['fits_node']}", "rate, Hz", "load at most"],
+        [f"streams of node {bus['fits_node']} that fit", "rate, Hz", "max. load"],
         [[counted(fit["channels"], "channel"), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
     )
     echo()

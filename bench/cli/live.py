@@ -1,4 +1,4 @@
-"""`bench live`: stream a drive into rerun, spin it on request, sum the run up."""
+"""`bench live`: stream a drive into rerun, spin it on request, summarise the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from protocol.signals import SOURCE_NAMES
 
 
 class Observer(click.Choice[str]):
-    """A name of an observer, written with - or _; of one that is not in the protocol's table too."""
+    """A name of an observer, written with - or _; also one that the protocol's table lacks."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Read it, or say why not."""
@@ -33,65 +33,75 @@ class Observer(click.Choice[str]):
 
 @click.command("live")
 @click.argument("target", required=False, type=TARGET)
-@click.option("--speed", "speed_rpm", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min.")
+@click.option(
+    "--speed", "speed_rpm", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min; negative: reverse."
+)
 @click.option(
     "--load",
     "load_a",
     metavar="A",
     type=Number(),
-    help="Load torque, as the q current that it takes, A; needs a load machine.",
+    help="Load torque, given as q current, A; needs a load machine.",
 )
-@click.option("--observer", type=Observer(list(SOURCE_NAMES)), help="Angle that the drive's control uses.")
+@click.option(
+    "--observer", type=Observer(list(SOURCE_NAMES)), help="Angle source of the drive's control [default: unchanged]."
+)
 @click.option(
     "--duration",
     metavar="S",
     type=Number(above=0),
-    help="End by itself after S seconds; the show is cut short or played again.",
+    help="Stop after S seconds; limits the show, or repeats it.",
 )
-@click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd: and a file for rerun.")
+@click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd also writes a file for rerun.")
 @overwrite_option
 @click.option("--keep", metavar="TIME", type=Duration(LEAST),
-              help="Keep the last TIME (such as 2h), and 70 s around faults, triggers and marks.")  # fmt: skip
+              help="Keep only the last TIME (such as 2h), and 70 s around faults, triggers and marks.")  # fmt: skip
 @click.option("--split", metavar="TIME", type=Duration(SHORTEST),
-              help="Begin a new run after each TIME: NAME-001.run, …")  # fmt: skip
+              help="Start a new run every TIME (such as 1h): NAME-001.run, …")  # fmt: skip
 @click.option("--trigger", metavar="COND", multiple=True,
-              help="Mark the run where this begins to hold, as 'i_q>8' or 'abs(i_q)>8'; repeatable.")  # fmt: skip
-@click.option("--note", metavar="TEXT", default="", help="What this run is about, for the recording.")
-@click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto",
-              help="auto: native on a display, else web.")  # fmt: skip
+              help="Mark the run when this becomes true, such as 'i_q>8' or 'abs(i_q)>8'; repeatable.")  # fmt: skip
+@click.option("--note", metavar="TEXT", default="", help="Note to store in the recording.")
+@click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto", show_default=True,
+              help="rerun viewer; auto: native if there is a display, otherwise web.")  # fmt: skip
 @click.option(
     "--web-port",
+    metavar="PORT",
     type=click.IntRange(1, 65535),
-    help="Port of the web viewer (default: the first free one from 9090).",
+    help="Port of the web viewer [default: first free port from 9090].",
 )
 @click.option(
     "--channels",
     metavar="A,B,…",
-    help="Stream only these channels; +A,+B: these too (default: all but those on request).",
+    help="Stream only these channels; +A,+B adds to the default [default: all except those on request].",
 )
 @click.option(
     "--rate",
     "rate_hz",
     metavar="HZ",
     type=Number(above=0),
-    help="Sample rate (default: every PWM period).",
+    help="Sample rate, Hz [default: one sample per PWM period].",
 )
-@click.option("--fit", is_flag=True, help="If the link cannot carry that: the highest rate that fits.")
+@click.option("--fit", is_flag=True, help="If the link cannot carry this rate, use the highest that fits.")
 @click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
-@click.option("--clear-faults", is_flag=True, help="First clear the faults that the drive shows.")
+@click.option("--clear-faults", is_flag=True, help="Clear latched faults first.")
 @click.option(
     "--host-observers",
     is_flag=True,
-    help="Run the observers on the host too and compare them with the drive's.",
+    help="Run the drive's observers on the host too, and compare the estimates.",
 )
 @click.option(
     "--estimate",
     metavar="NAME",
     multiple=True,
-    help="Run this observer on the host and show it beside the drive's; see bench replay --list; repeatable.",
+    help="Run this observer on the host and show its estimate; bench replay --list names them; repeatable.",
 )
 @config_option
-@click.option("--operator", metavar="NAME", default="", help="Who runs this, for the recording.")
+@click.option(
+    "--operator",
+    metavar="NAME",
+    default="",
+    help="Operator's name, stored in the recording [default: from bench.toml].",
+)
 @json_option("the summary")
 def command(
     target: str | None,
@@ -103,11 +113,13 @@ def command(
 ) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
-    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim. Without TARGET the simulated
-    drive plays a short show: start-up, speed step and load step with the average-speed estimator, then with the
-    vector-tracking observer.
+    TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive). Without
+    TARGET, the simulated drive runs a short show: start-up, speed step and load step, first with the average-speed
+    observer, then with the vector-tracking observer.
 
-    Ctrl-C ends a run with the outputs off and everything recorded; the exit code is then 130, whatever the options.
+    Without --speed and --load, a drive given as TARGET is only watched, not energised.
+
+    Ctrl-C switches the outputs off, completes the recording and exits with code 130.
 
     \b
     Examples:
@@ -122,19 +134,21 @@ def command(
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
     if given["observer"] and given["speed_rpm"] is None and given["load_a"] is None:
-        raise click.UsageError("--observer goes with --speed or --load: without them the drive is only watched")
+        raise click.UsageError("--observer needs --speed or --load: without them the drive is only watched")
     for option in ("keep", "split", "note"):
         if given[option] and given["save"] is None:
-            raise click.UsageError(f"--{option} goes with --save: nothing is recorded without it")
+            raise click.UsageError(f"--{option} needs --save: nothing is recorded without it")
     if given["keep"] and given["split"]:
-        raise click.UsageError("--keep or --split: a ring is one run")
+        raise click.UsageError("--keep and --split exclude each other: --keep writes one run")
     if given["split"] and given["save"].suffix == RRD:
-        raise click.UsageError("--split makes runs, such as NAME-001.run: give --save NAME.run; bench view opens them")
+        raise click.UsageError(
+            "--split cannot write .rrd files: use --save NAME.run and open the parts with bench view"
+        )
     for text in given["trigger"]:
         Condition.parse(text)
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
     if names == ():
-        raise click.UsageError("--channels names none: give names separated by commas")
+        raise click.UsageError("--channels is empty: give names separated by commas")
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config], recordings=["--save"])
     from bench.rig.settings import read_settings

@@ -15,12 +15,12 @@ from bench.cli.streams import echo
 @click.argument("run", metavar="RUN", type=RUN)
 @click.argument("text")
 @click.option("--at", "seconds", metavar="S", type=Number(),
-              help="Mark this device time, s, in a run that is not being recorded.")  # fmt: skip
+              help="Device time to mark, s, in a finished run [default: now, in a running one].")  # fmt: skip
 def command(run: Path, text: str, seconds: float | None) -> None:
-    """Mark this moment in a run that another terminal records.
+    """Mark a moment in a run while another terminal records it, or later.
 
-    The mark is confirmed by the program that records, with the device time of this moment; what is around it stays in
-    a ring (bench live --keep). Of a run that is split, the newest part is marked.
+    The recording program confirms the mark and its device time. bench live --keep keeps the data around a mark. In a
+    run recorded with --split, the newest part is marked.
 
     \b
     Examples:
@@ -28,7 +28,7 @@ def command(run: Path, text: str, seconds: float | None) -> None:
       bench mark a.run 'load came on here' --at 12.5
     """
     if not text.strip():
-        raise click.UsageError("TEXT is empty: say what is marked")
+        raise click.UsageError("TEXT is empty: describe what the mark is for")
     from bench.recording.marks import add, ask, newest
     from bench.recording.reader import Run
 

@@ -1,4 +1,4 @@
-"""Numbers on the command line: finite, above a bound where one is given."""
+"""Numbers on the command line: finite, and above a lower limit if there is one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import re
 from typing import Any
 
 import click
+
+FROM_HELP = "First device time to include, s [default: start of the run]."
+TO_HELP = "Last device time to include, s [default: end of the run]."
 
 
 class Number(click.ParamType[float]):
@@ -45,7 +48,7 @@ class Duration(click.ParamType[float]):
         """Read it, or say why not."""
         found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|m|min|h|d)?\s*", str(value))
         if found is None:
-            self.fail(f"'{value}' is no duration: give a number with s, min, h or d, such as 2h", param, ctx)
+            self.fail(f"'{value}' is not a duration: give a number with s, min, h or d, such as 2h", param, ctx)
         seconds = float(found[1]) * _SECONDS[found[2] or ""]
         if not self._least <= seconds < math.inf:
             self.fail(f"must be {self._least:g} s or more, got {value}", param, ctx)

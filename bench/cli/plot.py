@@ -1,4 +1,4 @@
-"""`bench plot`: the standard figures of a recorded run."""
+"""`bench plot`: the standard plots of a recorded run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from bench.cli.files import DIRECTORY, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import Number
+from bench.cli.number import FROM_HELP, TO_HELP, Number
 from bench.cli.streams import note
 from bench.errors import BenchError
 from bench.files import RUN as SUFFIX
@@ -16,11 +16,13 @@ from bench.files import STANDARD_OUTPUT, check_directory, check_output
 
 @click.command("plot")
 @click.argument("run", metavar="RUN", type=RUN)
-@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
-@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
-@click.option("-o", "--out", metavar="DIR", type=DIRECTORY, help="Where to (default: RUN.figures); made if needed.")
-@click.option("--svg", is_flag=True, help="Write SVG in place of PNG.")
-@json_option("what the figures show")
+@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
+@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
+@click.option(
+    "-o", "--out", metavar="DIR", type=DIRECTORY, help="Folder for the plots, created if needed [default: RUN.figures]."
+)
+@click.option("--svg", is_flag=True, help="Write SVG instead of PNG.")
+@json_option("the plotted values")
 @overwrite_option
 def command(
     run: Path,
@@ -31,22 +33,22 @@ def command(
     json_file: Path | None,
     overwrite: bool,
 ) -> None:
-    """Draw the standard figures of a recorded run, each a file.
+    """Draw the standard plots of a recorded run, one file each.
 
     \b
-    spectrum        currents over frequency: harmonics and distortion, over the
+    spectrum        spectrum, harmonics and THD of the currents during the
                     longest stretch of steady speed
-    error_by_angle  error of each position estimate over the electrical angle
-    error_by_speed  the same over the speed
-    current_plane   i_d and i_q, their references and the limit
-    hall_edges      where the Hall edges lie, and where they belong
+    error_by_angle  position error of each estimate against electrical angle
+    error_by_speed  position error of each estimate against speed
+    current_plane   i_d and i_q, their references and the current limit
+    hall_edges      measured and ideal edge angles of the Hall sensors
 
-    A figure that the run's channels do not allow is left out, and why is said. An error if none can be drawn.
+    A plot whose channels the run lacks is skipped with the reason. If none can be drawn, the command fails.
 
     \b
     Examples:
       bench plot a.run
-      bench plot a.run --from 2 --to 8 -o figures --svg
+      bench plot a.run --from 2 --to 8 -o plots --svg
     """
     check_files({"--json": json_file}, overwrite, [run])
     from bench.figures.plot import NAMES, draw_all, write
@@ -66,7 +68,7 @@ def command(
     for words in opened.damage:
         note(f"warning: {words}")
     if not any(each.figure for each in drawn):
-        raise BenchError(f"no figure of {run} can be drawn: {'; '.join(f'{one.name}: {one.why}' for one in drawn)}")
+        raise BenchError(f"no plot of {run} can be drawn: {'; '.join(f'{one.name}: {one.why}' for one in drawn)}")
     for each in drawn:
         if each.figure is not None:
             try:
@@ -87,4 +89,4 @@ def command(
 
         shown = [[one.name, files[one.name].name if one.figure else "–", one.words or f"not drawn: {one.why}"]
                  for one in drawn]  # fmt: skip
-        table(("figure", f"in {folder}", "what it says"), shown)
+        table(("plot", f"in {folder}", "result"), shown)

@@ -13,7 +13,7 @@ from bench.files import STANDARD_OUTPUT, write
 
 @click.group("protocol")
 def command() -> None:
-    """HBP for other tools.
+    """Describe the protocol, HBP, to other tools.
 
     \b
     Example:
@@ -25,21 +25,23 @@ def command() -> None:
 @click.argument("target", type=TARGET)
 @click.option(
     "-o",
+    "--out",
     "--output",
+    "output",
     metavar="FILE",
     type=OR_STANDARD_OUTPUT,
     default=STANDARD_OUTPUT,
-    help="Write to this file; - is standard output (the default).",
+    help="File to write; - is standard output [default: -].",
 )
 @overwrite_option
 def dbc(target: str, output: Path, overwrite: bool) -> None:
     """Write a DBC file of the streams on a CAN bus, for CANalyzer, SavvyCAN, cantools and the like.
 
-    TARGET: can:INTERFACE/CHANNEL. Its devices are asked what they are configured to stream at present, and go on
-    streaming; where another program is connected to them too, give this one a number of its own: ?host_number=1.
+    TARGET: can:INTERFACE/CHANNEL. The file describes the streams that the devices are configured to send now; they keep
+    streaming. If another program uses the same bus, add ?host_number=1 to TARGET.
 
-    Identifiers and layout follow the configuration: write the file anew when the channels, their rate or the device's
-    boot change.
+    Identifiers and layout depend on the stream configuration: write the file again after a change of channels or rate,
+    and after a reboot of the device.
 
     \b
     Examples:

@@ -24,14 +24,14 @@ def setting(value: Any) -> tuple[str, float]:
 @click.command("replay")
 @click.argument("run", metavar="RUN", type=RUN, required=False)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
-              help="An observer to run, by its name or short name; repeatable (default: all).")  # fmt: skip
+              help="Observer to run, by name or short name; repeatable [default: all].")  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, type=setting,
-              help="A drive parameter for the observers, as k_p=900; repeatable.")  # fmt: skip
-@click.option("-o", "--out", metavar="RUN", type=RUN, help="The new recording (default: RUN.replay.run).")
-@json_option("the counts")
+              help="Replace a drive parameter for the observers, such as k_p=900; repeatable.")  # fmt: skip
+@click.option("-o", "--out", metavar="RUN", type=RUN, help="New recording [default: RUN.replay.run].")
+@json_option("the summary")
 @overwrite_option
 @click.option("--list", "list_only", is_flag=True,
-              help="Show the observers and where they come from; replay nothing.")  # fmt: skip
+              help="List the observers and their sources, and exit.")  # fmt: skip
 def command(
     run: Path | None,
     observers: tuple[str, ...],
@@ -41,10 +41,10 @@ def command(
     overwrite: bool,
     list_only: bool,
 ) -> None:
-    """Run observers again on what a drive measured, and overlay them with its own estimates and the encoder.
+    """Run observers on a recording, beside the drive's own estimates and the encoder.
 
-    RUN: a recording of `bench live --save`, at full rate. The new one holds all of it, and channels theta_…_host
-    and omega_…_host; it opens with the same dashboard.
+    RUN: a recording of bench live --save with every PWM period. The new recording holds all its data plus the channels
+    theta_…_host and omega_…_host; bench view opens it.
 
     \b
     Examples:

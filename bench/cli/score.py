@@ -1,4 +1,4 @@
-"""`bench score`: how good position observers are on recordings."""
+"""`bench score`: position observers, scored and ranked on recordings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import Number
+from bench.cli.number import FROM_HELP, TO_HELP, Number
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
@@ -22,23 +22,34 @@ def share(value: Any) -> float:
     except ValueError:
         found = 0.0
     if not 0.0 < found < 1.0:
-        raise click.BadParameter(f"'{value}' is no share above 0 and below 100%, such as 20% or 0.2")
+        raise click.BadParameter(f"'{value}' is not between 0 and 100%, such as 20% or 0.2")
     return found
 
 
 @click.command("score")
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=RUN)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
-              help="Score only these: a name of `bench replay --list`, or drive_vt, …; repeatable.")  # fmt: skip
-@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
-@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
-@click.option("--html", metavar="FILE", type=FILE, help="Write all figures and plots as one HTML file.")
-@json_option("all figures")
-@click.option("--csv", "csv_file", metavar="FILE", type=FILE, help="Write all figures as CSV, one a row.")
-@click.option("--expect", metavar="FILE", type=FILE, help="Bounds on figures (TOML or JSON); outside: exit code 1.")
-@click.option("--write-expect", metavar="FILE", type=FILE, help="Write bounds around this run's figures (TOML).")
+              help="Score only this: a name of bench replay --list, or drive_vt, …; repeatable.")  # fmt: skip
+@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
+@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
+@click.option("--html", metavar="FILE", type=FILE, help="Write all statistics and plots to one HTML file.")
+@json_option("all statistics")
+@click.option("--csv", "csv_file", metavar="FILE", type=FILE, help="Write all statistics as CSV, one per row.")
+@click.option(
+    "--expect",
+    metavar="FILE",
+    type=FILE,
+    help="Check the statistics against limits (TOML or JSON); exit code 1 if one is outside.",
+)
+@click.option(
+    "--write-expect",
+    metavar="FILE",
+    type=FILE,
+    help="Write limits around the statistics of this run (TOML), for --expect.",
+)
 @overwrite_option
-@click.option("--margin", type=share, default="20%", show_default=True, help="Of --write-expect, on both sides.")
+@click.option("--margin", metavar="SHARE", type=share, default="20%", show_default=True,
+              help="With --write-expect: distance of the limits from each statistic.")  # fmt: skip
 def command(
     runs: tuple[Path, ...],
     observers: tuple[str, ...],
@@ -49,18 +60,18 @@ def command(
     margin: float,
     **files: Path | None,
 ) -> None:
-    """Score position observers on recordings: errors, lag and cost, ranked.
+    """Rank position observers on recordings by error, lag and cost.
 
-    RUN: recordings of `bench live --save` of a drive with an encoder. Every observer is run on what the drive
-    measured, and scored beside the drive's own estimates; several recordings are pooled.
+    RUN: recordings of bench live --save from a drive with an encoder. Every observer runs on the recorded currents,
+    voltages and Hall edges, and is scored like the drive's own estimates; several recordings are pooled.
 
-    Exit codes: 0 done, 1 a figure is outside --expect, 2 an error.
+    Exit codes: 0 done, 1 a statistic is outside --expect, 2 error.
 
     \b
     Examples:
       bench score a.run
       bench score a.run b.run --html score.html --json score.json
-      bench score a.run --expect bounds.toml
+      bench score a.run --expect limits.toml
       bench score day.run --from 3600 --to 7200
     """
     html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
@@ -88,7 +99,7 @@ def command(
     if expected is None:
         return
     outside = bounds.check(board, expected)
-    say(f"{len(expected) - len(outside)} of {len(expected)} figures within {expect}")
-    for figure in outside:
-        say(f"OUTSIDE  {figure}")
+    say(f"{len(expected) - len(outside)} of {len(expected)} statistics within the limits of {expect}")
+    for words in outside:
+        say(f"OUTSIDE  {words}")
     sys.exit(1 if outside else 0)

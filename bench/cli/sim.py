@@ -25,29 +25,41 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
     from bench.device.simulator import shipped
 
     rows = [(name, file.read_text().partition("\n")[0].strip("# ")) for name, file in shipped().items()]
-    table(("motor", "what it is"), rows)
+    table(("motor", "description"), rows)
     ctx.exit()
 
 
 @click.command("sim")
-@click.option("--pty", is_flag=True, help="Behind a pseudo terminal, like a serial port (the default).")
-@click.option("--tcp", metavar="HOST:PORT", help="Behind TCP, for one client at a time; port 0 takes any free one.")
-@click.option("--slcan", is_flag=True, help="On a CAN bus, behind an slcan adapter on a pseudo terminal.")
-@click.option("--socketcand", metavar="HOST:PORT", help="On a CAN bus (classic), behind a socketcand server.")
-@click.option("--bitrate", metavar="N", type=int, help="Of the CAN bus [default: 1000000].")
-@click.option("--fd", is_flag=True, help="CAN FD.")
-@click.option("--data-bitrate", metavar="N", type=int, help="Of CAN FD's data phase [default: 5000000].")
-@click.option("--ext", is_flag=True, help="29-bit identifiers on the CAN bus, as beside CANopen.")
-@click.option("--link", metavar="PATH", type=_FILE, help="Symbolic link to the pty, kept across a replug.")
-@click.option("--baud", metavar="N", type=int, help="Act as a UART of this rate (default: as a USB port).")
+@click.option("--pty", is_flag=True, help="Serve on a pseudo terminal, like a serial port (default).")
+@click.option("--tcp", metavar="HOST:PORT", help="Serve on TCP, one client at a time; port 0: any free port.")
+@click.option("--slcan", is_flag=True, help="Serve on a CAN bus, through an slcan adapter on a pseudo terminal.")
+@click.option("--socketcand", metavar="HOST:PORT", help="Serve on a classic CAN bus, through a socketcand server.")
+@click.option("--bitrate", metavar="N", type=int, help="CAN bit rate, bit/s [default: 1000000].")
+@click.option("--fd", is_flag=True, help="Use CAN FD.")
+@click.option(
+    "--data-bitrate", metavar="N", type=int, help="Bit rate of the CAN FD data phase, bit/s [default: 5000000]."
+)
+@click.option("--ext", is_flag=True, help="Use 29-bit CAN identifiers, for a bus shared with CANopen.")
+@click.option(
+    "--link", metavar="PATH", type=_FILE, help="Create this symbolic link to the pty; it stays valid after a replug."
+)
+@click.option("--baud", metavar="N", type=int, help="Act as a UART of this rate, bit/s [default: as a USB port].")
 @config_option
-@click.option("--set", "settings", metavar="SECTION.NAME=VALUE", multiple=True, help="One such figure; repeatable.")
-@click.option("--seed", type=int, help="Seed of noise and jitter (default: another one each time).")
-@click.option("--store", metavar="FILE", type=_FILE, help="Where PARAM_COMMIT keeps the parameters.")
+@click.option(
+    "--set",
+    "settings",
+    metavar="SECTION.NAME=VALUE",
+    multiple=True,
+    help="Set one value of the configuration; repeatable.",
+)
+@click.option("--seed", type=int, metavar="N", help="Seed of noise and jitter [default: random].")
+@click.option(
+    "--store", metavar="FILE", type=_FILE, help="Store parameters in this file on PARAM_COMMIT [default: refused]."
+)
 @click.option("--device", type=click.Choice(["python", "c"]), default="python", show_default=True,
-              help="Device side of HBP; the one in C (protocol/c) is compiled by the system's compiler.")  # fmt: skip
+              help="Implementation of the device side of HBP; c (protocol/c) needs a C compiler.")  # fmt: skip
 @click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,
-              help="List the motors that are shipped, and exit.")  # fmt: skip
+              help="List the motors for --config, and exit.")  # fmt: skip
 @click.option("--exit-with-parent", is_flag=True, hidden=True)
 def command(
     pty: bool,
@@ -60,9 +72,9 @@ def command(
     settings: tuple[str, ...],
     **given: Any,
 ) -> None:
-    """Run the simulated drive and load machine in real time; print the target string to connect with.
+    """Run the simulated drive and load machine in real time, and print the target to connect to.
 
-    kill -USR1 PID pulls the cable, kill -USR2 PID puts it back, under the same --link or port. Ctrl-C ends it.
+    kill -USR1 PID pulls the cable, kill -USR2 PID plugs it in again, on the same --link or port. Ctrl-C stops it.
 
     \b
     Examples:
@@ -74,13 +86,13 @@ def command(
     """
     places = [name for name in ("tcp", "slcan", "socketcand") if given[name]] + ["pty"] * pty
     if len(places) > 1:
-        raise click.UsageError(f"choose one of {', '.join(f'--{name}' for name in places)}")
+        raise click.UsageError(f"give only one of {', '.join(f'--{name}' for name in places)}")
     if data_bitrate is not None and not fd:
-        raise click.UsageError("--data-bitrate is that of CAN FD: add --fd")
+        raise click.UsageError("--data-bitrate needs CAN FD: add --fd")
     on_can = given["slcan"] or given["socketcand"]
     for name, value in (("--bitrate", bitrate), ("--fd", fd), ("--ext", ext)):
         if value and not on_can:
-            raise click.UsageError(f"{name} is for a CAN bus: add --slcan or --socketcand")
+            raise click.UsageError(f"{name} needs a CAN bus: add --slcan or --socketcand")
     from protocol.canmap.frame import BusRates
     from protocol.links.target import DEFAULT_DATA_BITRATE
     from sim.ports.server import ServeOptions, parse_override, serve

@@ -23,11 +23,11 @@ class TargetType(click.ParamType[str]):
         target = str(value)
         if target.endswith((RUN, RRD)) or is_run(Path(target)):
             self.fail(
-                f"{target} is a recording, not a target: look at it with `bench view {target}`, or see `bench score "
+                f"{target} is a recording, not a target: open it with `bench view {target}`, or use `bench score "
                 f"{target}`, `bench replay {target}` and `bench hall check {target}`"
             )
         if target != "sim" and os.path.isfile(target):
-            self.fail(f"{target} is a file, not a target: write serial:PORT, tcp:HOST:PORT, can:INTERFACE/CHANNEL")
+            self.fail(f"{target} is a file, not a target: use serial:PORT, tcp:HOST:PORT, can:INTERFACE/CHANNEL")
         return target
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:

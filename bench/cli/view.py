@@ -9,23 +9,23 @@ from pathlib import Path
 import click
 
 from bench.cli.files import RUN, check_files
-from bench.cli.number import Number
+from bench.cli.number import FROM_HELP, TO_HELP, Number
 from bench.cli.streams import note
 
 
 @click.command("view")
 @click.argument("run", metavar="RUN", type=RUN)
-@click.option("--from", "begin", metavar="S", type=Number(), help="From this device time on, s (default: its begin).")
-@click.option("--to", "end", metavar="S", type=Number(), help="Up to this device time, s (default: its end).")
-@click.option("--viewer", type=click.Choice(["auto", "native", "web"]), default="auto",
-              help="auto: native on a display, else web.")  # fmt: skip
-@click.option("--web-port", type=click.IntRange(1, 65535),
-              help="Port of the web viewer (default: the first free one from 9090).")  # fmt: skip
+@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
+@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
+@click.option("--viewer", type=click.Choice(["auto", "native", "web"]), default="auto", show_default=True,
+              help="auto: native if there is a display, otherwise web.")  # fmt: skip
+@click.option("--web-port", metavar="PORT", type=click.IntRange(1, 65535),
+              help="Port of the web viewer [default: first free port from 9090].")  # fmt: skip
 def command(run: Path, begin: float | None, end: float | None, viewer: str, web_port: int | None) -> None:
-    """Open a recorded run in rerun, with the dashboard that it had live.
+    """Open a recorded run, or part of it, in rerun, with the same dashboard as live.
 
-    A minute or less is shown sample by sample. More is shown as minima and maxima over 50 ms or longer, and sample by
-    sample around faults and marks; --from and --to look closer. The run may still be being recorded.
+    Up to one minute is shown sample by sample. A longer part is shown as minima and maxima over 50 ms or more, and
+    sample by sample around faults and marks; zoom in with --from and --to. The run may still be recording.
 
     \b
     Examples:

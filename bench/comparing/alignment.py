@@ -37,7 +37,7 @@ def readable(run: Run) -> Run:
     if SAMPLES not in run.names or not run.segments:
         raise BenchError(f"{run.path} holds no samples of the drive")
     if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{run.path}: the drive's clock went back at {run.at(back)}, so it has rebooted in the run")
+        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
     return run
 
 
@@ -88,16 +88,16 @@ def zero_of(run: Run, to: str) -> int:
         wanted = _COMMANDS.get(name.upper(), name.upper())
         ticks = [tick for tick, known in events(run) if known == wanted]
     if not ticks:
-        raise BenchError(f"{run.path} has no mark and no event '{name}': there are {_told(run)}")
+        raise BenchError(f"{run.path} has no mark and no event '{name}'; it has {_told(run)}")
     if not number and len(ticks) > 1:
         times = ", ".join(map(run.at, ticks[:10])) + (", …" if len(ticks) > 10 else "")
         raise BenchError(
-            f"'{name}' is {len(ticks)} times in {run.path}, at {times}: say which, as {name}#1 for the first; "
-            f"there are {_told(run)}"
+            f"'{name}' occurs {len(ticks)} times in {run.path}, at {times}: choose one, such as {name}#1; "
+            f"it has {_told(run)}"
         )
     chosen = int(number or 1)
     if not 1 <= chosen <= len(ticks):
-        raise BenchError(f"'{name}' is {len(ticks)} times in {run.path}: there is no {to}")
+        raise BenchError(f"'{name}' occurs {len(ticks)} times in {run.path}: there is no {to}")
     return ticks[chosen - 1]
 
 

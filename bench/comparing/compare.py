@@ -58,7 +58,7 @@ def compare(a: Side, b: Side, channels: Sequence[str] = ()) -> Comparison:
     ]
     known = dict.fromkeys([*common, *errors])
     if unknown := [name for name in channels if name not in known]:
-        raise BenchError(f"channel {unknown[0]} cannot be compared: there are {', '.join(known)}")
+        raise BenchError(f"channel {unknown[0]} cannot be compared; both runs have {', '.join(known)}")
     if channels:
         common, errors = ([name for name in names if name in channels] for names in (common, errors))
         left_out = []
@@ -86,7 +86,7 @@ def _common(ours: dict[str, AnyChannel], theirs: dict[str, AnyChannel]) -> tuple
         elif name in WORDS:
             left_out.append(f"{name} (bits)")
         elif (one.flags | other.flags) & Flag.WRAPS:
-            left_out.append(f"{name} (an angle that wraps has no mean)")
+            left_out.append(f"{name} (a wrapping angle has no mean)")
         else:
             common.append(name)
     return common, left_out

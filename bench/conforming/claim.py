@@ -45,7 +45,7 @@ def claim(run: Run) -> Claim:
     missing = {number: found for number in range(len(LEVELS)) if (found := _missing(run.results, number))}
     level = next((n - 1 for n in range(MOTION + 2) if n not in tested or n in missing), MOTION)
     untested = [f"level {n} ({LEVELS[n]})" for n in range(level + 1, MOTION + 1) if n not in tested]
-    not_shown = [f"level {n} ({LEVELS[n]}), for want of {', '.join(ids)}" for n, ids in missing.items()]
+    not_shown = [f"level {n} ({LEVELS[n]}), which needs {', '.join(ids)}" for n, ids in missing.items()]
     failed, unknown = _ids(run.results, Verdict.FAILED), _ids(run.results, Verdict.UNKNOWN)
     passed = run.count(Verdict.PASSED)
     if failed:
@@ -55,7 +55,7 @@ def claim(run: Run) -> Claim:
     elif run.ended or level < 0:
         conforms, words = (
             None,
-            f"nothing can be said: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
+            f"not decided: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
         )
     else:
         conforms = True

@@ -72,7 +72,7 @@ Told = Callable[[Result], None]
 def conform(link: Link, options: Options, screen: Screen, confirm: Callable[[str], bool] | None, told: Told) -> Run:
     """Run all checks up to a level on the device that an open link leads to; `told` gets each result as it comes.
 
-    `confirm` asks a person, None where there is nobody. Raises BenchError and HbpError for what the user can mend,
+    `confirm` asks a person, None where there is nobody. Raises BenchError and HbpError for what the user can fix,
     before anything is energised; what goes wrong later is in the result.
     """
     client = Client(link)
@@ -121,7 +121,7 @@ def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None
         raise NodeError(f"whether its outputs are off is not known: {says(beat)}")
     if beat.state == DriveState.FAULT:
         raise BenchError(
-            f"{options.target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
+            f"{options.target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
             "(bench live TARGET --clear-faults --duration 1)"
         )
     envelope = Envelope(options.speed_rpm if options.level >= MOTION else 0.0)
@@ -155,7 +155,7 @@ class _Course:
     def go(self) -> None:
         """All of them; where it cannot go on the rest is unknown."""
         self._all()
-        self._run.troubles += [f"not put back: {words}" for words in self._device.not_put_back]
+        self._run.troubles += [f"not restored: {words}" for words in self._device.not_put_back]
 
     def _all(self) -> None:
         run, left = self._run, chosen(self._run.options.level, self._run.bus)
@@ -239,7 +239,7 @@ def _leave(link: Link, run: Run, streams: list[StreamInfo]) -> None:
             node.stop_streams()
             _restore(node, streams)
         except (HbpError, BenchError) as error:
-            run.troubles.append(f"not put back: streams: {error}")
+            run.troubles.append(f"not restored: streams: {error}")
 
 
 def _stop(node: Node, run: Run) -> None:

@@ -67,7 +67,7 @@ def bus_rows(bus: dict[str, Any]) -> list[list[str]]:
         [
             "other frames",
             f"{bus['foreign']} foreign, {bus['stale']} of no stream, {bus['duplicates']} doubled, "
-            f"{bus['overdue']} without a time",
+            f"{bus['overdue']} without time",
         ],
     ]
     if bus["adapter"]:

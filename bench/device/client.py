@@ -238,7 +238,7 @@ class Client:
             self.health.down_since = now
             self.health.outages += 1
             self._next_reopen = now
-            self.note(f"{error}; waiting up to {self.reconnect:g} s for it to come back", "ERROR")
+            self.note(f"{error}; waiting up to {self.reconnect:g} s for it to return", "ERROR")
             if self._pending:
                 self._pending.error = error
 
@@ -278,7 +278,7 @@ class Client:
 
     def _turn(self, timeout: float) -> None:
         if self.health.down_since is not None and self.now() - self.health.down_since > self.reconnect:
-            raise LinkClosed(f"{self.link.name} did not come back within {self.reconnect:g} s")
+            raise LinkClosed(f"{self.link.name} did not return within {self.reconnect:g} s")
         if self._must_open:
             self._reopen(timeout)
             self._polled = self.now()
@@ -451,7 +451,7 @@ class Client:
             return ""
         if watch.pause > watch.longest / 2:
             return f"this host sent no ALIVE for {watch.longest:.2f} s (it was starved of CPU, or stopped)"
-        return f"this host sent no ALIVE for {watch.longest:.2f} s, because nothing was heard of the drive"
+        return f"this host sent no ALIVE for {watch.longest:.2f} s, because the drive was silent"
 
     def _note_pause(self, seconds: float) -> None:
         self.longest_pause = max(self.longest_pause, seconds)

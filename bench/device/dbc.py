@@ -168,7 +168,7 @@ def _edges(stream: NodeStream) -> _Frame:
         Signal("encoder", 48, 16, unit="counts"),
     ]
     comment = (
-        f"Stream {config.stream} of node {config.node}: a Hall edge, as it happens. tick: low 32 bits, at "
+        f"Stream {config.stream} of node {config.node}: one frame per Hall edge. tick: low 32 bits, at "
         f"{config.tick_hz} ticks/s; hall_old, hall_new: code before and after, bit 0 = sensor a; illegal: no step to a "
         "neighbour; ctr: low 8 bits of the number of the edge since boot; encoder: its count at the edge."
     )
@@ -229,7 +229,7 @@ def target_dbc(target: str) -> str:
     """
     named = parse_target(target)
     if not isinstance(named, CanTarget):
-        raise TargetError(f"{target} is no CAN bus, and a DBC describes CAN frames: write can:socketcan/can0")
+        raise TargetError(f"{target} is not a CAN bus, and a DBC file describes CAN frames: use can:socketcan/can0")
     link = open_link(named)
     try:
         nodes = [reply.node for reply in scan(link)]

@@ -105,19 +105,19 @@ def _odd(node: dict[str, Any]) -> list[str]:
     """What a firmware engineer would want to know of a node as `inspect_node` describes it."""
     found = []
     if "heartbeat" in node["health"]:
-        found.append("no heartbeat in 0.5 s; SPEC asks for one each 100 ms: does the main loop run?")
+        found.append("no heartbeat in 0.5 s; SPEC asks for one every 100 ms: does the main loop run?")
     if node["identity"]["role"] not in (Role.DRIVE.name.lower(), Role.LOAD.name.lower()):
-        found.append(f"its {node['identity']['role']} is none of SPEC's")
+        found.append(f"its {node['identity']['role']} is not in SPEC")
     for row in (*node["channels"], *node["parameters"]):
         if row["unit"].startswith("unit "):
-            found.append(f"{row['name']}: {row['unit']} is none of SPEC's")
+            found.append(f"{row['name']}: {row['unit']} is not in SPEC")
     for parameter in node["parameters"]:
         name, value, lo, hi = (parameter[key] for key in ("name", "value", "lo", "hi"))
         for what in ("value", "default"):
             if not lo <= parameter[what] <= hi:
                 found.append(f"{name}: its {what} {parameter[what]:.6g} is not in {lo:.6g} … {hi:.6g}")
         if "whole" in parameter["flags"] and not float(value).is_integer():
-            found.append(f"{name} = {value:.6g} is no whole number, as its flag says")
+            found.append(f"{name} = {value:.6g} is not a whole number, although its flag says WHOLE")
     return found
 
 

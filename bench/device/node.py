@@ -172,7 +172,7 @@ class Node:
         try:
             self.client.request(ParamCommit(), self.number, Empty)
         except Refused as refusal:
-            raise NodeError(f"node {self.number} stored nothing: {refusal}") from None
+            raise NodeError(f"node {self.number} did not store its parameters: {refusal}") from None
 
     def _parameter_id(self, name: str) -> int:
         return self._record(self.descriptor.parameters, name, "parameter").id
@@ -184,7 +184,7 @@ class Node:
         """
         known = self.descriptor.channels
         if not known:
-            raise NodeError(f"node {self.number} has no channels: there is nothing to stream")
+            raise NodeError(f"node {self.number} has no channels to stream")
         names = tuple(names or ())
         chosen = set()
         if all(name.startswith("+") for name in names):
@@ -226,7 +226,7 @@ class Node:
             self.client.feed(self.number, on=False)
             if refusal.code == ErrorCode.WRONG_STATE and refusal.detail == DriveState.FAULT:
                 raise NodeError(
-                    f"node {self.number} has a latched fault ({self.fault_text()}): look into its cause, "
+                    f"node {self.number} has a latched fault ({self.fault_text()}): find the cause, "
                     "then clear it with --clear-faults"
                 ) from None
             raise NodeError(f"node {self.number} refused to arm: {refusal}") from None
@@ -265,7 +265,7 @@ class Node:
                 self.command(Command.FAULT_CLEAR, int(heartbeat.faults))
             except Refused as refusal:
                 raise NodeError(
-                    f"node {self.number} would not clear {self.fault_text()}: {refusal}; its cause may persist"
+                    f"node {self.number} did not clear {self.fault_text()}: {refusal}; the cause may persist"
                 ) from None
             self.client.faults.pop(self.number, None)
             self.next_heartbeat()  # the last one still shows the fault
@@ -319,7 +319,7 @@ class Node:
     def _why_rejected(self) -> str:
         event = self.client.rejections.get(self.number)
         if event is None:
-            return "no reason came"
+            return "no reason given"
         code = "no code" if event.number is None else ErrorCode(event.number).name
         return f"{code} ({event.detail:g})"
 
@@ -401,7 +401,7 @@ class Node:
         most = (self.identity.rx_max - StreamSet.FIXED_BYTES) // 2
         if len(request.channels) > most:
             asked = counted(len(request.channels), "channel")
-            takes = f"node {self.number} takes {counted(most, 'channel')} in a stream at most"
+            takes = f"node {self.number} takes at most {counted(most, 'channel')} per stream"
             raise DoesNotFit(f"{takes}, not {asked}: choose with --channels", 0)
         try:
             reply = self.client.request(request, self.number, StreamReply)
@@ -423,7 +423,7 @@ class Node:
         room = min(self.identity.tx_max, MAX_PAYLOAD) - STREAM_HEADER.size
         wire = self.client.session.wire
         if sum(widths) > room and not isinstance(wire, CanWire):
-            why = f"a sample of {sum(widths)} bytes is too long: node {self.number} sends {room} at most"
+            why = f"a sample of {sum(widths)} bytes is too long: node {self.number} sends at most {room}"
             return DoesNotFit(f"{why}; choose fewer channels with --channels", 0)
         decimation = (whole_from_wire(refusal.detail) or 0) if widths else 0
         if isinstance(wire, CanWire):

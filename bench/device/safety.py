@@ -91,13 +91,13 @@ def switch_off(node: Node) -> DriveState:
                 break
         except Exception as error:  # of a sink, which polling calls
             failure, client.sinks = failure or error, []
-            troubles.append(f"STOP was cut short: {error}")
+            troubles.append(f"STOP was interrupted: {error}")
     if state is None:
         state = _by_itself(node, troubles)
     if failure is not None:
         raise failure
     if lies:
-        raise DriveFailed(f"{lies[0]}; it obeyed STOP at try {len(troubles) + 1} only")
+        raise DriveFailed(f"{lies[0]}; it obeyed STOP only at attempt {len(troubles) + 1}")
     return state
 
 
@@ -129,7 +129,7 @@ def _by_itself(node: Node, troubles: list[str]) -> DriveState:
     if seen is not None:
         raise DriveFailed(f"{troubles[-1]}{often}; now {says(seen)}")
     raise OutputsMayBeOn(
-        f"OUTPUTS MAY STILL BE ON: cut the power. {troubles[-1]}{often}; {_name(node)} was not seen to be off"
+        f"OUTPUTS MAY STILL BE ON: cut the power. {troubles[-1]}{often}; {_name(node)} was not confirmed off"
     )
 
 
@@ -162,7 +162,7 @@ class Vigil:
         if new or client.health.down_since is not None:
             self._newest, self._came = heartbeat, now
         if now - self._came > QUIET:
-            return f"no heartbeat for {now - self._came:.1f} s: its state is not known"
+            return f"no heartbeat for {now - self._came:.1f} s: its state is unknown"
         if heartbeat is None or heartbeat.boot_id != self._boot or heartbeat.state == DriveState.FAULT:
             return ""
         if heartbeat.state == DriveState.RUNNING and heartbeat.outputs_on:
@@ -189,6 +189,6 @@ def without_watchdog(heartbeat: Heartbeat) -> str:
     if heartbeat.watchdog_ms != NO_WATCHDOG:
         return ""
     return (
-        f"its watchdog is not at work (watchdog_ms = {NO_WATCHDOG} in {heartbeat.state.name}): nothing would switch it "
+        f"its watchdog is inactive (watchdog_ms = {NO_WATCHDOG} in {heartbeat.state.name}): nothing would switch it "
         "off if this program died"
     )

@@ -96,7 +96,7 @@ class Content:
         """By table: the rows that have been handed out."""
         if all(next(run.pieces(table.name, self.first, self.last), None) is None for table in self.streams):
             why = "; ".join(run.damage) or "records are missing there"
-            raise BenchError(f"{run.path} has nothing from {run.at(self.first)} to {run.at(self.last)}: {why}")
+            raise BenchError(f"{run.path} has no data from {run.at(self.first)} to {run.at(self.last)}: {why}")
 
     @property
     def tables(self) -> tuple[Table, ...]:

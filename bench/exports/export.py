@@ -32,10 +32,10 @@ def format_of(out: Path, named: str | None) -> str:
     """The format that `named` says, or the ending of `out`. Raises BenchError where they do not."""
     by_ending = next((name for name, ending in ENDINGS.items() if ending == out.suffix.lower()), None)
     if named is None and by_ending is None:
-        raise BenchError(f"{out} does not tell the format by its ending: end it in {_either(ENDINGS.values())}, "
-                         "or give --format")  # fmt: skip
+        raise BenchError(f"{out} has no known extension: use {_either(ENDINGS.values())}, "
+                         "or --format")  # fmt: skip
     if named is not None and by_ending not in (None, named):
-        raise BenchError(f"{out} ends as {by_ending} does, and --format says {named}: end it in {ENDINGS[named]}")
+        raise BenchError(f"{out} has the extension of {by_ending}, but --format is {named}: use {ENDINGS[named]}")
     return named or by_ending or ""
 
 
@@ -55,14 +55,14 @@ def export(
     """
     chosen = format_of(out, named)
     if chosen == "rrd" and channels is not None:
-        raise BenchError("--format rrd is the dashboard, which has all channels: leave --channels out")
+        raise BenchError("--format rrd is the dashboard with all channels: omit --channels")
     writer: Any = importlib.import_module(f"bench.exports.to_{chosen}")
     content = Content(run, begin, end, channels)
     files: dict[str, Path] = writer.files(content, out)
     for path in files.values():
         check_output(path, str(path), overwrite)
         if path.exists() and not path.is_file():
-            raise BenchError(f"{path} cannot be written: it is no file")
+            raise BenchError(f"{path} cannot be written: it is not a file")
     _write(writer, content, files, out)
     hz = run.info.tick_hz
     return Exported(files, content.rows, (content.first / hz, content.last / hz), _notes(content, writer, files, out))
@@ -101,14 +101,14 @@ def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) 
     if len(files) > 1:
         held = next(name for name, path in files.items() if path == out)
         others = ", ".join(f"{name} in {path.name}" for name, path in files.items() if path != out)
-        notes.append(f"{out.name} holds {held} only: {others}")
+        notes.append(f"{out.name} has only {held}: {others}")
     if hasattr(writer, "notes"):
         notes += writer.notes(content)
     back = run.clock_went_back()
     if back is not None:
-        notes.append(f"the device has rebooted after {run.at(back)}: its time starts again there")
+        notes.append(f"the device rebooted after {run.at(back)}: its time restarts there")
     if not run.ended:
-        notes.append(f"warning: {run.path} came to no end: it was cut short, or is being recorded")
+        notes.append(f"warning: {run.path} has no end: it was interrupted, or is still recording")
     return (*notes, *(f"warning: {words}" for words in run.damage))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from bench.errors import BenchError
 from bench.exports.content import Arrays, Content, Table
 
-WAY_OUT = "take less with --from, --to or --channels, or --format mdf4 or parquet, which any length fits"
+WAY_OUT = "export less with --from, --to or --channels, or use --format mdf4 or parquet, which have no such limit"
 _SPARE = 1.1  # of memory: what a writer copies while it writes
 
 
@@ -20,7 +20,7 @@ def check_memory(content: Content) -> None:
     free = available()
     if free is not None and needed > free:
         raise BenchError(
-            f"{content.run.path}: this format is made in memory, and takes {needed / 1e9:.3g} GB where "
+            f"{content.run.path}: this format is built in memory and needs {needed / 1e9:.3g} GB where "
             f"{free / 1e9:.3g} GB are available: {WAY_OUT}"
         )
 

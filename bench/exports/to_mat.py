@@ -59,7 +59,7 @@ def fields(names: Iterable[str]) -> dict[str, str]:
             word += "_"
         if len(word) > MOST_CHARACTERS:
             raise BenchError(f"a name in a .mat file has at most {MOST_CHARACTERS} characters, '{name}' has more: "
-                             "leave it out with --channels, or choose another --format")  # fmt: skip
+                             "omit it with --channels, or choose another --format")  # fmt: skip
         made[name] = word
     return made
 

@@ -119,7 +119,7 @@ def draw(found: Mapping[str, ByAngle]) -> Figure:
     look_of = looks(found)
     for ax, (name, of) in zip(axes, found.items(), strict=False):
         own, met = look_of[name].paper, [bool(n.any()) for n in of.n]
-        for way, dash, words in ((FORWARDS, "-", label(name)), (BACKWARDS, "--", "backwards")):
+        for way, dash, words in ((FORWARDS, "-", label(name)), (BACKWARDS, "--", "reverse")):
             if not met[way]:
                 continue
             mean, std = of.mean[way], of.std[way]

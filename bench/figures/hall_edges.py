@@ -106,10 +106,10 @@ def draw(of: Measured) -> Figure:
         circle.text(angle + math.pi / 6, 0.62, name, ha="center", va="center", fontsize=FONT_SIZE, color=GREY)
     late_all = []
     for way, mark, hue, shift, inner in (
-        ("forwards", ">", SERIES[1], -0.1, 0.0),
-        ("backwards", "<", SERIES[0], 0.1, 0.3),
+        ("forward", ">", SERIES[1], -0.1, 0.0),
+        ("reverse", "<", SERIES[0], 0.1, 0.3),
     ):
-        passages = [edge.up if way == "forwards" else edge.down for edge in of.edges]
+        passages = [edge.up if way == "forward" else edge.down for edge in of.edges]
         met = np.array([each.n > 0 for each in passages])
         if not met.any():
             continue
@@ -137,6 +137,6 @@ def draw(of: Measured) -> Figure:
     chart.grid(False, axis="x")
     reach = max(1.15 * float(np.abs(np.concatenate(late_all)).max()), 0.5)
     chart.set_ylim(-reach, reach)
-    style.axis_labels(chart, "edge that opens the sector (turning forwards)", "measured − ideal", unit_y="el. °")
+    style.axis_labels(chart, "edge at the start of the sector (turning forward)", "measured − ideal", unit_y="el. °")
     chart.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=FONT_SIZE, borderaxespad=0.2)
     return figure

@@ -103,7 +103,7 @@ class Motion:
         fastest = 0.0 if told is None else float(np.nanmax(np.abs(told), initial=0.0))
         if fastest >= math.pi * self._rate:
             self.why = (
-                f"the shaft turns half an electrical turn or more from sample to sample ({fastest:.0f} rad/s at "
+                f"the shaft turns half an electrical revolution or more per sample ({fastest:.0f} rad/s at "
                 f"{self._rate:g} a second), so its angle is ambiguous: record at --rate {fastest / 2:.0f} or more"
             )
             return None

@@ -21,7 +21,7 @@ from protocol.streams import EdgeChunk, SampleChunk
 
 NAMES = ("spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges")
 NO_SAMPLES = "no samples"
-NOT_STEADY = "the shaft never turns steadily, faster than 10 r/min"
+NOT_STEADY = "the shaft never turns steadily above 10 r/min"
 RECORD = "record all channels (bench live --save)"
 
 
@@ -45,7 +45,7 @@ def draw_all(run: Run, first: int, last: int) -> list[Drawn]:
     if SAMPLES not in run.names:
         raise BenchError(f"{run.path} holds no samples of the drive")
     if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{run.path}: the drive's clock went back at {run.at(back)}, so it has rebooted in the run")
+        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
     names = [channel.name for channel in run.config(SAMPLES).channels]
     estimates = run.info.position_estimates if run.info.position_reference else ()
     estimates = tuple(name for name in estimates if name in names)

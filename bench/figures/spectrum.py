@@ -157,7 +157,7 @@ def words(of: Currents) -> str:
     """What the figure says, in a line."""
     each = [f"{name} {100 * its.value:.3g} % of {its.amplitudes[0]:.3g} A" for name, its in of.distortion.items()]
     each += [f"{name} none" for name in of.why]  # in JSON: why
-    return f"THD {', '.join(each) or 'of no phase'}; longest steady stretch: {stretch(of)}"
+    return f"THD {', '.join(each) or 'undefined'}; longest steady stretch: {stretch(of)}"
 
 
 def draw(of: Currents) -> Figure:

@@ -41,7 +41,7 @@ MULTIPLE = 0.75
 motor's: edges repeat with both."""
 SHIFTS, FEW = 72, 20_000
 """Constants in a turn, and samples, with which an angle that is off by one is looked for."""
-TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF tells which"
+TELL = "record u_alpha, u_beta, i_a and i_b while the drive turns the motor: its back-EMF shows which"
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def dead(trace: Trace, turns: Turns) -> list[Finding]:
                 f"sensor {name} open (always 1)" if level else f"sensor {name} shorted (always 0)",
                 (
                     f"input {name} reads {level} in {_percent(high if level else 1.0 - high)} of {trace.samples} "
-                    f"samples, over {turns.total:.1f} electrical turns",
+                    f"samples, over {turns.total:.1f} electrical revolutions",
                     f"changes of the inputs: {told}",
                 ),
                 f"measure the wire of sensor {name}, its supply and its pull-up"
@@ -133,7 +133,8 @@ def pole_pairs(trace: Trace, turns: Turns) -> list[Finding]:
     fits = {n: reference.repeats(trace.edges, n / n_p) for n in near}
     best = max(fits, key=fits.__getitem__)
     counted = (
-        f"{turns.by_hall:.1f} electrical turns by the Hall inputs, {turns.total:.1f} by the encoder with n_p = {n_p}: "
+        f"{turns.by_hall:.1f} electrical revolutions by the Hall inputs, {turns.total:.1f} by the encoder with "
+        f"n_p = {n_p}: "
         f"{n_p} x {turns.ratio:.3f} = {measured:.2f} pole pairs"
     )
     if best != n_p and fits[best] >= OTHER:
@@ -146,15 +147,15 @@ def pole_pairs(trace: Trace, turns: Turns) -> list[Finding]:
                     f"edges repeat to {_scatter(fits[best])} with {best} pole pairs, "
                     f"to {_scatter(as_assumed)} with {n_p}",
                 ),
-                f"set the drive's parameter n_p to {best}, then check again: edges and wiring can be told only then",
+                f"set the drive's parameter n_p to {best}, then check again: edges and wiring can only be checked then",
             )
         ]
     return [
         Finding(
             "encoder_slips",
-            "the encoder does not follow the shaft: the edges repeat with no number of pole pairs",
+            "the encoder does not follow the shaft: no number of pole pairs makes the edges repeat",
             (counted, f"edges repeat to {_scatter(fits[best])} at best, with {best} pole pairs"),
-            "look for a coupling that slips, lost counts, and a wrong number of lines",
+            "look for a slipping coupling, lost counts or a wrong line count",
         )
     ]
 
@@ -164,15 +165,15 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
     if emf is None:
         return []
     evidence = (
-        f"by the back-EMF of {emf.n} samples, of which {_percent(emf.clear)} stands still in that frame"
-        + ("" if math.isnan(emf.spread) else f"; up and down agree to {_deg(emf.spread, 2)}"),
+        f"by the back-EMF of {emf.n} samples, {_percent(emf.clear)} of it constant in that frame"
+        + ("" if math.isnan(emf.spread) else f"; forward and reverse agree to {_deg(emf.spread, 2)}"),
     )
     if emf.reversed:
         return [
             Finding(
                 "encoder_reversed",
-                "the encoder counts backwards",
-                (f"theta_enc falls when the rotor flux turns up; their sum is {_deg(emf.zero)}", *evidence),
+                "the encoder counts in the wrong direction",
+                (f"theta_enc falls while the rotor flux turns forward; their sum is {_deg(emf.zero)}", *evidence),
                 "exchange the encoder's tracks A and B, or its direction in the firmware; then check again",
             )
         ]
@@ -183,7 +184,7 @@ def encoder(emf: BackEmf | None) -> list[Finding]:
                 "encoder_zero",
                 f"the encoder's zero is {_deg(zero)} off",
                 (f"theta_enc is {_deg(zero)} ahead of the rotor flux", *evidence),
-                "align the encoder's zero with the rotor flux, because edges are measured by it",
+                "align the encoder's zero with the rotor flux: edge angles are measured from it",
             )
         ]
     return []
@@ -212,13 +213,13 @@ def late(found: Delays, omega_max: float) -> list[Finding]:
         return []
     cause, _, why = words.partition(": ")
     delay = found.edges if math.isnan(found.back_emf) else found.back_emf
-    seems = f"every estimate seems to lead by omega times that, {_deg(-delay * omega_max)} at the drive's largest speed"
+    seems = f"every estimate appears to lead by omega times that: {_deg(-delay * omega_max)} at the drive's top speed"
     return [
         Finding(
             "encoder_late",
             cause,
             (why, seems) if math.isfinite(omega_max) else (why,),
-            "read the encoder at the instant of the currents; look for a filter or a slow interface between",
+            "sample the encoder together with the currents; look for a filter or a slow interface",
         )
     ]
 
@@ -228,13 +229,11 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
     zero_known = emf is not None
     next_best = f"{wiring.runner_up}, explains {_percent(wiring.runner_up_share)}"
     if wiring.best != NONE_KNOWN:
-        evidence = [f"that explains {_percent(wiring.share)} of {wiring.n} samples; the next, {next_best}"]
+        evidence = [f"that explains {_percent(wiring.share)} of {wiring.n} samples; next best: {next_best}"]
         if not zero_known and "rotated" in wiring.best:
-            evidence.append("an encoder whose zero is 120 deg off looks alike: no back-EMF was recorded to tell")
+            evidence.append("an encoder zero that is 120 deg off looks the same; no back-EMF was recorded to decide")
         exchanged = "exchanged" in wiring.best or "rotated" in wiring.best
-        advice = (
-            "connect the sensors to the inputs of their names" if exchanged else "correct the polarity of that sensor"
-        )
+        advice = "connect each sensor to the input of its name" if exchanged else "correct the polarity of that sensor"
         return [Finding("wiring", wiring.best, tuple(evidence), advice)]
     nearest = f"the nearest of the known wirings, {next_best} of {wiring.n} samples"
     moving = np.abs(trace.some.omega) >= SLOW
@@ -243,35 +242,36 @@ def wires(trace: Trace, theta: Floats, wiring: Diagnosis, measured: Measured, em
         if fit is None:
             continue
         shift = -edges.mean_angle(np.array(_deltas(measured, emf)))
-        explained = f"turned by some angle, the specified wiring explains {_percent(fit.share)} of {fit.n} samples"
+        share = _percent(fit.share)
+        explained = f"with a constant angle offset, the specified wiring explains {share} of {fit.n} samples"
         if backwards:
             return [
                 Finding(
                     "encoder_reversed",
-                    "the encoder counts backwards, or two Hall wires are exchanged and the sensors turned",
-                    (explained + " to an encoder that counts backwards", nearest),
-                    f"see to the encoder's direction first; {TELL}",
+                    "the encoder counts in the wrong direction, or two Hall wires are exchanged and the ring rotated",
+                    (explained + " if the encoder counts in the wrong direction", nearest),
+                    f"correct the encoder's direction first; {TELL}",
                 )
             ]
         words = (
             f"all Hall sensors are displaced by {_deg(shift)} together"
             if zero_known
-            else f"the encoder's zero is {_deg(shift)} off, or all Hall sensors are displaced by so much together"
+            else f"the encoder's zero is {_deg(shift)} off, or all Hall sensors are displaced by as much"
         )
         return [
             Finding(
                 "ring" if zero_known else "encoder_zero",
                 words,
                 (explained, nearest),
-                "turn the ring of the sensors" if zero_known else TELL,
+                "rotate the sensor ring" if zero_known else TELL,
             )
         ]
     return [
         Finding(
             "wiring",
-            "the Hall codes fit no single fault of the wiring",
+            "no single wiring fault explains the Hall codes",
             (nearest,),
-            "two faults at once, or a contact that comes and goes: check wire by wire, then check again",
+            "there may be two faults, or an intermittent contact: test wire by wire, then check again",
         )
     ]
 
@@ -293,9 +293,9 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
             Finding(
                 "ring" if emf is not None else "encoder_zero",
                 f"all Hall sensors are displaced by {_deg(-common)} together"
-                + ("" if emf is not None else ", or the encoder's zero is off by so much"),
-                ("edges I to VI lie " + ", ".join(_deg(-delta) for delta in deltas) + " from their places",),
-                "turn the ring of the sensors" if emf is not None else TELL,
+                + ("" if emf is not None else ", or the encoder's zero is off by as much"),
+                ("edges I to VI lie " + ", ".join(_deg(-delta) for delta in deltas) + " from their ideal angles",),
+                "rotate the sensor ring" if emf is not None else TELL,
             )
         )
     else:
@@ -306,7 +306,7 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
         numbers = " and ".join(NUMERALS[s] for s in both)
         lie = " and ".join(_deg(-deltas[s]) for s in both)
         widest = edges.largest(p.half_width for s in both for p in (measured.edges[s].up, measured.edges[s].down))
-        evidence = (f"edges that open {numbers} lie {lie} from their places (95 % to {_deg(widest, 2)})",)
+        evidence = (f"edges that open {numbers} lie {lie} from their ideal angles (95 % to {_deg(widest, 2)})",)
         if abs(off[number] - common) > DISPLACED:
             found.append(
                 Finding(
@@ -321,7 +321,7 @@ def places(measured: Measured, emf: BackEmf | None) -> list[Finding]:
             found.append(
                 Finding(
                     "duty",
-                    f"sensor {name} is 1 over {_percent(measured.duty[number])} of a turn",
+                    f"sensor {name} is 1 over {_percent(measured.duty[number])} of a revolution",
                     evidence,
                     f"look at the magnet in front of sensor {name}, its distance and its threshold",
                 )
@@ -350,9 +350,9 @@ def implausible(codes: Codes, found: Pulses) -> list[Finding]:
     return [
         Finding(
             "implausible",
-            "a Hall wire makes contact now and then",
-            (f"{codes.illegal} edges with 000 or 111 and {codes.skipped} over a sector, of {codes.edges}",),
-            "move connectors and wires one by one while the shaft turns, and watch the count",
+            "a Hall wire makes intermittent contact",
+            (f"of {codes.edges} edges, {codes.illegal} lead to or from 000 or 111 and {codes.skipped} skip a sector",),
+            "move connectors and wires one by one while the shaft turns, and watch this count",
         )
     ]
 
@@ -368,7 +368,7 @@ def false_pulses(found: Pulses) -> list[Finding]:
     if found.bins and not math.isnan(found.excess):
         low, high = found.bins[0], found.bins[-1]
         evidence.append(
-            ("they come with the current" if found.with_current else "they do not come with the current")
+            ("they increase with current" if found.with_current else "they do not increase with current")
             + f": {low.rate:.3g} a second at {low.lo:.2f} to {low.hi:.2f} A, {high.rate:.3g} at {high.lo:.2f} to "
             f"{high.hi:.2f} A ({found.excess:+.1f} standard deviations)"
         )
@@ -377,7 +377,7 @@ def false_pulses(found: Pulses) -> list[Finding]:
             "pulses",
             "false pulses on the Hall wires (EMI)",
             tuple(evidence),
-            "keep the Hall wires away from the phases, shield or twist them, add a filter of some microseconds",
+            "route the Hall wires away from the phases, shield or twist them, add a filter of some microseconds",
         )
     ]
 

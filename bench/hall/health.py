@@ -28,7 +28,7 @@ from bench.hall.trace import Trace
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
-"""Electrical turns, each way, below which nothing is said to be healthy."""
+"""Electrical revolutions each way that a healthy verdict needs."""
 LEAST_PASSAGES = 5
 
 
@@ -47,7 +47,7 @@ class Health:
     outcome: Outcome
     findings: tuple[Finding, ...]
     missing: tuple[str, ...]
-    """What stands in the way of saying more, and what to do about it."""
+    """Why no more can be said, and what to do about it."""
     turns: Turns
     measured: Measured
     pulses: Pulses
@@ -58,7 +58,7 @@ class Health:
 
 
 def examine(trace: Trace, further: str = "") -> Health:
-    """Say what is wrong. `further`: how the shaft is made to turn more where it turned too little, in words."""
+    """Name what is wrong. `further`: how to turn the shaft more if it turned too little, in words."""
     turns, measured, found_pulses = reference.turns(trace), edges.measure(trace.edges), pulses.count(trace)
     codes = _codes(trace)
     findings: list[Finding] = []
@@ -68,7 +68,7 @@ def examine(trace: Trace, further: str = "") -> Health:
     wiring: Diagnosis | None = None
     if not turns.total >= LEAST_TURNS:
         missing.append(
-            f"the shaft turned by {np.nan_to_num(turns.total):.1f} electrical turns only: let it turn both ways"
+            f"only {np.nan_to_num(turns.total):.1f} electrical revolutions: turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
     elif dead := causes.dead(trace, turns):
@@ -76,7 +76,7 @@ def examine(trace: Trace, further: str = "") -> Health:
     elif not trace.encoder:
         findings += causes.inverted_by_codes(trace)
         missing.append(
-            "no encoder was recorded: exchanged wires and displaced sensors do not show without one; "
+            "no encoder was recorded: without one, exchanged wires and displaced sensors are not detected; "
             "record theta_enc, or fit an encoder for the check"
         )
     elif pole_pairs := causes.pole_pairs(trace, turns):
@@ -92,7 +92,7 @@ def examine(trace: Trace, further: str = "") -> Health:
         try:
             wiring = diagnose(theta[moving], some.hall[moving])
         except ValueError as error:
-            missing.append(f"the wiring is not known: {error}")
+            missing.append(f"wiring unknown: {error}")
         else:
             as_specified, forwards = wiring.best == AS_SPECIFIED, emf is None or not emf.reversed
             found: list[Finding] = []
@@ -131,12 +131,12 @@ def _thin(turns: Turns, measured: Measured) -> list[str]:
     words = []
     if min(turns.up, turns.down) < LEAST_TURNS:
         words.append(
-            f"the shaft turned {turns.up:.1f} electrical turns up and {turns.down:.1f} down: turn it both ways, "
-            f"{LEAST_TURNS:g} at least"
+            f"only {turns.up:.1f} electrical revolutions forward and {turns.down:.1f} reverse; at least "
+            f"{LEAST_TURNS:g} each way are needed"
         )
     elif measured.least() < LEAST_PASSAGES:
         words.append(
-            f"an edge was passed {measured.least()} times only in one direction: let it turn longer, for "
-            f"{LEAST_PASSAGES} times at least"
+            f"an edge was passed only {measured.least()} times in one direction: turn the shaft longer, "
+            f"for at least {LEAST_PASSAGES} passages"
         )
     return words

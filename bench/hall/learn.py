@@ -59,12 +59,12 @@ def learnt(health: Health) -> Learnt:
     """The edges of a healthy check. BenchError, with what to do, where they are not to be used."""
     require_no_fault(health)
     if health.outcome is Outcome.CANNOT_TELL:
-        raise BenchError(f"no edges learnt: {health.missing[0]}")
+        raise BenchError(f"no edges learned: {health.missing[0]}")
     widest = health.measured.widest()
     if not widest <= ENOUGH:
         raise BenchError(
-            f"no edges learnt: one is known to +-{math.degrees(widest):.2f} deg only (95 %, "
-            f"{health.measured.least()} passages), {math.degrees(ENOUGH):g} deg are needed: let the shaft turn longer"
+            f"no edges learned: the least certain is known to +-{math.degrees(widest):.2f} deg (95 %, "
+            f"{health.measured.least()} passages); +-{math.degrees(ENOUGH):g} deg are needed: turn the shaft longer"
         )
     edges = health.measured.edges
     up, down = tuple(e.delta(e.up) for e in edges), tuple(e.delta(e.down) for e in edges)
@@ -76,7 +76,7 @@ def require_no_fault(health: Health) -> None:
     if health.outcome is Outcome.FAULT:
         more = f" (and {len(health.findings) - 1} more)" if len(health.findings) > 1 else ""
         first = health.findings[0]
-        raise BenchError(f"no edges learnt: {first.cause}{more}; {first.advice}; then learn again")
+        raise BenchError(f"no edges learned: {first.cause}{more}; {first.advice}; then learn again")
 
 
 def taught(lessons: Lessons, motor: bool) -> Learnt:
@@ -84,8 +84,8 @@ def taught(lessons: Lessons, motor: bool) -> Learnt:
     sd = max(lessons.of[name].sd for name in EDGES)
     if not sd <= LEARNED:
         raise BenchError(
-            f"no edges learnt: {lessons.whose} knows them to {math.degrees(sd):.1f} deg only (standard deviation), "
-            f"{math.degrees(LEARNED):g} deg are needed: let the shaft turn longer and faster, both ways, with loads"
+            f"no edges learned: {lessons.whose} knows them to {math.degrees(sd):.1f} deg (standard deviation); "
+            f"{math.degrees(LEARNED):g} deg are needed: turn the shaft longer and faster, both directions, under load"
         )
     edges = [lessons.of[name].value for name in EDGES]
     of_motor = {
@@ -101,8 +101,8 @@ def _within(found: Learnt) -> Learnt:
     for name, value in found.parameters().items():
         lo, hi, unit = PARAMETERS[name].lo, PARAMETERS[name].hi, PARAMETERS[name].unit.symbol
         if not lo <= value <= hi:
-            what = "move the sensor" if name in EDGES else "that cannot be"
-            raise BenchError(f"no edges learnt: {name} = {value:.3g} {unit} is not in {lo:g}..{hi:g} {unit}: {what}")
+            what = "move the sensor" if name in EDGES else "implausible"
+            raise BenchError(f"no edges learned: {name} = {value:.3g} {unit} is outside {lo:g}..{hi:g} {unit}: {what}")
     return found
 
 
@@ -121,7 +121,7 @@ def write(drive: Node, found: Learnt) -> int:
             drive.set(name, value)
             stored = drive.parameter(name).value
             if stored != float(np.float32(value)):
-                raise NodeError(f"{name} reads {stored:g} after {value:g} was written: nothing was changed")
+                raise NodeError(f"{name} reads back {stored:g} after writing {value:g}: nothing was changed")
     except BaseException:
         try:
             put_back(drive, before)
@@ -141,7 +141,7 @@ def save(path: Path, found: Learnt) -> None:
         ways = {"edge_up": found.edge_up, "edge_down": found.edge_down}
         rows = [f"{name} = [{', '.join(f'{v:.6f}' for v in values)}]" for name, values in ways.items()]
         about = f"# ideal minus actual angle of the {SECTORS} Hall edges, rad, opening sectors I to VI"
-        rows.append(f"edge_sd = {found.edge_sd:.6f} # standard deviation of these, all of a way together")
+        rows.append(f"edge_sd = {found.edge_sd:.6f} # standard deviation common to all edges of one direction")
         head = ["[firmware]", *motor, ""] if motor else []
         text = "\n".join([*head, "[firmware.hall_edges]", about, *rows, ""])
     files.write(path, text, f"--out {path}")

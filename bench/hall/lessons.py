@@ -76,19 +76,20 @@ def _of_drive(whole: Capture | Recorded) -> Lessons:
     for capture in pieces_of(whole, TOLD_BY):
         if lacking := [name for name in TOLD_BY if name not in capture]:
             asked = ",".join(f"+{name}" for name in TOLD_BY)
-            raise BenchError(f"no edges learnt: {', '.join(lacking)} was not recorded (bench live --channels {asked})")
+            missing = ", ".join(lacking)
+            raise BenchError(f"no edges learned: {missing} not recorded: use bench live --channels {asked}")
         last.add(*(capture[name] for name in TOLD_BY))
     return last.lessons(capture.parameters)
 
 
 def _of_host(whole: Capture | Recorded) -> Lessons:
-    last = _Last("the host's filter, over what was recorded")
+    last = _Last("the host's filter, on the recorded data")
     estimators: Estimators | None = None
     for capture in pieces_of(whole, INPUTS):
         config = capture.samples.config
         if estimators is None:
             if why := not_replayable(config, capture.edges.config):
-                raise BenchError(f"no edges learnt: the Kalman filter cannot be run on this: {why}")
+                raise BenchError(f"no edges learned: the Kalman filter cannot run on this recording: {why}")
             estimators = Estimators([OBSERVER], capture.parameters, config, follow=False)
         estimators.edges(capture.edges)
         found = estimators.records(capture.samples)[OBSERVER]
@@ -117,10 +118,10 @@ class _Last:
         of = {LESSONS[k]: lesson for k, lesson in sorted(self._of.items()) if k < len(LESSONS)}
         of = {name: one for name, one in of.items() if math.isfinite(one.value) and 0.0 <= one.sd < math.inf}
         if missing := [name for name in EDGES if name not in of]:
-            raise BenchError(f"no edges learnt: {whose} told nothing of {', '.join(missing)}")
+            raise BenchError(f"no edges learned: {whose} reported nothing for {', '.join(missing)}")
         if wrong := self._sensors & NOT_BELIEVED:
             which = [name for bit, name in enumerate(trace.INPUTS) if wrong >> bit & 1]
-            raise BenchError(f"no edges learnt: {whose} does not believe sensor {', '.join(which)}: bench hall check")
+            raise BenchError(f"no edges learned: {whose} distrusts sensor {', '.join(which)}: run bench hall check")
         return Lessons(of, whose, before)
 
 

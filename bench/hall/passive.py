@@ -14,7 +14,7 @@ from protocol.descriptor import Channel
 from protocol.errors import HbpError
 
 WATCHED = ("hall", "status", "theta_enc", "omega_enc", "i_a", "i_b")
-FURTHER = "once round at least, and take longer (--duration)"
+FURTHER = "at least one revolution each way, and allow more time (--duration)"
 LOOK = 0.5  # s between looks at how far it turned
 
 
@@ -35,7 +35,8 @@ def watch(rig: Rig, seconds: float, progress: Callable[[str], None]) -> Turned:
         while (left := end - rig.client.now()) > 0:
             rig.wait(min(LOOK, left))
             up, down = electrical_turns(rig.recorder, first, rig.drive.parameters)
-            progress(f"turn the shaft by hand: {up:.1f} electrical turns up, {down:.1f} down, {left:.0f} s left")
+            turned = f"{up:.1f} electrical revolutions forward, {down:.1f} reverse"
+            progress(f"turn the shaft by hand: {turned}, {left:.0f} s left")
             if min(up, down) >= ENOUGH:
                 break
     with suppress(HbpError):

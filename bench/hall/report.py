@@ -16,12 +16,12 @@ from bench.hall.trace import INPUTS, Trace
 from bench.hall.turning import Turned
 
 WIDTH = 79
-EDGE_HEADERS = ("edge", "up", "down", "+-95 %", "passed", "hyst.", "jitter", "width")
+EDGE_HEADERS = ("edge", "forward", "reverse", "+-95 %", "passed", "hyst.", "jitter", "width")
 SENSOR_HEADERS = ("sensor", "duty, %", "false pulses", "1/s")
 CURRENT_HEADERS = ("current, A", "false pulses", "1/s")
 EDGE_TITLE = (
-    "Edges in electrical degrees: they belong at 0, 60 … 300; passed: times up/down;",
-    "width: of the sector that opens there",
+    "Edge angles in electrical degrees; ideal: 0, 60 … 300; passed: forward/reverse;",
+    "width: of the sector that starts there",
 )
 
 
@@ -63,7 +63,8 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     """Names and values of all that is no table of its own."""
     codes, turns, measured, emf = health.codes, health.turns, health.measured, health.emf
     rows = [
-        ["turned", f"{turned.how}: {turns.up:.1f} electrical turns up, {turns.down:.1f} down"],
+        ["turned", turned.how],
+        ["el. revolutions", f"{turns.up:.1f} forward, {turns.down:.1f} reverse"],
         ["data", f"{trace.samples} samples in {trace.seconds:.1f} s, {codes.edges} edges"],
         ["illegal codes", f"{codes.illegal_samples} samples, {codes.illegal} edges; {codes.skipped} sectors skipped"],
     ]
@@ -81,9 +82,9 @@ def fact_rows(health: Health, trace: Trace, turned: Turned) -> list[list[str]]:
     left_out = [
         f"{n} {'edge' if n == 1 else 'edges'} {why}"
         for n, why in (
-            (trace.unplaced, "beside a gap"),
-            (trace.slow, "of a shaft that hardly moved"),
-            (measured.outliers, "far from others of their kind"),
+            (trace.unplaced, "next to a gap"),
+            (trace.slow, "at nearly zero speed"),
+            (measured.outliers, "as outliers"),
         )
         if n
     ]
@@ -102,20 +103,20 @@ def verdict_lines(health: Health, remarks: Sequence[str]) -> list[str]:
         lines += _wrapped("FAULT: ", finding.cause)
         for evidence in finding.evidence:
             lines += _wrapped("  because ", evidence)
-        lines += _wrapped("  to do: ", finding.advice)
+        lines += _wrapped("  action: ", finding.advice)
     for missing in health.missing:
-        lines += _wrapped("cannot tell: ", missing)
+        lines += _wrapped("inconclusive: ", missing)
     if health.wiring is not None and not health.findings:
         lines += _wrapped(
             "HEALTHY: " if health.outcome is Outcome.HEALTHY else "so far: ",
-            f"wired as specified, which explains {100.0 * health.wiring.share:.1f} % of {health.wiring.n} samples; the "
-            f"next, {health.wiring.runner_up}, {100.0 * health.wiring.runner_up_share:.1f} %",
+            f"wired as specified, which explains {100.0 * health.wiring.share:.1f} % of {health.wiring.n} samples; "
+            f"next best: {health.wiring.runner_up}, {100.0 * health.wiring.runner_up_share:.1f} %",
         )
     return lines
 
 
 def as_json(health: Health, trace: Trace, turned: Turned, source: str) -> dict[str, Any]:
-    """All of it as plain data; what is not known is null."""
+    """All of it as plain data; unknown values are null."""
     measured, turns, emf, wiring, found = health.measured, health.turns, health.emf, health.wiring, health.pulses
     return {
         "source": source,

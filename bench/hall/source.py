@@ -48,16 +48,16 @@ class Options:
     """s that the shaft is watched at most, with `passive`."""
     yes: bool = False
     config: Path | None = None
-    """Figures of the simulated drive."""
+    """Configuration of the simulated drive."""
     operator: str = ""
     save: Path | None = None
     overwrite: bool = False
     write: bool = False
-    """The drive is to be told where its edges lie,"""
+    """Write the edge angles to the drive,"""
     store: bool = False
-    """and to keep that for the next boot."""
+    """and have it store them."""
     by: str = "encoder"
-    """What says where they lie: `encoder`, `filter` (the host's Kalman filter) or `drive` (its own filter)."""
+    """What measures them: `encoder`, `filter` (the host's Kalman filter) or `drive` (its own filter)."""
 
     begin: float | None = None
     end: float | None = None
@@ -126,7 +126,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
             rig.require(*options.needs)
             if options.reads:
                 rig.prepare([lessons.channels(rig)], recording)
-                yield Source(Turned(lessons.read(rig), "not at all"), rig.drive.node)
+                yield Source(Turned(lessons.read(rig), "not turned"), rig.drive.node)
                 return
             if options.passive:
                 rig.prepare([watched(rig)], recording)
@@ -134,7 +134,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
                 return
             rig.prepare(recording=recording, needed=frozenset(STATOR))
             if options.by == "filter" and rig.samples is not None and (why := unfit(rig.samples)):
-                raise BenchError(f"the Kalman filter cannot be run over this link: {why}")
+                raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
             check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
             turner = Turner(rig, options.speed_rpm, screen.progress)
             yield Source(turner.spin(), rig.drive.node)

@@ -80,8 +80,8 @@ class Turner:
         slowest = ENOUGH / DWELL[1] * math.tau / rig.drive.n_p / RPM
         if most_rpm < slowest:
             raise BenchError(
-                f"--speed {most_rpm:g} is too slow: {slowest:g} r/min at least, for {ENOUGH:g} electrical turns in "
-                f"{DWELL[1]:g} s"
+                f"--speed {most_rpm:g} is too slow: at least {slowest:g} r/min are needed, for {ENOUGH:g} electrical "
+                f"revolutions in {DWELL[1]:g} s"
             )
         self._asked = 0.0  # electrical rad/s, the highest so far
         self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
@@ -152,7 +152,7 @@ class Turner:
             if drive.faults:
                 self._after_trip(source, omega_m)
             elif abs(self._speed()) > limit:
-                raise _NotFollowing(f"told to turn at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
+                raise _NotFollowing(f"at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
             self._require_following(first, omega_m)
 
     def _brake(self) -> None:
@@ -173,7 +173,7 @@ class Turner:
             self._coast()
         if abs(self._speed()) >= STANDS:
             was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
-            raise _NotFollowing(f"told to stand it went from {was:+.0f} to {now:+.0f} r/min and was stopped")
+            raise _NotFollowing(f"commanded to stop, it went from {was:+.0f} to {now:+.0f} r/min and was switched off")
 
     def _by_load(self) -> None:
         load = self._rig.load
@@ -208,9 +208,9 @@ class Turner:
         try:
             drive.forget_faults()
         except (BenchError, HbpError):
-            raise _NotFollowing("its fault does not clear where the shaft stands now") from None
+            raise _NotFollowing("its fault cannot be cleared at this shaft position") from None
         if other:
-            raise _NotFollowing(f"not tried again after {', '.join(other)}")
+            raise _NotFollowing(f"not retried after {', '.join(other)}")
 
     def _coast(self) -> None:
         self._rig.until(lambda: abs(self._speed()) < STANDS, COAST)
@@ -222,7 +222,7 @@ class Turner:
             drive.forget_faults()
             self._rig.wait(SETTLES)
         if drive.faults:
-            self._remarks.append(f"the drive is off and keeps its fault {', '.join(drive.faults)}: its cause persists")
+            self._remarks.append(f"the drive is off, {', '.join(drive.faults)} still latched: the cause persists")
             drive.leave_faults()
 
     def _require_following(self, first: int, omega_m: float) -> None:
@@ -233,7 +233,7 @@ class Turner:
         asked = abs(omega_m) * self._rig.drive.n_p * self._dwell(omega_m)
         if way < (FOLLOWS * asked if self._running else 0.0):
             raise _NotFollowing(
-                f"told to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min it turned "
+                f"commanded to turn {math.degrees(asked):.0f} deg at {omega_m / RPM:+.0f} r/min, it turned "
                 f"{math.degrees(way):.0f} deg (electrical, by the encoder)"
             )
 

@@ -248,7 +248,7 @@ def entry_of(name: str) -> Entry:
     if wanted in BROKEN:
         raise BenchError(f"observer '{name}' cannot be used: {BROKEN[wanted]}")
     there = ", ".join(f"{entry.name} ({entry.short})" for entry in CATALOGUE.values())
-    raise BenchError(f"no observer '{name}'{did_you_mean(wanted, known)}; there are {there}")
+    raise BenchError(f"no observer '{name}'{did_you_mean(wanted, known)}; available: {there}")
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
@@ -262,7 +262,9 @@ def unfit(config: StreamConfig) -> str:
     names = {channel.name for channel in config.channels}
     if missing := [name for name in INPUTS if name not in names and name not in OPTIONAL_INPUTS]:
         return f"it has no channel {', '.join(missing)}"
-    return "" if config.decimation == 1 else f"it has one sample in {config.decimation} PWM periods: all are needed"
+    if config.decimation == 1:
+        return ""
+    return f"the stream is decimated by {config.decimation}; observers need every PWM period"
 
 
 def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
@@ -279,4 +281,4 @@ def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
 
 def _require(what: str, names: Sequence[str]) -> None:
     if names:
-        raise BenchError(f"{what} needs {', '.join(names)}, which the drive does not tell")
+        raise BenchError(f"{what} needs {', '.join(names)}, which the drive does not have")

@@ -36,8 +36,8 @@ BEGAN = {
     "lost_samples": "after lost samples",
     "lost_edges": "after lost edges",
 }
-"""Why observers began anew, in words, by the keys of `Estimators.restarts`."""
-ENDS_EARLY = "the recording ends early: it was cut short, or is still being written"
+"""Why observers restarted, in words, by the keys of `Estimators.restarts`."""
+ENDS_EARLY = "the recording ends early: it was interrupted, or is still being written"
 ALIASES = {"k_p": "k_p_vt", "k_i": "k_i_vt"}
 
 
@@ -86,12 +86,12 @@ def replay(
     if not names:
         names, left_out = all_for(parameters)
         if not names:
-            raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not tell: --set it")
+            raise BenchError(f"{path} cannot be replayed: {left_out[0]}, which the drive does not have; use --set")
     config, _ = run.drive_streams
     augmenter = Augmenter(names, parameters, config)
     taken = {channel.name for channel in config.channels}
     if double := [channel.name for channel in augmenter.channels if channel.name in taken]:
-        raise BenchError(f"{path} has {double[0]} already: replay the recording that it was made from")
+        raise BenchError(f"{path} already has {double[0]}: replay the original recording")
     info = replace(
         run.info,
         channels=(*run.info.channels, *augmenter.channels),
@@ -110,7 +110,7 @@ def replay(
 
     def result() -> Replayed:
         if not counted.samples:
-            raise BenchError(f"{path} holds no samples that could be replayed: {'; '.join(run.damage)}")
+            raise BenchError(f"{path} has no samples to replay: {'; '.join(run.damage)}")
         return Replayed(
             path=out,
             observers=names,
@@ -153,7 +153,7 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
     parameters = {**capture.parameters, **checked_settings(settings, [name], capture.parameters)}
     augmenter = Augmenter([name], parameters, capture.samples.config)
     if double := [channel.name for channel in augmenter.channels if channel.name in capture]:
-        raise BenchError(f"{double[0]} is in this capture already: estimate from the one that it was made of")
+        raise BenchError(f"{double[0]} is already in this capture: use the original capture")
     augmenter.estimators.edges(capture.edges)
     return replace(capture, samples=augmenter.samples(capture.samples))
 
@@ -164,7 +164,7 @@ def readable_run(path: Path) -> Run:
     if layout.SAMPLES not in run.names:
         raise BenchError(f"{path} holds no samples of the drive")
     if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{path}: the drive's clock went back at {run.at(back)}, so it has rebooted in the run")
+        raise BenchError(f"{path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
     return run
 
 
@@ -185,7 +185,7 @@ def checked_settings(
         if name not in used:
             exists = name in known or name in recorded
             why = f"changes nothing in {', '.join(observers)}" if exists else "is no parameter"
-            raise BenchError(f"{given}: it {why}; there are {', '.join(sorted(used))}")
+            raise BenchError(f"{given}: it {why}; available: {', '.join(sorted(used))}")
         if name in known:
             limits = known[name]
             if not limits.lo <= value <= limits.hi:
@@ -193,7 +193,7 @@ def checked_settings(
             if limits.flags & Flag.WHOLE and value != int(value):
                 raise BenchError(f"{given}: must be a whole number, got {value:g}")
         if name in checked:
-            raise BenchError(f"{given}: {name} is set already: give one of the two names")
+            raise BenchError(f"{given}: {name} is already set: use only one of its two names")
         checked[name] = value
     return checked
 
@@ -205,9 +205,9 @@ def rows(result: Replayed) -> list[list[str]]:
         ["observers", ", ".join(result.observers)],
         ["samples", f"{result.samples}, {result.seconds:.1f} s"],
         ["lost in the recording", f"{result.lost_samples} samples, {result.lost_edges} edges"],
-        ["observers began anew", began],
-        *(["left out", words] for words in result.left_out),
-        *(["not known", words] for words in result.unknown),
+        ["observers restarted", began],
+        *(["not run", words] for words in result.left_out),
+        *(["unknown", words] for words in result.unknown),
     ]
 
 
@@ -228,9 +228,9 @@ def _told(values: Mapping[str, float]) -> dict[str, str]:
 def _unknown(run: Run) -> tuple[str, ...]:
     names = {channel.name for channel in run.drive_streams[0].channels}
     missing = [name for name in INPUTS if name not in names]
-    notes = [f"what came after its end: {ENDS_EARLY}"] if not run.ended else []
+    notes = [f"what followed the end: {ENDS_EARLY}"] if not run.ended else []
     notes += run.damage
-    notes.append("parameters that were changed during the run: those of its beginning hold")
+    notes.append("parameters changed during the run: the initial values are used")
     if "status" in missing:
         notes.append("where the drive initialised its observers: no channel status")
     if "i_q" in missing or "i_q_ref" in missing:

@@ -29,7 +29,7 @@ class RunFolder:
     def __init__(self, target: Path, info: RunInfo, overwrite: bool) -> None:
         self._target, self._overwrite = target, overwrite
         if os.path.lexists(target) and not (overwrite and is_run(target)):
-            what = "choose another name, or --overwrite to replace it" if is_run(target) else "it is no recorded run"
+            what = "choose another name, or --overwrite to replace it" if is_run(target) else "it is not a recorded run"
             raise RecordingError(f"{target} exists: {what}")
         self.path = part_of(target)
         try:

@@ -76,7 +76,7 @@ def ask(path: Path, text: str, now: Callable[[], float] = time.monotonic) -> tup
     asked = Asked(uuid4().hex[:12], now(), text)
     run = Run(newest(path))
     if not run.being_written:
-        raise BenchError(f"{run.path} is not being recorded: --at S marks a time of what was")
+        raise BenchError(f"{run.path} is not being recorded: mark a device time with --at S")
     seen = _put(run.path, asked)
     while now() < asked.host + ANSWER:
         present = newest(path)  # before the log is looked at: what another part follows is complete
@@ -89,9 +89,9 @@ def ask(path: Path, text: str, now: Callable[[], float] = time.monotonic) -> tup
             seen = _put(run.path, asked)
         time.sleep(PAUSE)
     if run.being_written:
-        raise BenchError(f"the program that records {run.path} did not take the mark within {ANSWER:g} s")
+        raise BenchError(f"the program that records {run.path} did not confirm the mark within {ANSWER:g} s")
     (run.path / layout.ASKED).unlink(missing_ok=True)
-    raise BenchError(f"{run.path} has just come to its end: --at S marks a time of it")
+    raise BenchError(f"{run.path} has just ended: mark a device time with --at S")
 
 
 def add(path: Path, text: str, seconds: float) -> Mark:
@@ -115,7 +115,7 @@ def add(path: Path, text: str, seconds: float) -> Mark:
         write_all(log, (b"" if data.endswith(b"\n") else b"\n") + layout.line_of(layout.mark_record(mark)).encode())
         os.fdatasync(log)
     except BlockingIOError:
-        raise BenchError(f"{path} is being recorded: without --at the present moment is marked") from None
+        raise BenchError(f"{path} is being recorded: omit --at to mark the present moment") from None
     except OSError as error:
         raise BenchError(f"{path} cannot be marked: {error.strerror}") from None
     finally:

@@ -78,7 +78,7 @@ class Run:
         try:
             data = (self.path / layout.LOG).read_bytes()
         except OSError:
-            raise NotARecordingError(f"{path} is no recorded run: it has no {layout.LOG}") from None
+            raise NotARecordingError(f"{path} is not a recorded run: it has no {layout.LOG}") from None
         self.info = self._described(data)
         self._configs: dict[int, StreamConfig] = {}
         self._numbers: dict[str, int] = {}
@@ -113,7 +113,7 @@ class Run:
             told = _metadata(file).get("run")
             if told is not None:
                 return dict(told)
-        raise NotARecordingError(f"{self.path}: the first line of {layout.LOG} is damaged: it says what the run is")
+        raise NotARecordingError(f"{self.path}: the first line of {layout.LOG}, which describes the run, is damaged")
 
     def _records(self, data: bytes) -> Iterator[dict[str, Any]]:
         """The records of the log; damaged lines are named with the time of those before."""
@@ -322,7 +322,7 @@ class Run:
             found = journal.read(file.read_bytes(), self._configs)
             for begin, end, before in found.damage:
                 ticks = [int(chunk.tick[-1]) for _, chunk in found.chunks[:before]]
-                where = f"after {self.at(ticks[-1])}" if ticks else "at its begin"
+                where = f"after {self.at(ticks[-1])}" if ticks else "at its start"
                 self.damage.append(f"{file.name}: bytes {begin} to {end} are damaged, {where}")
             chunks += found.chunks
         return tuple(chunks)
@@ -670,7 +670,7 @@ def _metadata(file: Path) -> dict[str, Any]:
 
 def _advice(path: Path) -> str:
     if path.suffix == RRD and is_run(run_folder(path)):
-        return f"{path.name} is for rerun's viewer; what was recorded is {run_folder(path)}"
+        return f"{path.name} is a file for rerun; the recording is {run_folder(path)}"
     if path.exists():
-        return "a run is a folder, as bench live --save makes one"
+        return "a run is a folder made by bench live --save"
     return "nothing is there"

@@ -158,7 +158,7 @@ class RunSink(Sink):
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
-            self._fail(f"{self._backlog >> 20} MiB were not written within {CLOSE_TIMEOUT:g} s; the end is missing")
+            self._fail(f"{self._backlog >> 20} MiB could not be written within {CLOSE_TIMEOUT:g} s; the end is missing")
         self.check()
 
     def check(self) -> None:
@@ -207,7 +207,7 @@ class RunSink(Sink):
                     looked = now
                     if why := self._look_at_space():
                         self._parts.writer.close()
-                        self._fail(f"{why}; what came before is whole")
+                        self._fail(f"{why}; everything before is complete")
                         return
             self._take_marks()
             self._parts.writer.close()

@@ -22,8 +22,8 @@ def too_little(path: Path, free: int) -> str:
     if free >= RESERVE:
         return ""
     return (
-        f"the disk is full: {free >> 20} MiB are free in {path.absolute().parent}, and {RESERVE >> 20} MiB are left "
-        "alone; free some space or record elsewhere"
+        f"the disk is full: {free >> 20} MiB are free in {path.absolute().parent}, and {RESERVE >> 20} MiB are "
+        "reserved; free some space or record elsewhere"
     )
 
 
@@ -50,6 +50,6 @@ class Room:
             return ""
         self._left = [limit for limit in self._left if limit not in said]
         return (
-            f"the disk is full in {lasts / 60.0:.1f} min: {free >> 20} MiB are free, at {rate / 1e3:.0f} kB/s; "
-            "the recording ends then, whole"
+            f"the disk will be full in {lasts / 60.0:.1f} min: {free >> 20} MiB are free, at {rate / 1e3:.0f} kB/s; "
+            "the recording then ends, complete"
         )

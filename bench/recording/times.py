@@ -12,13 +12,13 @@ def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int
     Raises BenchError for a run that holds nothing, and for a part of it that does.
     """
     if not run.segments:
-        raise BenchError(f"{run.path} holds no samples and no Hall edges")
+        raise BenchError(f"{run.path} has no samples and no Hall edges")
     first, last = run.span
     hz = run.info.tick_hz
     wanted = first if begin is None else round(begin * hz), last if end is None else round(end * hz)
     if wanted[0] > wanted[1] or wanted[0] > last or wanted[1] < first:
         asked = f"{wanted[0] / hz:g} to {wanted[1] / hz:g} s"
-        raise BenchError(f"{run.path} has nothing from {asked}: it is from {first / hz:.3f} to {last / hz:.3f} s")
+        raise BenchError(f"{run.path} has no data from {asked}: it covers {first / hz:.3f} to {last / hz:.3f} s")
     return max(first, wanted[0]), min(last, wanted[1])
 
 

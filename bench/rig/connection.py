@@ -53,7 +53,7 @@ def find_drive(client: Client, target: str) -> Node:
     """The drive at the other end. BenchError for what is none, HbpError if nothing answers."""
     hello = client.connect()
     if hello.role != Role.DRIVE:
-        raise BenchError(f"{target} answers as {hello.role.name}, not as a drive")
+        raise BenchError(f"{target} is a {hello.role.name}, not a drive")
     return Node(client, hello.node)
 
 
@@ -75,5 +75,5 @@ def open_load_machine(target: str, stack: ExitStack) -> Node:
     client = Client(link)
     hello = client.connect()
     if hello.role != Role.LOAD:
-        raise BenchError(f"{target} answers as {hello.role.name}, not as a load machine")
+        raise BenchError(f"{target} is a {hello.role.name}, not a load machine")
     return Node(client, hello.node)

@@ -1,6 +1,6 @@
-"""The drive of a rig: start, set points, parameters that are put back.
+"""The drive of a rig: start, setpoints, parameters that are restored.
 
-It keeps to what was announced (its `Envelope`), because that is what a person agreed to: set points are checked here,
+It keeps to what was announced (its `Envelope`), because that is what a person agreed to: setpoints are checked here,
 and the drive's own `i_max` is lowered meanwhile, so that no speed controller goes beyond it. Nothing here looks at
 samples.
 """
@@ -38,7 +38,7 @@ class Drive(Machine):
 
     title = "the drive"
     starts_by_itself = False
-    """Whether a set point starts it, as it does in a notebook."""
+    """Whether a setpoint starts it, as it does in a notebook."""
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
         super().__init__(node, envelope)
@@ -63,7 +63,7 @@ class Drive(Machine):
         """Pole pairs. BenchError if the drive does not tell them."""
         n_p = pole_pairs(self.parameters)
         if n_p is None:
-            raise BenchError("the drive has no parameter n_p that a motor can have: pole pairs are not known")
+            raise BenchError("the drive has no valid parameter n_p: the number of pole pairs is unknown")
         return n_p
 
     @property
@@ -93,7 +93,7 @@ class Drive(Machine):
         """Change the angle source that the control uses; also while it runs."""
         source = source_number(observer)
         if source is None:
-            raise BenchError(f"no angle source '{observer}': there are {', '.join(source_names())}")
+            raise BenchError(f"no angle source '{observer}'; available: {', '.join(source_names())}")
         self.set("observer", float(source))
 
     def speed(self, omega_m: float, unit: str = "rad/s", *, unless: Callable[[], bool] = lambda: False) -> None:
@@ -102,7 +102,7 @@ class Drive(Machine):
         Raises BenchError for another unit and beyond what was announced, and DriveTripped.
         """
         if unit not in UNITS:
-            raise BenchError(f"no unit '{unit}' of speed: there are {', '.join(UNITS)}")
+            raise BenchError(f"no speed unit '{unit}'; available: {', '.join(UNITS)}")
         omega_m *= UNITS[unit]
         require_announced_speed("speed", omega_m, self.envelope)
         self._start_by_itself()

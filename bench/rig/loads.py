@@ -59,7 +59,7 @@ class NoLoad:
 
     def torque(self, tau: float) -> None:
         """BenchError."""
-        raise BenchError("there is no load: none answers as node 2 on the drive's link, or bench.toml says load = none")
+        raise BenchError("there is no load: no node 2 answers on the drive's link, or bench.toml has load = none")
 
     speed = torque
 
@@ -150,7 +150,7 @@ class PersonLoad:
 
     def speed(self, omega_m: float) -> None:
         """BenchError: it takes a machine."""
-        raise BenchError("a person with a brake forces no speed")
+        raise BenchError("a person with a brake cannot force a speed")
 
     def off(self) -> None:
         """Ask to release the brake, if it was set."""
@@ -232,7 +232,7 @@ def own_load(text: str, directory: Path) -> OwnLoad:
     path = directory / file
     spec = importlib.util.spec_from_file_location(f"hallbench_load_{path.stem}", path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise BenchError(f"load '{text}': no Python file {path}; it must look like my_brake.py:Brake")
+        raise BenchError(f"load '{text}': no Python file {path}; write it as my_brake.py:Brake")
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for it
     try:
         spec.loader.exec_module(module)

@@ -30,7 +30,7 @@ def alone_on(*targets: str) -> Iterator[None]:
             try:
                 stack.enter_context(lock)
             except Timeout:
-                raise BenchError(f"{target} is in use by another run: wait for its end, or close its rig") from None
+                raise BenchError(f"{target} is in use by another run: wait until it ends, or close its rig") from None
             except OSError as error:  # a symbolic link in its place is not followed
                 words = f"cannot lock {target} for this run: {lock.lock_file}: {error.strerror or error}"
                 raise BenchError(f"{words}; remove that file") from None

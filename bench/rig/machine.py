@@ -19,7 +19,7 @@ class Machine:
 
     title = "the machine"
     place = ""
-    """Where its parameters are, after "not put back", if it is not the drive."""
+    """Where its parameters are, after "not restored", if it is not the drive."""
     agreed: Callable[[], None] = staticmethod(lambda: None)
     """Called before it is energised; raises where nobody agrees to that."""
 
@@ -90,6 +90,6 @@ def require_announced(what: str, value: float, limit: float, unit: str, argument
     """Raise BenchError if `value` is beyond what was announced by that argument."""
     if not value <= limit * (1 + 1e-9):
         raise BenchError(
-            f"{what} {value:.4g} {unit} is beyond the {limit:g} {unit} that were announced: @energises({argument}=…), "
+            f"{what} {value:.4g} {unit} is beyond the announced limit of {limit:g} {unit}: @energises({argument}=…), "
             f"or limits=Envelope({argument}=…)"
         )

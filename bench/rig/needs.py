@@ -62,7 +62,7 @@ def lacks(node: Node, need: str) -> str:
             return "" if has else "a speed with the flag REFERENCE or ESTIMATE"
         case "observer":
             return "" if offers(node, name) else f"the angle source {name} (parameter observer)"
-    raise ValueError(f"'{need}' is no need that is known")
+    raise ValueError(f"unknown need '{need}'")
 
 
 def offers(node: Node, source: str) -> bool:
@@ -78,4 +78,4 @@ def require(node: Node, what: str, needs: Iterable[str]) -> None:
     missing = [words for need in needs if (words := lacks(node, need))]
     if missing:
         listed = missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}"
-        raise NodeError(f"{what} needs {listed}: node {node.number} ({node.identity.name}) does not have it")
+        raise NodeError(f"{what} needs {listed}; node {node.number} ({node.identity.name}) lacks it")

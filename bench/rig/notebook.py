@@ -81,7 +81,7 @@ def _confirm(client: Client, question: str) -> bool:
     try:
         return input(f"{question} [y/N]: ").strip().lower() in ("y", "yes")
     except (EOFError, NotImplementedError) as error:  # a notebook that a program runs
-        raise UnsafeError(f"nobody answers '{question}': give yes=True if the shaft is clear") from error
+        raise UnsafeError(f"no terminal to answer '{question}': pass yes=True if the shaft is clear") from error
     finally:
         with undisturbed():
             answered.set()

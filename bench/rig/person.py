@@ -41,7 +41,7 @@ def asked(words: str) -> Iterator[Answered]:
         except OSError:  # it was hung up
             line = b""
         if not line:
-            raise BenchError(f"nobody is there any more to be asked: {words}")
+            raise BenchError(f"there is no terminal any more to ask: {words}")
         return True
 
     termios.tcflush(terminal, termios.TCIFLUSH)

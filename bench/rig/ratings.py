@@ -41,7 +41,7 @@ class Ratings:
     def missing(self, wanted: Collection[str]) -> list[str]:
         """What is not known of these, in words, and who may say it."""
         return [
-            f"needs the drive's {what}: it has no parameter {_TOLD_BY[what][0]}, say [rated] {_TOLD_BY[what][1]} in "
+            f"needs the drive's {what}: it has no parameter {_TOLD_BY[what][0]}; set [rated] {_TOLD_BY[what][1]} in "
             "bench.toml"
             for what in wanted
             if what not in self.told

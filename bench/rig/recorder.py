@@ -74,7 +74,7 @@ class Recorder(Sink):
     def latest(self, channel: str) -> float:
         """The newest value of a channel. BenchError before the first sample, or where there is no such channel."""
         if not self._samples:
-            raise BenchError(f"no sample has come yet: '{channel}' is not known")
+            raise BenchError(f"no sample received yet: '{channel}' is unknown")
         chunk = self._samples[-1]
         if channel not in (chunk.raw.dtype.names or ()):
             raise BenchError(f"channel '{channel}' is not in the stream")
@@ -89,7 +89,7 @@ class Recorder(Sink):
         edges = join([between(chunk, first, last) for chunk in self._edges])
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
         if self.newest < last:
-            dropped.append((self.newest, last, f"no sample came after {self._at(self.newest)}"))
+            dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))
         return Capture(samples, edges, dict(parameters), tuple(dropped))
 
     def count(self) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""How a test ends: every step is tried whatever another raises, and parameters go back. Nothing here energises."""
+"""How a test ends: every step is tried whatever another raises, and parameters are restored. Nothing here energises."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def try_all(steps: Iterable[Callable[[], object]]) -> None:
 def put_back(node: Node, before: dict[str, float]) -> None:
     """Set the parameters of `node` to the values `before`, in that order, and take out of it what was set.
 
-    One that is refused stays there and keeps no other from being set; the first error is raised at the end.
+    If one cannot be restored, it stays in `before` and the others still are; the first error is raised at the end.
     """
 
     def set_one(name: str) -> None:
@@ -41,4 +41,4 @@ def put_back(node: Node, before: dict[str, float]) -> None:
 def not_put_back(before: Mapping[str, float], where: str = "") -> str:
     """What `put_back` has left of `before`, as a part of a sentence; empty where that is nothing."""
     names = ", ".join(f"{name} (was {value:g})" for name, value in before.items())
-    return f"; not put back{where}: {names}" if names else ""
+    return f"; not restored{where}: {names}" if names else ""

@@ -163,11 +163,11 @@ class Rig:
         heartbeat = node.next_heartbeat()
         if heartbeat is not None and heartbeat.state == DriveState.FAULT:
             raise BenchError(
-                f"{target} has a latched fault ({node.fault_text()}): look into its cause, then clear it "
+                f"{target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
                 "(bench live TARGET --clear-faults --duration 1)"
             )
         if heartbeat is None:
-            raise BenchError(f"{target} sends no heartbeat: whether its outputs are off is not known")
+            raise BenchError(f"{target} sends no heartbeat: the state of its outputs is unknown")
         if not is_off(heartbeat):
             raise BenchError(f"{target} is not at rest ({says(heartbeat)}): another host is using it")
 
@@ -245,7 +245,7 @@ class Rig:
             failures_of([self.drive.stop, *([self.load.off] if isinstance(self.load, NodeLoad) else [])])
 
     def close(self) -> None:
-        """Everything off and put back. Raises the first thing that could not be done, when all was tried.
+        """Everything off and restored. Raises the first thing that could not be done, when all was tried.
 
         It is OutputsMayBeOn where something was not seen to be off, and DriveTripped, which tells both, where the drive
         had tripped and nothing had said so yet. A signal that came meanwhile takes effect afterwards, with it as cause.
@@ -285,7 +285,7 @@ class Rig:
         left = "".join(machine.not_put_back() for machine in self.machines)
         if unsafe := [str(failure) for failure in failures if isinstance(failure, OutputsMayBeOn)]:
             return OutputsMayBeOn(f"{unsafe[0]}{left}")
-        words = f"the bench could not be left as it was: {failures[0]}{left}"
+        words = f"the bench could not be restored: {failures[0]}{left}"
         failure = BenchError(words) if trip is None else DriveTripped(f"{trip}; then {words}")
         failure.__cause__ = failures[0]
         return failure
@@ -338,7 +338,7 @@ class Rig:
         Raises DriveTripped; BenchError where nobody can be asked, or when a signal comes while the rig is closed.
         """
         if self.plan.ask is None:
-            raise BenchError(f"nobody can be asked: {words}")
+            raise BenchError(f"no terminal to ask: {words}")
         with self.plan.ask(words) as answered:
             while not answered(POLL if self.plan.virtual else 0.0):
                 if self._signals:

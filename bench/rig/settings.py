@@ -81,7 +81,7 @@ class Settings:
         """
         given = sorted(name for name in names if name in self.limits)
         if len(given) > 1:
-            raise BenchError(f"[limits] of {self.path} names one measurement twice: {' and '.join(given)}")
+            raise BenchError(f"[limits] in {self.path} names one measurement twice: {' and '.join(given)}")
         if not given:
             return limits
         own = self.limits[given[0]]
@@ -90,7 +90,7 @@ class Settings:
         try:
             return replace(limits, lo=own.get("lo", limits.lo), hi=own.get("hi", limits.hi), plus=0.0, overridden=True)
         except ValueError as error:
-            raise BenchError(f"[limits] of {self.path}: {error}") from None
+            raise BenchError(f"[limits] in {self.path}: {error}") from None
 
     def check_names(self, tests: Mapping[str, Collection[str]]) -> list[str]:
         """Names of limits for other tests than these, which map to what they measure: `bench.toml` serves several runs.
@@ -106,8 +106,8 @@ class Settings:
             if not ours:
                 near = [other for other in near if _numbers(other) == _numbers(name)]
             if ours or near:
-                hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all"
-                raise BenchError(f"[limits] of {self.path} names '{name}', which no test measures: {hint}")
+                hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all of them"
+                raise BenchError(f"[limits] in {self.path} names '{name}', which no test measures: {hint}")
             elsewhere.append(name)
         return elsewhere
 

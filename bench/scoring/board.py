@@ -1,4 +1,4 @@
-"""All figures of every observer, by recording and pooled, in the order of their rank.
+"""All statistics of every observer, by recording and pooled, in the order of their rank.
 
 The rank is by the rms error of the angle over all samples in which the shaft moves: starts, steady running, changes of
 speed and reversals. Recordings are pooled sample by sample; an observer that is in only some of them stands after those
@@ -30,12 +30,12 @@ from sim.observers.catalogue import CATALOGUE
 
 Figures = dict[str, Any]
 PHASES = ("moving", "error", "transient", "start_up", "reversal")
-"""Keys of the position error's figures by phase; `error` is that of steady running."""
+"""Keys of the position error's statistics by phase; `error` is that of steady running."""
 
 
 @dataclass(frozen=True)
 class Scoreboard:
-    """Figures by observer, the best first: pooled over all recordings, and by recording."""
+    """Statistics by observer, the best first: pooled over all recordings, and by recording."""
 
     tracks: tuple[Track, ...]
     pooled: dict[str, Figures]
@@ -48,20 +48,20 @@ class Scoreboard:
         rates = sorted({track.rate for track in self.tracks})
         if len(rates) > 1:
             which = ", ".join(f"{rate:g}" for rate in rates)
-            found.append(f"recorded at {which} samples a second: pooled by the sample, so the faster weighs more")
+            found.append(f"recorded at {which} samples/s: pooled by sample, so the faster one weighs more")
         for name, figures in self.pooled.items():
             if words := partly(figures, self.tracks):
-                found.append(f"{name} is in {words}: it stands after those that are in all")
+                found.append(f"{name} is only in {words}: ranked after those that are in all")
         for track in self.tracks:
             lost = f"{track.lost} samples lost" if track.lost else ""
-            short = f"{track.dropped} in stretches too short to score" if track.dropped else ""
+            short = f"{track.dropped} samples in stretches too short to score" if track.dropped else ""
             began = sum(n for why, n in track.restarts.items() if why.startswith("lost"))
-            anew = f"observers began anew {began} times after a loss" if began else ""
+            anew = f"observers restarted {began} times after losses" if began else ""
             found += [f"{track.path}: {words}" for words in (*track.notes, lost, short, anew) if words]
         return found
 
     def as_json(self) -> dict[str, Any]:
-        """All of it as plain data; what cannot be told is null."""
+        """All of it as plain data; undefined values are null."""
         return {
             "hallbench": __version__,
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
@@ -108,7 +108,7 @@ def score(
     and for a name that is nowhere.
     """
     if not sources:
-        raise BenchError("nothing to score: give a recording or a capture")
+        raise BenchError("nothing to score: pass a recording or a capture")
     recorded = [name.replace("-", "_") for name in observers if _is_recorded(name)]
     again = [_observer(name) for name in observers if not _is_recorded(name)]
     apart = list({id(source) if isinstance(source, Capture) else source: source for source in sources}.values())
@@ -145,7 +145,7 @@ def _observer(name: str) -> str:
         return entry_of(name).name
     except BenchError as error:
         raise BenchError(
-            f"{error}; and of what was recorded drive_… and replayed_… with a short name, as drive_vt"
+            f"{error}; for recorded estimates use drive_… or replayed_… and the short name, such as drive_vt"
         ) from None
 
 

@@ -1,6 +1,6 @@
-"""Bounds on figures of the pooled board, by their dotted names: read, checked, and written from a run.
+"""Limits on statistics of the pooled board, by their dotted names: read, checked, and written from a run.
 
-A bound has two sides, so that an error which vanishes is noticed as well as one which grows. One side may be infinite.
+A limit has two sides, so that an error which vanishes is noticed as well as one which grows. One side may be infinite.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Bounds = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Outside:
-    """A figure that is not within its bounds; None: it could not be told."""
+    """A statistic outside its limits; None: it is undefined."""
 
     name: str
     value: float | None
@@ -33,12 +33,12 @@ class Outside:
     hi: float
 
     def __str__(self) -> str:
-        found = "cannot be told" if self.value is None else f"is {self.value:.6g}"
+        found = "is undefined" if self.value is None else f"is {self.value:.6g}"
         return f"{self.name} {found}, expected {self.lo:.6g} … {self.hi:.6g}"
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
-    """Bounds from a TOML or JSON (.json) file: `name = [lo, hi]`. BenchError names the file and what is wrong in it."""
+    """Limits from a TOML or JSON (.json) file: `name = [lo, hi]`. BenchError names the file and what is wrong in it."""
     try:
         text = path.read_text(encoding="utf-8")
         data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
@@ -47,7 +47,7 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
     except (ValueError, UnicodeDecodeError) as error:
         raise BenchError(f"--expect {path}: {error}") from None
     if not isinstance(data, dict):
-        raise BenchError(f"--expect {path}: it must be a table of name = [lo, hi]")
+        raise BenchError(f"--expect {path} must be a table of name = [lo, hi]")
     bounds: dict[str, tuple[float, float]] = {}
     for name, value in leaves(data):
         numbers = isinstance(value, list) and all(type(x) in (int, float) and not math.isnan(x) for x in value)
@@ -55,23 +55,23 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
             raise BenchError(f"--expect {path}: {name} must be [lo, hi] with lo <= hi, got {value}")
         bounds[name] = float(value[0]), float(value[1])
     if not bounds:
-        raise BenchError(f"--expect {path} bounds nothing")
+        raise BenchError(f"--expect {path} has no limits")
     return bounds
 
 
 def check(board: Scoreboard, bounds: Bounds) -> list[Outside]:
-    """The figures outside their bounds. BenchError for a name that the board does not have."""
+    """The statistics outside their limits. BenchError for a name that the board does not have."""
     figures = dict(flat(board.pooled))
     found = []
     for name, (lo, hi) in bounds.items():
         observer = name.partition(".")[0]
         if observer not in board.pooled:
             raise BenchError(
-                f"--expect bounds {observer}, which is not scored (--observer); scored: {', '.join(board.pooled)}"
+                f"--expect has limits for {observer}, which is not scored; scored: {', '.join(board.pooled)}"
             )
         if name not in figures:
             own = [figure for figure in figures if figure.startswith(f"{observer}.")]
-            raise BenchError(f"no figure '{name}' in this score{did_you_mean(name, own)}")
+            raise BenchError(f"no statistic '{name}' in this score{did_you_mean(name, own)}")
         value = figures[name]
         if value is None or not lo <= value <= hi:
             found.append(Outside(name, value, lo, hi))
@@ -79,11 +79,11 @@ def check(board: Scoreboard, bounds: Bounds) -> list[Outside]:
 
 
 def as_toml(board: Scoreboard, margin: float) -> str:
-    """Bounds around the board's figures, `margin` (a share) on both sides; of a bias, that share of its std at least.
+    """Limits around the board's statistics, `margin` (a share) on both sides; for a bias, at least that of its std.
 
     By phase, speed and lag; not by bin, and not what depends on this machine.
     """
-    lines = [f"# Bounds on the figures of `bench score`, {margin:.0%} on both sides."]
+    lines = [f"# Limits on the statistics of `bench score`, {margin:.0%} on both sides."]
     for name, figures in board.pooled.items():
         lines += ["", f"[{name}]"]
         for group in WRITTEN:

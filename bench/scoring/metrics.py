@@ -1,7 +1,7 @@
 """Statistics of an error, and by how long an estimate is late: put together piece by piece, in bounded memory.
 
 Samples may come in any pieces, and what was found of some can be merged with what was found of others: the result is
-that of all of them at once. What cannot be told is None: a statistic of no samples, a lag without a change of speed.
+that of all of them at once. Undefined values are None: a statistic of no samples, a lag without a change of speed.
 Nothing here knows a unit.
 """
 
@@ -21,7 +21,7 @@ Spectra = NDArray[np.complex128]
 Figures = dict[str, float | int | None]
 
 PERCENTILE = 99.0
-LAG_SPAN = 0.2  # the least range of speeds, as a share of the largest, from which a lag can be told
+LAG_SPAN = 0.2  # the least range of speeds, as a share of the largest, that a lag is measured from
 MAX_LAG = 0.05  # s, the longest that is looked for
 ITERATIONS = 12
 

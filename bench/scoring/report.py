@@ -1,4 +1,4 @@
-"""The scoreboard as one HTML file with its figures in it. Nothing is fetched when it is read."""
+"""The scoreboard as one HTML file with its plots in it. Nothing is fetched when it is read."""
 
 from __future__ import annotations
 
@@ -72,15 +72,15 @@ def _provenance(track: Track) -> str:
     by = f" by hallbench {track.recorded_by}" if track.recorded_by else ""
     return (
         f"{track.started}{by}; {track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
-        f"{track.lost} lost, {track.dropped} left out, observers restarted {began} times"
+        f"{track.lost} lost, {track.dropped} not scored, observers restarted {began} times"
     )
 
 
 def _costs(figures: Figures) -> str:
-    """Lags and cost in words; what cannot be told is left out."""
+    """Lags and cost in words; undefined values are omitted."""
     known = (
-        ("the angle is late by {} µs", figures["lag"]["angle_us"]),
-        ("the speed is late by {} µs", figures["lag"]["speed_us"]),
+        ("the angle lags by {} µs", figures["lag"]["angle_us"]),
+        ("the speed lags by {} µs", figures["lag"]["speed_us"]),
         ("a step takes {} ns on this machine", figures["step_ns"]),
     )
     words = "; ".join(text.format(_rounded(value)) for text, value in known if value is not None)

@@ -10,14 +10,14 @@ from bench.scoring.board import Figures, Scoreboard, flat
 
 HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
 LEGEND = (
-    "Position error, actual less estimated, in electrical degrees: rms over all motion (the rank);",
-    "std, max, p99 and bias in steady running; the largest in transients, at start-up, at reversal.",
-    "speed: std of its error, r/min. lag: of the angle, us. ns: what a step took on this machine.",
+    "Position error (encoder minus estimate), electrical degrees: rms over all motion (the rank);",
+    "std, max, p99 and bias in steady running; maximum in transients, at start-up, at reversal.",
+    "speed: std of the speed error, r/min. lag: of the angle, us. ns: time per step on this machine.",
 )
 
 
 def row(name: str, figures: Figures) -> list[str]:
-    """An observer's figures as text under `HEADERS`; – where there is none."""
+    """An observer's statistics as text under `HEADERS`; – where undefined."""
     error = figures["error"]
     return [
         name,
@@ -56,7 +56,7 @@ def as_text(board: Scoreboard) -> list[str]:
 
 
 def as_csv(board: Scoreboard) -> str:
-    """Every figure as a row: file (empty: pooled), observer, figure, value (empty: cannot be told)."""
+    """Every statistic as a row: file (empty: pooled), observer, figure (its name), value (empty: undefined)."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["file", "observer", "figure", "value"])

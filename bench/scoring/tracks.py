@@ -148,7 +148,7 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     config, parameters, path = source.samples, source.parameters, source.path
     reference = reference_angle(config.channels)
     if not reference:
-        raise BenchError(f"{path} cannot be scored: no reference angle; there must be an encoder: record theta_enc")
+        raise BenchError(f"{path} cannot be scored: no reference angle: it needs an encoder; record theta_enc")
     n_p = pole_pairs(parameters)
     there = [channel.name for channel in config.channels]
     status = [name for name in ("status",) if name in there]
@@ -162,11 +162,11 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     kinds = {name: kind for name, (kind, _, _) in recorded.items()}
     estimators = None
     if why := not_replayable(config, source.edges):
-        notes.append(f"no observer could be run on it: {why}")
+        notes.append(f"no observer can run on it: {why}")
     else:
         if names is None:
             names, left_out = all_for(parameters)
-            notes += [f"left out, {words}" for words in left_out]
+            notes += [f"not run: {words}" for words in left_out]
         if names:
             estimators = Estimators(names, parameters, config)
             kinds |= dict.fromkeys((entry.name for entry in estimators.entries), HOST)
@@ -188,7 +188,7 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     if words := blame(evidence.delays())[1]:
         notes.append(f"angles differ in time: {words}")
     if n_p is None:
-        notes.append("the pole pairs are not known: r/min are electrical")
+        notes.append("the number of pole pairs is unknown: r/min are electrical")
     kernels = None if estimators is None else estimators.kernels
     return Track(
         path=path,
@@ -274,8 +274,8 @@ def _require_unambiguous(course: Course, path: str, rate: float, allowed: float)
     fastest = max(course.fastest.values(), default=allowed)
     if fastest >= math.pi * rate:
         raise BenchError(
-            f"{path} cannot be scored: at {rate:g} samples a second an electrical speed of {fastest:.0f} rad/s is half "
-            f"a turn or more from one to the next, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
+            f"{path} cannot be scored: at {rate:g} samples/s, an electrical speed of {fastest:.0f} rad/s is half "
+            f"a revolution or more per sample, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
         )
 
 

@@ -109,7 +109,7 @@ def _check_values(arguments: Mapping[str, Any]) -> None:
             raise ValueError(f"{key} must be a whole number of bit/s, got '{value}'")
     timing = arguments.get("timing")
     if timing is not None and not isinstance(timing, (can.BitTiming, can.BitTimingFd)):
-        raise ValueError(f"timing is no key of a text, got '{timing}': give {', '.join(BitTimingDict.__annotations__)}")
+        raise ValueError(f"timing cannot be text, got '{timing}': give {', '.join(BitTimingDict.__annotations__)}")
 
 
 def _check_keys(target: CanTarget, arguments: dict[str, Any]) -> None:
@@ -126,7 +126,7 @@ def _check_keys(target: CanTarget, arguments: dict[str, Any]) -> None:
     for key in sorted(foreign):
         if target.interface is None or key in dict(target.options):
             near = get_close_matches(key, sorted({*known, *CAN_KEYS}), 1)
-            hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(sorted(known - {'channel'}))}"
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known - {'channel'}))}"
             raise TargetError(f"{target}: the interface {interface} has no key '{key}': {hint}")
         del arguments[key]
 
@@ -154,8 +154,8 @@ def _unknown_interface(target: CanTarget, name: str) -> TargetError:
             "write can:socketcan/can0, or set CAN_INTERFACE and CAN_CHANNEL"
         )
     near = get_close_matches(name, VALID_INTERFACES, 1)
-    hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(sorted(VALID_INTERFACES))}"
-    return TargetError(f"{target}: python-can knows no interface '{name}': {hint}")
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(VALID_INTERFACES))}"
+    return TargetError(f"{target}: python-can has no interface '{name}': {hint}")
 
 
 def bus_rates(arguments: dict[str, Any]) -> BusRates:
@@ -207,7 +207,7 @@ def _meet_socketcand(name: str, arguments: dict[str, Any]) -> None:
     if not greeting:
         raise LinkBusy(f"{name}: {place} closed the connection at once: is another program connected?")
     if not b"< hi >".startswith(greeting[:6]):
-        raise LinkNotFound(f"{name}: what listens on {place} is no socketcand server")
+        raise LinkNotFound(f"{name}: the server on {place} is not socketcand")
 
 
 def _in_time(make: Callable[[], can.BusABC]) -> can.BusABC:
@@ -289,7 +289,7 @@ def remedy(name: str, error: BaseException) -> str:
     if number == errno.EAFNOSUPPORT:
         return ": this kernel has no CAN: modprobe can_raw"
     if number == errno.ENODEV:
-        return ": `ip link` lists the interfaces that there are"
+        return ": `ip link` lists the interfaces"
     return ""
 
 

@@ -57,7 +57,7 @@ class SerialLink(DescriptorLink):
             actual = line_rate(opened.fileno())
         except (OSError, termios.error) as error:
             opened.close()
-            raise LinkNotFound(f"{port} went away while it was opened: {error}") from None
+            raise LinkNotFound(f"{port} disappeared while being opened: {error}") from None
         if actual is not None and abs(actual - baud) > _RATE_TOLERANCE * baud:
             opened.close()
             raise self._bad_rate(actual)
@@ -84,7 +84,7 @@ class SerialLink(DescriptorLink):
             return LinkError(f"no permission for {port}: add your user to its group (often dialout)")
         if error.errno in _GONE:
             ports = [info.device for info in list_ports.comports()]
-            there = f"ports here: {', '.join(ports)}" if ports else "there is no serial port here"
+            there = f"ports here: {', '.join(ports)}" if ports else "this machine has no serial port"
             return LinkNotFound(f"no port {port}; {there}")
         if error.errno == errno.EISDIR or "Could not configure port" in str(error):
             return LinkError(f"{port} is not a serial port")

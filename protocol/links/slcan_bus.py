@@ -287,5 +287,5 @@ class _Port(SerialLink):
 
 def _command(name: str, value: int, commands: dict[int, bytes]) -> bytes:
     if value not in commands:
-        raise ValueError(f"{name} {value} is none of slcan's: choose one of {', '.join(map(str, commands))}")
+        raise ValueError(f"{name} {value} is not an slcan rate: choose one of {', '.join(map(str, commands))}")
     return commands[value]

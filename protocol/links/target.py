@@ -189,10 +189,10 @@ def _parse_can(text: str, place: str, options: Mapping[str, str]) -> CanTarget:
         channel = f"/{channel}"
     for key in ("interface", "channel"):
         if key in options:
-            raise TargetError(f"target '{text}': the {key} is no key: write can:INTERFACE/CHANNEL before the ?")
+            raise TargetError(f"target '{text}': {key} is not an option: write can:INTERFACE/CHANNEL before the ?")
     bitrate = _whole(text, options, "bitrate", DEFAULT_BITRATE, MIN_BITRATE, MAX_BITRATE)
     if not _whole(text, options, "fd", 0, 0, 1) and "data_bitrate" in options:
-        raise TargetError(f"target '{text}': data_bitrate is that of CAN FD: add fd=1")
+        raise TargetError(f"target '{text}': data_bitrate needs CAN FD: add fd=1")
     _whole(text, options, "data_bitrate", DEFAULT_DATA_BITRATE, bitrate, MAX_DATA_BITRATE)
     return CanTarget(
         interface or None,

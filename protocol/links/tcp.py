@@ -34,7 +34,7 @@ class TcpLink(DescriptorLink):
         except socket.gaierror as error:
             raise LinkNotFound(f"{self.name}: no host '{host}': {error.strerror}") from None
         except UnicodeError:  # an empty or overlong part between the dots
-            raise LinkNotFound(f"{self.name}: '{host}' is no host name") from None
+            raise LinkNotFound(f"{self.name}: '{host}' is not a host name") from None
         except TimeoutError:
             raise LinkNotFound(f"{self.name}: no answer within {CONNECT_TIMEOUT:g} s") from None
         except ConnectionRefusedError:

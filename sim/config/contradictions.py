@@ -25,7 +25,7 @@ def _mixed(sources: Mapping[str, str]) -> Iterator[str]:
     own = [key for key in MOTOR if sources.get(f"motor.{key}", DEFAULTS) != DEFAULTS]
     left = [key for key in MOTOR if key not in own]
     if left and {"n_p", "psi_f"} <= set(own):
-        yield f"[motor] has {', '.join(own)} of another motor, but no {', '.join(left)}: the paper's motor's are taken"
+        yield f"[motor] sets {', '.join(own)} but not {', '.join(left)}: those of the paper's motor are used"
 
 
 def _assumptions(p: BenchParams) -> Iterator[str]:

@@ -156,7 +156,7 @@ class Hall(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        # Neighbouring edges must stay apart by more than hysteresis, pole pairs and 4 sigma of jitter on both take up.
+        # Neighbouring edges must be further apart than hysteresis plus pole pairs plus 4 sigma of jitter on both.
         margin = self.hysteresis_deg + 2.0 * self.pole_pair_deg + 8.0 * self.jitter_deg
         for s in range(6):
             width = 60.0 - self.delta_deg[(s + 1) % 6] + self.delta_deg[s]

@@ -63,7 +63,7 @@ class Entry:
 
     @classmethod
     def of(cls, module: ModuleType, short: str, source: str, name: str = "", **results: str) -> Entry:
-        """The observer of a module. TypeError, in words, if it has not what it takes."""
+        """The observer of a module. TypeError, naming what is missing, if it does not fit the interface."""
         own = name or module.__name__.rpartition(".")[2]
         wanted = ("init", "step", "make_params", "Settings")
         if lacking := [word for word in wanted if not hasattr(module, word)]:

@@ -89,7 +89,7 @@ class PtyPort:
         try:
             self._master, self._slave = os.openpty()
         except OSError as error:
-            raise LinkError(f"no pty to be had: {error.strerror}") from None
+            raise LinkError(f"no pty available: {error.strerror}") from None
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self._name = os.ttyname(self._slave)
@@ -102,7 +102,7 @@ class PtyPort:
                 self.unplug()
                 why = str(error.strerror)
                 if self._link.is_symlink():
-                    why = "another link is there, not to a pty; remove it or name another path"
+                    why = "another link exists there, not to a pty; remove it or choose another path"
                 raise LinkError(f"cannot make the link {self._link}: {why}") from None
 
     def unplug(self) -> None:

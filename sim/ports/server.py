@@ -53,7 +53,7 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 EXPOSED = (
     "{} is open to other machines, and HBP has no authentication: whoever reaches it can spin the motor. "
-    "Better listen on 127.0.0.1 and let others in by ssh -L"
+    "Listen on 127.0.0.1 and use ssh -L instead"
 )
 
 Say = Callable[[str], None]
@@ -293,9 +293,9 @@ def _make_port(options: ServeOptions) -> Port:
     if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
         raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
     if options.link is not None and (options.tcp or options.socketcand):
-        raise ConfigError("--link goes with a pty")
+        raise ConfigError("--link needs a pty")
     if options.baud is not None and (options.tcp or options.can):
-        raise ConfigError("--baud goes with a serial line; a CAN bus has --bitrate")
+        raise ConfigError("--baud needs a pty; for a CAN bus use --bitrate")
     if options.can:
         return _make_can_port(options)
     if options.tcp is not None:
@@ -335,7 +335,7 @@ def check_slcan_rates(rates: BusRates) -> None:
         ("data bitrate", rates.data_bitrate, DATA_BITRATES),
     ):
         if rate is not None and rate not in known:
-            raise ConfigError(f"{name} {rate} is none of slcan's: {', '.join(map(str, sorted(known)))}")
+            raise ConfigError(f"{name} {rate} is not an slcan rate: {', '.join(map(str, sorted(known)))}")
 
 
 def _make_network(options: ServeOptions) -> Network:

@@ -66,7 +66,7 @@ def test_devices_lists_the_nodes_of_a_bus(capsys: pytest.CaptureFixture[str], fd
     out, _ = bench(capsys, "devices", fd)
     assert "load machine" in out
     _, err = bench(capsys, "devices", "can:virtual/empty", code=2)
-    assert "nobody who speaks HBP answered on can:virtual/empty: check power, cable, termination" in err
+    assert "no HBP device answered on can:virtual/empty: check power, cable, termination" in err
 
 
 def test_a_scan_asks_every_node_at_once_and_hosts_do_not_disturb_each_other(classic: str) -> None:
@@ -90,7 +90,7 @@ def test_info_shows_the_bus(capsys: pytest.CaptureFixture[str], classic: str) ->
     assert bus["fits"][-1]["rate_hz"] == 16_000
     out, _ = bench(capsys, "info", classic)
     assert "watched for a second" in out
-    assert "what fits on it" in out
+    assert "streams of node 1 that fit" in out
 
 
 def test_live_says_what_would_fit(capsys: pytest.CaptureFixture[str], classic: str) -> None:
@@ -161,7 +161,7 @@ def test_a_bus_that_is_too_slow_for_the_edges_says_so(capsys: pytest.CaptureFixt
         _, err = bench(capsys, "live", target, "--fit", "--viewer", "none", code=2)
         assert "error: can:virtual/slow (0.1 Mbit/s) is too slow: the Hall edges alone" in err
         out, _ = bench(capsys, "info", target)
-        assert "no stream of node 1 fits on it" in out
+        assert "no stream of node 1 fits" in out
 
 
 def test_a_bus_that_pythons_configuration_names_is_shown_by_its_name(
@@ -196,7 +196,7 @@ def test_a_bus_that_opens_but_takes_nothing_is_one_outage_and_ends(monkeypatch: 
     link = open_link("can:full/x")
     client = Client(link, reconnect=1.2)
     client.session.connect(1, client.now())
-    with pytest.raises(LinkClosed, match=r"did not come back within 1\.2 s"):
+    with pytest.raises(LinkClosed, match=r"did not return within 1\.2 s"):
         client.run_for(20.0)
     assert client.health.outages == 1
     link.close()

@@ -219,10 +219,10 @@ def test_aligned_at_their_begin_they_are_not_alike(shifted: tuple[Path, Path]) -
 def test_a_name_that_is_not_there_or_there_twice_is_refused_with_what_there_is(shifted: tuple[Path, Path]) -> None:
     a, b = map(Run, shifted)
     with pytest.raises(
-        BenchError, match=r"no mark and no event 'STALL': there are begin, load step, ARMED, RUNNING, FAULT"
+        BenchError, match=r"no mark and no event 'STALL'; it has begin, load step, ARMED, RUNNING, FAULT"
     ):
         zero_of(a, "STALL")
-    with pytest.raises(BenchError, match=r"'IDLE' is 2 times in .*b\.run, at 1\.000 s, 1\.200 s: say which, as IDLE#1"):
+    with pytest.raises(BenchError, match=r"'IDLE' occurs 2 times in .*, at 1\.000 s, 1\.200 s: choose one, such as ID"):
         zero_of(b, "IDLE")
     assert zero_of(b, "IDLE#2") == tick(1.2)
     with pytest.raises(BenchError, match=r"there is no IDLE#3"):
@@ -315,7 +315,7 @@ def test_the_command_prints_and_writes_the_same(tmp_path: Path) -> None:
     wanted = [rows["i_q"][key] for key in ("a", "b", "difference", "standard_error")]
     assert numbers == pytest.approx(wanted, rel=1e-3)
     assert line.endswith("differs")
-    assert "not compared: theta_enc (an angle that wraps has no mean)" in result.stdout
+    assert "not compared: theta_enc (a wrapping angle has no mean)" in result.stdout
     assert "events and parameters: the same" in result.stdout
     few = run_compare(a, b, "--channels", "i_d, theta_vt", "--json=-")
     assert [row["quantity"] for row in json.loads(few.stdout)["rows"]][:2] == ["i_d", "theta_vt error, mean"]

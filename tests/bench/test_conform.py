@@ -134,7 +134,7 @@ def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.Monk
     assert (found.level, found.conforms, exit_code(run)) == (STREAMS, True, 6)
     assert found.words.startswith("conforms to HBP 1.0 at level 2: ")
     assert found.words.endswith(
-        "; not shown: level 3 (states and setpoints), for want of state.stop-obeyed, watchdog.trips; "
+        "; not shown: level 3 (states and setpoints), which needs state.stop-obeyed, watchdog.trips; "
         "not tested: level 4 (motion)"
     )
 

@@ -37,7 +37,7 @@ i_max = 6.0
         (0.0, 100e-6, Late.HALL, "the Hall edges are 100 us late"),
         (150e-6, 60e-6, Late.BOTH, "the encoder is 150 us late and the Hall edges are 60 us late"),
         (80e-6, 80e-6, Late.UNCLEAR, "encoder and Hall edges are both 80 us late, or currents and voltages"),
-        (0.0, -70e-6, Late.UNCLEAR, "the stamps of samples are late against those of edges"),
+        (0.0, -70e-6, Late.UNCLEAR, "the time stamps of samples are late against those of edges"),
     ],
 )
 def test_each_delay_is_found_and_the_one_who_is_late_is_named(encoder, hall, late, words):
@@ -67,7 +67,7 @@ def test_at_low_speed_the_back_emf_is_not_asked_and_two_causes_are_named():
     assert slow.edges == pytest.approx(-100e-6, abs=25e-6)
     what, words = blame(slow)
     assert what is Late.UNCLEAR
-    assert "or the stamps of samples are late" in words
+    assert "or the time stamps of samples are late" in words
     assert "turn the motor faster" in words
 
 
@@ -75,7 +75,7 @@ def test_one_speed_tells_no_edges_and_a_drive_that_is_off_no_back_emf():
     one = delays(capture(FAST.but(turns=((650.0, 0.6), (-650.0, 0.6)), late=100e-6)))
     assert math.isnan(one.edges)
     assert one.back_emf == pytest.approx(-100e-6, abs=3e-6)
-    assert "record Hall edges at speeds that differ" in blame(one)[1]
+    assert "record Hall edges at several speeds" in blame(one)[1]
     off = delays(capture(FAST.but(running=False, late=100e-6)))
     assert math.isnan(off.back_emf)
     assert off.edges == pytest.approx(-100e-6, abs=2e-6)

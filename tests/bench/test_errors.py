@@ -51,7 +51,7 @@ def one_error(err: str) -> str:
     ("target", "says"),
     [
         ("serial:/dev/ttyNOWHERE", r"no port /dev/ttyNOWHERE"),
-        ("tcp:a..b:7000", r"'a\.\.b' is no host name"),
+        ("tcp:a..b:7000", r"'a\.\.b' is not a host name"),
         ("tcp:127.0.0.1:1", r"nothing listens on port 1 of 127\.0\.0\.1"),
         ("/dev/ttyACM0", r"write serial:/dev/ttyACM0"),
         ("serial:/dev/ttyACM0?boud=9600", r"unknown key 'boud' \(the known one is baud\)"),
@@ -109,7 +109,7 @@ def test_a_device_that_is_no_drive(fail: Fail) -> None:
     device = simulated()
     device.drive.identity = replace(device.drive.identity, role=Role.LOAD)
     link = WatchedLink(device)
-    assert "answers as LOAD, not as a drive" in fail("live", "serial:x", "--speed", "500", link=link)
+    assert "is a LOAD, not a drive" in fail("live", "serial:x", "--speed", "500", link=link)
     assert DriveState.ARMED not in link.states
 
 
@@ -141,7 +141,7 @@ SPIN = ("live", "serial:x", "--viewer", "none", "--duration", "0.2", "--speed", 
             ("--host-observers", "--channels", "theta_vt"),
             r"--host-observers needs every PWM period and the channels hall, status, u_alpha, u_beta, i_a, i_b, i_c$",
         ),
-        (("--save", "new", "--json", "new"), r"--save and --json are the same file"),
+        (("--save", "new", "--json", "new"), r"--save and --json name the same file"),
         (("--estimate", "vector-trackin"), r"no observer 'vector-trackin' \(did you mean vector_tracking\?\)"),
         (("--estimate", "vt", "--rate", "8000"), r"--estimate needs every PWM period"),
         (("--estimate", "vt", "--channels", "hall,i_a"), r"--estimate needs every PWM period and the channels status"),
@@ -174,7 +174,7 @@ def test_the_web_viewers_port_in_use(fail: Fail) -> None:
 
 
 def test_an_observer_for_a_drive_that_is_only_watched(fail: Fail) -> None:
-    assert "--observer goes with --speed or --load" in fail("live", "serial:x", "--observer", "encoder")
+    assert "--observer needs --speed or --load" in fail("live", "serial:x", "--observer", "encoder")
 
 
 # -- the simulated drive's configuration ------------------------------------------------------------------------
@@ -193,20 +193,20 @@ def test_a_configuration_with_a_negative_resistance(fail: Fail, tmp_path: Path, 
         (("--config", "/nowhere.toml"), r"/nowhere\.toml"),
         (("--set", "motor.Rs=1"), r"unknown key motor\.Rs.*R_s"),
         (("--set", "motor.R_s"), r"section\.name=value"),
-        (("--pty", "--tcp", "127.0.0.1:0"), r"choose one of --tcp, --pty"),
+        (("--pty", "--tcp", "127.0.0.1:0"), r"give only one of --tcp, --pty"),
         (("--tcp", "127.0.0.1"), r"HOST:PORT"),
         (("--tcp", "127.0.0.1:99999"), r"from 0 to 65535"),
-        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud goes with a serial line"),
-        (("--slcan", "--baud", "9600"), r"a CAN bus has --bitrate"),
-        (("--slcan", "--data-bitrate", "5000000"), r"--data-bitrate is that of CAN FD: add --fd"),
+        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud needs a pty"),
+        (("--slcan", "--baud", "9600"), r"for a CAN bus use --bitrate"),
+        (("--slcan", "--data-bitrate", "5000000"), r"--data-bitrate needs CAN FD: add --fd"),
         (("--slcan", "--bitrate", "5"), r"bitrate must be between 5000 and 1000000 bit/s, got 5"),
         (("--slcan", "--fd", "--data-bitrate", "9"), r"data bitrate must be between the bitrate, 1000000"),
         (("--socketcand", "127.0.0.1:0", "--fd"), r"socketcand has no CAN FD frames"),
-        (("--fd",), r"--fd is for a CAN bus: add --slcan"),
-        (("--pty", "--bitrate", "500000"), r"--bitrate is for a CAN bus"),
-        (("--slcan", "--bitrate", "600000"), r"bitrate 600000 is none of slcan's: 10000"),
-        (("--slcan", "--fd", "--data-bitrate", "3000000"), r"data bitrate 3000000 is none of slcan's"),
-        (("--socketcand", "127.0.0.1:0", "--link", "x"), r"--link goes with a pty"),
+        (("--fd",), r"--fd needs a CAN bus: add --slcan"),
+        (("--pty", "--bitrate", "500000"), r"--bitrate needs a CAN bus"),
+        (("--slcan", "--bitrate", "600000"), r"bitrate 600000 is not an slcan rate: 10000"),
+        (("--slcan", "--fd", "--data-bitrate", "3000000"), r"data bitrate 3000000 is not an slcan rate"),
+        (("--socketcand", "127.0.0.1:0", "--link", "x"), r"--link needs a pty"),
         (("--link", "/nowhere/tty"), r"cannot make the link /nowhere/tty: No such file"),
         (("--baud", "0"), r"baud must be between"),
     ],

@@ -100,7 +100,7 @@ def test_defaults_are_those_of_the_simulated_drive() -> None:
 
 
 def test_an_observer_that_lacks_a_parameter_names_it(drive_run: Path) -> None:
-    with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not tell"):
+    with pytest.raises(BenchError, match="vector_tracking needs L_s_hat, psi_f_hat, which the drive does not have"):
         Estimators(["vt"], {"n_p": 6.0, "omega_m_max": 300.0, "R_s_hat": 0.1}, Run(drive_run).samples.config)
 
 

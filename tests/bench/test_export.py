@@ -441,21 +441,21 @@ def test_the_command_says_what_it_wrote(made: Path, tmp_path: Path, capsys: pyte
 def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "x.csv"
     for arguments, what in (
-        ((made, "-o", tmp_path / "x.txt"), "end it in .csv, .mf4, .mat, .npz, .rrd or .parquet, or give --format"),
-        ((made, "-o", tmp_path / "x.mat", "--format", "csv"), "x.mat ends as mat does, and --format says csv"),
-        ((made, "-o", out, "--from", 2000), "has nothing from 2000 to 1074.99 s: it is from 1000.000 to 1074.990 s"),
-        ((made, "-o", out, "--from", 1030.1, "--to", 1030.12, "--channels", "tau"), "has nothing from 1030.100 s"),
+        ((made, "-o", tmp_path / "x.txt"), "use .csv, .mf4, .mat, .npz, .rrd or .parquet, or --format"),
+        ((made, "-o", tmp_path / "x.mat", "--format", "csv"), "x.mat has the extension of mat, but --format is csv"),
+        ((made, "-o", out, "--from", 2000), "has no data from 2000 to 1074.99 s: it covers 1000.000 to 1074.990 s"),
+        ((made, "-o", out, "--from", 1030.1, "--to", 1030.12, "--channels", "tau"), "has no data from 1030.100 s"),
         ((made, "-o", out, "--channels", "tao"), "has no channel 'tao'; did you mean tau?"),
         (
             (made, "-o", out, "--channels", "xyz"),
             "there are: hall, theta_enc, u_dc, temperature, time, tau, i.a, omega_m",
         ),
-        ((made, "-o", out, "--channels", ","), "--channels names none"),
-        ((made, "-o", "-", "--format", "csv"), "an export needs a file"),
-        ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "leave --channels out"),
+        ((made, "-o", out, "--channels", ","), "--channels is empty"),
+        ((made, "-o", "-", "--format", "csv"), "an export cannot go to standard output"),
+        ((made, "-o", tmp_path / "x.rrd", "--channels", "tau"), "omit --channels"),
         ((made, "-o", tmp_path / "none" / "x.csv"), "there is no directory"),
         ((tmp_path / "none.run", "-o", out), "no such file"),
-        ((tmp_path, "-o", out), "is no recorded run"),
+        ((tmp_path, "-o", out), "is not a recorded run"),
     ):
         assert what in failing(capsys, *arguments)
     assert not list(tmp_path.iterdir())
@@ -518,7 +518,7 @@ def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str
     run = long_run(tmp_path / "a.run", 22_500_000)
     told = failing(capsys, run, "-o", tmp_path / "x.mat")
     assert "samples would take 2.18 GB, and a variable in a .mat file at" in told
-    assert "at most 2.15 GB: take less with --from, --to or --channels" in told
+    assert "at most 2.15 GB: export less with --from, --to or --channels" in told
     assert not (tmp_path / "x.mat").exists()
     for name in ("x" * 63, "x" * 64):
         channels = (exported.Channel(1, name, exported.Unit.A, exported.RawType.U8, 1.0, exported.Flag.CHANNEL),)

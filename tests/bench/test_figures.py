@@ -375,7 +375,7 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
     path = make(tmp_path / "a.run", {"u_dc": np.ones(N)})
     result = plot(path, "-o", tmp_path / "out")
     assert isinstance(result.exception, BenchError)
-    assert "no figure of" in str(result.exception)
+    assert "no plot of" in str(result.exception)
     assert "spectrum: no phase current" in str(result.exception)
     assert not (tmp_path / "out").exists()
 

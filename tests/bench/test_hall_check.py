@@ -171,7 +171,7 @@ def test_a_drive_without_an_encoder_turns_by_its_hall_sensors_and_leaves_doubt()
 @pytest.mark.parametrize(("option", "words"), [
     ({"current_a": 100.0}, r"current 100 A is beyond the drive's limit of 8 A \(its parameter i_max\)"),
     ({"speed_rpm": 4000.0}, r"speed 4000 r/min is beyond the drive's limit of 3151"),
-    ({"speed_rpm": 5.0}, r"--speed 5 is too slow: 15 r/min at least, for 6 electrical turns in 4 s"),
+    ({"speed_rpm": 5.0}, r"--speed 5 is too slow: at least 15 r/min are needed, for 6 electrical revolutions in 4 s"),
 ])  # fmt: skip
 def test_what_a_drive_cannot_do_or_nobody_can_measure_is_refused(option: dict[str, float], words: str) -> None:
     with reached(simulated()) as links, pytest.raises(BenchError, match=words):
@@ -209,7 +209,9 @@ def test_a_motor_that_does_not_stand_is_not_told_to_turn_the_other_way(force: fl
     turn, told = forced(device, lambda told: force if device.bench.outputs_on and told and told[-1] == 0.0 else None)
     with reached(device, turn), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
         remark = source.turned.remarks[0]
-        assert re.search(rf"encoder: told to stand it went from \+2[34]\d to \{now} r/min and was stopped$", remark)
+        assert re.search(
+            rf"encoder: commanded to stop, it went from \+2[34]\d to \{now} r/min and was switched off$", remark
+        )
     assert min(told) == 0.0
     assert at_rest(device)
 
@@ -218,7 +220,7 @@ def test_a_motor_is_stopped_by_the_speed_that_it_was_told_and_not_by_the_one_tha
     device = simulated()
     turn, _ = forced(device, lambda told: 24.0 if len(told) < 2 and not device.bench.faults else None)
     with reached(device, turn), opened(Options(TARGET, yes=True), RecordingScreen(), None) as source:
-        assert "told to turn at +60 r/min it ran away and was stopped" in source.turned.remarks[0]
+        assert "at +60 r/min it ran away and was stopped" in source.turned.remarks[0]
     assert at_rest(device)
 
 
@@ -233,7 +235,7 @@ def test_what_a_lost_link_leaves_changed_is_named() -> None:
         look(Options(TARGET, yes=True))
     assert isinstance(ended.value, OutputsMayBeOn)
     assert str(ended.value).startswith("OUTPUTS MAY STILL BE ON: cut the power. STOP was not sent, ")
-    assert str(ended.value).endswith("; not put back: i_max (was 8), observer (was 2)")
+    assert str(ended.value).endswith("; not restored: i_max (was 8), observer (was 2)")
 
 
 # -- consent, and the end of it ---------------------------------------------------------------------------------
@@ -325,10 +327,10 @@ def test_the_command_prints_a_verdict_and_its_exit_code_is_that(
 def test_advice_is_for_who_turns_the_shaft(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = bench(capsys, "check", "sim", "--passive", "--duration", "0.5")
     assert code == 2
-    advice = " ".join(out.split("cannot tell: ")[1].split())
+    advice = " ".join(out.split("inconclusive: ")[1].split())
     assert advice.startswith(
-        "the shaft turned by 0.0 electrical turns only: let it turn both ways, once round at least, "
-        "and take longer (--duration)"
+        "only 0.0 electrical revolutions: turn the shaft forward and reverse, at least one revolution each way, "
+        "and allow more time (--duration)"
     )
     assert "--passive" not in advice
     with opened(Options("sim"), RecordingScreen(), None) as source:
@@ -366,14 +368,14 @@ def test_a_signal_ends_with_the_outputs_off_and_says_where_the_recording_is(
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("check", "run.run", "--json", "run.run"), "--json takes run.run as the file to write"),
-    (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is a file that is read"),
-    (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json are the same file"),
-    (("learn", "run.run", "--out", "x.json", "--json", "x.json"), "--json and --out are the same file"),
-    (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is a file that is read"),
+    (("check", "run.run", "--json", "run.run"), "--json would write to a file named run.run"),
+    (("check", "sim", "--config", "rig.toml", "--json", "rig.toml"), "--json rig.toml is also an input"),
+    (("check", "sim", "--save", "x", "--json", "./x"), "--save and --json name the same file"),
+    (("learn", "run.run", "--out", "x.json", "--json", "x.json"), "--json and --out name the same file"),
+    (("learn", "sim", "--config", "rig.toml", "--out", "rig.toml"), "--out rig.toml is also an input"),
     (("learn", "sim", "--out", "edges.yaml"), "--out edges.yaml: the name must end in .toml or .json"),
-    (("learn", "run.run", "--write"), "--write needs a drive, and run.run is a recording"),
-    (("check", "run.run", "--passive"), "run.run is a recording: --save and --passive are for a drive"),
+    (("learn", "run.run", "--write"), "--write needs a drive, but run.run is a recording"),
+    (("check", "run.run", "--passive"), "run.run is a recording: --save and --passive need a drive"),
     (("check", "nowhere.run"), "nowhere.run: no such file"),
     (("check", "tcp:127.0.0.1:1", "--config", "rig.toml"), "--config is for the simulated drive"),
 ])  # fmt: skip

@@ -35,12 +35,13 @@ def test_the_papers_sensors_are_healthy_with_and_without_back_emf():
 def test_a_reversed_encoder_is_told_from_exchanged_wires_by_the_back_emf():
     backwards = {"encoder": lambda theta: math.radians(10.0) - theta}
     by_emf = check(REAL.but(**backwards))
-    assert causes(by_emf) == ["encoder_reversed: the encoder counts backwards"]
+    assert causes(by_emf) == ["encoder_reversed: the encoder counts in the wrong direction"]
     assert "their sum is 10.0 deg" in by_emf.findings[0].evidence[0]
     assert by_emf.wiring is not None
     assert by_emf.wiring.best == "as specified"
     [without] = check(OFF.but(**backwards)).findings
-    assert without.cause == "the encoder counts backwards, or two Hall wires are exchanged and the sensors turned"
+    two = "two Hall wires are exchanged and the ring rotated"
+    assert without.cause == f"the encoder counts in the wrong direction, or {two}"
 
 
 def test_sensors_that_are_all_displaced_are_told_from_the_encoders_zero_by_the_back_emf():
@@ -52,7 +53,7 @@ def test_sensors_that_are_all_displaced_are_told_from_the_encoders_zero_by_the_b
     )  # 20 and the middle one of the sensors of Table I, b
     [either] = check(turned.but(running=False)).findings
     assert (
-        either.cause == "all Hall sensors are displaced by 21.2 deg together, or the encoder's zero is off by so much"
+        either.cause == "all Hall sensors are displaced by 21.2 deg together, or the encoder's zero is off by as much"
     )
     [zero] = check(REAL.but(encoder=lambda theta: theta + math.radians(20.0))).findings
     assert zero.code == "encoder_zero"
@@ -105,12 +106,12 @@ def test_a_rotation_without_back_emf_names_what_else_it_may_be():
     [certain], [doubtful] = check(REAL.but(**rotated)).findings, check(OFF.but(**rotated)).findings
     assert certain.cause == doubtful.cause == "sensors rotated (a on b, b on c, c on a)"
     assert len(certain.evidence) == 1
-    assert "an encoder whose zero is 120 deg off looks alike" in doubtful.evidence[1]
+    assert "an encoder zero that is 120 deg off looks the same" in doubtful.evidence[1]
 
 
 def test_an_uneven_duty_and_unsteady_edges_are_faults_of_their_own():
     [uneven] = check(REAL.but(delta_deg=(0.0, 10.0, 0.0, 0.0, -10.0, 0.0))).findings
-    assert (uneven.code, uneven.cause) == ("duty", "sensor b is 1 over 55.6 % of a turn")
+    assert (uneven.code, uneven.cause) == ("duty", "sensor b is 1 over 55.6 % of a revolution")
     [unsteady] = check(REAL.but(jitter_deg=3.0)).findings
     assert unsteady.code == "unsteady"
     assert check(REAL.but(jitter_deg=1.0)).outcome is Outcome.HEALTHY
@@ -166,8 +167,8 @@ def test_without_an_encoder_only_some_faults_show():
 
 def test_little_data_is_not_health():
     for turns, words in (
-        (((60.0, 0.02),), "the shaft turned by 0.2 electrical turns only"),
-        (((60.0, 2.0),), "19.1 electrical turns up and 0.0 down: turn it both ways"),
+        (((60.0, 0.02),), "only 0.2 electrical revolutions"),
+        (((60.0, 2.0),), "19.1 electrical revolutions forward and 0.0 reverse; at least"),
         (((60.0, 0.3), (0.0, 0.05), (-60.0, 0.3)), "an edge was passed"),
     ):
         found = check(REAL.but(turns=turns))

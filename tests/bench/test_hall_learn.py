@@ -66,9 +66,7 @@ def test_a_fault_is_told_and_nothing_is_written(capsys: pytest.CaptureFixture[st
         learn(device, "--yes", "--write", "--out", str(tmp_path / "edges.toml"))
     assert ended.value.code == 2
     err = capsys.readouterr().err
-    assert (
-        "error: no edges learnt: sensors a and b exchanged; connect the sensors to the inputs of their names; " in err
-    )
+    assert "error: no edges learned: sensors a and b exchanged; connect each sensor to the input of its name; " in err
     assert stored(device) == [0.0] * 12
     assert not (tmp_path / "edges.toml").exists()
 
@@ -77,7 +75,7 @@ def test_edges_known_too_badly_are_refused_with_how_badly() -> None:
     rough = REAL.but(jitter_deg=1.2)
     short = ((60.0, 0.9), (0.0, 0.05), (-60.0, 0.9))
     with pytest.raises(
-        BenchError, match=r"one is known to \+-(\d\.\d\d) deg only \(95 %, [78] passages\), 0.5 deg are"
+        BenchError, match=r"certain is known to \+-(\d\.\d\d) deg \(95 %, [78] passages\); \+-0.5 deg are"
     ):
         learnt(examine(trace(capture(rough.but(turns=short)))))
     long = ((60.0, 9.0), (0.0, 0.05), (-60.0, 9.0))
@@ -86,7 +84,7 @@ def test_edges_known_too_badly_are_refused_with_how_badly() -> None:
 
 
 def test_too_little_data_is_refused_with_what_to_do() -> None:
-    with pytest.raises(BenchError, match=r"no edges learnt: the shaft turned 19\.1 electrical turns up and 0\.0 down"):
+    with pytest.raises(BenchError, match=r"only 19\.1 electrical revolutions forward and 0\.0 reverse"):
         learnt(examine(trace(capture(REAL.but(turns=((60.0, 2.0),))))))
 
 
@@ -158,7 +156,7 @@ def test_the_hosts_filter_learns_them_without_an_encoder(capsys: pytest.CaptureF
     assert sd < 2.0
     out = capsys.readouterr().out
     assert "13 parameters written to node 1 and read back" in out
-    assert "the host's filter, over what was recorded" in out
+    assert "the host's filter, on the recorded data" in out
 
 
 def test_a_recording_is_learnt_by_the_filter_and_its_lessons_are_in_the_json(tmp_path: Path) -> None:
@@ -212,7 +210,7 @@ def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(
     assert set(link.states) == {DriveState.IDLE}
     out = capsys.readouterr().out
     assert "16 parameters written to node 1 and read back" in out
-    assert "node 1 keeps its parameters for the next boot" in out
+    assert "node 1 stored its parameters" in out
     truth = np.concatenate([np.array(TABLE_I) - 0.25, np.array(TABLE_I) + 0.25])
     again = SimulatedDevice(load_params(None), 1, store=store)
     assert np.degrees(stored(again)) == pytest.approx(truth, abs=0.3)
@@ -230,7 +228,7 @@ def test_a_filter_that_has_learned_little_says_how_little_and_nothing_is_written
     with pytest.raises(SystemExit) as ended:
         learn(device, "--yes", "--by", by, "--write")
     assert ended.value.code == 2
-    assert re.search(r"error: no edges learnt: the .* filter.* knows them to 6\.0 deg only", capsys.readouterr().err)
+    assert re.search(r"no edges learned: the .* filter.* knows them to 6\.0 deg \(st", capsys.readouterr().err)
     assert stored(device) == [0.0] * 12
 
 
@@ -239,7 +237,7 @@ def test_a_sensor_that_the_filter_does_not_believe_is_named(capsys: pytest.Captu
     with pytest.raises(SystemExit) as ended:
         learn(device, "--by", "drive", "--write")
     assert ended.value.code == 2
-    assert "does not believe sensor b: bench hall check" in capsys.readouterr().err
+    assert "distrusts sensor b: run bench hall check" in capsys.readouterr().err
 
 
 def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest.CaptureFixture[str]) -> None:
@@ -247,15 +245,15 @@ def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest
     with pytest.raises(SystemExit) as ended:
         learn(device, "--yes", "--store")
     assert ended.value.code == 2
-    assert "bench hall learn --store needs the feature COMMIT: node 1 (simulated drive)" in capsys.readouterr().err
+    assert "bench hall learn --store needs the feature COMMIT; node 1 (simulated drive)" in capsys.readouterr().err
     assert device.bench.n < 16_000
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--motor"], "an encoder says nothing"),
-        (["--by", "filter", "--passive"], "the filter sees no voltage"),
+        (["--motor"], "the encoder does not measure motor parameters"),
+        (["--by", "filter", "--passive"], "the filter needs voltages"),
     ],
 )
 def test_what_does_not_go_together_is_said_at_once(

@@ -167,4 +167,4 @@ def test_they_are_listed_and_a_wrong_name_is_told_the_next() -> None:
     assert [line.split()[0] for line in listed.output.splitlines()[1:]] == [*sorted(NO_LOAD), "bench24v"]
     refused = CliRunner().invoke(cli, ["sim", "--config", "maxon-ec45"])
     assert refused.exit_code == 2
-    assert "no file and no motor 'maxon-ec45'; did you mean maxon-ec45-flat?" in refused.output
+    assert "no file and no motor named 'maxon-ec45'; did you mean maxon-ec45-flat?" in refused.output

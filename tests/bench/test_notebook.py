@@ -243,13 +243,16 @@ def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
     with connected(link, yes=True, limits=bench.Envelope(speed_rpm=300, current=2.5)) as rig:
         assert app.get_param("i_max") == 2.5
         for act, words in (
-            (lambda: rig.drive.speed(-301, "r/min"), "speed 301 r/min is beyond the 300 r/min that were announced"),
-            (lambda: rig.drive.speed(31.6), "speed 301.8 r/min is beyond the 300 r/min"),
-            (lambda: rig.drive.speed(math.nan), "speed nan r/min is beyond the 300 r/min"),
-            (lambda: rig.drive.current(2.0, -1.6), r"current 2\.561 A is beyond the 2\.5 A .*Envelope\(current=…\)"),
-            (lambda: rig.drive.set("i_max", 2.6), r"i_max 2\.6 A is beyond the 2\.5 A"),
-            (lambda: rig.load.speed(31.6), r"load\.speed 301\.8 r/min is beyond the 300 r/min"),  # type: ignore[attr-defined]
-            (lambda: rig.drive.speed(10, "deg/s"), r"no unit 'deg/s' of speed: there are rad/s, r/min, rpm"),
+            (lambda: rig.drive.speed(-301, "r/min"), "speed 301 r/min is beyond the announced limit of 300 r/min"),
+            (lambda: rig.drive.speed(31.6), "speed 301.8 r/min is beyond the announced limit of 300 r/min"),
+            (lambda: rig.drive.speed(math.nan), "speed nan r/min is beyond the announced limit of 300 r/min"),
+            (
+                lambda: rig.drive.current(2.0, -1.6),
+                r"current 2\.561 A is beyond the announced limit of 2\.5 A.*Envelope\(current=…\)",
+            ),
+            (lambda: rig.drive.set("i_max", 2.6), r"i_max 2\.6 A is beyond the announced limit of 2\.5 A"),
+            (lambda: rig.load.speed(31.6), r"load\.speed 301\.8 r/min is beyond the announced limit of 300 r/min"),  # type: ignore[attr-defined]
+            (lambda: rig.drive.speed(10, "deg/s"), r"no speed unit 'deg/s'; available: rad/s, r/min, rpm"),
         ):
             with pytest.raises(BenchError, match=words):
                 act()
@@ -293,7 +296,7 @@ def test_one_target_has_one_rig() -> None:
     link = WatchedLink(physical())
     with reached(link) as target:
         rig = bench.connect(target)
-        with pytest.raises(BenchError, match="tty is in use by another run: wait for its end, or close its rig"):
+        with pytest.raises(BenchError, match="tty is in use by another run: wait until it ends, or close its rig"):
             bench.connect(target)
         rig.close()
         link.reopen()
@@ -303,7 +306,7 @@ def test_one_target_has_one_rig() -> None:
 def test_without_a_load_it_says_so() -> None:
     with (
         bench.connect("sim", settings=Settings(load="none")) as rig,
-        pytest.raises(BenchError, match="there is no load: none answers as node 2 on the drive's link, or"),
+        pytest.raises(BenchError, match="there is no load: no node 2 answers on the drive's link, or"),
     ):
         rig.load.torque(0.1)
 
@@ -327,7 +330,7 @@ def test_names_that_the_drive_does_not_have() -> None:
     with bench.connect("sim", channels="i_q,hall,i_q") as rig:
         with pytest.raises(NodeError, match=r"no parameter 'k_p_vtt': did you mean k_p_vt\?"):
             rig.drive.set("k_p_vtt", 1.0)
-        with pytest.raises(BenchError, match="no angle source 'magic': there are encoder, average-speed"):
+        with pytest.raises(BenchError, match="no angle source 'magic'; available: encoder, average-speed"):
             rig.drive.start("magic")
         assert rig.record(0.05).names == ("hall", "i_q")  # each once, in the order of the drive
         assert rig.latest("i_q") == pytest.approx(0.0, abs=0.2)
@@ -469,7 +472,7 @@ def test_settings_change_the_estimate_by_either_name(run: bench.Capture) -> None
 
 
 def test_captures_without_what_an_observer_needs(run: bench.Capture) -> None:
-    with pytest.raises(BenchError, match="theta_vt_host is in this capture already: estimate from the one"):
+    with pytest.raises(BenchError, match="theta_vt_host is already in this capture: use the original"):
         bench.estimate(bench.estimate(run, "vt"), "vector-tracking")
     with bench.connect("sim", channels="theta_enc,i_a") as rig:
         few = rig.record(0.05)
@@ -483,7 +486,7 @@ def test_a_decimated_recording_is_not_estimated(tmp_path: Path) -> None:
     slow = bench.read(tmp_path / "slow.run")
     assert slow.sample_rate == 8000
     assert np.diff(slow.t) == pytest.approx(1 / 8000, rel=1e-9)
-    with pytest.raises(BenchError, match="cannot be run on this capture: it has one sample in 2 PWM periods: all"):
+    with pytest.raises(BenchError, match="cannot be run on this capture: the stream is decimated by 2; observers"):
         bench.estimate(slow, "vt")
 
 
@@ -513,7 +516,7 @@ def test_captures_and_recordings_are_pooled(drive_run: Path, run: bench.Capture)
     assert pooled["rms"] ** 2 == pytest.approx(sum(row["n"] * row["rms"] ** 2 for row in each) / pooled["n"])
     error = np.degrees(first.position_error("theta_vt"))
     assert each[0]["rms"] == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-9)
-    with pytest.raises(BenchError, match="nothing to score: give a recording or a capture"):
+    with pytest.raises(BenchError, match="nothing to score: pass a recording or a capture"):
         bench.score()
 
 

@@ -114,7 +114,7 @@ def test_what_is_there_is_neither_replaced_nor_cut_without_overwrite(bench: Call
         path.write_text("precious")
         code, out, err = bench(*(text.format("there") for text in arguments))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
-        assert re.search(r"(exists|holds a report): (choose .*--overwrite to|it is no recorded run)", err), name
+        assert re.search(r"(exists|holds a report): (choose .*--overwrite to|it is not a recorded run)", err), name
         assert path.read_text() == "precious", name
 
 
@@ -125,7 +125,7 @@ def test_a_directory_is_no_file(bench: Callable[..., Ran], places: Path) -> None
             continue
         code, out, err = bench(*arguments[:-1], "a_directory.run" if "--json" not in arguments else str(places))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
-        assert "is a directory" in err or "is no recorded run" in err, name
+        assert "is a directory" in err or "is not a recorded run" in err, name
 
 
 @pytest.mark.parametrize("place", [place for place in BAD_PLACES if "/" in place])
@@ -212,16 +212,16 @@ def test_json_goes_to_standard_output_alone_or_to_a_file(
 def test_json_does_not_swallow_an_argument(bench: Callable[..., Ran], taken: str) -> None:
     code, out, err = bench("info", "--json", taken)
     assert (code, out) == (2, "")
-    assert err.startswith(f"error: --json takes {taken} as the file to write: put it last, or give --json=-")
+    assert err.startswith(f"error: --json would write to a file named {taken}: put --json last, or use --json=-")
 
 
 def test_only_text_goes_to_a_stream(bench: Callable[..., Ran], places: Path) -> None:
     for arguments, says in (
-        (("live", "serial:x", "--save", "-"), "--save -: a recording needs a file"),
+        (("live", "serial:x", "--save", "-"), "--save -: a recording cannot go to standard output"),
         (("live", "serial:x", "--save", "/dev/null"), "--save /dev/null exists"),
-        (("replay", "run.run", "--out", "-"), "--out -: a recording needs a file"),
+        (("replay", "run.run", "--out", "-"), "--out -: a recording cannot go to standard output"),
         (("accept", "sim", "--junit", "-"), "--junit -: only --json goes to standard output"),
-        (("score", "run.run", "--json", "--csv", "-"), "--json and --csv are the same file, -"),
+        (("score", "run.run", "--json", "--csv", "-"), "--json and --csv name the same file, -"),
     ):
         code, out, err = bench(*arguments)
         assert (code, out) == (2, "")
@@ -340,7 +340,7 @@ def test_an_error_that_is_not_foreseen_is_one_line_and_no_verdict_on_the_drive(
     code, out, err = bench("info", "serial:x")
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
-    assert line.startswith(r"error: unexpected KeyError: 'n_p\x1b[2J'; this is a defect of hallbench")
+    assert line.startswith(r"error: unexpected KeyError: 'n_p\x1b[2J'; this is a bug in hallbench")
     monkeypatch.setenv("BENCH_TRACEBACK", "1")
     code, _, err = bench("info", "serial:x")
     assert code == 2
@@ -363,10 +363,10 @@ def test_another_file_in_place_of_a_target(bench: Callable[..., Ran], places: Pa
     Path("bench.toml").touch()
     code, _, err = bench("live", "bench.toml")
     assert code == 2
-    assert "bench.toml is a file, not a target: write serial:PORT" in err
+    assert "bench.toml is a file, not a target: use serial:PORT" in err
 
 
 def test_edges_are_not_written_to_a_drive_that_ends_with_the_command(bench: Callable[..., Ran]) -> None:
     code, out, err = bench("hall", "learn", "sim", "--write")
     assert (code, out) == (2, "")
-    assert "the simulated drive ends with this command, and forgets what was written: give --out FILE" in err
+    assert "the simulated drive exists only during this command; use --out FILE" in err

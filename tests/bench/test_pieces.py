@@ -165,11 +165,11 @@ def test_the_journal_is_read_by_part_and_channel_too(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_read_is_said(in_groups: Path) -> None:
-    with pytest.raises(BenchError, match="channel 'nothing' is not in the stream; there are hall"):
+    with pytest.raises(BenchError, match="channel 'nothing' is not in the stream; it has hall"):
         bench.read(in_groups, channels=["nothing"])
-    with pytest.raises(BenchError, match="no channel is asked for"):
+    with pytest.raises(BenchError, match="no channel named"):
         next(iter(bench.pieces(in_groups, channels=[])))
-    with pytest.raises(BenchError, match=r"has nothing from 5 to 6 s: it is from 0\.1"):
+    with pytest.raises(BenchError, match=r"has no data from 5 to 6 s: it covers 0\.1"):
         bench.read(in_groups, 5.0, 6.0)
 
 
@@ -279,9 +279,9 @@ def test_a_part_is_scored_and_checked(tmp_path: Path) -> None:
             assert second["edges"][2]["up"] == pytest.approx(once["edges"][2]["up"], rel=1e-6)
     done = CliRunner().invoke(cli, ["hall", "check", "sim", "--from", "1"])
     assert done.exit_code == 2
-    assert "--from and --to are for a recording" in done.output
+    assert "--from and --to need a recording" in done.output
     done = CliRunner().invoke(cli, ["score", str(path), "--from", "50"])
-    assert "has nothing from 50 to" in str(done.exception or done.output)
+    assert "has no data from 50 to" in str(done.exception or done.output)
 
 
 # -- Hall sensors ---------------------------------------------------------------------------------------------------

@@ -116,12 +116,12 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     [
         ({"k_p": 1e9}, (), "k_p: must be 0..100000, got 1e+09"),
         ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
-        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; there are "),
+        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; available: "),
         ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
-        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; there are hall_timeout"),
-        ({}, ("nobody",), "no observer 'nobody'; there are average_speed (avg), vector_tracking (vt)"),
+        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_timeout"),
+        ({}, ("nobody",), "no observer 'nobody'; available: average_speed (avg), vector_tracking (vt)"),
         ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
-        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is set already"),
+        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is already set"),
     ],
 )
 def test_settings_and_names_are_checked(
@@ -155,17 +155,17 @@ def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0
     assert "a.replay.run" in done.output
     assert "vector_tracking" in done.output
-    assert re.search(r"observers began anew +1 at the start, \d+ where the drive initialised them\n", done.output)
+    assert re.search(r"observers restarted +1 at the start, \d+ where the drive initialised them\n", done.output)
     written = (tmp_path / "a.replay.run" / "run.jsonl").read_bytes()
     again = CliRunner().invoke(cli, given)
     assert str(again.exception).startswith(f"{tmp_path / 'a.replay.run'} exists")
     assert (tmp_path / "a.replay.run" / "run.jsonl").read_bytes() == written
     itself = CliRunner().invoke(cli, ["replay", str(link), "-o", str(drive_run), "--overwrite"])
-    assert f"--out {drive_run} is a file that is read" in itself.output
+    assert f"--out {drive_run} is also an input" in itself.output
     with pytest.raises(BenchError, match="is the recording itself"):
         replay(link, out=drive_run, overwrite=True)
     twice = CliRunner().invoke(cli, ["replay", str(tmp_path / "a.replay.run"), "--observer", "vt"])
-    assert "has theta_vt_host already" in str(twice.exception)
+    assert "already has theta_vt_host" in str(twice.exception)
     two = CliRunner().invoke(cli, ["replay", str(link), "--set", "k_i=1", "--set", "k_i=2", "--overwrite"])
     assert "--set k_i is given 2 times" in two.output
     assert (tmp_path / "a.replay.run" / "run.jsonl").read_bytes() == written
@@ -202,7 +202,7 @@ def test_damage_is_named_by_whatever_reads_the_run(drive_run: Path, tmp_path: Pa
     data = bytearray(file.read_bytes())
     data[len(data) // 3] ^= 4
     file.write_bytes(data)
-    words = r"holds no samples.*samples-000001\.parquet is damaged: \d+ rows from 0\.\d+ s to 3\.\d+ s are lost"
+    words = r"(holds|has) no samples.*samples-000001\.parquet is damaged: \d+ rows from 0\.\d+ s to 3\.\d+ s are lost"
     for reads in (bench.read, lambda run: score([run]), replay):
         with pytest.raises(BenchError, match=words):
             reads(path)

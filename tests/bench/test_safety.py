@@ -221,7 +221,7 @@ def test_an_outage_is_counted_and_the_motor_is_not_started_again() -> None:
     screen = RecordingScreen()
     ended = run(link, duration=2.0, screen=screen)
     assert ended.exit_code == 1
-    why = r"this host sent no ALIVE for 0\.7\d s, because nothing was heard of the drive"
+    why = r"this host sent no ALIVE for 0\.7\d s, because the drive was silent"
     assert re.fullmatch(f"the drive tripped: WATCHDOG: {why}", ended.summary.result)
     assert ended.summary.faults == ["WATCHDOG"]
     assert ended.summary.link["outages"] == 1
@@ -240,7 +240,7 @@ def test_a_link_that_does_not_come_back_ends_the_run(monkeypatch: pytest.MonkeyP
     ended = run(link, duration=100.0)
     assert ended.exit_code == 5  # nobody has seen what the watchdog did
     assert ended.summary.result.startswith("OUTPUTS MAY STILL BE ON: cut the power. ")
-    assert ended.summary.result.endswith("(link lost: virtual: did not come back within 30 s)")
+    assert ended.summary.result.endswith("(link lost: virtual: did not return within 30 s)")
     assert not any(session.app.outputs_on for session in link.device.sessions)
     monkeypatch.setattr("bench.live.run.RECONNECT", 3.0)
     watched = run(Cable(simulated(), 0.5, 1e9), speed_rpm=None, duration=100.0)

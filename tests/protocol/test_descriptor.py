@@ -97,7 +97,7 @@ def test_what_a_host_cannot_work_with_is_refused(blob: bytes, words: str) -> Non
     text = str(caught.value)
     assert words in text
     assert text.startswith("the descriptor of node 3")
-    assert text.endswith(": the firmware must be mended")
+    assert text.endswith(": fix the firmware")
     assert "\n" not in text
 
 

@@ -93,7 +93,7 @@ def test_a_device_with_neither_channels_nor_parameters(info) -> None:
     found, _, error = info(link)
     assert error is None
     assert (found["nodes"][0]["channels"], found["nodes"][0]["parameters"]) == ([], [])
-    with pytest.raises(NodeError, match="node 1 has no channels: there is nothing to stream"):
+    with pytest.raises(NodeError, match="node 1 has no channels to stream"):
         node_of(link).channels(None)
 
 
@@ -115,9 +115,9 @@ def test_nodes_that_are_not_there_are_named_after_those_that_are(info) -> None:
 @pytest.mark.parametrize(
     ("most", "n", "raw", "rx_max", "words"),
     [
-        (508, 600, RawType.U8, 1024, "node 1 takes 508 channels in a stream at most, not 600 channels"),
-        (60, 61, RawType.U8, 128, "node 1 takes 60 channels in a stream at most, not 61 channels"),
-        (252, 300, RawType.U32, 1024, "a sample of 1200 bytes is too long: node 1 sends 1008 at most"),
+        (508, 600, RawType.U8, 1024, "node 1 takes at most 508 channels per stream, not 600 channels"),
+        (60, 61, RawType.U8, 128, "node 1 takes at most 60 channels per stream, not 61 channels"),
+        (252, 300, RawType.U32, 1024, "a sample of 1200 bytes is too long: node 1 sends at most 1008"),
     ],
 )
 def test_more_than_a_frame_takes_is_said_before_it_is_tried(

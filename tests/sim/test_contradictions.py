@@ -42,5 +42,5 @@ def test_each_is_one_line_with_both_values(changed: dict[str, float], said: str)
 
 def test_half_a_motor_is_told_whose_the_other_half_is() -> None:
     assert notes(motor__n_p=4, motor__psi_f=9e-3, motor__i_max=5.0) == [
-        "[motor] has psi_f, n_p, i_max of another motor, but no R_s, L_d, L_q: the paper's motor's are taken"
+        "[motor] sets psi_f, n_p, i_max but not R_s, L_d, L_q: those of the paper's motor are used"
     ]

@@ -66,8 +66,8 @@ rated speed on: mean (either sign), standard deviation, largest. The paper's Hal
 
 
 def held(name: str, within: float, about: str) -> Limits:
-    """Limits of what is held at a set point, in % of it: to `within` %."""
-    return Limits(name, "%", 100.0 - within, 100.0 + within, f"{about}, of the set point")
+    """Limits of what is held at a setpoint, in % of it: to `within` %."""
+    return Limits(name, "%", 100.0 - within, 100.0 + within, f"{about}, of the setpoint")
 
 
 def errors(

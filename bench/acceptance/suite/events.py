@@ -1,4 +1,4 @@
-"""When something happened in a capture, and how far values went then: states, currents, set points, Hall codes.
+"""When something happened in a capture, and how far values went then: states, currents, setpoints, Hall codes.
 
 What did not happen is NaN, which fails every limit. Nothing here knows a limit, needs an encoder, or waits.
 """

@@ -72,7 +72,7 @@ TENTH, SIXTH = 1 / 10, 1 / 6  # of the rated speed
 
 
 @called("Hall wire {wire} broken")
-@limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical turns of before")
+@limit("trip_time", "turns", hi=3, about="from the first illegal code to FAULT, in electrical revolutions")
 @yes("named", about="HALL is the fault, and the only one")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current from the break on")
 @limit("current_after", "A", hi=NEARLY_GONE, of=RATED_CURRENT, about="largest from 5 ms after the trip on")
@@ -123,9 +123,9 @@ def test_hall_wire_broken(
 
 @called("Hall wiring diagnosed")
 @limits(
-    must_be_yes("as_specified", "nothing is wrong before anything is"),
+    must_be_yes("as_specified", "wiring as specified before the fault"),
     *(must_be_yes(name, f"diagnosed as {words}") for name, words in (OPEN | EXCHANGED).items()),
-    must_be_yes("as_specified_again", "nothing is wrong once all is put back"),
+    must_be_yes("as_specified_again", "wiring as specified after the fault is removed"),
 )
 @limit("outputs_off", "%", lo=100, hi=100, about="samples in which the drive was not RUNNING")
 @needs(*TURNS, "encoder", "channel:hall", "load.speed", "hall-faults")
@@ -235,7 +235,7 @@ def test_hall_glitches(drive: Drive, rated: Ratings, record: Record, hall_faults
 
 @called("Position error under false pulses")
 @limit("error_max", "deg", hi=90, about="largest position error during the burst and 0.1 s after it")
-@limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the set point, in the same time")
+@limit("speed_deviation", "r/min", hi=0.1, of=RATED_SPEED, about="largest from the setpoint, in the same time")
 @limit("error_std_after", "deg", hi=STD, about="position error 0.2 s later")
 @limit("error_max_after", "deg", hi=LARGEST, about="largest position error 0.2 s later")
 @needs(*TURNS, *VECTOR, "encoder", "channel:hall", "hall-faults")
@@ -262,7 +262,7 @@ SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last
 
 
 @called("Watchdog")
-@limit("lateness", "ms", lo=-5, hi=60, about="from the last set point to FAULT, less the drive's watchdog time")
+@limit("lateness", "ms", lo=-5, hi=60, about="from the last setpoint to FAULT, less the drive's watchdog time")
 @yes("named", about="WATCHDOG is the fault, and the only one")
 @yes("outputs_off", about="the heartbeats after that say so")
 @needs(*TURNS)
@@ -270,7 +270,7 @@ SPEED, LAST = 2 / 30, 2.2 / 30  # of the rated speed: at the start, and the last
 def test_watchdog(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
     """The host falls silent at a fifteenth of the rated speed: the drive switches itself off.
 
-    The last that it hears is a set point, whose effect shows in the data when that was.
+    The last that it hears is a setpoint, whose effect shows in the data when that was.
     """
     run, last, named, off = _silence(drive, rated, record, lambda: None)
     measure("lateness", 1e3 * (tripped(run) - last - _watchdog(drive)), run)
@@ -295,8 +295,8 @@ def test_watchdog_under_load(
     measure("off_lateness", 1e3 * (gone - last - _watchdog(drive)), run)
     figure(
         "drive_watchdog",
-        "The host falls silent after a set point, a quarter of the rated torque on the shaft; dashed: current limit",
-        lambda: draw_run(run, ("speed", "dq", "phases"), {"last set point": last, "FAULT": fault}),
+        "The host falls silent after a setpoint, a quarter of the rated torque on the shaft; dashed: current limit",
+        lambda: draw_run(run, ("speed", "dq", "phases"), {"last setpoint": last, "FAULT": fault}),
     )
 
 

@@ -122,8 +122,8 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
         Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
         for sector in SECTORS
     ),
-    Limits("hysteresis", "deg", None, 3, "between an edge met backwards and forwards, mean of the six"),
-    Limits("edges_dropped", "", None, 0, "edges between sectors that are no neighbours"),
+    Limits("hysteresis", "deg", None, 3, "between an edge passed in reverse and forward, mean of the six"),
+    Limits("edges_dropped", "", None, 0, "edges between sectors that are not neighbours"),
     must_be_yes("wiring_as_specified", "Hall codes and encoder agree on the specified wiring"),
 )
 @needs(*TURNS, "encoder", "observer:encoder", "channel:hall", "feature:EDGES")
@@ -144,8 +144,8 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
 @called("Back-EMF and encoder")
 @limit("psi_f", "mV·s", about="back-EMF over electrical speed")
 @limit("psi_f_deviation", "%", lo=-10, hi=10, about="of it from the drive's parameter psi_f_hat")
-@limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical turns by the encoder for one by the Hall sensors")
-@limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are no neighbours")
+@limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical revolutions by encoder per one by Hall sensors")
+@limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are not neighbours")
 @limit("u_dc", "V", about="mean voltage of the DC link")
 @limit("u_dc_ripple", "%", hi=10, about="of it, peak to peak")
 @needs(*TURNS, "encoder", "feature:EDGES", "channel:e_alpha", "channel:e_beta", "channel:u_dc", "parameter:psi_f_hat")
@@ -166,8 +166,8 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
 
 
 @called("Delays between the angles")
-@limit("encoder", "us", hi=30, about="by which encoder and back-EMF differ: early or late, every error has it in it")
-@limit("hall", "us", hi=50, about="by which Hall edges and back-EMF differ")
+@limit("encoder", "us", hi=30, about="delay of encoder against back-EMF; it appears in every error")
+@limit("hall", "us", hi=50, about="delay of Hall edges against back-EMF")
 @needs(
     *TURNS,
     "encoder",

@@ -64,7 +64,7 @@ from protocol.codes import DriveState
 @limit("settling_time", "ms", hi=500, about="from the reference's end until the speed stays within 20 % of it")
 @limit("overshoot", "%", hi=50, about="past the new speed, of the step")
 @limit("error_max", "deg", hi=120, about="largest position error from the step on: Hall sensors alone, about zero")
-@limit("error_mean", "deg", lo=-4.5, hi=4.5, about="mean position error once it has settled, backwards")
+@limit("error_mean", "deg", lo=-4.5, hi=4.5, about="mean position error once it has settled, in reverse")
 @limit("error_std", "deg", hi=STD, about="its standard deviation")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:omega_ref")
@@ -103,12 +103,12 @@ LOWEST, BARELY = 1 / 150, 0.6  # of the rated speed, and of that at which the dr
 
 
 @called("Lowest speed at {torque} % of the rated torque")
-@limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the set point: it turns, and does not run away"))
-@limit("backwards", "deg", hi=360, about="farthest that the shaft swings back, electrical: not for good")
+@limits(Limits("speed", "%", 5, 250, "mean by the encoder, of the setpoint: it turns, and does not run away"))
+@limit("backwards", "deg", hi=360, about="largest swing back of the shaft, electrical")
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @limit("speed_ripple", "r/min", about="standard deviation by the encoder: the shaft sticks and slips")
 @limit("error_std", "deg", about="Hall sensors alone: 17 deg is a sector's centre held, more while the shaft slips")
-@limit("error_max", "deg", about="half a sector and its misplacement, 30 to 45 deg; beyond that the shaft has slipped")
+@limit("error_max", "deg", about="half a sector and its edge offset, 30 to 45 deg; beyond that the shaft has slipped")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "load", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
 @pytest.mark.parametrize("torque", [0, 25])
@@ -266,7 +266,7 @@ def test_stop(drive: Drive, rated: Ratings, record: Record, measure: Measure) ->
 
 
 def _speed_by_edges(run: Capture) -> float:
-    """Mean mechanical r/min over as many whole electrical turns as there are, from the first edge on."""
+    """Mean mechanical r/min over as many whole electrical revolutions as there are, from the first edge on."""
     turns = (len(run.edges) - 1) // 6
     if turns < 1:
         return math.nan

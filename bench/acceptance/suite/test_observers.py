@@ -72,7 +72,7 @@ def _declared(short: str, reach: Reach) -> list[Limits]:
                 Limits(f"error_std.{speed}.{way}", "deg", None, std, "its standard deviation"),
             ]
         if reach.than:
-            about = f"std over that of theta_{reach.than}, larger of both ways; below {LITTLE:g} deg as that"
+            about = f"std over that of theta_{reach.than}, larger of both directions; below {LITTLE:g} deg as that"
             found.append(Limits(f"ratio.{speed}", "", None, 1.0, about))
     return found
 

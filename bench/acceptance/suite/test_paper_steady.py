@@ -67,6 +67,7 @@ TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, ideal - measured, of the edg
 TOLERANCE = 1.0  # deg: pole pairs differ
 HYSTERESIS = 3.0  # deg at most; the paper gives none
 MET = {"forwards": FORWARDS, "backwards": BACKWARDS}
+MET_WORDS = {"forwards": "passed forward", "backwards": "passed in reverse"}
 
 
 def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
@@ -80,13 +81,13 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
     *(
-        _near(f"delta_{sector}_{way}", delta, TOLERANCE + HYSTERESIS / 2, f"the same, {way}")
+        _near(f"delta_{sector}_{way}", delta, TOLERANCE + HYSTERESIS / 2, f"the same, {MET_WORDS[way]}")
         for way in MET
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
 )
-@limit("hysteresis", "deg", hi=HYSTERESIS, about="between an edge met backwards and forwards, mean of the six")
-@limit("edges_dropped", "", hi=0, about="edges between sectors that are no neighbours")
+@limit("hysteresis", "deg", hi=HYSTERESIS, about="between an edge passed in reverse and forward, mean of the six")
+@limit("edges_dropped", "", hi=0, about="edges between sectors that are not neighbours")
 @yes("wiring_as_specified", about="Hall codes and encoder agree on the specified wiring")
 @needs("observer:encoder", "hall-placement")
 @energises(rated_speed=1 / 10, rated_current=1 / 2)
@@ -315,7 +316,7 @@ def _injected(drive: Drive, record: Record, where: Injection, f: float, amplitud
 
 
 def _answer(capture: Capture) -> complex:
-    """Gain from the injected sine to the estimate. NaN if there was none, or if it cannot be told."""
+    """Gain from the injected sine to the estimate. NaN if there was none, or if it is undefined."""
     turns = capture.t[np.flatnonzero(capture["status"].astype(int) & Status.INJECTION_SYNC)]
     turns = turns[turns > capture.t[0] + BEFORE]
     if not len(turns):
@@ -381,7 +382,7 @@ ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EM
 @limit("thd_proposed", "%", hi=40.0, about="the same")
 @limit("i_q_average", "A", about="mean q current: half the rated torque, friction")
 @limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="the same")
-@limit("speed_average", "%", about="mean of the speed, of the set point")
+@limit("speed_average", "%", about="mean of the speed, of the setpoint")
 @limits(held("speed_proposed", 20, "the same"))
 @limit("ripple_average", "r/min", about="std of the speed")
 @limit("ripple_proposed", "r/min", hi=0.03, of=RATED_SPEED, about="the same")

@@ -66,8 +66,8 @@ def sine_response(
     nearest = int(np.argmin(np.diff(ordered)))
     if (ordered[nearest + 1] - ordered[nearest]) * span < 0.999:
         raise ValueError(
-            f"{span:.4g} s are too short to tell {ordered[nearest]:g} Hz from {ordered[nearest + 1]:g} Hz: "
-            "record longer or leave one out"
+            f"{span:.4g} s are too short to resolve {ordered[nearest]:g} Hz from {ordered[nearest + 1]:g} Hz: "
+            "record longer or omit one"
         )
     turns = float(np.unwrap(phase)[-1] - phase[0]) / TWO_PI
     if abs(turns - f * (t[-1] - t[0])) > 0.1:

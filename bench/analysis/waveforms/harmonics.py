@@ -134,7 +134,7 @@ def periodic(t: ArrayLike, y: ArrayLike, f: float, order: int = 2 * ORDER) -> fl
     phase = TWO_PI * f * (t - t[0])
     phase, y, _ = _trimmed(phase, y)
     if np.ptp(y) <= ROUNDING * np.abs(y).max():
-        raise ValueError(f"y stands still at {y[0]:g}: there is nothing that could be periodic")
+        raise ValueError(f"y is constant at {y[0]:g}: no periodic waveform")
     columns = _columns(phase, _order_below(0.5 / (f * period), order))
     rest = y - columns @ least_squares(columns, y)
     n, terms = columns.shape

@@ -163,7 +163,7 @@ def test_every_flaw_is_told_once_and_from_all_captures(clean: Capture) -> None:
 def test_what_is_not_there_is_named(clean: Capture) -> None:
     assert "i_a" in clean
     assert "i_z" not in clean
-    with pytest.raises(BenchError, match=r"channel 'i_z' is not in the stream; there are .*i_a"):
+    with pytest.raises(BenchError, match=r"channel 'i_z' is not in the stream; it has .*i_a"):
         clean["i_z"]
     with pytest.raises(BenchError, match=r"no sample between 0\.0000 s and 0\.1000 s"):
         clean.between(0.0, 0.1)

@@ -212,14 +212,14 @@ def test_a_node_that_trips_at_the_very_end_is_told_by_its_answer_to_stop(link: S
             rig.load.torque(0.05)
             link.device.load.fault(Fault.OVERCURRENT)
 
-    with pytest.raises(BenchError, match=r"could not be left as it was: the load machine, .* tripped: OVERCURRENT$"):
+    with pytest.raises(BenchError, match=r"could not be restored: the load machine, .* tripped: OVERCURRENT$"):
         trip_last()
     assert link.device.load.state == DriveState.IDLE
 
 
 def test_a_fault_that_a_node_had_before_is_named_and_stays(link: SpoiltLink) -> None:
     link.device.load.fault(Fault.OVERCURRENT)
-    fault = r"^node 2 has a latched fault \(OVERCURRENT\): look into its cause"
+    fault = r"^node 2 has a latched fault \(OVERCURRENT\): find the cause"
     with rig_with("node", link) as rig, pytest.raises(BenchError, match=fault):
         rig.load.torque(0.05)
     assert link.device.load.state == DriveState.FAULT
@@ -231,7 +231,7 @@ def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: st
     run = brake(FASTER, link)
     assert run.tests == {"faster": "ERROR", "as_fast": "PASS"}
     assert run["faster"].why == (
-        "load.speed 101 r/min is beyond the 100 r/min that were announced: @energises(speed_rpm=…), "
+        "load.speed 101 r/min is beyond the announced limit of 100 r/min: @energises(speed_rpm=…), "
         "or limits=Envelope(speed_rpm=…)"
     )
     assert at_rest(link.device)
@@ -265,10 +265,10 @@ def test_a_parameter_that_is_refused_keeps_no_other_from_being_put_back(link: Sp
             stack.enter_context(refusing(rig.drive.node, "i_max", order))
             stack.enter_context(refusing(rig.load.node, "hall_glitch", order))
 
-    left = r"; not put back: i_max \(was 8\); not put back in the load machine: hall_glitch \(was 0\)$"
+    left = r"; not restored: i_max \(was 8\); not restored in the load machine: hall_glitch \(was 0\)$"
     with (
         ExitStack() as stack,
-        pytest.raises(BenchError, match=r"could not be left as it was: hall_glitch: not now" + left),
+        pytest.raises(BenchError, match=r"could not be restored: hall_glitch: not now" + left),
     ):
         change()
     assert order == [*names[2], *names[1]]
@@ -296,7 +296,7 @@ def refusing(node: Node, refused: str, order: list[str]) -> Iterator[None]:
 
 def test_a_person_who_cannot_be_asked_is_told_at_once(accepting: Accepting) -> None:
     with_load("person")
-    with pytest.raises(BenchError, match=r'load = "person", and nobody can be asked'):
+    with pytest.raises(BenchError, match=r'load = "person" needs person = true'):
         accepting(BRAKES)
 
 
@@ -441,7 +441,7 @@ def test_without_anybody_hall_faults_are_missing() -> None:
         assert missing("hall-faults", rig) == (
             "needs a rig that inserts faults of the Hall wiring, or a person who does"
         )
-        with pytest.raises(BenchError, match=r"^nobody can be asked: Disconnect"):
+        with pytest.raises(BenchError, match=r"^no terminal to ask: Disconnect"):
             HallFaults(rig).open("a")
 
 
@@ -504,7 +504,7 @@ def test_one_that_does_not_go_off_is_told_and_the_drive_is_stopped_all_the_same(
     _, before = link.left()
     run = brake(BRAKES, link, keyword="test_brakes")
     assert run["brakes"].why == (
-        "the bench could not be left as it was: load brake.py:Stuck: off() raised OSError: VI_ERROR_TMO"
+        "the bench could not be restored: load brake.py:Stuck: off() raised OSError: VI_ERROR_TMO"
     )
     assert (run["brakes"].verdict, run.measured["brakes.x"].verdict) == ("ERROR", "PASS")
     assert link.left() == (True, before)
@@ -524,7 +524,7 @@ def test_one_that_does_not_close_is_the_runs_error(brake: Accepting) -> None:
      ("brake.py:Absent", "load 'brake.py:Absent': OSError: no such instrument"),
      ("brake.py:Brkae", "load 'brake.py:Brkae': AttributeError: .* has no attribute 'Brkae'.*"),
      ("bad.py:Brake", r"load 'bad.py:Brake': SyntaxError: [^\n]*"),
-     ("nowhere.py:Brake", "load 'nowhere.py:Brake': no Python file .*nowhere.py; it must look like my_brake.py:Brake")],
+     ("nowhere.py:Brake", "load 'nowhere.py:Brake': no Python file .*nowhere.py; write it as my_brake.py:Brake")],
 )  # fmt: skip
 def test_what_is_no_load_is_said_and_nothing_turns(brake: Accepting, kind: str, why: str, link: SpoiltLink) -> None:
     Path("bad.py").write_text("def (:\n")
@@ -549,7 +549,7 @@ def test_a_device_on_a_link_of_its_own_must_be_a_load_machine() -> None:
     link, other = SpoiltLink(simulated()), SpoiltLink(simulated(seed=2))
     with (
         patch("bench.rig.connection.open_link", other.open),
-        pytest.raises(BenchError, match=r"^tcp:brake:7000 answers as DRIVE, not as a load machine$"),
+        pytest.raises(BenchError, match=r"^tcp:brake:7000 is a DRIVE, not a load machine$"),
         rig_with("tcp:brake:7000", link),
     ):
         pass

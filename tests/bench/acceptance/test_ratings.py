@@ -49,7 +49,7 @@ def test_the_drive_tells_and_the_file_says_less(
 
 
 def test_a_rating_that_nobody_tells_is_said_with_who_may_say_it() -> None:
-    with pytest.raises(BenchError, match=r"rated current: it has no parameter i_max, say \[rated\] current in bench"):
+    with pytest.raises(BenchError, match=r"rated current: it has no parameter i_max; set \[rated\] current in bench"):
         _ = ratings({"omega_m_max": 330.0}, {}).current
 
 
@@ -67,15 +67,15 @@ def test_limits_are_shares_until_the_drive_is_known() -> None:
 
 def test_limits_are_wider_by_a_share_of_the_load_angle() -> None:
     limits = Limits("error", "deg", -2.5, plus=0.1)
-    assert str(limits) == "≥ -2.5 deg, wider by 0.1 × load angle"
+    assert str(limits) == "≥ -2.5 deg, widened by 0.1 × load angle"
     assert limits.resolved({RATED_CURRENT: 8.0}) is limits  # a drive that does not tell it has them as they are
-    with pytest.raises(ValueError, match="shares of the rated current, or wider by one of the load angle"):
+    with pytest.raises(ValueError, match="shares of the rated current or widened by load angle, not both"):
         Limits("i", "A", hi=1.0, of=RATED_CURRENT, plus=0.1)
     known = limits.resolved({LOAD_ANGLE: 20.0})
     assert (known.lo, known.hi) == (-4.5, None)
     assert known.allow(-4.4)
     assert not known.allow(-4.6)
-    assert str(known) == "≥ -4.5 deg (≥ -2.5 deg, wider by 0.1 × load angle)"
+    assert str(known) == "≥ -4.5 deg (≥ -2.5 deg, widened by 0.1 × load angle)"
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_test_announces_speed_and_current_once(arguments: dict[str, float]) ->
 
 def test_set_points_and_limits_scale_and_a_test_keeps_to_the_share_that_it_announced(accepting: Accepting) -> None:
     run = accepting(TURNS)
-    assert run["turns"].why.startswith("speed 330 r/min is beyond the 300 r/min that were announced")
+    assert run["turns"].why.startswith("speed 330 r/min is beyond the announced limit of 300 r/min")
     measured = run.measured
     assert measured["turns.speed"].limits.lo == pytest.approx(297.0)
     assert measured["turns.speed"].value == pytest.approx(300.0, rel=0.01)

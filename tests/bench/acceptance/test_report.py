@@ -331,7 +331,7 @@ def test_a_figure_is_as_wide_as_a_page_and_always_the_same(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("names", "rows"),
     [([f"a quantity with a long name {k}" for k in range(9)], None),
-     (["vector tracking", "encoder", "reference", "last set point", "FAULT"], 1)],
+     (["vector tracking", "encoder", "reference", "last setpoint", "FAULT"], 1)],
     ids=("long names", "five of unequal length"),
 )  # fmt: skip
 def test_a_legend_stays_within_the_axes_and_is_as_low_as_it_can_be(names: list[str], rows: int | None) -> None:

@@ -72,7 +72,7 @@ def test_fails_and_deaf(turning):
 def test_after_deaf(turning): pass
 """
 UNSTOPPED = (
-    "the bench could not be left as it was: node 1 on virtual: did not answer STOP (3 tries); now its heartbeat says "
+    "the bench could not be restored: node 1 on virtual: did not answer STOP (3 tries); now its heartbeat says "
     "FAULT (WATCHDOG), outputs off"
 )
 
@@ -107,7 +107,7 @@ def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it_and_no_tes
     run = accepting(ENDINGS, link, keyword=f"test_{name} or test_after_deaf")
     assert (run[name].verdict, run[name].why) == (verdict, why)
     assert run["after_deaf"].verdict == "ERROR"
-    assert re.search(r"has a latched fault \(WATCHDOG\): look into its cause", run["after_deaf"].why)
+    assert re.search(r"has a latched fault \(WATCHDOG\): find the cause", run["after_deaf"].why)
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
     assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
@@ -118,7 +118,7 @@ def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting, lin
     run = accepting(ENDINGS, link, keyword="test_deaf")
     assert run["deaf"].why == (
         "OUTPUTS MAY STILL BE ON: cut the power. node 1 on virtual: did not answer STOP (3 tries); node 1 on virtual: "
-        "was not seen to be off; not put back: i_max (was 8)"
+        "was not confirmed off; not restored: i_max (was 8)"
     )
     assert run.code == 5
     assert closing_lines(run.result)[0] == run["deaf"].why
@@ -179,7 +179,7 @@ def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link:
     link.device.drive.fault(Fault.OVERCURRENT)
     run = accepting("def test_turns(drive, record): turn(drive, record)", link)
     assert run["turns"].verdict == "ERROR"
-    assert re.search(r"has a latched fault \(OVERCURRENT\): look into its cause", run["turns"].why)
+    assert re.search(r"has a latched fault \(OVERCURRENT\): find the cause", run["turns"].why)
     assert link.device.drive.state == DriveState.FAULT
     assert never_armed(link)
 
@@ -261,7 +261,7 @@ def test_the_drive_itself_keeps_to_the_announced_current(accepting: Accepting) -
     run = accepting(WITHIN, link)
     assert run.tests == {"blocked": "PASS", "raises_it": "ERROR", "lowers_it": "PASS", "more": "PASS"}
     assert 1.8 < max(flowed) < 2.3
-    assert run["raises_it"].why.startswith("i_max 2.5 A is beyond the 2 A that were announced")
+    assert run["raises_it"].why.startswith("i_max 2.5 A is beyond the announced limit of 2 A")
     assert [state for state in (*link.opened, link.left()) if state != before] == []
     assert run["blocked"].parameters == {"observer": 0.0}  # what the test has set, and not the bench
     assert run["lowers_it"].parameters == {"i_max": 1.5}
@@ -320,7 +320,7 @@ def test_a_second_run_is_refused_and_a_killed_one_ends_by_the_watchdog_and_frees
     run.line("turning")
     second = start(*command)
     assert second.end() == 2
-    assert second.err == [f"error: {sim.target} is in use by another run: wait for its end, or close its rig"]
+    assert second.err == [f"error: {sim.target} is in use by another run: wait until it ends, or close its rig"]
     with pytest.raises(BenchError, match="in use"), alone_on(f"{sim.target}?baud=115200"):
         pass
     run.process.kill()

@@ -185,8 +185,8 @@ EXPECTED = {
     "never_measured": ("ERROR", "1 of 2 measurements did not pass"),
     "undeclared": ("ERROR", "undeclared measures 'z' but declares only: x"),
     "twice": ("ERROR", "twice measures 'x' twice"),
-    "too_fast": ("ERROR", r"speed 101 r/min is beyond the 100 r/min that were announced: .*speed_rpm"),
-    "too_much_current": ("ERROR", r"current 1\.131 A is beyond the 1 A that were announced: .*current"),
+    "too_fast": ("ERROR", r"speed 101 r/min is beyond the announced limit of 100 r/min: .*speed_rpm"),
+    "too_much_current": ("ERROR", r"current 1\.131 A is beyond the announced limit of 1 A: .*current"),
     "lacks": ("SKIPPED", "needs the parameter no_such; needs the channel no_such"),
     "lacks_nothing": ("PASS", ""),
     "lacks_rate": ("SKIPPED", "needs 16001 samples a second; the link carries 16000"),
@@ -240,7 +240,7 @@ def test_the_verdict_on_each_measurement(table: Run) -> None:
     assert nan.value is not None
     assert math.isnan(nan.value)
     assert table.measured["never_measured.y"].why == "declared, but never measured"
-    assert re.fullmatch(r"no sample came after \d\.\d{4} s", table.measured["samples_end_early.x"].why)
+    assert re.fullmatch(r"no sample received after \d\.\d{4} s", table.measured["samples_end_early.x"].why)
 
 
 def test_only_what_broke_unforeseen_has_a_traceback(table: Run) -> None:
@@ -383,7 +383,7 @@ def test_next(measure): measure("x", 1)
     assert run["cut"].verdict is Verdict.ERROR
     assert run["cut"].why == (
         "virtual: is closed; then OUTPUTS MAY STILL BE ON: cut the power. STOP was not sent, or its answer not heard: "
-        "virtual: is closed (3 tries); node 1 on virtual: was not seen to be off"
+        "virtual: is closed (3 tries); node 1 on virtual: was not confirmed off"
     )
     # time stood still on the closed link: the drive still runs, and nothing more is energised
     assert run["next"].verdict is Verdict.ERROR

@@ -310,21 +310,21 @@ def test_a_run_that_is_over_is_marked_at_a_time(tmp_path: Path) -> None:
     assert Run(path).marks == (Mark("load came on", round(12.5 * HZ), round(12.5 * HZ)),)
     assert not Run(path).damage
     assert mark(str(path), "x", "--at", "25")[1] == f"{path} has no 25 s: it is from 0.000 s to 19.990 s"
-    assert mark(str(path), "x")[1] == f"{path} is not being recorded: --at S marks a time of what was"
+    assert mark(str(path), "x")[1] == f"{path} is not being recorded: mark a device time with --at S"
     assert "no such file" in mark(str(tmp_path / "b.run"), "x")[1]
     assert "TEXT is empty" in mark(str(path), " ")[1]
     file = RunSink(tmp_path / "c.run", synthetic.run_info(channels=CONFIG.channels), wait=True)
     for chunk in chunks(0, 3):
         file.samples(chunk)
     wait_for(file, 300)
-    assert "is being recorded: without --at" in mark(str(tmp_path / "c.run"), "x", "--at", "1")[1]
+    assert "is being recorded: omit --at" in mark(str(tmp_path / "c.run"), "x", "--at", "1")[1]
     file.close()
 
 
 def test_a_recorder_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bench.recording.marks.ANSWER", 0.1)
     writer = RunWriter(tmp_path / "a.run", synthetic.run_info(channels=CONFIG.channels))  # nobody looks
-    assert "did not take the mark within 0.1 s" in mark(str(tmp_path / "a.run"), "x")[1]
+    assert "did not confirm the mark within 0.1 s" in mark(str(tmp_path / "a.run"), "x")[1]
     writer.close()
 
 
@@ -354,8 +354,8 @@ def test_a_disk_that_fills_is_told_in_time_and_the_run_ends_whole(
         while time.monotonic() < deadline and file.error is None:
             time.sleep(0.01)
     words = [text for text, level in file.news if level == "WARN"]
-    assert [text.split(":")[0] for text in words] == ["the disk is full in 9.9 min", "the disk is full in 1.9 min"]
-    with pytest.raises(RecordingError, match=r"the disk is full: 63 MiB are free .* what came before is whole"):
+    assert [text.split(":")[0] for text in words] == [f"the disk will be full in {t} min" for t in (9.9, 1.9)]
+    with pytest.raises(RecordingError, match=r"the disk is full: 63 MiB are free .* everything before is complete"):
         file.close()
     monkeypatch.undo()
     run = Run(tmp_path / "a.run")
@@ -370,6 +370,6 @@ def test_a_ring_that_fits_is_not_warned_of() -> None:
 
 
 def test_a_recording_does_not_begin_on_a_full_disk(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"a\.run: the disk is full: 63 MiB are free in .*, and 64 MiB are left"):
+    with pytest.raises(RecordingError, match=r"a\.run: the disk is full: 63 MiB are free in .*, and 64 MiB are res"):
         RunSink(tmp_path / "a.run", synthetic.run_info(), free=lambda path: space.RESERVE - 1)
     assert not list(tmp_path.iterdir())

@@ -156,9 +156,9 @@ def test_a_run_without_samples_is_a_run(tmp_path: Path) -> None:
 def test_a_file_that_exists_or_cannot_be_made_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "a.run"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match=r"a\.run exists: it is no recorded run"):
+    with pytest.raises(RecordingError, match=r"a\.run exists: it is not a recorded run"):
         RunSink(path, synthetic.run_info())
-    with pytest.raises(RecordingError, match=r"a\.run exists: it is no recorded run"):
+    with pytest.raises(RecordingError, match=r"a\.run exists: it is not a recorded run"):
         RunSink(path, synthetic.run_info(), overwrite=True)
     assert path.read_bytes() == b"precious"
     run = tmp_path / "b.run"

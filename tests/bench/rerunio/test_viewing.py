@@ -90,7 +90,7 @@ def test_a_part_is_shown_sample_by_sample(long: tuple[Path, np.ndarray], tmp_pat
 def test_a_part_that_there_is_not_is_refused_with_what_there_is(long: tuple[Path, np.ndarray]) -> None:
     run = Run(long[0])
     for begin, end in ((200.0, None), (None, -1.0), (50.0, 40.0)):
-        with pytest.raises(BenchError, match=r"has nothing from .* s: it is from 0\.000 to 90\.000 s"):
+        with pytest.raises(BenchError, match=r"has no data from .* s: it covers 0\.000 to 90\.000 s"):
             ticks_of(run, begin, end)
 
 

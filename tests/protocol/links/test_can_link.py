@@ -552,17 +552,17 @@ SOCKETCAND = "can:socketcand/can0?host=127.0.0.1"
     [
         ("can:wayward/7?keywrod=1", r"can:wayward/7: .*wayward refuses these options: .*'keywrod'"),
         ("can:socketcn/can0", r"can:socketcn/can0: .*no interface 'socketcn': did you mean socketcan\?"),
-        ("can:zzz/can0", r"it knows .*pcan, .*virtual"),
+        ("can:zzz/can0", r"known: .*pcan, .*virtual"),
         ("can:virtual/x?port=first", "does not accept this configuration: Port config must be a number"),
         ("can:", "no CAN interface is named.*set CAN_INTERFACE"),
         ("can:slcan//dev/ttyNONE?bitrat=500000", r"interface slcan has no key 'bitrat': did you mean bitrate\?"),
         ("can:slcan//dev/ttyNONE?rtsct=1", r"interface slcan has no key 'rtsct': did you mean rtscts\?"),
-        ("can:slcan//dev/ttyNONE?brp=1", "interface slcan has no key 'brp': it knows .*bitrate"),
+        ("can:slcan//dev/ttyNONE?brp=1", "interface slcan has no key 'brp': known: .*bitrate"),
         (f"{SOCKETCAND}&port=9&bitrat=500000", r"interface socketcand has no key 'bitrat': did you mean bitrate\?"),
         (f"{SOCKETCAND}&prot=9", r"interface socketcand has no key 'prot': did you mean port\?"),
         ("can:virtual/x?hostnumber=3", r"interface virtual has no key 'hostnumber': did you mean host_number\?"),
         ("can:virtual/x?nod=3", r"interface virtual has no key 'nod': did you mean node\?"),
-        ("can:virtual/x?zzz=3", "interface virtual has no key 'zzz': it knows bitrate, .*rx_queue_size"),
+        ("can:virtual/x?zzz=3", "interface virtual has no key 'zzz': known: bitrate, .*rx_queue_size"),
     ],
 )
 def test_targets_that_mean_nothing_here(wayward: type[Wayward], bare: Path, target: str, match: str) -> None:
@@ -667,7 +667,7 @@ def test_switches_of_a_configuration(bare: Path, word: str, on: bool) -> None:
         ("bitrate = 1M", "bitrate must be a whole number of bit/s, got '1M'"),
         ("bitrate = 0", "bitrate must be a whole number of bit/s, got '0'"),
         ("data_bitrate = fast", "data_bitrate must be a whole number of bit/s, got 'fast'"),
-        ("timing = 1", "timing is no key of a text, got '1': give f_clock, brp, tseg1, tseg2, sjw, nof_samples"),
+        ("timing = 1", "timing cannot be text, got '1': give f_clock, brp, tseg1, tseg2, sjw, nof_samples"),
     ],
 )
 def test_values_of_a_configuration_that_mean_nothing(bare: Path, line: str, said: str) -> None:

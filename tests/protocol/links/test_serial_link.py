@@ -125,7 +125,7 @@ def test_missing_port_lists_the_ones_that_are_there(tmp_path: Path, monkeypatch:
     with pytest.raises(LinkNotFound, match=r"no port .*ttyNONE; ports here: /dev/ttyS7, /dev/ttyS9"):
         open_link(f"serial:{path}")
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
-    with pytest.raises(LinkNotFound, match="there is no serial port here"):
+    with pytest.raises(LinkNotFound, match="this machine has no serial port"):
         open_link(f"serial:{path}")
 
 

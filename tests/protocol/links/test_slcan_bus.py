@@ -172,9 +172,9 @@ def test_commands_that_open_it(raw: tuple[int, str], keywords: dict[str, object]
 
 def test_arguments_that_mean_nothing(raw: tuple[int, str]) -> None:
     _, path = raw
-    with pytest.raises(ValueError, match=r"bitrate 800000 is none of slcan's: choose one of 10000, .*1000000, 83300"):
+    with pytest.raises(ValueError, match=r"bitrate 800000 is not an slcan rate: choose one of 10000, .*1000000, 83300"):
         SlcanBus(path, bitrate=800_000)
-    with pytest.raises(ValueError, match=r"data_bitrate 4000000 is none of slcan's: .* 2000000, 5000000, 8000000"):
+    with pytest.raises(ValueError, match=r"data_bitrate 4000000 is not an slcan rate: .* 2000000, 5000000, 8000000"):
         SlcanBus(path, fd=True, bitrate=500_000, data_bitrate=4_000_000)
     with pytest.raises(ValueError, match="the port's rate must be a whole number, got 'fast'"):
         SlcanBus(f"{path}@fast")

@@ -115,8 +115,8 @@ def test_nodes_and_hosts_are_those_of_the_identifiers() -> None:
         ("can:virtual/x?bitrate=1000001", ["1000000"]),
         ("can:virtual/x?data_bitrate=2000000", ["add fd=1"]),
         ("can:virtual/x?fd=1&bitrate=500000&data_bitrate=250000", ["data_bitrate", "from 500000"]),
-        ("can:virtual?channel=x", ["the channel is no key", "can:INTERFACE/CHANNEL"]),
-        ("can:?interface=virtual", ["the interface is no key"]),
+        ("can:virtual?channel=x", ["channel is not an option", "can:INTERFACE/CHANNEL"]),
+        ("can:?interface=virtual", ["interface is not an option"]),
     ],
 )
 def test_refuses_in_one_line(text: str, parts: list[str]) -> None:

@@ -97,7 +97,7 @@ def test_link_replaces_a_link_that_an_earlier_run_left_and_nothing_else(tmp_path
     assert path.read_text() == "precious"
     path.unlink()
     path.symlink_to("/dev/ttyACM0")
-    with pytest.raises(LinkError, match=r"cannot make the link .*: another link is there, not to a pty; remove it"):
+    with pytest.raises(LinkError, match=r"cannot make the link .*: another link exists there, not to a pty; remove it"):
         PtyPort(path)
     assert os.readlink(path) == "/dev/ttyACM0"
 

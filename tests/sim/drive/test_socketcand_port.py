@@ -317,7 +317,7 @@ def test_targets_that_no_server_has(server: Server) -> None:
     ("greeting", "match"),
     [
         (b"", "no answer from port .* within 0.3 s"),
-        (b"220 smtp ready\r\n", "is no socketcand server"),
+        (b"220 smtp ready\r\n", "is not socketcand"),
         (b"< hi >", "no handshake within 0.3 s"),  # and never an answer
     ],
 )
