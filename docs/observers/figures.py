@@ -50,10 +50,10 @@ def draw(paths: Mapping[str, Path], seen: Seen, numbers: Mapping[str, Any], fold
     _save(by_speed(numbers), folder / "by_speed.png")
     _save(transients(numbers), folder / "transients.png")
     weaknesses: dict[str, Callable[[Axes], None]] = {
-        "average_speed": lambda ax: _event(ax, events["reversal"], ("average_speed", "vector_tracking"), 0.80, 0.2),
+        "average_speed": lambda ax: _event(ax, events["reversal"], ("average_speed", "vector_tracking"), 0.2),
         "sector_centre": lambda ax: _distribution(ax, seen),
         "lookup_table": lambda ax: _shares(ax, numbers),
-        "hall_vector": lambda ax: _event(ax, events["load_step_full"], ("hall_vector", "vector_tracking"), 0.80, 0.2),
+        "hall_vector": lambda ax: _event(ax, events["load_step_full"], ("hall_vector", "vector_tracking"), 0.2),
         "hall_vector_decoupled": lambda ax: _spectrum(ax, numbers),
         "programmable_filter": lambda ax: _against_theory(ax, numbers, "programmable_filter"),
         "vector_tracking": lambda ax: _vector_tracking(ax, numbers),
@@ -131,8 +131,11 @@ def _one_turn(ax: Axes, seen: Seen, name: str) -> None:
     column_title(ax, "an electrical turn, 500 r/min, 4 A; grey: Hall edges")
 
 
-def _event(ax: Axes, seen: Seen, names: tuple[str, ...], first: float, length: float) -> None:
-    """Errors in an event, from `first` s on."""
+def _event(ax: Axes, seen: Seen, names: tuple[str, ...], length: float) -> None:
+    """Errors in an event: `length` s around the largest error of the first name between start-up and stop."""
+    between = (seen.t > 0.4 * seen.t[-1]) & (seen.t < 0.75 * seen.t[-1])
+    error = np.where(between, np.abs(seen.errors[names[0]]), 0.0)
+    first = seen.t[error.argmax()] - length / 2
     part = (seen.t >= first) & (seen.t <= first + length)
     for name in names:
         ax.plot(1e3 * (seen.t[part] - first), seen.errors[name][part], color=HUE[name], lw=LINE_WIDTH, label=name)

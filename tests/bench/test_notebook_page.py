@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
 import re
+import textwrap
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -13,6 +17,11 @@ import numpy as np
 import pytest
 from virtual_run import WatchedLink, at_rest, physical
 
+import bench
+from bench.analysis import waveforms
+from bench.rig.drive import Drive
+from bench.rig.loads import Load
+from bench.scoring.board import Scoreboard
 from protocol.messages import DriveState
 
 PAGE = (Path(__file__).parents[2] / "docs" / "notebook.md").read_text()
@@ -24,7 +33,9 @@ def test_the_page_as_it_is_printed(
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("BENCH_TARGET", raising=False)
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    assert len(blocks) == PAGE.count("```") // 2 - 1  # one is for the shell
+    fences = re.findall(r"^```(\w+)$", PAGE, re.MULTILINE)
+    assert set(fences) == {"sh", "python", "pyi"}
+    assert len(blocks) == fences.count("python")
     cells: dict[str, Any] = {}
     link = WatchedLink(physical())
     with (
@@ -58,3 +69,76 @@ def test_the_page_as_it_is_printed(
     assert at_rest(link.device)
     assert cells["table"].num_rows == len(cells["frame"]) == len(cells["run"])
     assert re.search(r"^dashboard: http://127\.0\.0\.1:\d+/\?url=", printed, re.MULTILINE)
+
+
+SIGNATURES = [node for block in re.findall(r"```pyi\n(.*?)```", PAGE, re.DOTALL) for node in ast.parse(block).body]
+HOMES = {"Drive": Drive, "Load": Load, "Scoreboard": Scoreboard}
+
+
+def home(name: str) -> Any:
+    """What the page calls so."""
+    if name in HOMES:
+        return HOMES[name]
+    return getattr(bench, name) if name in bench.__all__ else getattr(waveforms, name)
+
+
+def tree_of(thing: Any) -> Any:
+    """The source of a function or class; defaults that name a constant of its module have the constant's value."""
+    tree: Any = ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+    if isinstance(tree, ast.FunctionDef):
+        tree.args.defaults = [
+            ast.Constant(eval(ast.unparse(default), thing.__globals__))
+            if any(isinstance(part, ast.Name) for part in ast.walk(default))
+            else default
+            for default in tree.args.defaults
+        ]
+    return tree
+
+
+def signature(function: ast.FunctionDef) -> str:
+    assert function.returns is not None
+    return f"{function.name}({ast.unparse(function.args)}) -> {ast.unparse(function.returns)}"
+
+
+def members(cls: type) -> dict[str, str]:
+    """Fields, properties and methods of a class and of what it inherits from, as the page writes them."""
+    found: dict[str, str] = {}
+    for base in reversed([base for base in cls.__mro__ if base.__module__.startswith("bench.")]):
+        for node in tree_of(base).body:
+            if isinstance(node, ast.AnnAssign):
+                found[ast.unparse(node.target)] = ast.unparse(node)
+            elif isinstance(node, ast.FunctionDef):
+                is_value = isinstance(inspect.getattr_static(cls, node.name), property | cached_property)
+                returned = node.returns and ast.unparse(node.returns)
+                found[node.name] = f"{node.name}: {returned}" if is_value else signature(node)
+    return found
+
+
+@pytest.mark.parametrize("node", SIGNATURES, ids=lambda node: node.name)
+def test_a_signature_of_the_page_is_that_of_the_code(node: ast.FunctionDef | ast.ClassDef) -> None:
+    if isinstance(node, ast.FunctionDef):
+        assert signature(node) == signature(tree_of(home(node.name)))
+        return
+    known = members(home(node.name))
+    for part in node.body:
+        if isinstance(part, ast.FunctionDef):
+            assert signature(part) == known[part.name]
+        else:
+            assert isinstance(part, ast.AnnAssign)
+            text, name = ast.unparse(part), ast.unparse(part.target)
+            assert text == known[name] or (text == known[name].partition(" = ")[0] and node.name == "Capture")
+
+
+def test_the_page_has_the_signatures_of_everything_that_is_public() -> None:
+    named = {node.name: node for node in SIGNATURES}
+    elsewhere = {"BenchError", "DriveTripped", "Settings", "__version__", "BACKWARDS", "FORWARDS"}
+    assert {*bench.__all__, *waveforms.__all__} - elsewhere <= named.keys()
+    for name, node in named.items():
+        if not isinstance(node, ast.ClassDef) or not (name == "Capture" or name in waveforms.__all__):
+            continue
+        public = {key for key in members(home(name)) if not key.startswith("_")}
+        parts = {
+            part.name if isinstance(part, ast.FunctionDef) else ast.unparse(part.target)  # type: ignore[attr-defined]
+            for part in node.body
+        }
+        assert public <= parts, name
