@@ -36,7 +36,9 @@ class Picture:
 PICTURES = (
     Picture("dashboard.png", (), 14.0, 0, "1920x1080"),
     Picture("dashboard-rest.png", ("sim", "--duration", "4"), 3.5, 0, "1366x768"),
-    Picture("dashboard-last-second.png", ("sim", "--speed", "3000", "--load", "2", "--duration", "6"), 5.5, 1, "1366x768"),
+    Picture(
+        "dashboard-last-second.png", ("sim", "--speed", "3000", "--load", "2", "--duration", "6"), 5.5, 1, "1366x768"
+    ),
 )
 
 

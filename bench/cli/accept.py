@@ -39,7 +39,7 @@ class _Screen(Progress):
 @click.option("--tests", metavar="PATH", multiple=True, type=click.Path(path_type=Path),
               help="Tests of your own instead of the shipped ones; repeatable.")  # fmt: skip
 @click.option("--report", metavar="DIR", type=DIRECTORY,
-              help="Write report.html, figures and recordings there.")  # fmt: skip
+              help="Write report.html, plots and recordings there.")  # fmt: skip
 @click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, with the measurements as properties.")
 @json_option("every result")
 @overwrite_option

@@ -213,8 +213,6 @@ class RunLog:
             self._hall.restart()
             self._last_second.restart()
             self._first_ns = None
-        if self._first_ns is None:
-            self._first_ns = t_ns
         self._now_ns = max(self._now_ns, t_ns)
 
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
@@ -327,6 +325,8 @@ class RunLog:
     def _send_rows(self, t_ns: NDArray[np.int64], rows: Mapping[str, NDArray[np.float32]]) -> None:
         """Log what the long plots show, by component."""
         self._send(schema.TREND, t_ns, {name: pa.array(row) for name, row in rows.items()})
+        if self._first_ns is None:
+            self._first_ns = int(t_ns[0])
         self._send_room(int(t_ns[-1]), {name: float(row[-1]) for name, row in rows.items()})
         if self.extents is not None:
             self.extents.add(t_ns, rows)
@@ -334,8 +334,8 @@ class RunLog:
     def _send_room(self, t_ns: int, newest: Mapping[str, float]) -> None:
         """Log where the long plots begin at least, and how far they reach; `newest`: values by component."""
         start = t_ns
-        if self._live:
-            shown = min(round(TREND * 1e9), t_ns - (t_ns if self._first_ns is None else self._first_ns))
+        if self._live and self._first_ns is not None:
+            shown = min(round(TREND * 1e9), t_ns - self._first_ns)
             start -= round(shown / (1 - LEGEND_SHARE))
         columns = {plot.guide: pa.array(_least(plot, newest), pa.float32()) for plot in self._rooms}
         if columns:

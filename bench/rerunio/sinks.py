@@ -46,7 +46,7 @@ class LiveSink(Sink):
 
     Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
     `hold` the view is updated every three seconds, all at once, and stands still in between; of the samples it is given
-    those of the last quarter of a second, which are in sight: a browser without a GPU draws only a frame or two a second.
+    those of the last quarter of a second, which are in sight: a browser without a GPU draws a frame or two a second.
 
     `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
     sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
