@@ -70,7 +70,7 @@ def connect(
     Args:
         target: as on the command line: `serial:/dev/ttyACM0`, `tcp:HOST:PORT`, `can:INTERFACE/CHANNEL`, or `sim`, a new
             simulated drive in virtual time. None: $BENCH_TARGET, what bench.toml says, or `sim`.
-        yes: the shaft is clear: a physical drive may be energised. Without it somebody is asked at the first set point.
+        yes: the shaft is clear: a physical drive may be energised. Without it somebody is asked at the first setpoint.
         limits: the most that will be asked for, r/min and A; the drive's own `i_max` is lowered to it meanwhile.
         channels: names of channels to stream, as `--channels`, such as "+theta_ek"; None: all but those on request and
             the plant's own.
@@ -79,7 +79,7 @@ def connect(
         settings: what a bench.toml says, or its path; None: ./bench.toml, if there is one.
 
     Returns:
-        The rig. `rig.drive` takes set points (the first one starts it), `rig.load` brakes, `rig.record(seconds)` gives
+        The rig. `rig.drive` takes setpoints (the first one starts it), `rig.load` brakes, `rig.record(seconds)` gives
         a `Capture`, `rig.wait(seconds)` lets the bench go on. Only while such a call runs is the drive's watchdog fed:
         compute after the `with` block, or a physical drive switches itself off.
 

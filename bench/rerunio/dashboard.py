@@ -140,7 +140,7 @@ def _texts(stator: str) -> rrb.Container:
 
 
 def _last_second(run: RunInfo, found: Mapping[str, Plot], whole: tuple[int, int] | None) -> rrb.Container | None:
-    """The second page: what the last second comes to, and the DC bus; None where there is nothing of it."""
+    """The second page: what the last second comes to, and the DC link; None where there is nothing of it."""
     made = LastSecond(run).views
     if not made:
         return None

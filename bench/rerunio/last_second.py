@@ -275,9 +275,9 @@ class LastSecond:
         bus, size = values["u_dc"], values[schema.U_ABS]
         text = f"{float(bus.mean()):.2f} V, {float(bus.min()):.2f} to {float(bus.max()):.2f} V"
         if float(bus.min()) <= 0:
-            return [("DC bus", text)]
+            return [("DC link", text)]
         share = 100 * math.sqrt(3) * size / bus
-        return [("DC bus", text), ("|u| of u_dc/√3", f"{share.mean():.1f} %, max {share.max():.1f} %")]
+        return [("DC link", text), ("|u| of u_dc/√3", f"{share.mean():.1f} %, max {share.max():.1f} %")]
 
 
 def distortion(theta: Values, current: Values) -> Thd:

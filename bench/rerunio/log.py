@@ -513,7 +513,7 @@ def health_text(values: Mapping[str, int]) -> str:
             f"| frames dropped by the drive | {v['lost:by_device']} |",
             f"| blocks, live view only | {v['lost:live_blocks']} |",
             f"| frames damaged at the drive | {damaged} |",
-            f"| set points rejected | {rejected} |",
+            f"| setpoints rejected | {rejected} |",
         ]
     )
 

@@ -30,7 +30,7 @@ QUANTITIES = {
     "W": "Powers",
 }
 OTHER = "Other channels"
-BUS = "DC bus and voltage vector [V]"
+BUS = "DC link and voltage vector [V]"
 LIMIT_COLOUR: RGB = (200, 196, 190)
 Range = tuple[float, float] | None
 LINES = 8  # of a plot by unit: not more than there are spare colours
@@ -159,7 +159,7 @@ def _speeds(run: RunInfo) -> tuple[Line, ...]:
 
 
 def _bus(run: RunInfo) -> tuple[Line, ...]:
-    """The DC bus, and beside it how much of it the voltage vector takes."""
+    """The DC link, and beside it how much of it the voltage vector takes."""
     if not run.has("u_dc"):
         return ()
     lines = list(_values(run, ["u_dc"]))

@@ -17,7 +17,7 @@ from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fau
 from protocol.signals import OTHER_SOURCE, SECTOR_OF_CODE, AngleSource
 
 SECTORS = ("I", "II", "III", "IV", "V", "VI")
-ILLEGAL = "illegal"
+ILLEGAL = "invalid"
 NO_EDGE = "no edge yet"
 LOW, HIGH, NOT_KNOWN = "0", "1", "?"
 

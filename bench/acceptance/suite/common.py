@@ -1,6 +1,6 @@
 """What the tests of the suite share: names of the estimates, speeds in r/min, whole turns, transients, ripple.
 
-Set points are shares of what the drive is rated for, and names of measurements say them in percent. Nothing here knows
+Setpoints are shares of what the drive is rated for, and names of measurements say them in percent. Nothing here knows
 whether the drive is simulated.
 """
 

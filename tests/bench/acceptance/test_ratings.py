@@ -1,4 +1,4 @@
-"""Shares of what a drive is rated for: of limits, of set points, in bench.toml, and where nobody tells the ratings."""
+"""Shares of what a drive is rated for: of limits, of setpoints, in bench.toml, and where nobody tells the ratings."""
 
 from __future__ import annotations
 

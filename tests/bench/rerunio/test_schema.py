@@ -63,7 +63,7 @@ def test_the_range_of_the_currents_is_known_or_it_is_not(i_max: float | None) ->
 def test_hall_lanes_follow_the_bit_order() -> None:
     assert SECTOR_OF_CODE == hall_speed.SECTOR_OF_CODE
     assert states.HALL_WORDS[0b011].as_py() == ["1", "1", "0", "II"]
-    assert states.HALL_WORDS[0b111].as_py()[3] == states.HALL_WORDS[0].as_py()[3] == "illegal"
+    assert states.HALL_WORDS[0b111].as_py()[3] == states.HALL_WORDS[0].as_py()[3] == "invalid"
 
 
 def test_faults_of_a_later_version_keep_their_number() -> None:
