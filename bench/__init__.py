@@ -74,7 +74,7 @@ def connect(
         limits: the most that will be asked for, r/min and A; the drive's own `i_max` is lowered to it meanwhile.
         channels: names of channels to stream, as `--channels`, such as "+theta_ek"; None: all but those on request and
             the plant's own.
-        save: an .rrd to record to; `overwrite` replaces one that is there.
+        save: a run to record to, such as `a.run`; `overwrite` replaces one that is there.
         viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`; its address is printed.
         settings: what a bench.toml says, or its path; None: ./bench.toml, if there is one.
 

@@ -122,7 +122,7 @@ def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None
     if beat.state == DriveState.FAULT:
         raise BenchError(
             f"{options.target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
-            "(bench live TARGET --clear-faults --duration 1)"
+            "(bench live TARGET --clear-faults --duration 1 --viewer none)"
         )
     envelope = Envelope(options.speed_rpm if options.level >= MOTION else 0.0)
     if options.level >= MOTION:

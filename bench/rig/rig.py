@@ -164,7 +164,7 @@ class Rig:
         if heartbeat is not None and heartbeat.state == DriveState.FAULT:
             raise BenchError(
                 f"{target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
-                "(bench live TARGET --clear-faults --duration 1)"
+                "(bench live TARGET --clear-faults --duration 1 --viewer none)"
             )
         if heartbeat is None:
             raise BenchError(f"{target} sends no heartbeat: the state of its outputs is unknown")
