@@ -450,7 +450,8 @@ class Client:
         if watch.longest < watchdog:
             return ""
         if watch.pause > watch.longest / 2:
-            return f"this host sent no ALIVE for {watch.longest:.2f} s (it was starved of CPU or stopped, or the link is slow)"
+            why = "it was starved of CPU or stopped, or the link is slow"
+            return f"this host sent no ALIVE for {watch.longest:.2f} s ({why})"
         return f"this host sent no ALIVE for {watch.longest:.2f} s, because the drive was silent"
 
     def _note_pause(self, seconds: float) -> None:
