@@ -25,7 +25,7 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
     """Open a recorded run, or part of it, in rerun, with the same dashboard as live.
 
     Up to one minute is shown sample by sample. A longer part is shown as minima and maxima over 50 ms or more, and
-    sample by sample around faults and marks; zoom in with --from and --to. The run may still be recording.
+    sample by sample around faults, marks and the end; zoom in with --from and --to. The run may still be recording.
 
     \b
     Examples:

@@ -66,7 +66,7 @@ def blueprint(
     )  # fmt: skip
     seconds = HALL if sector is None else min(MOST_HALL, max(LEAST_HALL, SECTORS_SHOWN * sector))
     hall = _lanes(
-        f"Hall sensors and sector, last {seconds:.2g} s{', near marks and faults only' if coarse else ''}",
+        f"Hall sensors and sector, last {seconds:.2g} s{', close-ups only' if coarse else ''}",
         schema.HALL_LANES, _span(seconds + HALL_QUERIED), _span(seconds),
     )  # fmt: skip
     second_page = _last_second(run, found, whole)

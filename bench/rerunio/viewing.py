@@ -1,7 +1,7 @@
 """A recorded run in rerun: the dashboard that it had live, of any part of it.
 
 A short part is shown sample by sample. A long one is shown as minima and maxima, which the run has ready, and sample by
-sample only around faults and marks: rerun's memory holds minutes of samples, not hours.
+sample only around faults, marks and the end: rerun's memory holds minutes of samples, not hours.
 """
 
 from __future__ import annotations
