@@ -270,10 +270,10 @@ class LiveRun:
             options.overwrite,
             options.viewer,
             options.web_port,
-            lambda tick: None if self._clock is None else self._clock.host_time(tick),
             stored=Stored(options.keep, options.split),
             sector=self._sector(acts),
         )
+        outputs.time_by(lambda tick: None if self._clock is None else self._clock.host_time(tick))
         try:
             if outputs.view is not None:
                 self.screen.note(f"dashboard: {outputs.view.url}")

@@ -54,12 +54,11 @@ class Outputs:
         overwrite: bool,
         viewer: str,
         web_port: int | None = None,
-        host_time: Callable[[float], float | None] | None = None,
         wait: bool = False,
         stored: Stored = FOR_EVER,
         sector: float | None = None,
     ) -> None:
-        """`host_time`: of a device tick; `wait`: hold a caller back that is faster than the disk, for virtual time.
+        """`wait`: hold a caller back that is faster than the disk, for virtual time.
 
         `stored`: how a recording is kept that goes on for long. `sector`: how long a Hall sector will last, s, where
         that is known.
@@ -81,7 +80,10 @@ class Outputs:
                 if self.file is not None:
                     self.file.close()
                 raise
-        for sink in self.sinks if host_time else ():
+
+    def time_by(self, host_time: Callable[[float], float | None]) -> None:
+        """Tell recording and view the host's time of a device tick, None while that is not known."""
+        for sink in self.sinks:
             sink.host_time = host_time
 
     @property

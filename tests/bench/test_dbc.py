@@ -288,7 +288,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is no CAN bus"),
+        (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is not a CAN bus"),
         (("serial:/dev/ttyACM0",), "can:socketcan/can0"),
         ((), "Missing argument 'TARGET'"),
     ],

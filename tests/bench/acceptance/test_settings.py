@@ -45,11 +45,11 @@ WRONG = {
     "[limits]\n'measures.spread' = { hi = '3' }": SPREAD + " be finite numbers, got '3'",
     "[limits]\n'measures.spread' = { hi = nan }": SPREAD + " be finite numbers, got nan",
     "[limits]\n'measures.spread' = { hi = true }": SPREAD + " be finite numbers, got True",
-    "[limits]\n'measures.spread' = { lo = 3 }": r"\[limits\] of bench.toml: spread: the lower limit 3 is above the "
+    "[limits]\n'measures.spread' = { lo = 3 }": r"\[limits\] in bench.toml: spread: the lower limit 3 is above the "
     "upper one, 2",
-    "[limits]\n'measures.spraed' = { hi = 3 }": r"\[limits\] of bench.toml names 'measures.spraed', which no test "
+    "[limits]\n'measures.spraed' = { hi = 3 }": r"\[limits\] in bench.toml names 'measures.spraed', which no test "
     r"measures: did you mean measures.spread\?",
-    "[limits]\n'zzz' = { hi = 3 }": r"\[limits\] of bench.toml names 'zzz', which no test measures: bench accept",
+    "[limits]\n'zzz' = { hi = 3 }": r"\[limits\] in bench.toml names 'zzz', which no test measures: bench accept",
     "config = 'nowhere.toml'": "nowhere.toml",
     "config = 'bench.toml'": "unknown key config",
 }  # fmt: skip

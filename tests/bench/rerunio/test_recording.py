@@ -118,7 +118,7 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
 
 
 def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: synthetic.SyntheticRun) -> None:
-    outputs = Outputs(synthetic.run_info(), tmp_path / "a.run", False, "none", None, lambda tick: 0.0)
+    outputs = Outputs(synthetic.run_info(), tmp_path / "a.run", False, "none")
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
     run = Run(tmp_path / "a.run")
