@@ -31,6 +31,7 @@ SPAN = 1.0  # s
 PERIOD = 1.0  # s of device time from one picture to the next
 BINS = 36  # of an electrical revolution
 MOST_ROWS = 800  # samples from which harmonics are found
+LEGEND, LEGEND_LATE = 1.5, 1.25  # times the axis of a bar chart, so that its legend covers no bar
 TRAIL, TRAIL_POINTS = 0.2, 400  # s of the current vector's way, in so many points at most
 FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
@@ -119,6 +120,8 @@ class LastSecond:
     def frame(self) -> Iterator[Part]:
         """Yield entity and static content: places and colours of bars; circle, axes and names of the current plane."""
         for entity, at, width, colour in self._bars():
+            more = LEGEND_LATE if entity.startswith(schema.LATE) else LEGEND
+            at = np.append(at, more * at[-1])  # a bar without a height
             look = rr.BarChart(np.zeros(len(at)), abscissa=at, widths=np.full(len(at), width), color=colour)
             yield entity, [part for part in look.as_component_batches() if part.component_descriptor() not in _CHANGES]
         if schema.DQ not in self.views:
@@ -305,8 +308,8 @@ def _mean(bins: NDArray[np.int64], values: Values, n: int) -> Values:
 
 
 def _values(values: Values) -> rr.BarChart:
-    """New values of a bar chart."""
-    return rr.BarChart.from_fields(values=values)
+    """New values of a bar chart, and of the bar that makes room for the legend."""
+    return rr.BarChart.from_fields(values=np.append(values, 0.0))
 
 
 def _by_angle(estimate: str) -> str:
