@@ -39,6 +39,7 @@ SLOW = (
     "bench/acceptance/test_accept.py", "bench/acceptance/test_loads.py", "bench/acceptance/test_own_test.py",
     "bench/acceptance/test_sabotage.py", "bench/acceptance/test_settings.py", "bench/acceptance/test_suite.py",
     "bench/acceptance/test_verdicts.py", "bench/rerunio/test_dashboard.py", "bench/rerunio/test_recording.py",
+    "bench/rerunio/test_rendered.py",
     "bench/rerunio/test_sinks.py", "bench/test_account.py", "bench/test_any_drive.py", "bench/test_augment.py",
     "bench/test_bad_drive.py", "bench/test_can_cli.py", "bench/test_can_faults.py", "bench/test_can_logs.py",
     "bench/test_errors.py", "bench/test_estimators.py", "bench/test_hall_check.py", "bench/test_interrupts.py",

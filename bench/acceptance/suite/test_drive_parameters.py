@@ -143,11 +143,11 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
 
 @called("Back-EMF and encoder")
 @limit("psi_f", "mV·s", about="back-EMF over electrical speed")
-@limit("psi_f_deviation", "%", lo=-10, hi=10, about="of it from the drive's parameter psi_f_hat")
+@limit("psi_f_deviation", "%", lo=-10, hi=10, about="measured flux less the drive's parameter psi_f_hat")
 @limit("encoder_turns", "", lo=0.999, hi=1.001, about="electrical revolutions by encoder per one by Hall sensors")
 @limit("edges_dropped", "", hi=0, about="Hall edges between sectors that are not neighbours")
 @limit("u_dc", "V", about="mean voltage of the DC link")
-@limit("u_dc_ripple", "%", hi=10, about="of it, peak to peak")
+@limit("u_dc_ripple", "%", hi=10, about="ripple of the DC link, peak to peak")
 @needs(*TURNS, "encoder", "feature:EDGES", "channel:e_alpha", "channel:e_beta", "channel:u_dc", "parameter:psi_f_hat")
 @energises(rated_speed=1 / 3, rated_current=1)
 def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:

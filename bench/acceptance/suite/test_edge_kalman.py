@@ -94,8 +94,8 @@ def _allowed(point: str, speed: float, at: str = "") -> list[Limits]:
     wide = 1.0 if speed >= FROM else WIDER
     return [
         Limits(f"error_mean{point}", "deg", -wide * MEAN, wide * MEAN, f"mean position error of the Kalman filter{at}"),
-        Limits(f"error_std{point}", "deg", None, wide * STD, f"its standard deviation{at}"),
-        Limits(f"error_max{point}", "deg", None, wide * LARGEST, f"its largest{at}"),
+        Limits(f"error_std{point}", "deg", None, wide * STD, f"standard deviation of its position error{at}"),
+        Limits(f"error_max{point}", "deg", None, wide * LARGEST, f"its largest position error{at}"),
     ]
 
 
@@ -115,7 +115,7 @@ def _allowed(point: str, speed: float, at: str = "") -> list[Limits]:
     )
 )
 @limit("proposed.error_std.speed17", "deg", about="the paper's observer on the same samples, half the load")
-@limit("proposed.error_std.speed33", "deg", about="the same")
+@limit("proposed.error_std.speed33", "deg", about="the paper's observer on the same samples, half the load")
 @limit(
     "ratio_max",
     hi=1,
@@ -229,11 +229,11 @@ Where the back-EMF at `omega_on` is a tenth of R_s i_max, 30 % of R_s take three
 @called("Kalman filter: wrong motor parameters")
 @limits(
     *(
-        Limits(f"error_std.speed{percent(speed)}", "deg", None, std, "position error")
+        Limits(f"error_std.speed{percent(speed)}", "deg", None, std, "standard deviation of the position error")
         for speed, (std, _) in WRONG.items()
     ),
     *(
-        Limits(f"error_max.speed{percent(speed)}", "deg", None, most, "its largest")
+        Limits(f"error_max.speed{percent(speed)}", "deg", None, most, "largest position error")
         for speed, (_, most) in WRONG.items()
     ),
 )

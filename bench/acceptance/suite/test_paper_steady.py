@@ -81,7 +81,12 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
     *(
-        _near(f"delta_{sector}_{way}", delta, TOLERANCE + HYSTERESIS / 2, f"the same, {MET_WORDS[way]}")
+        _near(
+            f"delta_{sector}_{way}",
+            delta,
+            TOLERANCE + HYSTERESIS / 2,
+            f"edge that opens sector {sector}, {MET_WORDS[way]}",
+        )
         for way in MET
         for sector, delta in zip(SECTORS, TABLE_I, strict=True)
     ),
@@ -247,14 +252,14 @@ def _frequencies(k_p: float, f_m: float) -> F64:
 
 
 @called("Fig. 6: frequency response")
-@limit("low_pass_gain_off", "dB", hi=2.5, about="from theta*: largest deviation from (11)")
-@limit("low_pass_phase_off", "deg", hi=8.0, about="from theta*: the same")
-@limit("high_pass_gain_off", "dB", hi=2.5, about="from theta_h: largest deviation from (11)")
-@limit("high_pass_phase_off", "deg", hi=8.0, about="from theta_h: the same")
+@limit("low_pass_gain_off", "dB", hi=2.5, about="from theta*: largest deviation of the gain from (11)")
+@limit("low_pass_phase_off", "deg", hi=8.0, about="from theta*: largest deviation of the phase from (11)")
+@limit("high_pass_gain_off", "dB", hi=2.5, about="from theta_h: largest deviation of the gain from (11)")
+@limit("high_pass_phase_off", "deg", hi=8.0, about="from theta_h: largest deviation of the phase from (11)")
 @limit("k_p", "1/s", about="of (9) by the responses")
 @limit("k_i", "1/s²", about="of (9) by the responses")
-@limit("k_p_off", "%", lo=-15, hi=15, about="of it from the drive's parameter; sampling alone makes it some 4 % more")
-@limit("k_i_off", "%", lo=-40, hi=40, about="of it from the drive's parameter")
+@limit("k_p_off", "%", lo=-15, hi=15, about="from the drive's parameter; sampling alone adds about 4 %")
+@limit("k_i_off", "%", lo=-40, hi=40, about="from the drive's parameter")
 @needs("observer:encoder", "rate:16000", "parameter:inject", "parameter:k_p_vt", "parameter:k_i_vt")
 @energises(rated_speed=1 / 3, rated_current=1 / 2)
 def test_fig06_frequency_response(
@@ -371,21 +376,21 @@ ENOUGH = 1.5  # times the speed at which the drive begins to look at the back-EM
 
 
 @called("Fig. 8: steady state at low speed")
-@limit("error_std_average", "deg", about="with the average speed in the control loop")
-@limit("error_max_average", "deg", about="the same")
-@limit("error_std_proposed", "deg", hi=25.0, about="with the proposed observer in the control loop")
-@limit("error_max_proposed", "deg", hi=75.0, about="the same")
+@limit("error_std_average", "deg", about="position error, average speed in the control loop")
+@limit("error_max_average", "deg", about="largest position error, average speed in the control loop")
+@limit("error_std_proposed", "deg", hi=25.0, about="position error, proposed observer in the control loop")
+@limit("error_max_proposed", "deg", hi=75.0, about="largest position error, proposed observer in the control loop")
 @limit(
     "error_ratio", "", hi=0.96, about=f"std, proposed to average speed; below {GOOD:g} deg the latter counts as that"
 )
-@limit("thd_average", "%", about="of i_a, (20)")
-@limit("thd_proposed", "%", hi=40.0, about="the same")
-@limit("i_q_average", "A", about="mean q current: half the rated torque, friction")
-@limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="the same")
-@limit("speed_average", "%", about="mean of the speed, of the setpoint")
-@limits(held("speed_proposed", 20, "the same"))
-@limit("ripple_average", "r/min", about="std of the speed")
-@limit("ripple_proposed", "r/min", hi=0.03, of=RATED_SPEED, about="the same")
+@limit("thd_average", "%", about="THD of i_a, (20), average speed")
+@limit("thd_proposed", "%", hi=40.0, about="THD of i_a, (20), proposed observer")
+@limit("i_q_average", "A", about="mean q current for half the rated torque and friction, average speed")
+@limit("i_q_proposed", "A", lo=0.45, hi=0.75, of=RATED_CURRENT, about="mean q current, proposed observer")
+@limit("speed_average", "%", about="mean of the speed, of the setpoint, average speed in the control loop")
+@limits(held("speed_proposed", 20, "mean, proposed observer in the control loop"))
+@limit("ripple_average", "r/min", about="standard deviation of the speed, average speed in the control loop")
+@limit("ripple_proposed", "r/min", hi=0.03, of=RATED_SPEED, about="standard deviation of the speed, proposed observer")
 @needs("load", "parameter:psi_f_hat")
 @energises(rated_speed=SLOW, rated_current=1)
 def test_fig08_steady(

@@ -121,7 +121,7 @@ def measure_step(measure: Measure, run: Transient, before: float, after: float) 
 
 STEP = (
     Limits("proposed.rise", "ms", about="of the speed, 10 to 90 %"),
-    Limits("proposed.rise_lag", "ms", hi=100, about="of it, more than the drive's own ramp takes"),
+    Limits("proposed.rise_lag", "ms", hi=100, about="rise of the speed less that of the drive's own ramp"),
     Limits("proposed.overshoot", "%", hi=50, about="of the speed, as a share of the step"),
 )
 PHASES = {
@@ -205,11 +205,11 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
 @limit("average.error_mean", "deg", lo=-15, hi=15, about="position error in steady state: the Hall ring's own")
 @limits(Limits("proposed.error_mean", "deg", -MEAN, MEAN, "position error in steady state", plus=0.05))
 @limit("average.ripple_d", "A", hi=0.25, of=RATED_CURRENT, about="of i_d from the second Hall edge to its end")
-@limit("proposed.ripple_d", "A", hi=0.1, of=RATED_CURRENT, about="the same")
+@limit("proposed.ripple_d", "A", hi=0.1, of=RATED_CURRENT, about="of i_d from the second Hall edge to its end")
 @limit("average.ripple_q", "A", hi=0.5, of=RATED_CURRENT, about="of i_q from the second Hall edge to its end")
-@limit("proposed.ripple_q", "A", hi=0.25, of=RATED_CURRENT, about="the same")
-@limit("ripple_d_ratio", hi=0.9, about="proposed to average speed; below 5 % of the rated current it counts as that")
-@limit("ripple_q_ratio", hi=0.9, about="the same, 12 %")
+@limit("proposed.ripple_q", "A", hi=0.25, of=RATED_CURRENT, about="of i_q from the second Hall edge to its end")
+@limit("ripple_d_ratio", hi=0.9, about="proposed to average speed; 5 % of the rated current is the least that counts")
+@limit("ripple_q_ratio", hi=0.9, about="proposed to average speed; 12 % of the rated current is the least that counts")
 @limits(*STEP)
 @limits(held("proposed.speed", 1, "in steady state"))
 @needs("load", "parameter:psi_f_hat", "channel:omega_ref")
@@ -380,9 +380,9 @@ def error_shift(after: Transient) -> float:
 
 @called("Fig. 12: load angle")
 @limit("shift", "deg", about="of the mean error, no load to full load: the drive's own L_hat")
-@limit("shift.less_L", "deg", about="the same with 0.92 L_hat")
-@limit("shift.more_L", "deg", about="the same with 1.08 L_hat")
-@limit("shift.compensation", "deg", about="the same with the drive's own L_hat and (18)-(19)")
+@limit("shift.less_L", "deg", about="of the mean error, no load to full load, with 0.92 L_hat")
+@limit("shift.more_L", "deg", about="of the mean error, no load to full load, with 1.08 L_hat")
+@limit("shift.compensation", "deg", about="of the mean error, no load to full load, with (18)-(19)")
 @limit("compensated.less_L", "deg", about="with (18)-(19), 0.92 L_hat and the k_ic that makes up for it")
 @limit("compensated.more_L", "deg", about="with (18)-(19), 1.08 L_hat and the opposite")
 @limit("share", "%", lo=-35, hi=35, about="of shift in what all of L_hat turns, 5 deg at least: iron saturates")
