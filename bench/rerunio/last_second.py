@@ -28,6 +28,8 @@ from protocol.signals import SECTOR_OF_CODE
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
+KEPT = 5  # of them, for which edges are kept until samples come
+FOLLOWED = math.pi / 2  # electrical rad from sample to sample, above which an angle is not followed
 PERIOD = 1.0  # s of device time from one picture to the next
 BINS = 36  # of an electrical revolution
 MOST_ROWS = 800  # samples from which harmonics are found
@@ -61,7 +63,8 @@ class LastSecond:
         self._phases = [name for name in schema.PHASES if run.has(name)] if self._angle else []
         self._dq = run.has(*schema.DQ_CURRENTS)
         self._voltage = run.has("u_dc", *schema.VOLTAGE_VECTOR)
-        wanted = (self._angle, *self._phases, "u_dc", *schema.DQ_CURRENTS, *schema.DQ_REFERENCES)
+        self._speed = run.speeds[-1] if run.speeds else ""
+        wanted = (self._angle, self._speed, *self._phases, "u_dc", *schema.DQ_CURRENTS, *schema.DQ_REFERENCES)
         self._wanted = [name for name in dict.fromkeys(wanted) if name and any(c.name == name for c in run.channels)]
         edges = self._reference is not None and "edges" in run.identity.get("features", ("edges",))
         self.views = tuple(
@@ -100,13 +103,13 @@ class LastSecond:
         oldest = int(tick[-1]) - self._ticks
         while self._samples and int(self._samples[0][0][-1]) < oldest:
             self._samples.popleft()
-        while self._edges and int(self._edges[0][0][-1]) < oldest:
-            self._edges.popleft()
 
     def edges(self, chunk: EdgeChunk) -> None:
         """Take Hall edges."""
         if schema.LATE in self.views:
             self._edges.append((chunk.tick, chunk.hall_old, chunk.hall_new))
+            while int(self._edges[0][0][-1]) < int(chunk.tick[-1]) - KEPT * self._ticks:  # samples may come later
+                self._edges.popleft()
 
     def due(self) -> int | None:
         """The tick of the newest sample if it is time for new pictures, else None."""
@@ -161,12 +164,17 @@ class LastSecond:
         names = self._samples[-1][1].keys()
         values = {name: np.concatenate([v[name] for _, v in self._samples if name in v])[rows] for name in names}
         tick = tick[rows]
-        if not all(np.isfinite(value).all() for value in values.values()):
-            return  # a float channel of a physical drive can hold anything
+        if bad := [name for name, value in values.items() if not np.isfinite(value).all()]:
+            yield from self._cleared(())  # a float channel of a physical drive can hold anything
+            yield _numbers([("undefined", f"not a finite number: {', '.join(bad)}")], tick, self._run.tick_hz)
+            return
         theta = np.unwrap(values[self._angle].astype(np.float64)) if self._angle else None
         facts: list[tuple[str, str]] = []
-        if theta is not None:
-            facts += self._speed(tick, theta)
+        blind = "" if theta is None else self._too_fast(theta, values)
+        if blind:
+            facts.append(("undefined: speed, edges, THD", blind))
+        elif theta is not None:
+            facts += self._mean_speed(tick, theta)
         parts: list[Part] = []
         for view, make in (
             (schema.BY_ANGLE, self._by_angle),
@@ -174,22 +182,36 @@ class LastSecond:
             (schema.HARMONICS, self._harmonics),
             (schema.LATE, self._late),
         ):
-            if view in self.views:
+            if view in self.views and not (blind and view in (schema.HARMONICS, schema.LATE)):
                 more, text = make(tick, theta, values)
                 parts += more
                 facts += text
         if self._voltage:
             facts += self._modulation(values)
-        drawn = {entity for entity, _ in parts}
-        for entity in self._drawn - drawn:
-            yield entity, rr.Clear(recursive=False)
-        self._drawn = drawn
+        yield from self._cleared([entity for entity, _ in parts])
         yield from parts
-        seconds = (tick[-1] - tick[0]) / self._run.tick_hz
-        rows_of_text = markdown.table((f"last {seconds:.2f} s", ""), facts)
-        yield schema.NUMBERS, rr.TextDocument(rows_of_text, media_type=rr.MediaType.MARKDOWN)
+        yield _numbers(facts, tick, self._run.tick_hz)
 
-    def _speed(self, tick: NDArray[np.int64], theta: Values) -> list[tuple[str, str]]:
+    def _cleared(self, drawn: Iterable[str]) -> Iterator[Part]:
+        """What was drawn last time and is not among the entities that are drawn now."""
+        for entity in self._drawn.difference(drawn):
+            yield entity, rr.Clear(recursive=False)
+        self._drawn = set(drawn)
+
+    def _too_fast(self, theta: Values, values: Mapping[str, Values]) -> str:
+        """Why the angle cannot be followed from sample to sample; '' if it can."""
+        if len(theta) < 2:
+            return ""
+        step = float(np.abs(np.diff(theta)).max())
+        if self._speed in values:  # a step of nearly a whole revolution looks like a small one
+            tick = self._samples[-1][0]
+            seconds = (tick[-1] - tick[0]) / max(1, len(tick) - 1) / self._run.tick_hz
+            step = max(step, float(np.abs(values[self._speed]).mean()) * seconds)
+        if step <= FOLLOWED:
+            return ""
+        return f"the angle turns {math.degrees(step):.0f} deg from sample to sample: more samples a second are needed"
+
+    def _mean_speed(self, tick: NDArray[np.int64], theta: Values) -> list[tuple[str, str]]:
         seconds = (tick[-1] - tick[0]) / self._run.tick_hz
         if seconds <= 0:
             return []
@@ -281,6 +303,12 @@ class LastSecond:
             return [("DC link", text)]
         share = 100 * math.sqrt(3) * size / bus
         return [("DC link", text), ("|u| of u_dc/√3", f"{share.mean():.1f} %, max {share.max():.1f} %")]
+
+
+def _numbers(facts: list[tuple[str, str]], tick: NDArray[np.int64], tick_hz: int) -> Part:
+    """The table to read, of samples at these ticks."""
+    text = markdown.table((f"last {(tick[-1] - tick[0]) / tick_hz:.2f} s", ""), facts)
+    return schema.NUMBERS, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
 def distortion(theta: Values, current: Values) -> Thd:

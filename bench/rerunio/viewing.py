@@ -54,6 +54,7 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
     with rrd_file(path, run.info) as stream:
         whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
         sector = None if whole is None else sector_time(run, *whole)
+        # a viewer that reads along needs a layout now; how far the plots reach is known when all has been read
         stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
         log = RunLog(stream, run.info, LOT)
         log.start()

@@ -12,14 +12,16 @@ from bench.rerunio import schema
 from bench.rerunio.last_second import LastSecond
 from protocol.streams import EdgeChunk, SampleChunk
 
-CHANNELS = synthetic.named("theta_enc", "theta_vt", "i_a", "i_b", "i_c", "i_d", "i_q", "u_dc", "u_alpha", "u_beta")
+CHANNELS = synthetic.named(
+    "theta_enc", "theta_vt", "omega_enc", "i_a", "i_b", "i_c", "i_d", "i_q", "u_dc", "u_alpha", "u_beta"
+)
 CONFIG = synthetic.config(CHANNELS)
 N = 16_000
 T = np.arange(N) / synthetic.PWM_HZ
 LATE = np.array([1.5, -3.0, 7.0, -3.5, 0.5, -2.5])  # deg, of the edges that open the sectors I to VI
 
 
-def made(omega: float, edges: bool = True) -> dict[str, object]:
+def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, object]:
     """What the last second shows of a shaft that turns at `omega` electrical rad/s, by entity: bars, or text."""
     theta = 0.3 + omega * T
     phase = theta[:, None] - 2 * np.pi / 3 * np.arange(3)
@@ -27,6 +29,7 @@ def made(omega: float, edges: bool = True) -> dict[str, object]:
     values = dict(zip(("i_a", "i_b", "i_c"), currents.T, strict=True))
     values |= {"theta_enc": synthetic.wrap(theta), "i_d": np.full(N, -0.5), "i_q": np.full(N, 3.0)}
     values |= {"u_dc": np.full(N, 24.0), schema.U_ABS: np.full(N, 12.0 / np.sqrt(3))}
+    values |= {"omega_enc": np.full(N, omega)} | changed
     errors = {"theta_vt": 2.0 + 3.0 * np.sin(2 * theta)}  # deg
     tick = np.arange(N, dtype=np.int64) * synthetic.TICKS
     shown = LastSecond(synthetic.run_info(channels=CHANNELS))
@@ -107,3 +110,18 @@ def test_a_shaft_at_rest_has_no_bars_but_numbers() -> None:
     found = made(1e-9, edges=False)
     assert not [entity for entity in found if entity.startswith(("late", "harmonics", "by_angle"))]
     assert "THD i_a | undefined" in str(found[schema.NUMBERS])
+
+
+def test_a_shaft_too_fast_for_the_samples_gets_no_numbers_made_of_its_angle() -> None:
+    """Turning by 1.1 electrical revolutions from sample to sample it looks as if it turned by 0.1."""
+    found = made(1.1 * 2 * np.pi * synthetic.PWM_HZ, edges=False)
+    assert not [entity for entity in found if entity.startswith(("late", "harmonics"))]
+    text = str(found[schema.NUMBERS])
+    assert "the angle turns 396 deg from sample to sample" in text
+    assert "mean speed" not in text
+
+
+def test_a_channel_that_is_not_finite_leaves_nothing_stale_and_is_named() -> None:
+    found = made(628.0, i_q=np.where(T > 0.9, np.nan, 1.0))
+    assert list(found) == [schema.NUMBERS]
+    assert "not a finite number: i_q" in str(found[schema.NUMBERS])
