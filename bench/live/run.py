@@ -412,6 +412,8 @@ class LiveRun:
         stats.segment = act.title
         if not self.tripped:
             self.client.note(act.title)
+            if self._judge is not None and self.rig.drive.on:  # before it shows in the samples of the act before
+                self._judge.ask(act.speed_rpm, act.load_a, act.title)
             try:
                 if act.source is not None:
                     self.drive.set("observer", act.source)
@@ -420,8 +422,6 @@ class LiveRun:
                     self.rig.load.torque(1.5 * n_p * psi_f * act.load_a)  # N·m per A of q current, peak-valued
                 if self.rig.drive.on:
                     self.drive.speed(act.speed_rpm * RPM)
-                    if self._judge is not None:
-                        self._judge.ask(act.speed_rpm, act.load_a, act.title)
             except (HbpError, BenchError) as error:
                 self._trip(str(error))
         while (left := end - self.client.now()) > 0:
