@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 from bench.rig.interrupts import ctrl_c_kills, killed_by_ctrl_c
 
 
 def main() -> None:
     """Load the command line and run it."""
     ctrl_c_kills()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin as they wait: half of a live view's CPU time
     from bench.cli import main as run
 
     try:

@@ -42,6 +42,7 @@ PLANE_PERIOD = 0.1  # s between two pictures of the stator plane
 TREND_BIN = 0.01  # s
 TREND_LOT = 10  # bins, at least, that go out together
 GUIDE_STEP, GUIDE_ROWS = 0.025, 4  # s between two rows of the guides, and how many go out together
+ROOM_PERIOD = 0.5  # s, at least, between two rows that give the long plots of a live view room
 RESTART_NS = 10_000_000_000  # device time that goes back by more (than within any block) has started anew
 
 _SHOWN_STATUS = np.uint8(0xFF & ~int(Status.OBSERVERS_RESET))  # ~ of the flag itself would keep known flags only
@@ -82,7 +83,7 @@ class RunLog:
         self._losses: dict[str, int] = dict.fromkeys(schema.LOSS_FIELDS, 0)
         self._device = DeviceCounters()
         self._status: int | None = None  # last value of the status channel
-        self._next_health_ns = self._next_plane_ns = 0
+        self._next_health_ns = self._next_plane_ns = self._next_room_ns = 0
         bands, means = trend_lines(run)
         self._trend_lines = [*bands, *means]
         self._trend = TrendBinner(round(TREND_BIN * 1e9), len(bands), max(TREND_LOT, round(lot / TREND_BIN)))
@@ -209,7 +210,8 @@ class RunLog:
         """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
         if t_ns + RESTART_NS < self._now_ns:
             self._send_rest()
-            self._next_plane_ns = self._next_health_ns = self._next_lot_ns = self._lanes_ns = self._now_ns = t_ns
+            self._next_plane_ns = self._next_health_ns = self._next_room_ns = self._next_lot_ns = t_ns
+            self._lanes_ns = self._now_ns = t_ns
             self._hall.restart()
             self._last_second.restart()
             self._first_ns = None
@@ -333,6 +335,9 @@ class RunLog:
 
     def _send_room(self, t_ns: int, newest: Mapping[str, float]) -> None:
         """Log where the long plots begin at least, and how far they reach; `newest`: values by component."""
+        if self._live and t_ns < self._next_room_ns:
+            return
+        self._next_room_ns = t_ns + round(ROOM_PERIOD * 1e9)
         start = t_ns
         if self._live and self._first_ns is not None:
             shown = min(round(TREND * 1e9), t_ns - self._first_ns)

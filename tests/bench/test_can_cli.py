@@ -132,7 +132,7 @@ def test_fit_takes_the_highest_rate(classic: str, fd: str) -> None:
 
 
 def test_the_load_machine_is_a_node_of_its_own(fd: str, tmp_path: Path) -> None:
-    summary, _ = run(fd, fit=True, speed_rpm=300.0, load_a=1.0, save=tmp_path / "a.run")
+    summary, _ = run(fd, fit=True, speed_rpm=300.0, load_a=1.0, save=tmp_path / "a.run", duration=0.6)
     assert summary.result == "ok as far as was seen; unverified: whether 300 r/min are held (too short a time)"
     assert summary.recording["samples"] == summary.samples
     assert summary.faults == []
