@@ -123,13 +123,19 @@ class RunLog:
 
     def _block(self, block: Block) -> None:
         self._losses |= block.losses
-        for stream, edges in self._by_stream(block.edges):
-            self._edges(stream, join(edges))
-        for stream, samples in self._by_stream(block.samples):
-            self._samples(stream, join(samples))
-        if self._now_ns >= self._next_lot_ns:
+        edges = [(stream, join(chunks)) for stream, chunks in self._by_stream(block.edges)]
+        samples = [(stream, join(chunks)) for stream, chunks in self._by_stream(block.samples)]
+        self._follow_hall(edges, samples)
+        due = self._now_ns >= self._next_lot_ns
+        if due:
             self._next_lot_ns = self._now_ns + self._lot_ns
-            self._send_lot()
+            self._send_hall()
+        for stream, passed in edges:
+            self._edges(stream, passed)
+        for stream, sampled in samples:
+            self._samples(stream, sampled)
+        if due:
+            self._send_pictures()
         for node, event in block.events:
             self._event(node, event)
         for node, heartbeat in block.heartbeats:
@@ -217,9 +223,27 @@ class RunLog:
             self._first_ns = None
         self._now_ns = max(self._now_ns, t_ns)
 
+    def _follow_hall(
+        self, edges: Sequence[tuple[_Stream, EdgeChunk]], samples: Sequence[tuple[_Stream, SampleChunk]]
+    ) -> None:
+        """Take the Hall codes of a block.
+
+        They are logged before its samples: a viewer that draws between two messages follows the newest sample, and a
+        window of 25 ms would be all beyond the newest code.
+        """
+        for stream, passed in edges:
+            t_ns = ns_from_tick(passed.tick, self.run.tick_hz)
+            self._reach(int(t_ns[-1]))
+            if stream.entity == schema.HALL:
+                self._hall.edges(t_ns, passed.hall_new)
+        for stream, sampled in samples:
+            t_ns = ns_from_tick(sampled.tick, self.run.tick_hz)
+            self._reach(int(t_ns[-1]))
+            if stream.entity == schema.FAST:
+                self._hall.samples(t_ns, sampled.raw)
+
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._reach(int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
         columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
@@ -235,7 +259,6 @@ class RunLog:
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._send_guide(int(t_ns[0]), int(t_ns[-1]))
-        self._hall.samples(t_ns, chunk.raw)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
@@ -247,21 +270,23 @@ class RunLog:
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
         columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS}
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._reach(int(t_ns[-1]))
         self._send(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
-            self._hall.edges(t_ns, chunk.hall_new)
             self._last_second.edges(chunk)
 
     def _send_rest(self) -> None:
-        self._send_lot()
+        self._send_hall()
+        self._send_pictures()
         self._send_trend(self._trend.rest())
 
-    def _send_lot(self) -> None:
-        """Log the Hall lanes and the pictures since the last time."""
+    def _send_hall(self) -> None:
+        """Log the Hall lanes since the last time."""
         t_ns, codes = self._hall.take()
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
+
+    def _send_pictures(self) -> None:
+        """Log the pictures of the last second and of the stator plane since the last time."""
         if (tick := self._last_second.due()) is not None:
             self._at(int(ns_from_tick(tick, self.run.tick_hz)))
             for entity, part in self._last_second.pictures():

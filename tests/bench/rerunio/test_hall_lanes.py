@@ -5,11 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import synthetic
 
 from bench.recording.reader import Run
 from bench.rerunio import schema
+from bench.rerunio.blocks import BlockBuilder
+from bench.rerunio.log import RunLog
+from bench.rerunio.sinks import new_stream
+from protocol.streams import SampleChunk
 
 SENSORS = {code: [f"{code >> bit & 1}" for bit in range(3)] for code in range(8)}
 WINDOW = 0.1  # s that the view shows
@@ -84,3 +89,28 @@ def test_while_it_turns_the_rows_are_the_edges_to_the_tick(tmp_path: Path) -> No
         np.rint(found["t"][turning] * synthetic.TICK_HZ), made.edge_tick[made.edge_tick > 100.5 * synthetic.TICK_HZ]
     )
     assert len(Run(tmp_path / "a.run").edges) == len(made.edge_tick)
+
+
+def test_a_viewer_that_draws_between_two_messages_finds_the_present_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = synthetic.SyntheticRun(1.0, 1000.0)  # an edge every 1.7 ms, a window of 25 ms
+    builder = BlockBuilder(0.055, synthetic.TICK_HZ)
+    stream = new_stream(synthetic.run_info())
+    stream.save(tmp_path / "a.rrd")
+    newest = {schema.FAST: 0.0, schema.HALL: 0.0, schema.HALL_LANES: 0.0}
+    behind = []
+
+    def sent(batch: pa.RecordBatch, *, index: str, entity_path: str) -> None:
+        if entity_path in newest:
+            newest[entity_path] = batch.column(index)[-1].as_py().total_seconds()
+            behind.append(max(newest.values()) - newest[schema.HALL_LANES])
+
+    monkeypatch.setattr(stream, "send_record_batch", sent)
+    log = RunLog(stream, synthetic.run_info(), live=True)
+    for chunk in made.chunks():
+        (builder.samples if isinstance(chunk, SampleChunk) else builder.edges)(chunk, 0.0)
+        if (block := builder.take(0.0)) is not None:
+            log.block(block)
+    assert len(behind) > 40
+    assert max(behind) < 0.005
