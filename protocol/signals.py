@@ -83,7 +83,7 @@ class Flag(IntFlag):
 
     CHANNEL = 1  # can be streamed
     PARAMETER = 2  # can be read with PARAM_GET
-    TRUTH = 4  # the simulated plant's own state: no physical drive has it
+    TRUTH = 4  # the simulation's own state: no physical drive has it
     ESTIMATE = 8  # a position or speed estimate, to be compared with the reference
     REFERENCE = 16  # the position or speed that estimates are compared with (the encoder)
     WRAPS = 32  # an angle in [-pi, pi)
@@ -125,7 +125,7 @@ class Status(IntFlag):
 
     OBSERVERS_RESET = 1 << 3  # the observers were initialised in this period
     CORRECTION_ON = 1 << 4  # the vector-tracking observer's back-EMF correction is at work
-    INJECTION_SYNC = 1 << 7  # the injected sine begins a turn in this period; in the first one its phase is 0
+    INJECTION_SYNC = 1 << 7  # the injected sine has completed a cycle; in the first sample its phase is 0
 
 
 STATUS_STATE_MASK = 0x07

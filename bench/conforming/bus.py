@@ -1,4 +1,4 @@
-"""The language of a CAN bus, for frames of any kind: transfers, sound and damaged, and stream frames as they come."""
+"""The language of a CAN bus, for frames of any kind: transfers, valid and damaged, and stream frames as they come."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def cut(wire: bytes) -> list[bytes]:
 
 
 def changed(record: bytes, at: int, bits: int) -> bytes:
-    """A record with these bits of a byte of its data the other way round; `at` counts from the end where negative."""
+    """A record with these bits of one data byte inverted; `at` counts from the end if negative."""
     number, length, flags, reserved, time, data = RECORD.unpack(record)
     place = at % length
     data = data[:place] + bytes([data[place] ^ bits]) + data[place + 1 :]

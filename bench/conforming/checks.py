@@ -27,7 +27,7 @@ class Check:
     """One thing that SPEC demands.
 
     `says` is SPEC's sentence and `chapter` where it stands; `needs`, the level from which on the check may run, is its
-    own `level` but for those of CAN. Where a `critical` one fails, nothing is energised any more; where it is unknown,
+    own `level` but for those of CAN. If a `critical` one fails, nothing more is energised; if it is unknown,
     its level is not claimed.
     """
 

@@ -1,4 +1,4 @@
-"""What the results of a run come to: the claim that holds, its exit code, and all of it as plain data."""
+"""What a run has shown: the claim, its exit code, and all of it as plain data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FAILED, UNSAFE, INCOMPLETE = 1, 5, 6  # exit codes
 
 @dataclass(frozen=True)
 class Claim:
-    """`level`: the highest one that was shown, -1 for none; `conforms` is None where nothing can be said.
+    """`level`: the highest one that was shown, -1 for none; `conforms` is None where nothing is decided.
 
     A level is shown if checks of it passed, those without which it is nothing (`Check.critical`) among them. `missing`:
     what was run, and is not shown for that.
@@ -36,7 +36,7 @@ class Claim:
     @property
     def verdict(self) -> str:
         """In a word, for a heading."""
-        return {True: "CONFORMS", False: "DOES NOT CONFORM", None: "NOT DECIDED"}[self.conforms]
+        return {True: "CONFORMS", False: "DOES NOT CONFORM", None: "INCONCLUSIVE"}[self.conforms]
 
 
 def claim(run: Run) -> Claim:
@@ -55,7 +55,7 @@ def claim(run: Run) -> Claim:
     elif run.ended or level < 0:
         conforms, words = (
             None,
-            f"not decided: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
+            f"inconclusive: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
         )
     else:
         conforms = True
@@ -72,7 +72,7 @@ def claim(run: Run) -> Claim:
 
 
 def _missing(results: Sequence[Result], level: int) -> list[str]:
-    """Checks without which the level is nothing, and of which nothing was seen."""
+    """The critical checks of a level that are unknown."""
     found = (result for result in results if result.check.level == level and result.check.critical)
     return [result.check.id for result in found if result.verdict is Verdict.UNKNOWN]
 

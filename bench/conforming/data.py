@@ -1,4 +1,4 @@
-"""Level 2, second part: what comes of a stream. Chapters 5, 10 and 11 of SPEC."""
+"""Level 2, second part: streamed data. Chapters 5, 10 and 11 of SPEC."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from protocol.codes import MessageType
 from protocol.descriptor import Channel
 from protocol.messages import TimeSyncReply
 from protocol.streams import DISCONTINUITY, OVERRUN
+from protocol.text import counted
 
 check = Group("stream", STREAMS, Carrier.BYTES)
 either = Group("stream", STREAMS)
@@ -31,12 +32,13 @@ SETTLE = 0.5  # s after that in which what waited is read
 SLOWED = 8  # times at most that a rate is lowered until a stream takes no more than its share of the link
 HALF = 0.4  # of the link, that each of two streams may take
 LOADED = 0.6  # of the link, that one may take which is to lose nothing while it is read, beside heartbeats
+EDGES_FIRST = "Every edge with a tick not later than that of a DATA frame's last record is sent before that DATA frame"
 SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
 
 
-@check("cfg-id-in-frames", 11, "of STREAM_SET; a host drops frames of another one")
+@check("cfg-id-in-frames", 11, "from STREAM_SET; a host drops frames with any other")
 def cfg_id_in_frames(device: Device) -> str:
-    """Frames carry the number of the configuration that is in force."""
+    """Frames carry the cfg_id of the present configuration."""
     told = device.configure(0, ids(device.channels[:1]), RATE)
     device.start_streams(1)
     device.streamed(0, WATCHED / 2)
@@ -46,18 +48,18 @@ def cfg_id_in_frames(device: Device) -> str:
     device.start_streams(1)
     blocks = [block for block in device.streamed(0, WATCHED / 2) if block.place >= since]
     if not blocks:
-        raise Unknown("no frame came of the second configuration")
+        raise Unknown("no frame received of the second configuration")
     wrong = {block.cfg_id for block in blocks} - {again.reply.cfg_id}
     if wrong:
         raise Failed(
-            f"frames carry cfg_id {sorted(wrong)}, STREAM_SET said {again.reply.cfg_id}, before {told.reply.cfg_id}"
+            f"frames carry cfg_id {sorted(wrong)}; STREAM_SET gave {told.reply.cfg_id}, then {again.reply.cfg_id}"
         )
     return f"{len(blocks)} frames with cfg_id {again.reply.cfg_id}, none with {told.reply.cfg_id}"
 
 
 @check("frame-fields", 11, "number of records, never 0")
 def frame_fields(device: Device) -> str:
-    """Frames hold whole records, no more than a block of them, and seq counts from 0."""
+    """Frames hold whole records, at most a block of them, and seq starts at 0."""
     chosen = device.channels[:3]
     told = device.configure(0, ids(chosen), RATE)
     device.start_streams(1)
@@ -66,7 +68,7 @@ def frame_fields(device: Device) -> str:
     for block in blocks:
         if not 0 < block.n <= told.reply.block or len(block.data) != block.n * size:
             raise Failed(
-                f"a frame of {len(block.data)} bytes says {block.n} records of {size}, block is {told.reply.block}"
+                f"a frame has {len(block.data)} bytes, n {block.n}; a record is {size} bytes, block {told.reply.block}"
             )
     if blocks[0].seq != 0 and not blocks[0].flags & OVERRUN:
         raise Failed(f"the first frame has seq {blocks[0].seq}, not 0")
@@ -85,9 +87,9 @@ def unwrapped(index: int, now: int) -> int:
     return now + _signed(index - now)
 
 
-@check("index-divisible", 11, "(1..65535) are taken: two streams with the same decimation have the same instants")
+@check("index-divisible", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
 def index_divisible(device: Device) -> str:
-    """The index of every sample can be divided by the decimation."""
+    """The index of every sample is divisible by the decimation."""
     words = []
     for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
         told = device.configure(0, ids(device.channels[:1]), rate)
@@ -98,7 +100,7 @@ def index_divisible(device: Device) -> str:
         wrong = [index for block in blocks if (index := unwrapped(block.index, now)) % decimation]
         if wrong:
             raise Failed(f"index {wrong[0]} is not divisible by {decimation}")
-        words.append(f"{len(blocks)} frames from index {blocks[0].index}, by {decimation}")
+        words.append(f"{len(blocks)} frames from index {blocks[0].index}, divisible by {decimation}")
         device.stop_streams()
         device.probe.heard.clear()
     return "; ".join(words)
@@ -106,7 +108,7 @@ def index_divisible(device: Device) -> str:
 
 @check("tick-of-index", 5, "tick of PWM period 0")
 def tick_of_index(device: Device) -> str:
-    """The tick of a sample is tick0 and its index times the ticks of a PWM period."""
+    """The tick of a sample is tick0 plus its index times the ticks of a PWM period."""
     told = device.configure(0, ids(device.channels[:1]), RATE)
     device.start_streams(1)
     blocks = device.streamed(0, 2 * WATCHED)
@@ -115,15 +117,15 @@ def tick_of_index(device: Device) -> str:
         index = unwrapped(block.index, now)
         off = _signed(block.tick - tick0 - index * ticks)
         if off:
-            raise Failed(f"index {block.index} has the tick {block.tick}: {off} from tick0 {tick0} + index * {ticks}")
+            raise Failed(f"index {block.index} has tick {block.tick}: {off} off from tick0 {tick0} + index * {ticks}")
     newest = now - unwrapped(blocks[-1].index, now)
-    rule = f"tick0 {tick0} + index * {ticks} each"
+    rule = f"tick = tick0 {tick0} + index * {ticks}"
     return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
 
 
 @check("tick-is-now", 11, "A sample's tick is the time at which it was taken, by the clock of TIME_SYNC")
 def tick_is_now(device: Device) -> str:
-    """No sample is younger than the TIME_SYNC after it, and the newest ones are as old as the TIME_SYNC before them."""
+    """The newest samples lie between the TIME_SYNCs before and after them."""
     told = device.configure(0, ids(device.channels[:1]), RATE)
     step = told.asked.decimation * device.ticks_per_period
     device.start_streams(1)
@@ -143,15 +145,16 @@ def tick_is_now(device: Device) -> str:
         behind += [_signed(before[-1] - newest)] if before else []
         ahead += [_signed(newest - after[0])] if after else []
     if not ahead or not behind:
-        raise Unknown("no frame came between two TIME_SYNCs")
+        raise Unknown("no frame received between two TIME_SYNCs")
     period, early, late = device.ticks_per_period, max(ahead), min(behind)
     if early > period + AHEAD * device.hz:
         raise Failed(
-            f"a sample came whose tick is {1e3 * early / device.hz:.1f} ms later than that of a TIME_SYNC after it"
+            f"the tick of a sample is {1e3 * early / device.hz:.1f} ms later than that of a TIME_SYNC after it"
         )
     if late > period + BEHIND * device.hz:
         raise Failed(
-            f"the newest sample of every frame is {1e3 * late / device.hz:.1f} ms older than a TIME_SYNC before it"
+            f"the newest sample of every frame is at least {1e3 * late / device.hz:.1f} ms older than a TIME_SYNC "
+            "before it"
         )
     return f"the newest sample of {len(behind)} frames lies between the TIME_SYNCs before and after it"
 
@@ -161,9 +164,9 @@ def _signed(ticks: int) -> int:
     return ((ticks + (1 << 31)) & MASK) - (1 << 31)
 
 
-@check("no-gaps", 11, "DISCONTINUITY says that the index jumps although no frame was lost")
+@check("no-gaps", 11, "DISCONTINUITY means that the index jumps although no frame was lost")
 def no_gaps(device: Device) -> str:
-    """Without a loss the index goes on from frame to frame."""
+    """Without losses, the index continues from frame to frame."""
     told = device.configure(0, ids(device.channels[:1]), RATE)
     device.start_streams(1)
     blocks = device.streamed(0, 2 * WATCHED)
@@ -171,10 +174,10 @@ def no_gaps(device: Device) -> str:
         if after.seq != (before.seq + 1) & 0xFFFF or after.flags & DISCONTINUITY:
             continue
         if (due := (before.index + before.n * told.asked.decimation) & MASK) != after.index:
-            raise Failed(f"seq {after.seq} begins at index {after.index}, {due} is due, and there is no DISCONTINUITY")
+            raise Failed(f"seq {after.seq} begins at index {after.index}, expected {due}, without DISCONTINUITY")
     if len(blocks) < 2:
-        raise Unknown("one frame came")
-    return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples in a row"
+        raise Unknown("only one frame received")
+    return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples without a gap"
 
 
 # -- what is in the samples -------------------------------------------------------------------------------------------
@@ -214,28 +217,28 @@ def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -
     return {counter: b"".join(found[n] for n in sorted(found)) for counter, found in whole.items()}
 
 
-@either("same-instants", 11, "two streams with the same decimation have the same instants")
+@either("same-instants", 11, "two streams with the same decimation are sampled at the same instants")
 def same_instants(device: Device) -> str:
-    """Two streams with the same decimation have samples of the same instants, and the same values in them."""
+    """Two streams with the same decimation are sampled at the same instants."""
     forth, _, there, backwards = _both_ways(device)
     first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
     here = {n for n in there if first <= n <= last}
     other = {n for n in backwards if first <= n <= last}
     if here ^ other and any(len(set(steps(sorted(each)))) > 1 for each in (there, backwards)):
-        raise Unknown(f"{len(here ^ other)} instants are missing in one of two streams, and there are gaps in them")
+        raise Unknown(f"{len(here ^ other)} instants are missing from one of two streams, and the streams have gaps")
     if here ^ other:
         raise Failed(
-            f"instants of one stream only, both of decimation {forth.asked.decimation}: {sorted(here ^ other)[:5]}"
+            f"instants in only one stream, both with decimation {forth.asked.decimation}: {sorted(here ^ other)[:5]}"
         )
     return f"{len(here)} instants from {first} to {last} in both streams"
 
 
 @either("channel-order", 11, "in the order in which STREAM_SET names them")
 def channel_order(device: Device) -> str:
-    """Channels lie in a sample as STREAM_SET names them: named backwards they lie backwards."""
+    """Channels are in the order in which STREAM_SET names them, also in the opposite order."""
     chosen = _few(device)
     if len(chosen) < 2:
-        raise NotApplicable("the device has one channel")
+        raise NotApplicable("the device has only one channel")
     _, _, there, backwards = _both_ways(device)
     common = sorted(set(there) & set(backwards))
     if not common:
@@ -246,10 +249,10 @@ def channel_order(device: Device) -> str:
         differ = differ or values != reversed_
         for channel, one, other in zip(chosen, values, reversed_[::-1], strict=True):
             if one != other:
-                raise Failed(f"{channel.name} at {n} is {one.hex()} named forwards, {other.hex()} named backwards")
+                raise Failed(f"{channel.name} at {n} is {one.hex()} in one order, {other.hex()} in the opposite order")
     if not differ:
-        raise Unknown("all channels had the same values: their order cannot be seen")
-    return f"{len(common)} samples of {len(chosen)} channels, forwards and backwards: the same values"
+        raise Unknown("all channels had the same values, so their order is not visible")
+    return f"{len(common)} samples of {counted(len(chosen), 'channel')} in both orders: the same values"
 
 
 def _few(device: Device) -> tuple[Channel, ...]:
@@ -269,7 +272,7 @@ Both = tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]
 
 
 def _both_ways(device: Device) -> Both:
-    """The same channels forwards and backwards, looked at once: how both are configured, and their samples."""
+    """The same channels in both orders, streamed once: how both are configured, and their samples."""
     if "both" not in device.kept:
         device.kept["both"] = _streamed_both_ways(device)
     found: Both = device.kept["both"]
@@ -293,22 +296,22 @@ def _streamed_both_ways(device: Device) -> Both:
     forth, rate = _within(device, chosen, rate, HALF)
     back = device.configure(1, ids(chosen[::-1]), rate)
     if forth.asked.decimation != back.asked.decimation:
-        raise Unknown(f"the second one fits with decimation {back.asked.decimation} only")
+        raise Unknown(f"the second stream fits only with decimation {back.asked.decimation}")
     device.start_streams(3)
     device.probe.listen(2 * WATCHED)
     there, backwards = _instants(device, forth, chosen), _instants(device, back, chosen[::-1])
     if not there or not backwards:
-        raise Unknown(f"{len(there)} and {len(backwards)} samples came of two streams")
+        raise Unknown(f"{len(there)} and {len(backwards)} samples received of two streams")
     return forth, back, there, backwards
 
 
-@check("stop-sends", 11, "STREAM_STOP sends what waits and makes it free again")
+@check("stop-sends", 11, "STREAM_STOP sends pending records and frees the stream")
 def stop_sends(device: Device) -> str:
-    """STREAM_STOP sends the block that is not full."""
+    """STREAM_STOP sends an incomplete block."""
     narrow = min(device.channels, key=width)
     told = device.configure(0, [narrow.id], RATE, latency_ms=3000)
     if told.reply.block < 0.4 * device.pwm_hz / told.asked.decimation:
-        raise Unknown(f"a block holds {told.reply.block} samples: it is full before it can be stopped")
+        raise Unknown(f"a block holds {told.reply.block} samples: it would be full before STREAM_STOP")
     device.start_streams(1)
     device.probe.listen(0.2)
     early = len(device.blocks(0))
@@ -316,10 +319,10 @@ def stop_sends(device: Device) -> str:
     device.probe.until(lambda: bool(device.blocks(0)), WATCHED)
     blocks = device.blocks(0)
     if early:
-        raise Unknown("a frame came before STREAM_STOP")
+        raise Unknown("a frame was sent before STREAM_STOP")
     if not blocks:
         raise Failed(f"0.2 s at {RATE:g} Hz, then STREAM_STOP: nothing was sent")
-    return f"{sum(block.n for block in blocks)} samples of {told.reply.block} came at STREAM_STOP"
+    return f"{sum(block.n for block in blocks)} samples, of {told.reply.block} in a block, were sent at STREAM_STOP"
 
 
 # -- loss -------------------------------------------------------------------------------------------------------------
@@ -384,7 +387,7 @@ def _overload(device: Device) -> Overload:
     frames = _up_to(device, beat.tick)
     device.stop_streams()
     if not counted and not any((b.seq - a.seq - 1) & 0xFFFF for a, b in pairwise(frames)) and not _jumped(frames, told):
-        raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s in which the link was not read, {rate}")
+        raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s without reading the link, {rate}")
     words = f"{rate}, {len(frames)} frames"
     return Overload(words, told.asked.decimation, told.reply.block, frames, counted, probe.line.damaged - damaged)
 
@@ -419,7 +422,7 @@ def _heaviest(device: Device) -> tuple[Configured, str]:
         if not dropped:
             told = device.configure(0, ids(chosen), rate)
             actual = device.pwm_hz / told.asked.decimation
-            return told, f"{len(chosen)} channels ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
+            return told, f"{counted(len(chosen), 'channel')} ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
         if told.asked.decimation >= SLOWEST:
             raise Unknown(f"the link drops frames even at {device.pwm_hz / told.asked.decimation:g} Hz")
         rate = device.pwm_hz / (2 * told.asked.decimation)
@@ -434,7 +437,7 @@ def _settle(device: Device) -> None:
         beats = probe.beats
         if beats and beats[-1][1].tick >= now:
             return
-    raise Unknown("heartbeats stay behind")
+    raise Unknown("heartbeats stay delayed")
 
 
 def _dropped(device: Device) -> int:
@@ -448,22 +451,22 @@ def seq_counts_dropped(device: Device) -> str:
     for before, after, _ in found.jumps:
         if after.seq == (before.seq + 1) & 0xFFFF:
             raise Failed(
-                f"the index jumps from {before.index} to {after.index}, seq goes from {before.seq} to {after.seq}"
+                f"the index jumps from {before.index} to {after.index}, but seq goes from {before.seq} to {after.seq}"
             )
     gaps = len(found.jumps)
     if not gaps:
         raise Unknown("no sample is missing")
-    return f"{found.words}: {gaps} gaps in index and in seq, {found.lost_by_seq} frames"
+    return f"{found.words}: {gaps} gaps in both index and seq, {found.lost_by_seq} frames missing"
 
 
-@check("tx-dropped", 11, "Frames that the device dropped itself are counted in `tx_dropped`")
+@check("tx-dropped", 11, "Frames dropped by the device itself are counted in `tx_dropped`")
 def tx_dropped(device: Device) -> str:
-    """Frames lost by seq are those that the device counts, and those that came damaged."""
+    """Frames lost by seq are those in tx_dropped plus those received damaged."""
     found = overload(device)
     by_seq, by_index = found.lost_by_seq, sum(blocks for _, _, blocks in found.jumps)
     lost = by_seq if by_seq else by_index
     by = "seq" if by_seq else "index"
-    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} came damaged"
+    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} received damaged"
     if found.dropped <= lost <= found.dropped + found.damaged:
         return words
     if found.damaged and lost > found.dropped:
@@ -471,17 +474,17 @@ def tx_dropped(device: Device) -> str:
     raise Failed(words)
 
 
-@check("overrun-flag", 11, "and the next DATA or EDGES frame of that stream carries")
+@check("overrun-flag", 11, "the next DATA or EDGES frame of that stream carries OVERRUN")
 def overrun_flag(device: Device) -> str:
-    """The first frame behind one that was dropped says so, and no other."""
+    """The first frame after a dropped one has OVERRUN, and no other has."""
     found = overload(device)
     behind = {after.place for _, after, _ in found.jumps}
     flagged = {block.place for block in found.frames[1:] if block.flags & OVERRUN}
-    words = f"{found.words}: {len(behind)} behind a gap, {len(flagged)} with OVERRUN"
+    words = f"{found.words}: {len(behind)} after a gap, {len(flagged)} with OVERRUN"
     if not behind:
         raise Unknown("no frame is missing")
     if found.damaged and flagged < behind:
-        raise Unknown(f"{words}; {found.damaged} came damaged")
+        raise Unknown(f"{words}; {found.damaged} received damaged")
     if behind != flagged:
         raise Failed(words)
     return words
@@ -490,13 +493,13 @@ def overrun_flag(device: Device) -> str:
 # -- edges ------------------------------------------------------------------------------------------------------------
 
 
-@check("edges-before-samples", 11, "sent before that DATA frame")
+@check("edges-before-samples", 11, EDGES_FIRST)
 def edges_before_samples(device: Device) -> str:
-    """Where edges come, every one of them comes before the samples that are not older."""
+    """Every edge comes before any sample taken at or after it."""
     if not device.offers_edges:
-        raise NotApplicable("no feature EDGES")
+        raise NotApplicable("the device lacks the feature EDGES")
     if device.level >= MOTION:
-        raise NotApplicable("looked at while it turns: motion.edges-before-samples")
+        raise NotApplicable("checked while turning: motion.edges-before-samples")
     device.configure_edges(0)
     told = device.configure(1, ids(device.channels[:1]), RATE, latency_ms=10)
     device.start_streams(3)
@@ -519,8 +522,8 @@ def edges_ahead(device: Device, told: Configured, advice: str) -> str:
         for (tick,) in struct.iter_unpack("<I4x", block.data):
             late = 0 if newest is None else (newest - tick) & MASK
             if newest is not None and late < 1 << 31:
-                raise Failed(f"an edge of tick {tick} came after a sample of tick {newest}")
+                raise Failed(f"an edge with tick {tick} came after a sample with tick {newest}")
             seen += newest is not None
     if not seen:
-        raise Unknown(f"no edges came: {advice}")
-    return f"{seen} edges, none after a sample that is not older"
+        raise Unknown(f"no edges received: {advice}")
+    return f"{seen} edges, each before the samples taken at or after it"

@@ -1,4 +1,4 @@
-"""The device that is looked at: what it says of itself, its states and streams as checks need them.
+"""The device under check: what it says of itself, its states and streams as checks need them.
 
 What a check builds on and does not get ends it with `Unknown`: only what it is about may fail it. Nothing here
 energises anything but `arm` and `run`; whoever calls them leaves by `rest`.
@@ -50,7 +50,7 @@ NO_FLAGS = Flag(0)
 
 
 class NotAtRest(Exception):
-    """The outputs could not be seen to go off."""
+    """No heartbeat showed the outputs off."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,17 @@ class Block:
         """Raises Failed where the frame cannot be read."""
         payload = heard.frame.payload
         if len(payload) <= STREAM_HEADER.size:
-            raise Failed(f"a stream frame of {len(payload)} bytes")
+            raise Failed(f"a stream frame has {len(payload)} bytes")
         stream, flags, n, cfg_id, seq, index, tick = STREAM_HEADER.unpack_from(payload)
         edges = heard.frame.type == MessageType.EDGES
         if edges and (len(payload) - STREAM_HEADER.size) % EDGE_BYTES:
-            raise Failed(f"a frame of edges of {len(payload)} bytes")
+            raise Failed(f"an EDGES frame has {len(payload)} bytes")
         return cls(place, heard.at, edges, stream, flags, n, cfg_id, seq, index, tick, payload[STREAM_HEADER.size :])
 
 
 @dataclass
 class Device:
-    """The device at the other end of `probe`, looked at up to `level`, and made to turn at `speed_rpm` at most."""
+    """The device at the other end of `probe`, checked up to `level`, and turned at `speed_rpm` at most."""
 
     probe: Probe
     level: int
@@ -93,7 +93,7 @@ class Device:
     kept: dict[str, Any] = field(default_factory=dict)
     """What one check has measured and another needs too."""
     not_put_back: list[str] = field(default_factory=list)
-    """Parameters that are not as they were, in words."""
+    """Parameters that are not restored, in words."""
 
     # -- what it says of itself -----------------------------------------------------------------------------------
 
@@ -102,21 +102,21 @@ class Device:
         """Its line, which must be a CAN bus."""
         line = self.probe.line
         if not isinstance(line, BusLine):
-            raise NotApplicable("no CAN bus")
+            raise NotApplicable("not a CAN bus")
         return line
 
     @property
     def hz(self) -> int:
         """Ticks in a second. Unknown where there are none."""
         if not self.hello.tick_hz:
-            raise Unknown("HELLO says tick_hz 0")
+            raise Unknown("tick_hz in HELLO is 0")
         return self.hello.tick_hz
 
     @property
     def pwm_hz(self) -> int:
         """PWM periods in a second. Unknown where there are none."""
         if not self.hello.pwm_hz:
-            raise Unknown("HELLO says pwm_hz 0")
+            raise Unknown("pwm_hz in HELLO is 0")
         return self.hello.pwm_hz
 
     @property
@@ -124,7 +124,7 @@ class Device:
         """Ticks of a PWM period. Unknown where HELLO makes that impossible."""
         hello = self.hello
         if not hello.pwm_hz or not hello.tick_hz or hello.tick_hz % hello.pwm_hz:
-            raise Unknown(f"HELLO says tick_hz {hello.tick_hz}, pwm_hz {hello.pwm_hz}")
+            raise Unknown(f"HELLO has tick_hz {hello.tick_hz}, pwm_hz {hello.pwm_hz}")
         return hello.tick_hz // hello.pwm_hz
 
     @cached_property
@@ -134,7 +134,7 @@ class Device:
         while len(blob) < total:
             part = self.probe.get(BlobRead(0, PART, len(blob)), BlobReply)
             if not part.data and part.total:
-                raise Unknown(f"the descriptor ends at {len(blob)} of {part.total} bytes")
+                raise Unknown(f"the descriptor ends after {len(blob)} of {part.total} bytes")
             total, blob = part.total, blob + part.data
             if total > 4096 * 32:
                 raise Unknown(f"the descriptor has {total} bytes")
@@ -174,7 +174,7 @@ class Device:
         if not found:
             names = " and ".join(flag.name or "" for flag in Flag if flag & flags)
             which = " that can be set" if without & Flag.READ_ONLY else ""
-            raise NotApplicable(f"no parameter{which} is {names or 'there'}")
+            raise NotApplicable(f"the device has no {f'{names} ' if names else ''}parameter{which}")
         return found
 
     def parameter(self, record: Channel) -> ParamReply:
@@ -186,7 +186,7 @@ class Device:
         return next((p for p in self.descriptor.parameters if p.name == name), None)
 
     def put_back(self, record: Channel, value: float) -> None:
-        """Set a parameter to what it was, where it is not that any more; `not_put_back` has those that are not."""
+        """Restore a parameter if it has changed; `not_put_back` has those that could not be restored."""
         words = f"parameter {record.name} (was {value:g})"
         self.not_put_back.append(words)
         with undisturbed(), suppress(Ended):
@@ -223,13 +223,13 @@ class Device:
             raise Unknown(f"STREAM_SET was refused: {answer}")
         reply = read(answer.frame, StreamReply)
         if not reply.block or not reply.sample_bytes:
-            raise Unknown(f"STREAM_SET: sample_bytes {reply.sample_bytes}, block {reply.block}")
+            raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
         return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
 
     def configure_edges(self, stream: int) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
         if not self.offers_edges:
-            raise NotApplicable("no feature EDGES")
+            raise NotApplicable("the device lacks the feature EDGES")
         answer = self.stream_set(stream, (), event=StreamEvent.EDGES)
         if answer.error is not None:
             raise Unknown(f"STREAM_SET of edges was refused: {answer}")
@@ -263,7 +263,7 @@ class Device:
         self.probe.listen(seconds)
         blocks = self.blocks(stream)
         if not blocks:
-            raise Unknown(f"no frame of stream {stream} came within {seconds:g} s")
+            raise Unknown(f"no frame of stream {stream} received within {seconds:g} s")
         return blocks
 
     # -- states ---------------------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ class Device:
         self.probe.feed_every = min(ALIVE, self.watchdog / 4)
 
     def unfed(self) -> tuple[int, int]:
-        """Feed it once more, and no longer; ticks between which that was."""
+        """Feed it a last time; the ticks before and after."""
         self.probe.feed_every = None
         first = self.probe.tick()[1]
         self.probe.alive()
@@ -319,7 +319,7 @@ class Device:
             return any(beat.state == state for beat in beats_of(self.probe.heard[since:], self.probe.node))
 
         if not self.probe.until(seen, seconds):
-            raise Unknown(f"no heartbeat with {state.name} came within {seconds:.2g} s")
+            raise Unknown(f"no heartbeat with {state.name} received within {seconds:.2g} s")
 
     def events(self, code: int) -> list[DeviceEvent]:
         """The events of this code that came since `connect`."""
@@ -353,9 +353,9 @@ class Device:
                 if is_off(beat):
                     trouble = f"its state stays {state_name(beat.state)}"
                     continue
-                trouble = f"STOP left it {state_name(beat.state)}, outputs {'on' if beat.outputs_on else 'off'}"
+                trouble = f"STOP led to {state_name(beat.state)}, outputs {'on' if beat.outputs_on else 'off'}"
                 self.wait_state(DriveState.FAULT, self.watchdog * 2 + PATIENCE)
-        raise NotAtRest(trouble or "it sends no heartbeat")
+        raise NotAtRest(trouble or "it sends no heartbeats")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Level 4: what turns. Chapters 5, 7, 8, 11 and 12 of SPEC. The speed is small, and was announced."""
+"""Level 4: motion, at the low speed announced. Chapters 5, 7, 8, 11 and 12 of SPEC."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.analysis.units import RPM
 from bench.conforming.checks import Carrier, Group
-from bench.conforming.data import edges_ahead
+from bench.conforming.data import EDGES_FIRST, edges_ahead
 from bench.conforming.device import PATIENCE, Device, ids, is_off
 from bench.conforming.levels import MOTION
 from bench.conforming.probe import accepted, read, state_name
@@ -55,7 +55,7 @@ def spin(device: Device) -> None:
     device.run()
     beat = send(device, SetpointMode.SPEED, 0x5EED, device.speed_rpm * RPM)
     if beat.setpoint_counter != 0x5EED or beat.state != DriveState.RUNNING:
-        raise Unknown(f"SPEED {device.speed_rpm:g} r/min was not accepted, the state is {state_name(beat.state)}")
+        raise Unknown(f"SPEED {device.speed_rpm:g} r/min was not accepted; the state is {state_name(beat.state)}")
 
 
 def turned(device: Device) -> Turn:
@@ -88,7 +88,7 @@ def _turn(device: Device) -> Turn:
     device.probe.listen(TURNS)
     device.probe.feed_every = None
     answer = device.probe.stop()
-    accepted(answer, "STOP while it turns")
+    accepted(answer, "STOP while turning")
     stopped = device.fresh()
     device.probe.listen(0.15)  # for a heartbeat that counts what came
     beats = [beat for _, beat in device.probe.beats]
@@ -96,7 +96,7 @@ def _turn(device: Device) -> Turn:
     ahead = late = ""
     if device.offers_edges and told is not None and not device.probe.line.bus:
         try:
-            ahead = edges_ahead(device, told, "it did not turn")
+            ahead = edges_ahead(device, told, "the motor did not turn")
         except Failed as failure:
             late = str(failure)
         except Unknown:
@@ -137,16 +137,16 @@ def _travel(device: Device, channel: Channel | None, slot: int) -> float:
 
 @check("stop", 7, "STOP is never refused", critical=True)
 def stop(device: Device) -> str:
-    """STOP while it turns: IDLE, outputs off."""
+    """STOP while turning leads to IDLE, outputs off."""
     turn = turned(device)
     if turn.answered != DriveState.IDLE or turn.stopped.state != DriveState.IDLE or not is_off(turn.stopped):
-        raise Failed(f"the reply says {state_name(turn.answered)}; after it {says(turn.stopped)}")
-    return f"at {device.speed_rpm:g} r/min: IDLE by its reply, IDLE and outputs off by a heartbeat made after it"
+        raise Failed(f"the reply has {state_name(turn.answered)}; after it {says(turn.stopped)}")
+    return f"at {device.speed_rpm:g} r/min: IDLE in the reply, IDLE and outputs off in a later heartbeat"
 
 
-@check("direction", 12, "Positive rotation runs through the sectors in ascending order")
+@check("direction", 12, "Positive rotation passes through the sectors in ascending order")
 def direction(device: Device) -> str:
-    """A positive speed turns it through the sectors in ascending order, by its edges, and forwards by its encoder."""
+    """A positive speed turns the motor forward, by its edges and by its encoder."""
     turn = turned(device)
     up = down = 0
     for _, _, codes in turn.edges:
@@ -154,13 +154,13 @@ def direction(device: Device) -> str:
         if before is not None and after is not None:
             up += (after - before) % 6 == 1
             down += (after - before) % 6 == 5
-    words = f"{up} edges upwards, {down} downwards" if turn.edges else "no edges"
+    words = f"{up} edges forward, {down} in reverse" if turn.edges else "no edges"
     if not math.isnan(turn.travel):
         words += f", {math.degrees(turn.travel):.0f} electrical degrees by the encoder"
     elif not up + down:
-        raise Unknown("neither edges nor an encoder tell which way it turns")
+        raise Unknown("neither edges nor an encoder show the direction")
     if not up + down and not abs(turn.travel) > math.pi / 3:
-        raise Unknown(f"{words}: it was not seen to turn")
+        raise Unknown(f"{words}: no motion seen")
     if down > up or turn.travel < -math.pi / 3:
         raise Failed(f"{words} at {device.speed_rpm:g} r/min")
     return f"{words} at {device.speed_rpm:g} r/min"
@@ -168,17 +168,17 @@ def direction(device: Device) -> str:
 
 @check("edges-counted", 5, "Hall edges since boot")
 def edges_counted(device: Device) -> str:
-    """The heartbeat's `edges` rises by the edges that came between two heartbeats."""
+    """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
     if not device.offers_edges:
-        raise NotApplicable("no feature EDGES")
+        raise NotApplicable("the device lacks the feature EDGES")
     turn = turned(device)
     beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0][1], beat.tick)]
     if len(beats) < 2:
-        raise Unknown(f"{len(turn.edges)} edges came, and {len(beats)} heartbeats after the first")
+        raise Unknown(f"{len(turn.edges)} edges received, and {len(beats)} heartbeats after the first")
     first, last = beats[0], beats[-1]
     came = sum(_before(first.tick, tick) and not _before(last.tick, tick) for _, tick, _ in turn.edges)
     counted = (last.edges - first.edges) & 0xFFFFFFFF
-    words = f"{came} edges between two heartbeats, which count {counted}"
+    words = f"{came} edges received between two heartbeats, `edges` rose by {counted}"
     if came != counted:
         raise Failed(words)
     return words
@@ -189,22 +189,22 @@ def _before(tick: int, other: int) -> bool:
     return 0 < (other - tick) & 0xFFFFFFFF < 1 << 31
 
 
-@check("edges-before-samples", 11, "sent before that DATA frame", carrier=Carrier.BYTES)
+@check("edges-before-samples", 11, EDGES_FIRST, carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
-    """No edge comes after a sample that is not older."""
+    """Every edge comes before any sample taken at or after it."""
     if not device.offers_edges:
-        raise NotApplicable("no feature EDGES")
+        raise NotApplicable("the device lacks the feature EDGES")
     turn = turned(device)
     if turn.late:
         raise Failed(turn.late)
     if not turn.ahead:
-        raise Unknown("no edges came beside samples")
+        raise Unknown("no edges received alongside samples")
     return turn.ahead
 
 
 @check("watchdog", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG")
 def watchdog(device: Device) -> str:
-    """The watchdog ends it while it turns."""
+    """While turning, an unfed watchdog trips: FAULT, outputs off."""
     spin(device)
     device.probe.listen(RUN_UP)
     device.probe.feed_every = None
@@ -219,12 +219,12 @@ def watchdog(device: Device) -> str:
     return words
 
 
-@check("never-clipped", 8, "never clipped")
+@check("never-clipped", 8, "Values are never clipped")
 def never_clipped(device: Device) -> str:
-    """A speed beyond the limit is rejected with the limit. The limit is made the announced speed first."""
+    """With the limit lowered to --speed, a higher speed is rejected with that limit."""
     record = device.named("omega_m_max")
     if record is None or record.flags & Flag.READ_ONLY:
-        raise Unknown("the largest speed cannot be lowered (no parameter omega_m_max): not tried")
+        raise Unknown("the speed limit cannot be lowered (no parameter omega_m_max): not tried")
     before = device.parameter(record).value
     try:
         limit = float(np.float32(device.speed_rpm * RPM))
@@ -248,7 +248,7 @@ def _beyond(device: Device, limit: float) -> str:
         raise Failed(f"{words}: accepted")
     events = device.events(EventCode.SETPOINT_REJECTED)
     if not events and now.setpoints_rejected == was.setpoints_rejected:
-        raise Unknown(f"{words}: not accepted, and not seen to be rejected")
+        raise Unknown(f"{words}: not accepted, but no rejection seen")
     if events and (events[-1].arg, events[-1].detail) != (ErrorCode.OUT_OF_RANGE, limit):
         raise Failed(f"{words}: {code_name(events[-1])}, detail {events[-1].detail:.9g}")
     return f"{words}: rejected with OUT_OF_RANGE, detail {limit:.9g}" if events else f"{words}: rejected"

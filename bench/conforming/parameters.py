@@ -19,13 +19,13 @@ from protocol.signals import Flag
 
 check = Group("parameter", IDENTITY)
 
-ABSENT = 0xFFF0  # an id that is looked for downwards from here
-SOME = 6  # parameters whose refusals are looked at: what comes after them is the same
+ABSENT = 0xFFF0  # from here down, an unused id is looked for
+SOME = 6  # parameters whose refusals are checked: the others behave alike
 
 
 @check("read", 9, "A parameter is a finite float32")
 def read_all(device: Device) -> str:
-    """Each parameter is a finite number within its range."""
+    """Each parameter is finite and within its range."""
     records = device.parameters()
     for record in records:
         answer = device.probe.ask(MessageType.PARAM_GET, ParamGet(record.id).pack())
@@ -34,19 +34,19 @@ def read_all(device: Device) -> str:
         told = read(answer.frame, ParamReply)
         words = f"{record.name} (id {record.id}) is {told.value:g}, from {told.lo:g} to {told.hi:g}"
         if told.id != record.id:
-            raise Failed(f"{record.name}: the reply is of id {told.id}, not {record.id}")
+            raise Failed(f"{record.name}: the reply has id {told.id}, not {record.id}")
         if not all(map(math.isfinite, (told.value, told.lo, told.hi, told.default))):
             raise Failed(f"{words}, default {told.default:g}: not all finite")
         if not told.lo <= told.value <= told.hi:
-            raise Failed(f"{words}: outside of it")
+            raise Failed(f"{words}: out of range")
         if record.flags & Flag.WHOLE and told.value != round(told.value):
-            raise Failed(f"{words}: WHOLE, and it is not")
-    return f"{len(records)} parameters, finite and within their ranges"
+            raise Failed(f"{words}: WHOLE, but not a whole number")
+    return f"{len(records)} parameters, all finite and within their ranges"
 
 
 @check("unknown-id", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
 def unknown_id(device: Device) -> str:
-    """An id that there is not is named."""
+    """An unknown id is refused with UNKNOWN_ID and the id."""
     taken = {record.id for record in device.descriptor.parameters}
     number = next(n for n in range(ABSENT, 0, -1) if n not in taken)
     get = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_GET, ParamGet(number).pack())
@@ -54,19 +54,19 @@ def unknown_id(device: Device) -> str:
     return f"id {number}: {get}; {put} (with NaN)"
 
 
-@check("set-own-value", 5, "what the device now uses")
+@check("set-own-value", 5, "the value that the device now uses")
 def set_own_value(device: Device) -> str:
-    """To set a parameter to what it is changes nothing."""
+    """Setting a parameter to its present value changes nothing."""
     records = device.parameters(without=Flag.READ_ONLY)
     for record in records:
         before = device.parameter(record)
         answer = _set(device, record, before.value)
         if answer.error is not None:
-            raise Failed(f"{record.name} = {before.value:g}, which it is: {answer}")
+            raise Failed(f"{record.name} = {before.value:g}, its present value: {answer}")
         stored, after = read(answer.frame, ParamStored), device.parameter(record)
         if (stored.id, stored.stored) != (record.id, before.value) or after != before:
-            raise Failed(f"{record.name} was {before.value:g}, stored {stored.stored:g}, is {after.value:g}")
-    return f"{len(records)} parameters set to what they are, and still so"
+            raise Failed(f"{record.name} was {before.value:g}, stored {stored.stored:g}, is now {after.value:g}")
+    return f"{len(records)} parameters set to their present values, and unchanged"
 
 
 def _set(device: Device, record: Channel, value: float) -> Answer:
@@ -74,12 +74,12 @@ def _set(device: Device, record: Channel, value: float) -> Answer:
 
 
 def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
-    """Evidence that a value is refused and nothing changes; whatever happens, it is then as it was."""
+    """Evidence that a value is refused and nothing changes; the value is restored whatever happens."""
     before = device.parameter(record).value
     try:
         words = refusal(_set(device, record, value), code, detail, f"{record.name} = {value:.9g}")
         if (after := device.parameter(record).value) != before:
-            raise Failed(f"{words}, and yet it is {after:g}, was {before:g}")
+            raise Failed(f"{words}, but it changed from {before:g} to {after:g}")
         return words
     finally:
         device.put_back(record, before)
@@ -87,16 +87,16 @@ def _refused(device: Device, record: Channel, value: float, code: ErrorCode, det
 
 @check("read-only", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
 def read_only(device: Device) -> str:
-    """A READ_ONLY parameter cannot be set, not even to what it is, nor to NaN or beyond its range."""
+    """A READ_ONLY parameter cannot be set: not to its present value, not to NaN, not beyond its range."""
     record = device.parameters(Flag.READ_ONLY)[0]
     told = device.parameter(record)
     values = (told.value, math.nan, _beyond(told.hi, math.inf))
     return "; ".join(_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
 
 
-@check("not-finite", 5, "BAD_VALUE (not finite, or not whole for a parameter that is WHOLE; `detail` = the value)")
+@check("not-finite", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
 def not_finite(device: Device) -> str:
-    """NaN and infinity are refused before the range is looked at."""
+    """NaN and infinity are refused before the range is checked."""
     records = device.parameters(without=Flag.READ_ONLY)[:SOME]
     return "; ".join(
         _refused(device, record, value, ErrorCode.BAD_VALUE, value)
@@ -105,9 +105,9 @@ def not_finite(device: Device) -> str:
     )
 
 
-@check("whole", 5, "BAD_VALUE (not finite, or not whole for a parameter that is WHOLE; `detail` = the value)")
+@check("whole", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
 def whole(device: Device) -> str:
-    """A fraction of a WHOLE parameter is refused, beyond its range too."""
+    """A WHOLE parameter cannot be set to a fraction, whether within or beyond its range."""
     words = []
     for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
@@ -116,9 +116,9 @@ def whole(device: Device) -> str:
     return "; ".join(words)
 
 
-@check("beyond-range", 5, "OUT_OF_RANGE (`detail` = the limit that is violated)")
+@check("beyond-range", 5, "OUT_OF_RANGE (`detail` = the violated limit)")
 def beyond_range(device: Device) -> str:
-    """The next float32 beyond either end is refused with that end, and never clipped."""
+    """The next value beyond either limit is refused with that limit, and never clipped."""
     words = []
     for record in device.parameters(without=Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
@@ -128,7 +128,7 @@ def beyond_range(device: Device) -> str:
             if math.isfinite(value) and value != limit:
                 words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
     if not words:
-        raise NotApplicable("every float32 is within the ranges")
+        raise NotApplicable("every float32 is within range")
     return "; ".join(words)
 
 
@@ -143,9 +143,9 @@ def _one_more(limit: float, direction: float) -> float:
 
 @check("commit", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store")
 def commit(device: Device) -> str:
-    """Without the feature COMMIT there is no store. With it nothing is stored here."""
+    """Without the feature COMMIT, PARAM_COMMIT is refused; with it, nothing is tried."""
     from protocol.messages import Feature
 
     if device.hello.features & Feature.COMMIT:
-        raise NotApplicable("there is a store: it is left alone")
+        raise NotApplicable("parameters can be stored: not tried")
     return device.probe.refused(ErrorCode.NOT_SUPPORTED, None, MessageType.PARAM_COMMIT)

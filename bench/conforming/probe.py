@@ -1,6 +1,6 @@
-"""A host that sends whatever it is told to, sound or not, and keeps every frame that comes.
+"""A host that sends whatever it is told to, valid or not, and keeps every frame received.
 
-Unlike `bench.device.client` it has no session: no request is repeated but where it is told to, nothing is dropped, and
+Unlike `bench.device.client` it has no session: it repeats a request only when told to, it drops nothing, and
 tids, flags and lengths are the caller's. It decides nothing. Time is the link's.
 """
 
@@ -149,7 +149,7 @@ class ByteLine:
 
 
 def wrapped(body: bytes) -> bytes:
-    """Header and payload, of any length, as a frame with a sound CRC."""
+    """Header and payload, of any length, as a frame with a valid CRC."""
     encoded: bytes = cobs.encode(body + crc32(body).to_bytes(4, "little"))
     return b"\0" + encoded + b"\0"
 
@@ -273,7 +273,7 @@ class Probe:
     def ask_again(self, frame: Frame) -> Answer:
         """Repeat a request that has been answered.
 
-        Something is answered between: on CAN a kept reply of one frame would else be that frame once more, and ignored.
+        Another request comes between: on CAN, a kept reply of one frame would else repeat that frame, and be ignored.
         """
         self.ask(MessageType.TIME_SYNC)
         return self.ask_frame(frame)
@@ -297,14 +297,14 @@ class Probe:
         try:
             answer = self.ask_frame(barrier)
         except NoAnswer:
-            raise Failed(f"after {what} a sound request was not answered") from None
+            raise Failed(f"after {what}, a valid request was not answered") from None
         self.listen(GRACE)
         for each in self.heard[since:]:
             if each.frame.is_reply and each.frame.tid != barrier.tid:
                 raise Failed(
                     f"{what} was answered: {name_of(each.frame.type)} {Answer(each, each.at - answer.heard.at)}"
                 )
-        return f"{what}: not answered; the request after it {answer}"
+        return f"{what}: not answered; the next request: {answer}"
 
     def tick(self) -> tuple[int, int]:
         """rx_tick and tx_tick of a TIME_SYNC."""
@@ -369,7 +369,7 @@ class Probe:
         self.until(lambda: found() is not None, BEAT)
         beat = found()
         if beat is None:
-            raise Unknown(f"no heartbeat came within {BEAT:g} s")
+            raise Unknown(f"no heartbeat received within {BEAT:g} s")
         return beat
 
     def command(self, command: int, argument: int = 0) -> Answer:
@@ -391,7 +391,7 @@ def read(frame: Frame, kind: type[R]) -> R:
     try:
         return kind.unpack(frame.payload)
     except PayloadError as error:
-        raise Failed(f"{name_of(frame.type)} of {len(frame.payload)} bytes cannot be read: {error}") from None
+        raise Failed(f"{name_of(frame.type)} of {len(frame.payload)} bytes cannot be decoded: {error}") from None
 
 
 def refusal(answer: Answer, code: ErrorCode, detail: float | None, what: str) -> str:
@@ -402,7 +402,7 @@ def refusal(answer: Answer, code: ErrorCode, detail: float | None, what: str) ->
         raise Failed(f"{what}: {answer}, not refused with {wanted}")
     same = detail is None or error.detail == detail or (detail != detail and error.detail != error.detail)
     if error.code != code or not same or error.request != answer.frame.type:
-        raise Failed(f"{what}: {answer} of type {error.request}, not {wanted} of type {answer.frame.type}")
+        raise Failed(f"{what}: {answer}, for type {error.request}; expected {wanted}, for type {answer.frame.type}")
     return f"{what}: {answer}"
 
 

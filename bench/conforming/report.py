@@ -15,7 +15,7 @@ OF_CLAIM = {True: "PASS", False: "FAIL", None: "INVALID"}
 
 
 def as_html(run: Run, about_run: dict[str, Any]) -> str:
-    """The page: what was not tested and not seen first, then every check with its evidence."""
+    """The page: first what was not tested or not observed, then every check with its evidence."""
     found = claim(run)
     unseen = [result for result in run.results if result.verdict is Verdict.UNKNOWN]
     failed = [result for result in run.results if result.verdict is Verdict.FAILED]

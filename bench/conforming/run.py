@@ -1,7 +1,7 @@
-"""Running the checks of a level on a device, and leaving it as it was: streams, parameters, outputs off.
+"""Running the checks of a level on a device, and restoring it: streams, parameters, outputs off.
 
-From level 3 on outputs go on, after `agreed` has let that pass; every way out passes `safe`, which sends STOP and looks
-for the heartbeat that shows them off. A device that does not stop when it is told is not energised again.
+From level 3 on outputs go on, after consent; every way out sends STOP and waits for the heartbeat that shows them off.
+A device that does not stop when told is not energised again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from protocol.payload import PayloadError
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked for. `idle` lets so many s pass without a look at the link."""
+    """What is asked for. `idle` lets so many s pass without reading the link."""
 
     target: str
     level: int
@@ -48,7 +48,7 @@ class Options:
 
 @dataclass
 class Run:
-    """How it went. `hello` is who was looked at; `unsafe` why outputs may still be on, `ended` why it ended early."""
+    """How it went. `hello` is of the device; `unsafe` says why outputs may still be on, `ended` why it ended early."""
 
     options: Options
     hello: HelloReply
@@ -85,7 +85,7 @@ def conform(link: Link, options: Options, screen: Screen, confirm: Callable[[str
     except (NodeError, RemoteProtocolError, Refused, NoReply) as error:
         if node is None and isinstance(error, NoReply):
             raise
-        forbidden = str(error)  # what it says of itself cannot be: what can be looked at all the same is
+        forbidden = str(error)  # what it says of itself is invalid: the checks that are possible still run
     line = _line(link)
     device = Device(Probe(link, line, options.idle), options.level, options.speed_rpm)
     try:
@@ -118,7 +118,7 @@ def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None
     if options.level < STATES:
         return
     if beat is None or not is_off(beat):
-        raise NodeError(f"whether its outputs are off is not known: {says(beat)}")
+        raise NodeError(f"not known whether its outputs are off: {says(beat)}")
     if beat.state == DriveState.FAULT:
         raise BenchError(
             f"{options.target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
@@ -153,7 +153,7 @@ class _Course:
         self._forbidden = forbidden  # why nothing is energised any more
 
     def go(self) -> None:
-        """All of them; where it cannot go on the rest is unknown."""
+        """All of them; if it cannot go on, the rest is unknown."""
         self._all()
         self._run.troubles += [f"not restored: {words}" for words in self._device.not_put_back]
 
@@ -170,7 +170,7 @@ class _Course:
             except LinkError as error:
                 run.ended = f"link lost: {error}"
             except NoAnswer as error:
-                run.ended = f"the device does not answer any more: {error}"
+                run.ended = f"the device no longer answers: {error}"
             if run.ended:
                 for check in left:
                     self._add(Result(check, Verdict.UNKNOWN, f"not run: {run.ended}"))
@@ -213,7 +213,7 @@ class _Course:
         try:
             trouble = self._device.rest()
         except NotAtRest as error:
-            self._run.ended = f"the outputs could not be seen to go off: {error}"
+            self._run.ended = f"no heartbeat showed the outputs off: {error}"
             return
         if trouble:
             self._run.troubles.append(f"after {check.id}: {trouble}")
@@ -231,7 +231,7 @@ def _leave(link: Link, run: Run, streams: list[StreamInfo]) -> None:
             node = Node(client, client.connect().node)
         except HbpError as error:
             if run.energised:
-                run.unsafe = f"OUTPUTS MAY STILL BE ON: cut the power. STOP was not heard: {error}"
+                run.unsafe = f"OUTPUTS MAY STILL BE ON: cut the power. STOP was not received: {error}"
             return
         if run.energised:
             _stop(node, run)

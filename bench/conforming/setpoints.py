@@ -1,4 +1,4 @@
-"""Level 3, second part: SETPOINT. Chapters 5 and 8 of SPEC. Of what a sound device would accept only zero is sent."""
+"""Level 3, second part: SETPOINT. Chapters 5 and 8 of SPEC. Zero is the only valid setpoint sent."""
 
 from __future__ import annotations
 
@@ -36,30 +36,32 @@ def accepted_mode(device: Device) -> SetpointMode:
     for counter, mode in enumerate(MODES, 0x1201):
         if send(device, mode, counter).setpoint_counter == counter:
             return mode
-    raise Unknown("zero is accepted in none of the modes SPEED, CURRENT, TORQUE")
+    raise Unknown("zero was not accepted in any of the modes SPEED, CURRENT, TORQUE")
 
 
-@check("length", 8, "Only one of the wrong length is refused by an ErrorReply besides")
+@check("length", 8, "Only a setpoint of the wrong length is also refused with an ErrorReply")
 def length(device: Device) -> str:
-    """A SETPOINT of 11 bytes is refused with tid 0, before the state is looked at."""
+    """A SETPOINT of 11 bytes is refused with tid 0, before the state is checked."""
     answer = device.probe.ask_frame(device.probe.frame(MessageType.SETPOINT, payload(1, 1)[:11]), tries=1)
     return refusal(answer, ErrorCode.BAD_LENGTH, 11, "SETPOINT of 11 bytes in IDLE")
 
 
-@check("accepted", 8, "The last accepted `counter` stands in the heartbeat")
+@check("accepted", 8, "The heartbeat contains the last accepted `counter`")
 def accepted(device: Device) -> str:
-    """Zero is accepted in RUNNING, and its counter is told."""
+    """Zero is accepted in RUNNING, and the heartbeat has its counter."""
     device.run()
     mode = accepted_mode(device)
     beat = send(device, mode, 0xFEDC)
     if beat.setpoint_counter != 0xFEDC:
-        raise Failed(f"setpoint_counter is {beat.setpoint_counter:#x}, the last one had 0xfedc")
+        raise Failed(f"setpoint_counter is {beat.setpoint_counter:#x}, the last setpoint had 0xfedc")
     return f"{mode.name} 0 with counter 0xfedc: accepted, setpoint_counter 0x{beat.setpoint_counter:x}"
 
 
-@check("rejections", 8, "a setpoint is accepted whole, or rejected whole by the first of these checks that fails")
+@check(
+    "rejections", 8, "a setpoint is accepted as a whole, or rejected as a whole by the first of these checks that fails"
+)
 def rejections(device: Device) -> str:
-    """State, finite values, mode: the first that is wrong is told by an EVENT."""
+    """State, finite values, mode: an EVENT reports the first that is wrong."""
     words = [_rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)]
     words.append(_rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE))
     device.run()
@@ -79,7 +81,7 @@ def _rejected(
     send(device, *given)
     events = device.events(EventCode.SETPOINT_REJECTED)[since:]
     if not events:
-        raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED came, which a device may drop")
+        raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED received; a device may drop it")
     if not _says(events[0], code, detail):
         told = f"{code_name(events[0])}, detail {events[0].detail:.9g}"
         raise Failed(f"{what}: {told}, not {code.name}, detail {detail:.9g}")
@@ -98,10 +100,10 @@ def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:
 @check(
     "rejected-counted",
     8,
-    "A rejected one changes nothing and does not feed the watchdog; `setpoints_rejected` counts up",
+    "A rejected setpoint changes nothing and does not feed the watchdog; `setpoints_rejected` is incremented",
 )
 def rejected_counted(device: Device) -> str:
-    """Each rejected setpoint is counted, and its counter is not taken."""
+    """Each rejected setpoint is counted, and setpoint_counter does not change."""
     device.run()
     before = send(device, accepted_mode(device), 0x0100)
     for n in range(3):
@@ -110,13 +112,11 @@ def rejected_counted(device: Device) -> str:
     counted = (after.setpoints_rejected - before.setpoints_rejected) & 0xFFFF
     if counted != 3 or after.setpoint_counter != before.setpoint_counter:
         counters = f"setpoint_counter {after.setpoint_counter:#x}, was {before.setpoint_counter:#x}"
-        raise Failed(f"3 rejected: setpoints_rejected counts {counted}, {counters}")
-    return f"3 rejected: setpoints_rejected counts 3, setpoint_counter stays {after.setpoint_counter:#x}"
+        raise Failed(f"3 rejected: setpoints_rejected counted {counted}, {counters}")
+    return f"3 rejected: setpoints_rejected counted 3, setpoint_counter stays {after.setpoint_counter:#x}"
 
 
-@check(
-    "feeds", 7, "It is started by ARM, anew by each, and fed by ALIVE and by an *accepted* SETPOINT, by nothing else"
-)
+@check("feeds", 7, "It is fed by ALIVE and by an *accepted* SETPOINT, and by nothing else")
 def feeds(device: Device) -> str:
     """An accepted setpoint feeds the watchdog."""
     device.run()
@@ -129,5 +129,5 @@ def feeds(device: Device) -> str:
         device.probe.listen(device.watchdog / 5)
     beat = device.fresh()
     if beat.state != DriveState.RUNNING:
-        raise Failed(f"{sent} setpoints in {2.5 * device.watchdog:.2f} s and no ALIVE: the state is {beat.state.name}")
-    return f"{sent} setpoints of zero in {2.5 * device.watchdog:.2f} s and no ALIVE: still RUNNING"
+        raise Failed(f"{sent} setpoints in {2.5 * device.watchdog:.2f} s without ALIVE: the state is {beat.state.name}")
+    return f"{sent} setpoints of zero in {2.5 * device.watchdog:.2f} s without ALIVE: still RUNNING"

@@ -24,20 +24,20 @@ LAPSE_ERROR = 0.15  # s by which a lapse may come late, by events
 BEAT_PERIOD = 0.1  # s, to which a change is known without an event
 EARLY = 0.002  # s: the watchdog's resolution is a millisecond, and so is that of its time in the heartbeat
 LATE, LATE_SHARE = 0.02, 0.1
-"""s, and the share of the watchdog's time, of which the larger is what it may be late by: SPEC gives no figure."""
+"""s, and the share of the watchdog's time, the larger of which is the allowed delay: SPEC gives no value."""
 OTHER_ARGUMENT = 0xDEADBEEF
 UNFED = 0xFFFF
 
 
 @check("stop-obeyed", 7, "STOP is never refused", critical=True)
 def stop_obeyed(device: Device) -> str:
-    """STOP ends ARMED and RUNNING in IDLE, with any argument, and a heartbeat that was made after it shows that."""
+    """STOP takes ARMED and RUNNING to IDLE, with any argument, and a later heartbeat shows it."""
     words = []
     ways: tuple[tuple[str, Callable[[], None], int], ...] = (
         ("IDLE", lambda: None, 0),
         ("ARMED", device.arm, OTHER_ARGUMENT),
         ("RUNNING", device.run, 0),
-        ("RUNNING, with an argument", device.run, OTHER_ARGUMENT),
+        ("RUNNING with an argument", device.run, OTHER_ARGUMENT),
     )
     for name, enter, argument in ways:
         enter()
@@ -46,14 +46,14 @@ def stop_obeyed(device: Device) -> str:
         accepted(answer, f"STOP in {name}")
         told, beat = read(answer.frame, StateReply).state, device.fresh()
         if told != DriveState.IDLE or beat.state != DriveState.IDLE or not is_off(beat):
-            raise Failed(f"STOP in {name}: the reply says {state_name(told)}; after it {says(beat)}")
+            raise Failed(f"STOP in {name}: the reply has {state_name(told)}; after it {says(beat)}")
         words.append(f"in {name} after {1e3 * answer.after:.0f} ms")
-    return f"STOP {', '.join(words)}: IDLE by its reply, IDLE and outputs off by a heartbeat made after it"
+    return f"STOP {', '.join(words)}: IDLE in the reply, IDLE and outputs off in a later heartbeat"
 
 
-@check("arm-token", 7, "another token is BAD_TOKEN")
+@check("arm-token", 7, "a wrong token is BAD_TOKEN")
 def arm_token(device: Device) -> str:
-    """ARM needs the boot_id."""
+    """ARM requires the boot_id."""
     token = device.hello.boot_id ^ 1
     words = refusal(device.probe.command(Command.ARM, token), ErrorCode.BAD_TOKEN, 0, f"ARM with {token:08x}")
     return f"{words}; {_still(device, DriveState.IDLE)}"
@@ -62,17 +62,17 @@ def arm_token(device: Device) -> str:
 def _still(device: Device, state: DriveState) -> str:
     now = device.fresh().state
     if now != state:
-        raise Failed(f"refused, and yet the state is {state_name(now)}, was {state.name}")
+        raise Failed(f"refused, but the state changed from {state.name} to {state_name(now)}")
     return f"the state is still {state.name}"
 
 
-@check("unknown-command", 7, "An unknown command is refused (BAD_VALUE, `detail` = the")
+@check("unknown-command", 7, "An unknown command is refused (BAD_VALUE, `detail` = the command)")
 def unknown_command(device: Device) -> str:
-    """Commands 0, 5 and 255 are none."""
+    """Commands 0, 5 and 255 are refused."""
     return "; ".join(refusal(device.probe.command(n), ErrorCode.BAD_VALUE, n, f"command {n}") for n in (0, 5, 255))
 
 
-@check("start-needs-arm", 7, "Elsewhere a command is refused with WRONG_STATE (`detail` = the state)")
+@check("start-needs-arm", 7, "In any other state a command is refused with WRONG_STATE (`detail` = the state)")
 def start_needs_arm(device: Device) -> str:
     """START in IDLE is refused."""
     words = refusal(device.probe.command(Command.START), ErrorCode.WRONG_STATE, DriveState.IDLE, "START in IDLE")
@@ -81,7 +81,7 @@ def start_needs_arm(device: Device) -> str:
 
 @check("arm-and-start", 7, "| START | ARMED; RUNNING (changes nothing) | 0, else BAD_VALUE |")
 def arm_and_start(device: Device) -> str:
-    """ARM leads to ARMED and START to RUNNING, by reply and by heartbeat; START again changes nothing."""
+    """ARM leads to ARMED and START to RUNNING, by reply and heartbeat; a second START changes nothing."""
     words = []
     for command, argument, state in (
         (Command.ARM, device.hello.boot_id, DriveState.ARMED),
@@ -91,20 +91,20 @@ def arm_and_start(device: Device) -> str:
     ):
         answer = device.probe.command(command, argument)
         if answer.error is not None:
-            raise Unknown(f"{command.name} was refused: {answer}, for reasons of its own")
+            raise Unknown(f"{command.name} was refused: {answer}, for the device's own reasons")
         words.append(f"{command.name}: {answer}")
         device.feed()
         told, seen = read(answer.frame, StateReply).state, device.fresh().state
         if told != state or seen != state:
             raise Failed(
-                f"{command.name}: the reply says {state_name(told)}, a heartbeat {state_name(seen)}, not {state.name}"
+                f"{command.name}: the reply has {state_name(told)}, a heartbeat {state_name(seen)}, not {state.name}"
             )
     return f"{words[0]}: ARMED; {words[2]}: RUNNING, each by reply and heartbeat"
 
 
-@check("stop-each-time", 3, "they are executed and answered afresh each time they come")
+@check("stop-each-time", 3, "they are executed and answered afresh every time")
 def stop_each_time(device: Device) -> str:
-    """The same STOP, byte for byte, is obeyed again."""
+    """A repeated STOP, identical byte for byte, is obeyed again."""
     probe = device.probe
     stop = probe.frame(MessageType.STATE_CMD, struct.pack("<BxxxI", Command.STOP, 0))
     for _ in range(2):
@@ -113,13 +113,13 @@ def stop_each_time(device: Device) -> str:
         accepted(probe.ask_frame(stop), "STOP")
         beat = device.fresh()
         if beat.state != DriveState.IDLE:
-            raise Failed(f"a repeated STOP left the state {state_name(beat.state)}")
-    return f"STOP with tid {stop.tid} twice, ARM between: IDLE both times"
+            raise Failed(f"after a repeated STOP the state is {state_name(beat.state)}")
+    return f"STOP with tid {stop.tid} twice, with ARM in between: IDLE both times"
 
 
 @check("outputs-as-told", 7, "The outputs are on in RUNNING and in no other state")
 def outputs_as_told(device: Device) -> str:
-    """The heartbeat says 1 in RUNNING, and 0 in IDLE and ARMED."""
+    """outputs_on is 1 in RUNNING, and 0 in IDLE and ARMED."""
     said = {}
     ways: tuple[tuple[DriveState, Callable[[], None]], ...] = (
         (DriveState.IDLE, lambda: None),
@@ -134,23 +134,23 @@ def outputs_as_told(device: Device) -> str:
         said[state] = int(beat.outputs_on)
         if said[state] != (state == DriveState.RUNNING):
             raise Failed(f"outputs_on is {said[state]} in {state.name}")
-    return ", ".join(f"{state.name} {on}" for state, on in said.items())
+    return ", ".join(f"{on} in {state.name}" for state, on in said.items())
 
 
 @check("arguments-first", 7, "The arguments of ARM and START are checked before the state")
 def arguments_first(device: Device) -> str:
-    """Where the argument and the state are wrong, the argument is told."""
+    """If both argument and state are wrong, the argument is reported."""
     probe = device.probe
-    start = refusal(probe.command(Command.START, 7), ErrorCode.BAD_VALUE, 7, "START with 7 in IDLE")
+    start = refusal(probe.command(Command.START, 7), ErrorCode.BAD_VALUE, 7, "START with argument 7 in IDLE")
     device.run()
     token = device.hello.boot_id ^ 1
-    arm = refusal(probe.command(Command.ARM, token), ErrorCode.BAD_TOKEN, 0, "ARM with another token in RUNNING")
+    arm = refusal(probe.command(Command.ARM, token), ErrorCode.BAD_TOKEN, 0, "ARM with a wrong token in RUNNING")
     return f"{start}; {arm}"
 
 
-@check("wrong-states", 7, "Elsewhere a command is refused with WRONG_STATE (`detail` = the state)")
+@check("wrong-states", 7, "In any other state a command is refused with WRONG_STATE (`detail` = the state)")
 def wrong_states(device: Device) -> str:
-    """ARM in RUNNING, ARM and START in FAULT, FAULT_CLEAR in IDLE are refused with the state."""
+    """ARM in RUNNING, ARM and START in FAULT, and FAULT_CLEAR in IDLE are refused with the state."""
     probe, token = device.probe, device.hello.boot_id
     words = [refusal(probe.command(Command.FAULT_CLEAR), ErrorCode.WRONG_STATE, DriveState.IDLE, "FAULT_CLEAR in IDLE")]
     device.run()
@@ -167,24 +167,24 @@ def wrong_states(device: Device) -> str:
 
 @check("stop-in-fault", 7, "STOP is never refused")
 def stop_in_fault(device: Device) -> str:
-    """STOP in FAULT is answered, and stays FAULT."""
+    """STOP in FAULT is answered, and the state stays FAULT."""
     device.fault()
     answer = device.probe.command(Command.STOP, OTHER_ARGUMENT)
     words = accepted(answer, "STOP in FAULT")
     told, seen = read(answer.frame, StateReply).state, device.fresh().state
     if told != DriveState.FAULT or seen != DriveState.FAULT:
-        raise Failed(f"{words}: the reply says {state_name(told)}, a heartbeat {state_name(seen)}, not FAULT")
-    return f"{words}: FAULT by reply and heartbeat"
+        raise Failed(f"{words}: the reply has {state_name(told)}, a heartbeat {state_name(seen)}, not FAULT")
+    return f"{words}: FAULT in reply and heartbeat"
 
 
 @check("fault-clear", 7, "exactly the `faults` of the heartbeat, else FAULTS_CHANGED (`detail` = the faults now)")
 def fault_clear(device: Device) -> str:
-    """FAULT_CLEAR names exactly the faults, or nothing is cleared."""
+    """FAULT_CLEAR must name exactly the present faults, or nothing is cleared."""
     probe = device.probe
     beat = device.fault()
     if not beat.faults & Fault.WATCHDOG or not beat.first_fault & Fault.WATCHDOG:
         raise Failed(
-            f"faults are {faults_text(beat.faults)}, the first {faults_text(beat.first_fault)}: the watchdog ran out"
+            f"faults {faults_text(beat.faults)}, first_fault {faults_text(beat.first_fault)}: the watchdog tripped"
         )
     words = []
     for other in (0, int(beat.faults) | Fault.INTERNAL):
@@ -194,13 +194,13 @@ def fault_clear(device: Device) -> str:
     words.append(accepted(probe.command(Command.FAULT_CLEAR, beat.faults), f"FAULT_CLEAR 0x{int(beat.faults):x}"))
     after = device.fresh()
     if after.state != DriveState.IDLE or after.faults or after.first_fault:
-        raise Failed(f"{words[-1]}, and then {state_name(after.state)}, faults 0x{int(after.faults):x}")
+        raise Failed(f"{words[-1]}, then {state_name(after.state)}, faults 0x{int(after.faults):x}")
     return "; ".join(words)
 
 
 @check("arm-lapses", 7, "ARMED lapses to IDLE 5 s after the last ARM")
 def arm_lapses(device: Device) -> str:
-    """ARMED ends by itself, though it is fed."""
+    """ARMED lapses after its time, even while the watchdog is fed."""
     probe = device.probe
     device.arm()
     probe.listen(0.5)
@@ -211,10 +211,10 @@ def arm_lapses(device: Device) -> str:
     probe.until(lambda: _left(device, since, DriveState.ARMED) is not None, ARMED + 0.8)
     left = _left(device, since, DriveState.ARMED)
     if left is None:
-        raise Failed(f"ARMED {(probe.tick()[0] - first) / device.hz:.2f} s after the last ARM")
+        raise Failed(f"still ARMED {(probe.tick()[0] - first) / device.hz:.2f} s after the last ARM")
     after, resolution = left
     early, late = (after - first) / device.hz, (after - last) / device.hz
-    words = f"ARMED ended {late:.3f} s after the last ARM (known to {1e3 * resolution:.0f} ms)"
+    words = f"ARMED ended {late:.3f} s after the last ARM (resolution {1e3 * resolution:.0f} ms)"
     if early < ARMED - EARLY or late > ARMED + LAPSE_ERROR + resolution:
         raise Failed(words)
     if (now := device.fresh().state) != DriveState.IDLE:
@@ -287,7 +287,7 @@ def trip_after(device: Device, state: DriveState, first: int, last: int, meanwhi
     left = _left(device, since, state)
     if left is None:
         raise Failed(
-            f"{state.name} goes on {limit:.2f} s after the last ALIVE, the watchdog waits {device.watchdog:.3g} s"
+            f"still {state.name} {limit:.2f} s after the last ALIVE, the watchdog's time is {device.watchdog:.3g} s"
         )
     tick, resolution = left
     return Trip(state, (tick - last) / hz, (tick - first) / hz, resolution)
@@ -295,7 +295,7 @@ def trip_after(device: Device, state: DriveState, first: int, last: int, meanwhi
 
 @watchdog("trips", 7, "When it expires: outputs off, FAULT with the bit WATCHDOG", critical=True)
 def trips_at_all(device: Device) -> str:
-    """Unfed, ARMED and RUNNING end in FAULT, outputs off."""
+    """If the watchdog is not fed, ARMED and RUNNING end in FAULT, outputs off."""
     found = trips(device)
     beat = device.fresh()
     if beat.state != DriveState.FAULT or not beat.faults & Fault.WATCHDOG or beat.outputs_on:
@@ -305,13 +305,13 @@ def trips_at_all(device: Device) -> str:
 
 @watchdog("not-early", 7, "Its time is 200 ms, or the parameter")
 def not_early(device: Device) -> str:
-    """It waits for its whole time."""
+    """The watchdog does not trip before its time."""
     return _judged(device, lambda trip: trip.most < device.watchdog - EARLY)
 
 
 @watchdog("not-late", 7, "Its time is 200 ms, or the parameter")
 def not_late(device: Device) -> str:
-    """It waits no longer than its time, but for 20 ms or a tenth of it."""
+    """The watchdog is at most 20 ms late, or a tenth of its time if that is more."""
     return _judged(device, lambda trip: trip.least > device.watchdog + late(device) + trip.resolution)
 
 
@@ -322,28 +322,30 @@ def late(device: Device) -> float:
 
 def _judged(device: Device, wrong: Callable[[Trip], bool]) -> str:
     found = trips(device)
-    words = f"{'; '.join(map(str, found))}: it waits {1e3 * device.watchdog:.0f} ms"
+    words = f"{'; '.join(map(str, found))}: its time is {1e3 * device.watchdog:.0f} ms"
     if any(map(wrong, found)):
         raise Failed(words)
-    return f"{words}, and may be {1e3 * late(device):.0f} ms late"
+    return f"{words}, at most {1e3 * late(device):.0f} ms late"
 
 
-@watchdog("told", 5, "what is left; 0xFFFF when the watchdog is not at work")
+@watchdog("told", 5, "time left; 0xFFFF while the watchdog is inactive")
 def told(device: Device) -> str:
-    """In ARMED and RUNNING the heartbeat has what is left of the watchdog's time."""
+    """In ARMED and RUNNING, watchdog_ms in the heartbeat is the time left."""
     words = []
     for state, enter in ((DriveState.ARMED, device.arm), (DriveState.RUNNING, device.run)):
         enter()
         left = device.fresh().watchdog_ms
         if left == UNFED or left > 1e3 * device.watchdog + 1:
-            raise Failed(f"watchdog_ms is {left} in {state.name}, its time is {1e3 * device.watchdog:.0f} ms")
+            raise Failed(f"watchdog_ms is {left} in {state.name}, the whole time is {1e3 * device.watchdog:.0f} ms")
         words.append(f"{left} in {state.name}")
     return f"watchdog_ms {', '.join(words)}, of {1e3 * device.watchdog:.0f}"
 
 
-@watchdog("not-fed-by-requests", 7, "fed by ALIVE and by an *accepted* SETPOINT, by nothing else: not by")
+@watchdog(
+    "not-fed-by-requests", 7, "It is fed by ALIVE and by an *accepted* SETPOINT, and by nothing else: not by requests"
+)
 def not_fed_by_requests(device: Device) -> str:
-    """Requests do not feed it."""
+    """Requests do not feed the watchdog."""
 
     def ask(_: int) -> None:
         device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 8, 0).pack())
@@ -353,13 +355,13 @@ def not_fed_by_requests(device: Device) -> str:
 
 @watchdog("not-fed-by-rejected", 7, "not by telemetry, not by a rejected setpoint")
 def not_fed_by_rejected(device: Device) -> str:
-    """Setpoints that are rejected do not feed it."""
+    """Rejected setpoints do not feed the watchdog."""
 
     def reject(sent: int) -> None:
         setpoint = struct.pack("<BxHff", SetpointMode.SPEED, sent & 0xFFFF, 0.0, 0.0)
         device.probe.send(device.probe.frame(MessageType.SETPOINT, setpoint))
 
-    return _not_fed(device, reject, "setpoints meanwhile that are rejected in ARMED")
+    return _not_fed(device, reject, "rejected setpoints meanwhile")
 
 
 def _not_fed(device: Device, send: Callable[[int], None], what: str) -> str:
@@ -378,7 +380,7 @@ def _not_fed(device: Device, send: Callable[[int], None], what: str) -> str:
     words = f"{trip}, with {sent} {what}"
     usual = max(each.least for each in trips(device))
     if trip.least > usual + late(device) + trip.resolution:
-        raise Failed(f"{words}; without them {1e3 * usual:.0f} ms")
+        raise Failed(f"{words}; {1e3 * usual:.0f} ms without them")
     return words
 
 
@@ -387,7 +389,7 @@ def _not_fed(device: Device, send: Callable[[int], None], what: str) -> str:
 
 @check("idle-only", 5, "WRONG_STATE (IDLE_ONLY while the outputs are on)")
 def idle_only(device: Device) -> str:
-    """In RUNNING an IDLE_ONLY parameter cannot be set, not even to what it is."""
+    """In RUNNING, an IDLE_ONLY parameter cannot be set, not even to its present value."""
     record = device.parameters(Flag.IDLE_ONLY, Flag.READ_ONLY)[0]
     value = device.parameter(record).value
     device.run()
@@ -399,16 +401,16 @@ def idle_only(device: Device) -> str:
     "commit-at-rest", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store"
 )
 def commit_at_rest(device: Device) -> str:
-    """In RUNNING PARAM_COMMIT is refused for the state."""
+    """In RUNNING, PARAM_COMMIT is refused with WRONG_STATE."""
     device.run()
     return device.probe.refused(ErrorCode.WRONG_STATE, DriveState.RUNNING, MessageType.PARAM_COMMIT)
 
 
-@check("hello-in-running", 4, "HELLO is legal in every state and changes none")
+@check("hello-in-running", 4, "HELLO is legal in every state and does not change it")
 def hello_in_running(device: Device) -> str:
-    """HELLO in RUNNING tells RUNNING, and leaves it."""
+    """HELLO in RUNNING reports RUNNING and does not change it."""
     device.run()
     state, seen = device.probe.hello().state, device.fresh().state
     if state != DriveState.RUNNING or seen != DriveState.RUNNING:
-        raise Failed(f"HELLO in RUNNING says {state_name(state)}, a heartbeat after it {state_name(seen)}")
-    return "HELLO in RUNNING says RUNNING, and so does the heartbeat after it"
+        raise Failed(f"HELLO in RUNNING has {state_name(state)}, a heartbeat after it {state_name(seen)}")
+    return "HELLO in RUNNING has RUNNING, and so has the heartbeat after it"

@@ -1,4 +1,4 @@
-"""Level 2, first part: what is asked of streams and answered. Chapters 5 and 11 of SPEC."""
+"""Level 2, first part: stream requests and their replies. Chapters 5 and 11 of SPEC."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from protocol.codes import ErrorCode, MessageType, StreamEvent
 from protocol.descriptor import Channel
 from protocol.messages import StreamGet, StreamInfo, StreamReply
 from protocol.streams import STREAM_HEADER
+from protocol.text import counted
 
 check = Group("stream", STREAMS)
 
@@ -29,14 +30,14 @@ def some(device: Device, n: int) -> tuple[Channel, ...]:
 
 
 def absent(device: Device) -> int:
-    """The id of a channel that there is not."""
+    """An id that no channel has."""
     taken = set(ids(device.descriptor.channels))
     return next(n for n in range(ABSENT, 0, -1) if n not in taken)
 
 
 @check("set-refusals", 11, ORDER)
 def set_refusals(device: Device) -> str:
-    """Each error of a STREAM_SET has its code and its detail."""
+    """Each error in STREAM_SET is refused with its code and detail."""
     first, other = device.channels[0].id, absent(device)
     rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode, float]] = [
         ("stream 4", (4, [first], 1, 20, 0), ErrorCode.OUT_OF_RANGE, 3),
@@ -56,13 +57,13 @@ def set_refusals(device: Device) -> str:
 
 @check("set-order", 11, ORDER)
 def set_order(device: Device) -> str:
-    """Of two errors in a STREAM_SET the earlier one is told."""
+    """Of two errors in STREAM_SET, the one that is checked first is reported."""
     first, other = device.channels[0].id, absent(device)
     rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode]] = [
         ("stream 4 and event 9", (4, [first], 1, 20, 9), ErrorCode.OUT_OF_RANGE),
         ("event 1 and decimation 0", (0, [first], 0, 20, 1), ErrorCode.NOT_SUPPORTED),
-        ("an unknown channel, then one twice", (0, [other, first, first], 1, 20, 0), ErrorCode.UNKNOWN_ID),
-        ("a channel twice, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
+        ("an unknown channel, then a repeated one", (0, [other, first, first], 1, 20, 0), ErrorCode.UNKNOWN_ID),
+        ("a repeated channel, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
     ]
     found = [refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows]
     device.configure(0, [first], SLOW_HZ)
@@ -72,9 +73,9 @@ def set_order(device: Device) -> str:
     return "; ".join(found)
 
 
-@check("busy", 11, "the stream does not run")
+@check("busy", 11, "the stream is not running")
 def busy(device: Device) -> str:
-    """A running stream is not configured anew."""
+    """A running stream cannot be reconfigured."""
     first = device.channels[0].id
     device.configure(0, [first], SLOW_HZ)
     device.start_streams(1)
@@ -82,35 +83,35 @@ def busy(device: Device) -> str:
     words = refusal(device.stream_set(0, [first], 7), ErrorCode.BUSY, 0, "STREAM_SET of a running stream")
     now = device.probe.get(StreamGet(0), StreamInfo)
     if now != before:
-        raise Failed(f"{words}, and yet STREAM_GET says cfg_id {now.cfg_id}, decimation {now.decimation}")
+        raise Failed(f"{words}, but STREAM_GET gives cfg_id {now.cfg_id}, decimation {now.decimation}")
     return words
 
 
-@check("too-long", 11, "a sample is no longer than a frame of tx_max takes", carrier=Carrier.BYTES)
+@check("too-long", 11, "a sample fits in a frame of tx_max", carrier=Carrier.BYTES)
 def too_long(device: Device) -> str:
-    """A sample that no frame takes is refused with what fits."""
+    """A sample too long for a frame is refused with the bytes that fit."""
     tx_max = device.probe.hello(rx_max=128).tx_max
     room = tx_max - STREAM_HEADER.size
     most = (device.hello.rx_max - 8) // 2
     chosen = device.channels[:most]
     if sum(map(width, chosen)) <= room:
-        raise NotApplicable(f"all channels together are {sum(map(width, chosen))} bytes, {room} fit")
-    return refusal(device.stream_set(0, ids(chosen)), ErrorCode.DOES_NOT_FIT, room, f"{len(chosen)} channels")
+        raise NotApplicable(f"all channels together have {sum(map(width, chosen))} bytes, {room} fit")
+    return refusal(device.stream_set(0, ids(chosen)), ErrorCode.DOES_NOT_FIT, room, counted(len(chosen), "channel"))
 
 
-@check("cfg-id", 5, "never 0; another for each configuration")
+@check("cfg-id", 5, "never 0; different for each configuration")
 def cfg_id(device: Device) -> str:
-    """Each configuration has a number of its own."""
+    """Each configuration has its own cfg_id."""
     first = device.channels[0].id
     found = [device.configure(n % 2, [first], SLOW_HZ).reply.cfg_id for n in range(CONFIGURATIONS)]
     if 0 in found or len(set(found)) < len(found):
-        raise Failed(f"{CONFIGURATIONS} configurations have the cfg_ids {found}")
-    return f"{CONFIGURATIONS} configurations: {', '.join(map(str, found))}"
+        raise Failed(f"{CONFIGURATIONS} configurations have cfg_ids {found}")
+    return f"{CONFIGURATIONS} configurations have cfg_ids {', '.join(map(str, found))}"
 
 
 @check("reply-fields", 5, "bytes of one record")
 def reply_fields(device: Device) -> str:
-    """The reply to STREAM_SET has the bytes of a sample and a block that fits."""
+    """The reply to STREAM_SET has the correct sample_bytes and block."""
     words = []
     for n in (1, 3, len(device.channels)):
         chosen = device.fitting(some(device, n))
@@ -118,9 +119,10 @@ def reply_fields(device: Device) -> str:
         size = sum(map(width, chosen))
         if told.reply.stream != 0 or told.reply.sample_bytes != size:
             raise Failed(
-                f"{len(chosen)} channels: stream {told.reply.stream}, {told.reply.sample_bytes} bytes, not {size}"
+                f"{counted(len(chosen), 'channel')}: stream {told.reply.stream}, "
+                f"{told.reply.sample_bytes} bytes, not {size}"
             )
-        words.append(f"{len(chosen)} channels: {size} bytes, {_block(device, told)}")
+        words.append(f"{counted(len(chosen), 'channel')}: {size} bytes, {_block(device, told)}")
     return "; ".join(words)
 
 
@@ -129,7 +131,7 @@ def _block(device: Device, told: Configured) -> str:
     in_time = max(1, asked.max_latency_ms * device.pwm_hz // (1000 * asked.decimation))
     if device.probe.line.bus:
         if not 1 <= reply.block <= in_time:
-            raise Failed(f"block is {reply.block}, {in_time} samples are taken in {asked.max_latency_ms} ms")
+            raise Failed(f"block is {reply.block}, but {in_time} samples are taken in {asked.max_latency_ms} ms")
         return f"block {reply.block}"
     fits = (device.hello.tx_max - STREAM_HEADER.size) // reply.sample_bytes
     if reply.block != min(fits, in_time):
@@ -137,9 +139,9 @@ def _block(device: Device, told: Configured) -> str:
     return f"block {reply.block} ({fits} fit, {in_time} in time)"
 
 
-@check("get", 5, "How a stream is configured, by whomever")
+@check("get", 5, "How a stream is configured, whichever host did so")
 def get(device: Device) -> str:
-    """STREAM_GET tells the last configuration, and whether it runs."""
+    """STREAM_GET returns the last configuration, and whether the stream is running."""
     chosen = ids(some(device, 2))
     device.configure(0, chosen[:1], SLOW_HZ / 2)
     told = device.configure(0, chosen, SLOW_HZ, latency_ms=30)
@@ -154,13 +156,17 @@ def get(device: Device) -> str:
             block=reply.block, tick0=reply.tick0, channels=asked.channels,
         )  # fmt: skip
         if info != wanted:
-            raise Failed(f"STREAM_GET says {info}, STREAM_SET said {wanted}")
+            raise Failed(f"STREAM_GET gives {info}, STREAM_SET gave {wanted}")
     return f"cfg_id {told.reply.cfg_id}, decimation {told.asked.decimation}, channels {chosen}, running 0, then 1"
 
 
-@check("get-refusals", 5, "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free one,")
+@check(
+    "get-refusals",
+    5,
+    "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free stream, `detail` = its number)",
+)
 def get_refusals(device: Device) -> str:
-    """STREAM_GET of what there is not is refused."""
+    """STREAM_GET is refused for a free stream and for one above 3."""
     probe = device.probe
     return "; ".join(
         (
@@ -170,9 +176,9 @@ def get_refusals(device: Device) -> str:
     )
 
 
-@check("start-free", 11, "STREAM_START of a free one is refused (UNKNOWN_ID,")
+@check("start-free", 11, "STREAM_START of a free stream is refused")
 def start_free(device: Device) -> str:
-    """STREAM_START of a free stream names it and starts none."""
+    """STREAM_START of a free stream is refused with its number, and starts none."""
     probe = device.probe
     device.configure(0, [device.channels[0].id], SLOW_HZ)
     words = []
@@ -180,7 +186,7 @@ def start_free(device: Device) -> str:
         answer = probe.ask(MessageType.STREAM_START, struct.pack("<I", mask))
         words.append(refusal(answer, ErrorCode.UNKNOWN_ID, lowest, f"STREAM_START 0x{mask:x}"))
     if probe.get(StreamGet(0), StreamInfo).running:
-        raise Failed(f"{words[0]}, and yet stream 0 runs")
+        raise Failed(f"{words[0]}, but stream 0 is running")
     return "; ".join(words)
 
 
@@ -195,13 +201,13 @@ def mask_0(device: Device) -> str:
     stopped = accepted(probe.ask(MessageType.STREAM_STOP, none), "STREAM_STOP 0")
     there = probe.ask(MessageType.STREAM_GET, StreamGet(0).pack()).error is None
     if running or not there:
-        raise Failed(f"after START 0 it runs: {running}; after STOP 0 it is configured: {there}")
-    return f"{started}; {stopped}; stream 0 stays configured and does not run"
+        raise Failed(f"running after START 0: {running}; configured after STOP 0: {there}")
+    return f"{started}; {stopped}; stream 0 stays configured and is not running"
 
 
-@check("stop-frees", 11, "waits and makes it free again")
+@check("stop-frees", 11, "STREAM_STOP sends pending records and frees the stream")
 def stop_frees(device: Device) -> str:
-    """STREAM_STOP frees a stream, and ignores those that are not configured."""
+    """STREAM_STOP frees a stream, and ignores streams that are not configured."""
     probe = device.probe
     device.configure(0, [device.channels[0].id], SLOW_HZ)
     device.start_streams(1)
@@ -209,11 +215,15 @@ def stop_frees(device: Device) -> str:
     return f"{stopped}; {probe.refused(ErrorCode.UNKNOWN_ID, 0, MessageType.STREAM_GET, StreamGet(0).pack())}"
 
 
-@check("start-again", 11, "stream is answered and changes nothing: it goes on, and so does its `seq`")
+@check(
+    "start-again",
+    11,
+    "of a running stream is answered and changes nothing: the stream continues, and so does its `seq`",
+)
 def start_again(device: Device) -> str:
     """STREAM_START of a running stream changes nothing."""
     if device.probe.line.bus:
-        raise NotApplicable("a frame on CAN has no seq")
+        raise NotApplicable("frames on CAN have no seq")
     device.configure(0, [device.channels[0].id], SLOW_HZ)
     device.start_streams(1)
     before = device.streamed(0, 0.2)[-1]
@@ -221,17 +231,17 @@ def start_again(device: Device) -> str:
     after = device.streamed(0, 0.2)
     seqs = [block.seq for block in after if block.place > before.place]
     if not seqs:
-        raise Unknown("no frame came after the second STREAM_START")
+        raise Unknown("no frame received after the second STREAM_START")
     if seqs[0] != (before.seq + 1) & 0xFFFF:
-        raise Failed(f"seq was {before.seq}, and {seqs[0]} after the second STREAM_START")
-    return f"seq {before.seq}, {seqs[0]} after the second STREAM_START"
+        raise Failed(f"seq was {before.seq}, then {seqs[0]} after the second STREAM_START")
+    return f"seq {before.seq}, then {seqs[0]} after the second STREAM_START"
 
 
-@check("edges-set", 11, "channels, `sample_bytes` is 8, `decimation` is ignored")
+@check("edges-set", 11, "no channels, `sample_bytes` is 8, `decimation` is ignored")
 def edges_set(device: Device) -> str:
-    """A stream of edges is configured with any decimation."""
+    """A stream of edges accepts any decimation."""
     if not device.offers_edges:
-        raise NotApplicable("no feature EDGES")
+        raise NotApplicable("the device lacks the feature EDGES")
     words = []
     for decimation in (0, 7):
         answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)

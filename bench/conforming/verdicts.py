@@ -11,9 +11,9 @@ class Verdict(StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     UNKNOWN = "unknown"
-    """What it looks for was not seen."""
+    """What it looks for was not observed."""
     NOT_APPLICABLE = "not applicable"
-    """The device or the link has no such thing."""
+    """The device or the link lacks this feature."""
 
 
 class Ended(Exception):
@@ -29,12 +29,12 @@ class Failed(Ended):
 
 
 class Unknown(Ended):
-    """What would tell was not seen."""
+    """What would decide was not observed."""
 
     verdict = Verdict.UNKNOWN
 
 
 class NotApplicable(Ended):
-    """There is no such thing here."""
+    """The device or the link lacks this feature."""
 
     verdict = Verdict.NOT_APPLICABLE

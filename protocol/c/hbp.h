@@ -287,7 +287,7 @@ enum {
 enum {
     HBP_FLAG_CHANNEL = 1, /* can be streamed */
     HBP_FLAG_PARAMETER = 2, /* can be read with PARAM_GET */
-    HBP_FLAG_TRUTH = 4, /* the simulated plant's own state: no physical drive has it */
+    HBP_FLAG_TRUTH = 4, /* the simulation's own state: no physical drive has it */
     HBP_FLAG_ESTIMATE = 8, /* a position or speed estimate, to be compared with the reference */
     HBP_FLAG_REFERENCE = 16, /* the position or speed that estimates are compared with (the encoder) */
     HBP_FLAG_WRAPS = 32, /* an angle in [-pi, pi) */

@@ -89,7 +89,7 @@ def test_stream_header_edge_and_descriptor_record() -> None:
     assert EDGE_RECORD.names is not None
     assert table_after("A record of EDGES is") == rows_of(struct.Struct("<IBBH"), list(EDGE_RECORD.names))
     assert EDGE_RECORD.itemsize == 8
-    assert table_after("Blob 0 is a row of 32-byte records") == rows_of(RECORD, RECORD_NAMES)
+    assert table_after("Blob 0 is an array of 32-byte records") == rows_of(RECORD, RECORD_NAMES)
     assert RECORD.size == RECORD_BYTES
 
 
