@@ -319,7 +319,7 @@ def distortion(theta: Values, current: Values) -> Thd:
     n = len(theta)
     revolutions = abs(float(theta[-1] - theta[0])) / math.tau
     if revolutions < PERIODS:
-        raise ValueError(f"{revolutions:.1f} electrical revolutions in a second, of {PERIODS} at least")
+        raise ValueError(f"{revolutions:.1f} revolutions, needs {PERIODS}")
     if n > MOST_ROWS and revolutions * MOST_ROWS / n >= PERIODS + 1:
         theta, current = theta[-MOST_ROWS:], current[-MOST_ROWS:]
     else:
