@@ -267,7 +267,7 @@ class BenchSession:
             if not self.setup.identity:
                 elsewhere = self._elsewhere
                 unused = {LIMITS_ELSEWHERE: f"{len(elsewhere)}: {', '.join(elsewhere)}"} if elsewhere else {}
-                rated = {rating: f"{value:g} {UNITS[rating]}" for rating, value in self.ratings.told.items()}
+                rated = {rating: f"{value:.5g} {UNITS[rating]}" for rating, value in self.ratings.told.items()}
                 described = rig.describe() | rated | unused
                 self.setup = Setup(describe(rig.drive.node.identity), rig.before, described, self._deselected)
             yield rig

@@ -405,7 +405,7 @@ class Rig:
         return {
             "link": self.client.link.name,
             "time": "virtual" if self.plan.virtual else "real",
-            "load": f"{type(load).__name__}: {', '.join(sorted(load.abilities))}" if load.abilities else "none",
+            "load": f"{self.plan.settings.load}: {', '.join(sorted(load.abilities))}" if load.abilities else "none",
             "encoder": "yes" if self.has_encoder else "no",
             "streamed": f"{len(self.channels)} channels at {self.rate:g} Hz",
             "bench.toml": str(self.plan.settings.path or "none"),

@@ -121,7 +121,7 @@ def draw_error_by_speed(observers: Mapping[str, Figures]) -> Figure:
     for ax, words in zip(axes, ("error, std", "error, max"), strict=True):
         degrees_axis(ax, words)
         ax.set_ylim(bottom=0)
-    axes[-1].set_xticks(range(len(bins)), [_words(bin) for bin in bins], rotation=30, ha="right")
+    axes[-1].set_xticks(range(len(bins)), [speeds(bin) for bin in bins], rotation=30, ha="right")
     axis_labels(axes[-1], "speed", "error, max", "r/min", "el. °")
     legend_above(axes[0])
     return figure
@@ -133,13 +133,14 @@ def _error_at_one_speed(observers: Mapping[str, Figures | None], bin: str) -> Fi
     for ax, key in zip(axes, ("std", "max"), strict=True):
         ax.barh([name for name, _ in known], [figures[key] for _, figures in known], color=SERIES[0], height=0.7)
         ax.invert_yaxis()
-        axis_labels(ax, f"error, {key}, at {_words(bin)} r/min", "", "el. °")
+        axis_labels(ax, f"error, {key}, at {speeds(bin)} r/min", "", "el. °")
     axes[1].tick_params(labelleft=False)
     return figure
 
 
-def _words(bin: str) -> str:
-    return bin.replace("_to_", " … ")
+def speeds(bin: str) -> str:
+    """A bin of speeds as a person reads it: `-750_to_-350` is "−750 … −350"."""
+    return bin.replace("_to_", " … ").replace("-", "−")
 
 
 def _line(t: F64, envelope: Envelope, points: slice) -> tuple[F64, F64]:

@@ -8,12 +8,14 @@ from tempfile import TemporaryDirectory
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bench.reports.html import embedded, page
+from bench.reports.html import css_string, embedded, page
 from bench.reports.style import save
+from bench.reports.words import date
 from bench.scoring.board import PHASES, Figures, Scoreboard, partly
-from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
+from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time, speeds
 from bench.scoring.table import HEADERS, LEGEND, row
 from bench.scoring.tracks import Track
+from protocol.text import printable
 
 COLUMNS = ("n", "bias", "std", "rms", "max", "p99")
 NAMES = {
@@ -24,6 +26,12 @@ NAMES = {
     "reversal": "reversal",
     "speed": "speed, steady [r/min]",
 }
+
+SAID = {
+    "name": "", "serial": "serial number ", "firmware": "firmware ", "motor": "motor: ", "station": "station: ",
+    "operator": "operator: ",
+}  # fmt: skip
+"""Of a recording's identity, in this order, each behind what it is."""
 
 
 def as_html(board: Scoreboard) -> str:
@@ -37,6 +45,7 @@ def as_html(board: Scoreboard) -> str:
                 "figures": figures,
                 "groups": [(NAMES[key], figures[key]) for key in (*PHASES, "speed")],
                 "partly": partly(figures, board.tracks),
+                "by_speed": [(speeds(bin), figures["by_speed"][bin]) for bin in figures["by_speed"]],
                 "costs": _costs(figures),
                 "over_time": [
                     (Path(track.path).name, _embedded(draw_error_over_time(track, name), picture))
@@ -50,15 +59,15 @@ def as_html(board: Scoreboard) -> str:
         return page(
             __package__ or "",
             "report.html.j2",
-            {"figure": _figure},
+            {"css_string": css_string, "figure": _figure},
             board=board,
             headers=HEADERS,
             columns=COLUMNS,
-            legend=" ".join(LEGEND),
-            rows=[row(name, figures) for name, figures in board.pooled.items()],
+            legend=" ".join(LEGEND).replace(" us.", " µs."),
+            rows=[_row(name, figures) for name, figures in board.pooled.items()],
             partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
             files=[
-                (track.path, _provenance(track), [row(name, f) for name, f in board.by_file[track.path].items()])
+                (track.path, _provenance(track), [_row(name, f) for name, f in board.by_file[track.path].items()])
                 for track in board.tracks
             ],
             by_speed=_embedded(draw_error_by_speed(board.pooled), picture),
@@ -66,12 +75,20 @@ def as_html(board: Scoreboard) -> str:
         )
 
 
+def _row(name: str, figures: Figures) -> list[str]:
+    _, *numbers = row(name, figures)
+    return [name, *(number.replace("-", "−") for number in numbers)]
+
+
 def _provenance(track: Track) -> str:
-    """One line of where a recording comes from and what of it counts."""
+    """What was recorded, where and when, and what of it counts."""
+    said = {key: printable(str(track.identity.get(key) or "")) for key in SAID}
+    about = "".join(f"{words}{said[key]}; " for key, words in SAID.items() if said[key])
     began = sum(n for why, n in track.restarts.items() if why.startswith("lost"))
     by = f" by hallbench {track.recorded_by}" if track.recorded_by else ""
     return (
-        f"{track.started}{by}; {track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
+        f"{about}{date(track.started)}{by}; "
+        f"{track.samples} samples, {track.samples / track.rate:.1f} s at {track.rate:g} Hz; "
         f"{track.lost} lost, {track.dropped} not scored, observers restarted {began} times"
     )
 
@@ -79,17 +96,21 @@ def _provenance(track: Track) -> str:
 def _costs(figures: Figures) -> str:
     """Lags and cost in words; undefined values are omitted."""
     known = (
-        ("the angle lags by {} µs", figures["lag"]["angle_us"]),
-        ("the speed lags by {} µs", figures["lag"]["speed_us"]),
-        ("a step takes {} ns on this machine", figures["step_ns"]),
+        ("the angle {} by {} µs", figures["lag"]["angle_us"]),
+        ("the speed {} by {} µs", figures["lag"]["speed_us"]),
+        ("a step takes {1} ns on this machine", figures["step_ns"]),
     )
-    words = "; ".join(text.format(_rounded(value)) for text, value in known if value is not None)
+    words = "; ".join(
+        text.format("leads" if value < 0 else "lags", _rounded(abs(value)))
+        for text, value in known
+        if value is not None
+    )
     return words.capitalize() if words else ""
 
 
 def _rounded(value: float) -> str:
     """Three digits, without an exponent."""
-    return f"{float(f'{value:.3g}'):.10g}".replace("-", "−")
+    return f"{float(f'{value:.3g}'):.10g}"
 
 
 def _embedded(figure: Figure, picture: Path) -> str:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,8 @@ class Track:
     recorded_by: str = ""
     """Version of the host that recorded it; empty if it does not tell."""
     restarts: dict[str, int] = field(default_factory=dict)
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """What the recording says of the drive and the bench."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -140,6 +142,7 @@ def load(
         track,
         started=run.info.started,
         recorded_by=str(run.info.identity.get("hallbench", "")),
+        identity=run.info.identity,
         notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *track.notes),
     )
 

@@ -401,7 +401,7 @@ def test_the_page_has_a_trace_of_each_recording_and_leaves_out_what_is_not_known
     assert [name in sections["drive_exact"] for name in ("made_up.run", "b.run")] == [True, False]
     assert "in 1 of 2 recordings" in sections["drive_exact"]
     assert set(re.findall(r'<a href="#(\w+)">', text)) == set(sections)
-    assert re.search(r"b\.run: 20\S+; 16000 samples, 1\.0 s at 16000 Hz; 0 lost, 0 not scored", text)
+    assert re.search(r"b\.run: .*20\S+ \S+ UTC\+00:00; 16000 samples, 1\.0 s at 16000 Hz; 0 lost, 0 not scored", text)
     assert "a step takes" not in text
     one = as_html(score([made_up], ["drive_late"]))
     assert re.search(r"The angle lags by (49\.\d|50(\.\d)?) µs; the speed lags by (49|50)(\.\d)? µs\.<", one)

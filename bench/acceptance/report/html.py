@@ -22,6 +22,7 @@ from bench.acceptance.results import Figure, Measurement, RunResult, TestResult,
 from bench.errors import BenchError
 from bench.files import write
 from bench.reports.html import css_string, embedded, page
+from bench.reports.words import labelled, plain
 from protocol.text import counted
 
 NAME = "report.html"
@@ -57,8 +58,8 @@ class _Test:
         if self.unmade:
             return f"{counted(len(self.folded), 'measurement')}, none made"
         if self.shown:
-            return f"{len(self.folded)} more that passed"
-        return f"{counted(len(self.folded), 'measurement')}, all of which passed"
+            return f"{len(self.folded)} more: {words.passed(self.folded)}"
+        return f"{counted(len(self.folded), 'measurement')}: {words.passed(self.folded)}"
 
     @property
     def short(self) -> bool:
@@ -104,6 +105,7 @@ def write_report(run: RunResult, directory: Path) -> Path:
         _FILTERS,
         run=run,
         tests=tests,
+        verdicts=[m.verdict for m in run.measurements if not words.for_information(m)],
         drive=drive(run),
         subject=subject(run),
         identity={key: value for key, value in run.identity.items() if key not in SHOWN},
@@ -193,15 +195,16 @@ _FILTERS: dict[str, Callable[..., Any]] = {
     "counted": counted,
     "css_string": css_string,
     "duration": words.duration,
+    "for_information": words.for_information,
     "in_words": in_words,
-    "labelled": words.labelled,
+    "labelled": labelled,
     "limits": words.limits_text,
     "made": words.made,
     "margin": words.margin_text,
     "number": words.number,
     "paragraphs": words.paragraphs,
     "place": words.place,
-    "plain": words.plain,
+    "plain": plain,
     "setting": words.setting,
     "span": words.span_text,
     "tally": words.tally,

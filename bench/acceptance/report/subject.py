@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import NamedTuple
 
 from bench.acceptance.report.words import duration
 from bench.acceptance.results import RunResult
 from bench.analysis.limits import RATED_CURRENT, RATED_SPEED
 from bench.analysis.versions import PROGRAM
+from bench.reports.words import NOT_STATED, date
 from protocol.text import told
 
-NOT_STATED = "not stated"
 MOTOR = {
     "n_p": "pole pairs", "R_s_hat": "resistance", "L_s_hat": "inductance", "psi_f_hat": "flux linkage",
     "J_hat": "inertia",
@@ -58,16 +57,6 @@ def motor(run: RunResult) -> str:
     said = [f"{words} {_value(found[name].value, found[name].unit)}" for name, words in MOTOR.items() if name in found]
     said += [f"{rating} {run.rig[rating]}" for rating in (RATED_SPEED, RATED_CURRENT) if rating in run.rig]
     return f"by the drive's parameters: {', '.join(said)}" if said else ""
-
-
-def date(started: str) -> str:
-    """Date, time and time zone, of ISO 8601; anything else as it is."""
-    try:
-        moment = datetime.fromisoformat(started)
-    except ValueError:
-        return started
-    zone = moment.strftime("%z")
-    return f"{moment:%Y-%m-%d %H:%M:%S}" + (f" UTC{zone[:3]}:{zone[3:5]}" if zone else "")
 
 
 def drive(run: RunResult) -> str:

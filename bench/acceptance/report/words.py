@@ -14,13 +14,14 @@ from collections.abc import Iterable, Sequence
 from bench.acceptance.results import Measurement, RunResult, Verdict
 from bench.analysis.limits import YES_NO, Limits
 from bench.analysis.sources import source_name
-from protocol.text import counted, told
+from bench.reports.words import plain
+from protocol.text import counted
 
 STEPS = 300  # into which the room between limits is divided at least: what the last digit stands for
 MOST_DECIMALS = 9
 NOTHING = "–"
 NOT_A_NUMBER = "NaN"
-ACRONYMS = {"crc": "CRC", "id": "ID", "pwm": "PWM"}
+NBSP = "\N{NO-BREAK SPACE}"
 ZONE = (20.0, 80.0)  # % of a bar's length that the permitted values take up, where they have both ends
 
 
@@ -58,7 +59,7 @@ def margin_text(measurement: Measurement) -> str:
     if value is None or margin is None or not math.isfinite(margin):
         return NOTHING
     sign = "+" if margin > 0 else ""
-    percent = "" if share is None or abs(share) > 99 else f" ({_minus(f'{100 * share:.0f}')} %)"
+    percent = "" if share is None or abs(share) > 99 else f" ({_minus(f'{100 * share:.0f}')}{NBSP}%)"
     return f"{sign}{number(margin, digits(value, measurement.limits))}{percent}"
 
 
@@ -83,14 +84,16 @@ def meaning(run: RunResult) -> str:
     """What the verdict of a run says, in a sentence."""
     tests = [test.verdict for test in run.tests]
     failed, passed, skipped = (tests.count(v) for v in (Verdict.FAIL, Verdict.PASS, Verdict.SKIPPED))
-    tested = f"{passed} of {counted(len(tests), 'test')} passed, {skipped} {'was' if skipped == 1 else 'were'} not made"
+    tested = f"{passed} of {counted(len(tests), 'test')} passed, {skipped} {'was' if skipped == 1 else 'were'} skipped"
     match run.verdict:
         case Verdict.PASS if passed < len(tests):
             return f"All that was tested is within its limits: {tested}."
         case Verdict.PASS:
             return "All measurements are within their limits."
         case Verdict.FAIL:
-            return f"The drive did not pass: {failed} of {counted(len(tests), 'test')} failed."
+            unjudged = tests.count(Verdict.ERROR) + tests.count(Verdict.INVALID)
+            others = f", {unjudged} could not be judged" if unjudged else ""
+            return f"The drive did not pass: {failed} of {counted(len(tests), 'test')} failed{others}."
         case Verdict.INCOMPLETE if not passed:
             return "Nothing was tested."
         case Verdict.INCOMPLETE:
@@ -128,6 +131,18 @@ def place(measurement: Measurement) -> float | None:
     return min(100.0, max(0.0, offset + length * (value - start) / width))
 
 
+def for_information(measurement: Measurement) -> bool:
+    """Whether it has a value and nothing that this could fail."""
+    limits = measurement.limits
+    return measurement.verdict is Verdict.PASS and limits.lo is None and limits.hi is None
+
+
+def passed(measurements: Sequence[Measurement]) -> str:
+    """How many of these, none of which did not pass, did so, and how many could not do otherwise."""
+    free = sum(map(for_information, measurements))
+    return f"{len(measurements) - free} passed, {free} for information" if free else "all passed"
+
+
 def tally(verdicts: Iterable[Verdict]) -> list[tuple[Verdict, int]]:
     """How many of each verdict, in the order of `Verdict`; those that do not occur are left out."""
     counts = Counter(verdicts)
@@ -158,20 +173,6 @@ def paragraphs(text: str) -> list[str]:
     """Paragraphs of a docstring, filled: only indented lines and items of lists keep their own lines."""
     blocks = re.split(r"\n\s*\n", inspect.cleandoc(text.replace("`", "")))
     return [re.sub(r"\n(?![ \t]|[-*] )", " ", block) for block in blocks if block.strip()]
-
-
-def labelled(key: str, value: object) -> tuple[str, str]:
-    """A key of plain data and its value, as words: `pwm_hz` and 16000 are PWM and 16000 Hz."""
-    text = plain(value)
-    if key.endswith("_hz") and text.isdecimal():
-        key = key.removesuffix("_hz")
-        text = f"{text} Hz" if int(text) < 1e6 else f"{int(text) / 1e6:.9g} MHz"
-    return " ".join(ACRONYMS.get(word, word) for word in key.split("_")), text
-
-
-def plain(value: object) -> str:
-    """A value of plain data, for people."""
-    return f"{value:g}" if isinstance(value, float) else told(value)
 
 
 def setting(value: float, name: str) -> str:

@@ -117,9 +117,10 @@ def test_what_was_not_tested_is_there_by_reason_before_any_count(tmp_path: Path)
     ("verdict", "tests", "words"),
     [
         ("PASS", "PP", "All measurements are within their limits."),
-        ("PASS", "PS", "All that was tested is within its limits: 1 of 2 tests passed, 1 was not made."),
+        ("PASS", "PS", "All that was tested is within its limits: 1 of 2 tests passed, 1 was skipped."),
         ("FAIL", "PFF", "The drive did not pass: 2 of 3 tests failed."),
-        ("INCOMPLETE", "PSS", "Not everything was tested: 1 of 3 tests passed, 2 were not made."),
+        ("FAIL", "FEI", "The drive did not pass: 1 of 3 tests failed, 2 could not be judged."),
+        ("INCOMPLETE", "PSS", "Not everything was tested: 1 of 3 tests passed, 2 were skipped."),
         ("INCOMPLETE", "SS", "Nothing was tested."),
         ("INVALID", "PI", "The data are insufficient for a verdict."),
         ("ERROR", "PE", "The bench is at fault: there is no verdict on the drive."),
