@@ -6,8 +6,8 @@ import re
 
 GREEK = frozenset({"alpha", "delta", "omega", "phi", "psi", "tau", "theta"})
 WORDS = {
-    "emf": "EMF", "hall": "Hall", "max": "maximum", "min": "minimum", "rms": "RMS", "rpm": "r/min",
-    "std": "standard deviation", "thd": "THD",
+    "backwards": "reverse", "emf": "EMF", "forwards": "forward", "hall": "Hall", "max": "maximum", "min": "minimum",
+    "rms": "RMS", "rpm": "r/min", "std": "standard deviation", "thd": "THD",
 }  # fmt: skip
 SUBSCRIPT = 3  # letters at most: `u_dc` is a symbol, `d_ratio` is none
 

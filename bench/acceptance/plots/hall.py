@@ -49,8 +49,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     wanted = np.degrees(expected)
     chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
     for values, mark, hue, words in (
-        (offsets.mean[:, FORWARDS], ">", SERIES[1], "forwards"),
-        (offsets.mean[:, BACKWARDS], "<", SERIES[2], "backwards"),
+        (offsets.mean[:, FORWARDS], ">", SERIES[1], "forward"),
+        (offsets.mean[:, BACKWARDS], "<", SERIES[2], "reverse"),
         (middle, "o", SERIES[0], "middle"),
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
@@ -65,8 +65,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     below.set_axis_off()
     rows = {
         "Table I": wanted,
-        "forwards": np.degrees(offsets.mean[:, FORWARDS]),
-        "backwards": np.degrees(offsets.mean[:, BACKWARDS]),
+        "forward": np.degrees(offsets.mean[:, FORWARDS]),
+        "reverse": np.degrees(offsets.mean[:, BACKWARDS]),
         "middle": np.degrees(middle),
     }
     table = below.table(

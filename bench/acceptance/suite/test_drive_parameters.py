@@ -178,7 +178,7 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
 )
 @energises(rated_speed=1, rated_current=1)
 def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
-    """Encoder, Hall edges and back-EMF at half and all of the speed both ways, near no load: which of them is late.
+    """Encoder, Hall edges and back-EMF at half and all of the speed, both directions, near no load: which is late.
 
     An encoder that is tau late makes every estimate seem to lead by omega tau. That is the bench's error, not the
     drive's: ERROR says so, with the reason.

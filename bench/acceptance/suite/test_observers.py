@@ -1,4 +1,4 @@
-"""Every observer that the drive has, both ways, at two speeds: its angle by the encoder.
+"""Every observer that the drive has, in both directions, at two speeds: its angle by the encoder.
 
 The drive runs on the encoder and the load machine holds the speed, so that no observer spoils another's signals. What
 is asked of an angle is what its kind can reach: half a Hall sector for a centre that is held, the Hall ring's own
@@ -95,7 +95,7 @@ CASES = [
 def test_observer(
     short: str, reach: Reach, drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure
 ) -> None:
-    """An observer's angle at a sixth and two thirds of the rated speed, both ways, at a quarter of the current."""
+    """An observer's angle at 1/6 and 2/3 of the rated speed, forward and reverse, at a quarter of the current."""
     points = {
         (name, way): sign * speed_rpm(drive, rated, share)
         for name, share in SPEEDS.items()

@@ -99,7 +99,7 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
 def test_table1_hall_edges(
     drive: Drive, rated: Ratings, load: NodeLoad, record: Record, measure: Measure, figure: Figure
 ) -> None:
-    """Table I: sensors that the rig has placed as the paper's are found there by the encoder, both ways.
+    """Table I: sensors that the rig has placed as the paper's are found there by the encoder, in both directions.
 
     The drive runs on its encoder, so that misplaced sensors do not disturb the speed. The paper's figure is taken as
     the middle of both directions.

@@ -399,7 +399,7 @@ def test_fig12_load_angle(
     """Fig. 12: step to full load at a sixth of the rated speed, without and with the load-angle compensation.
 
     Paper: full load shifts the error by about +-1 degree, and (18)-(19) remove that. The shift comes from what the
-    drive assumes wrongly; here L_hat is put 8 % off, both ways, which turns the angle by
+    drive assumes wrongly; here L_hat is put 8 % off, to both sides, which turns the angle by
     atan(0.08 L_hat i / psi_f_hat). k_ic is commissioned: the drive's own is tried, and taken as often as it takes. The
     load forces the speed and the drive its current, so that both are the same before and after.
     """

@@ -214,7 +214,7 @@ def test_a_name_with_braces_for_nothing_is_refused_before_anything_runs(acceptin
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("error_std.fast.forwards", "Error standard deviation, fast, forwards"),
+        ("error_std.fast.forwards", "Error standard deviation, fast, forward"),
         ("thd.proposed.load25.speed8", "THD, proposed, load 25, speed 8"),
         ("R_s_hat_low_shift_off", "R_s_hat low shift off"),
         ("i_q_light", "i_q light"),
