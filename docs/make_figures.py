@@ -23,7 +23,7 @@ def main() -> None:
     """Draw, shrink, write."""
     for name, run in SHOWN.items():
         with tempfile.TemporaryDirectory() as folder:
-            command = ["bench", "plot", str(RUNS / f"{run}.run"), "--output", folder]
+            command = ["bench", "plot", str(RUNS / f"{run}.run"), "--out", folder]
             subprocess.run([sys.executable, "-m", *command], check=True)
             picture = Image.open(Path(folder, f"{name}.png")).convert("RGB")
         target = DOCS / "figures" / f"{name}.png"

@@ -130,11 +130,15 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
                 return
             if options.passive:
                 rig.prepare([watched(rig)], recording)
-                yield Source(watch(rig, options.duration, screen.progress), rig.drive.node)
+                turned = watch(rig, options.duration, screen.progress)
+                rig.drive.node.stop_streams()  # nobody reads them while somebody measures
+                yield Source(turned, rig.drive.node)
                 return
             rig.prepare(recording=recording, needed=frozenset(STATOR))
             if options.by == "filter" and rig.samples is not None and (why := unfit(rig.samples)):
                 raise BenchError(f"the Kalman filter cannot run on this stream: {why}")
             check_limits(rig.drive.node, Envelope(options.speed_rpm, options.current_a or math.inf))
             turner = Turner(rig, options.speed_rpm, screen.progress)
-            yield Source(turner.spin(), rig.drive.node)
+            turned = turner.spin()
+            rig.drive.node.stop_streams()
+            yield Source(turned, rig.drive.node)

@@ -406,3 +406,14 @@ def test_completion_knows_targets_and_recordings(tmp_path: Path) -> None:
         assert [item.value for item in complete.get_completions(["hall", subcommand], "si")] == ["sim"]
         found = complete.get_completions(["hall", subcommand], f"{tmp_path}/")
         assert [item.value for item in found] == [f"{tmp_path}/a.run", f"{tmp_path}/b.run"]
+
+
+def test_nothing_is_streamed_while_it_is_measured(tmp_path: Path) -> None:
+    """Nobody reads then: what a real drive streamed would be lost, and the recording would end with a gap."""
+    path = tmp_path / "a.run"
+    with opened(Options("sim", save=path), RecordingScreen(), None) as source:
+        assert source.drive is not None
+        source.drive.client.wait(lambda: False, 1.0)
+    run = Run(path)
+    newest = int(source.turned.capture.samples.tick[-1])  # type: ignore[union-attr]
+    assert (run.span[1] - newest) / run.info.tick_hz < 0.2
