@@ -1,9 +1,9 @@
 """Shows a run in a rerun stream: blocks of telemetry in, record batches and a few log calls out.
 
 A `RunLog` belongs to one thread and one `RecordingStream`; it decides what is logged where, never when or whether.
-Device time is the only time line. All samples of a block go out as one message, its edges as another; what the long
-plots and the stator plane need is logged at most ten times a second, health once a second, because a viewer lags by
-messages, not by samples.
+Device time is the only time line. All samples of a block, or of a lot of them, go out as one message, their edges as
+another; what the long plots and the stator plane need is logged at most ten times a second, health once a second,
+because a viewer lags by messages, not by samples.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 
 
 class RunLog:
-    """Logs one run to `stream`. What only plots need, made of samples and edges, goes out every `lot` s or more.
+    """Logs one run to `stream`. Samples, edges and what only plots need go out every `lot` s or more.
 
     `live`: the long plots follow the newest sample, and their guides leave room for legends before the first. Of each
     block only the samples of its last `newest` s are logged one by one, for a viewer that does not show the others.
@@ -99,6 +99,7 @@ class RunLog:
         self._plane = Plane(run)
         self._pictures: list[tuple[int, Picture]] = []
         self._lot_ns, self._next_lot_ns = round(lot * 1e9), 0
+        self._held: dict[tuple[str, ...], list[pa.RecordBatch]] = {}  # for the next lot, by entity and columns
 
     # -- static -------------------------------------------------------------------------------------------------
 
@@ -135,7 +136,9 @@ class RunLog:
         for stream, sampled in samples:
             self._samples(stream, sampled)
         if due:
+            self._send_held()
             self._send_pictures()
+        self._log_last_second()
         for node, event in block.events:
             self._event(node, event)
         for node, heartbeat in block.heartbeats:
@@ -247,14 +250,14 @@ class RunLog:
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
         columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
-            self._send(stream.entity, t_ns, columns)
+            self._hold(stream.entity, t_ns, columns)
             return
         errors = self._errors(values)
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         values |= _derived(values)
         columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
         shown = int(np.searchsorted(t_ns, t_ns[-1] - self._newest_ns))
-        self._send(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
+        self._hold(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
         self._last_second.samples(chunk, values, errors)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
@@ -270,12 +273,13 @@ class RunLog:
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
         columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS}
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._send(stream.entity, t_ns, columns)
+        self._hold(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
             self._last_second.edges(chunk)
 
     def _send_rest(self) -> None:
         self._send_hall()
+        self._send_held()
         self._send_pictures()
         self._send_trend(self._trend.rest())
 
@@ -285,12 +289,23 @@ class RunLog:
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
 
-    def _send_pictures(self) -> None:
-        """Log the pictures of the last second and of the stator plane since the last time."""
+    def _send_held(self) -> None:
+        """Log the samples and edges since the last time."""
+        for (entity, *_), batches in self._held.items():
+            whole = pa.Table.from_batches(batches).combine_chunks().to_batches() if len(batches) > 1 else batches
+            for batch in whole:
+                self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
+        self._held.clear()
+
+    def _log_last_second(self) -> None:
+        """Log the pictures of the last second, if it is time for them."""
         if (tick := self._last_second.due()) is not None:
             self._at(int(ns_from_tick(tick, self.run.tick_hz)))
             for entity, part in self._last_second.pictures():
                 self._stream.log(entity, part)
+
+    def _send_pictures(self) -> None:
+        """Log the pictures of the stator plane since the last time."""
         pictures, self._pictures = self._pictures, []
         if pictures:
             t_ns = np.array([at for at, _ in pictures])
@@ -319,15 +334,23 @@ class RunLog:
         self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
 
     def _send(self, entity: str, t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]) -> None:
-        arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
+        batch = self._batch((entity, *columns), t_ns, columns)
+        self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
+
+    def _hold(self, entity: str, t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]) -> None:
         shape = (entity, *columns)
+        self._held.setdefault(shape, []).append(self._batch(shape, t_ns, columns))
+
+    def _batch(
+        self, shape: tuple[str, ...], t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]
+    ) -> pa.RecordBatch:
+        arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
         layout = self._layouts.get(shape)
         if layout is None:
             names = (schema.TIMELINE, *columns)
             fields = [pa.field(n, a.type, metadata=_METADATA.get(n)) for n, a in zip(names, arrays, strict=True)]
             layout = self._layouts[shape] = pa.schema(fields)
-        batch = pa.RecordBatch.from_arrays(arrays, schema=layout)
-        self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
+        return pa.RecordBatch.from_arrays(arrays, schema=layout)
 
     def _errors(self, values: Mapping[str, Values]) -> dict[str, Values]:
         """Position errors, actual minus estimated, in electrical degrees by estimate."""

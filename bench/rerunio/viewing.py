@@ -32,7 +32,8 @@ from protocol.messages import EventCode
 from protocol.streams import EdgeChunk, SampleChunk
 
 WINDOW = 0.05  # s that go to rerun in one piece
-LOT = 0.5  # s of what only plots need
+LOT = 0.25  # s of signal a message; with longer ones a file is half as large again
+LOT_BROWSER = 2.0  # the same for a browser: without a GPU it draws a frame in seconds, and reads few messages a frame
 CLOSE = 60.0  # s that are shown sample by sample
 AROUND = 0.5  # s before and after a fault or a mark that are, in a longer run
 MOST_CLOSE = 30  # of those
@@ -43,8 +44,12 @@ FLUSH_TIMEOUT = 60.0  # s
 Span = tuple[int, int]
 
 
-def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0) -> None:
+def write_rrd(
+    run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0, lot: float = LOT
+) -> None:
     """Write the part of a run from tick `first` to `last` for rerun's viewer, opened at a page of the dashboard.
+
+    `lot`: s of signal a message; long ones make a larger file.
 
     Raises RecordingError.
     The file appears, or replaces an earlier one, when it is whole.
@@ -56,7 +61,7 @@ def write_rrd(run: Run, path: Path, first: int | None = None, last: int | None =
         sector = None if whole is None else sector_time(run, *whole)
         # a viewer that reads along needs a layout now; how far the plots reach is known when all has been read
         stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
-        log = RunLog(stream, run.info, LOT)
+        log = RunLog(stream, run.info, lot)
         log.start()
         show(run, log, begin, end, near)
         log.finish()

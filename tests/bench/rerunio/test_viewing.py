@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+from rerun.chunk import RrdReader
 from viewers import any_port
 
 from bench.errors import BenchError
@@ -19,7 +20,7 @@ from bench.recording.reader import Run
 from bench.recording.times import ticks_of
 from bench.recording.writer import RunWriter
 from bench.rerunio import schema
-from bench.rerunio.viewing import write_rrd
+from bench.rerunio.viewing import LOT_BROWSER, write_rrd
 from protocol.messages import DeviceEvent, EventCode
 from protocol.streams import Gap, SampleChunk
 
@@ -108,6 +109,21 @@ def test_an_overview_is_made_where_none_is_stored(long: tuple[Path, np.ndarray],
         shown(tmp_path / "made.rrd", component), shown(tmp_path / "stored.rrd", component), strict=True
     ):
         assert (mine == theirs).all()
+
+
+def test_a_browser_gets_the_same_samples_in_few_messages(tmp_path: Path) -> None:
+    """Without a GPU it reads few messages a frame, and draws a frame in seconds."""
+    made = synthetic.SyntheticRun(9.0, 1000.0)
+    path = synthetic.recorded(tmp_path / "a.run", *made.chunks(), channels=made.config.channels)
+    write_rrd(Run(path), tmp_path / "browser.rrd", lot=LOT_BROWSER)
+    for name in ("i_a", "theta_enc"):
+        component = schema.value_component(name)
+        for mine, theirs in zip(shown(tmp_path / "browser.rrd", component), shown(path, component), strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+            assert len(mine) == len(made.index)
+    for entity in (schema.FAST, schema.HALL, schema.HALL_LANES):
+        messages = RrdReader(tmp_path / "browser.rrd").stream().filter(content=f"/{entity}").to_chunks()
+        assert len(messages) <= 9.0 / LOT_BROWSER + 3  # one of them static
 
 
 def test_the_command_serves_the_dashboard_until_ctrl_c(long: tuple[Path, np.ndarray]) -> None:
