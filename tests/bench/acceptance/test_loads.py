@@ -486,7 +486,7 @@ def test_a_class_of_ones_own_is_told_what_the_test_wants_and_forces_a_speed_if_i
     assert run.tests == {"brakes": "PASS", "forces": forces}
     # one object, off at each test's end, closed at the last
     assert Path("told.txt").read_text().splitlines() == ["made", "torque 0.25", "off", *told, "close"]
-    assert run.result.rig["load"] == f"OwnLoad: {can}"
+    assert run.result.rig["load"] == f"brake.py:{kind}: {can}"
 
 
 def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting, link: SpoiltLink) -> None:
