@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from threading import Thread
 
 from bench.recording.reader import Run
 from tests.bench.processes import Sim
@@ -33,10 +35,16 @@ def hour(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
             "--duration", f"{seconds:g}", "--save", str(file), "--json", "-",
         ]  # fmt: skip
         live = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        said: list[str] = []
+        listener = Thread(target=_listen, args=(live, said))
         with closing(Memory(live.pid)) as memory:
-            printed, said = live.communicate()
+            listener.start()
+            assert live.stdout is not None
+            printed = live.stdout.read()
+            listener.join()
+            live.wait()
     if live.returncode:  # also where the motor did not turn for all of it
-        raise RuntimeError(f"bench live: exit code {live.returncode}\n{said}")
+        raise RuntimeError(f"bench live: exit code {live.returncode}\n{''.join(said)}")
     summary = json.loads(printed)
     streamed = streamed_in_part(file)
     most, flat, slope = memory.after(warm)
@@ -51,6 +59,15 @@ def hour(seconds: float, warm: float, folder: Path) -> Iterator[Row]:
     yield Row("disk", rate / MB, "MB/s", DISK, at_most=True)
     yield Row("a day on the disk, by arithmetic", rate * 86400 / 1e9, "GB", DISK * 86400 / 1e3, at_most=True)
     yield Row("sample to sink, p99", summary["latency_ms"]["p99"], "ms", at_most=True)
+
+
+def _listen(live: subprocess.Popen[str], said: list[str]) -> None:
+    """Take what it says into `said`, and end it when the drive trips: the rest would be of a motor that stands."""
+    assert live.stderr is not None
+    for line in live.stderr:
+        said.append(line)
+        if "tripped" in line:
+            live.send_signal(signal.SIGINT)
 
 
 def streamed_in_part(file: Path) -> str:
