@@ -73,7 +73,7 @@ def command(
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
         file = save or (Path(folder, "compare.rrd") if viewer != "none" else None)
         if file is not None:
-            _write(file, sides)
+            _write(file, sides, viewer)
         for run in runs:
             for words in run.damage:
                 note(f"warning: {run.path}: {words}")
@@ -85,11 +85,13 @@ def command(
             _open(file, viewer, web_port if isinstance(web_port, int) else None)
 
 
-def _write(file: Path, sides: tuple[Side, Side]) -> None:
+def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
     from bench.rerunio.overlay import Laid, write_overlay
+    from bench.rerunio.viewer import chosen
+    from bench.rerunio.viewing import lot_for
 
     a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
-    write_overlay(file, a, b)
+    write_overlay(file, a, b, lot_for(chosen(viewer)))
 
 
 def _open(file: Path, viewer: str, web_port: int | None) -> None:

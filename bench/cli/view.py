@@ -36,14 +36,14 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
     from bench.recording.reader import Run
     from bench.recording.times import ticks_of
     from bench.rerunio.viewer import chosen, serve_file
-    from bench.rerunio.viewing import LOT, LOT_BROWSER, write_rrd
+    from bench.rerunio.viewing import lot_for, write_rrd
 
     opened = Run(run)
     first, last = ticks_of(opened, begin, end)
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
         file = Path(folder, f"{run.name}.rrd")
         kind = chosen(viewer)
-        write_rrd(opened, file, first, last, lot=LOT_BROWSER if kind == "web" else LOT)
+        write_rrd(opened, file, first, last, lot=lot_for(kind))
         for words in opened.damage:
             note(f"warning: {words}")
         process, address = serve_file(file, kind, web_port)

@@ -60,7 +60,7 @@ _ARROW = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
 
 
 class RunLog:
-    """Logs one run to `stream`. Samples, edges and what only plots need go out every `lot` s or more.
+    """Logs one run to `stream`. Rows, but those of states and texts, go out every `lot` s or more.
 
     `live`: the long plots follow the newest sample, and their guides leave room for legends before the first. Of each
     block only the samples of its last `newest` s are logged one by one, for a viewer that does not show the others.
@@ -124,20 +124,13 @@ class RunLog:
 
     def _block(self, block: Block) -> None:
         self._losses |= block.losses
-        edges = [(stream, join(chunks)) for stream, chunks in self._by_stream(block.edges)]
-        samples = [(stream, join(chunks)) for stream, chunks in self._by_stream(block.samples)]
-        self._follow_hall(edges, samples)
-        due = self._now_ns >= self._next_lot_ns
-        if due:
+        for stream, edges in self._by_stream(block.edges):
+            self._edges(stream, join(edges))
+        for stream, samples in self._by_stream(block.samples):
+            self._samples(stream, join(samples))
+        if self._now_ns >= self._next_lot_ns:
             self._next_lot_ns = self._now_ns + self._lot_ns
-            self._send_hall()
-        for stream, passed in edges:
-            self._edges(stream, passed)
-        for stream, sampled in samples:
-            self._samples(stream, sampled)
-        if due:
-            self._send_held()
-            self._send_pictures()
+            self._send_lot()
         self._log_last_second()
         for node, event in block.events:
             self._event(node, event)
@@ -181,6 +174,7 @@ class RunLog:
             trends[line.component] = value.astype(np.float32)
         if trends:
             self._send_rows(t_ns, trends)
+        self._send_lot()
 
     def mark(self, mark: Mark) -> None:
         """Log a stretch of an acceptance run; the lane that shows it is drawn by `finish`, from all of them."""
@@ -214,6 +208,7 @@ class RunLog:
                 self._stream.log(schema.ACCEPTANCE, rr.StateChange(state=[words]))
         self._next_health_ns = 0
         self._health()
+        self._send_lot()
 
     def _reach(self, t_ns: int) -> None:
         """Device time has come to `t_ns`; when the drive has rebooted it starts anew."""
@@ -226,42 +221,25 @@ class RunLog:
             self._first_ns = None
         self._now_ns = max(self._now_ns, t_ns)
 
-    def _follow_hall(
-        self, edges: Sequence[tuple[_Stream, EdgeChunk]], samples: Sequence[tuple[_Stream, SampleChunk]]
-    ) -> None:
-        """Take the Hall codes of a block.
-
-        They are logged before its samples: a viewer that draws between two messages follows the newest sample, and a
-        window of 25 ms would be all beyond the newest code.
-        """
-        for stream, passed in edges:
-            t_ns = ns_from_tick(passed.tick, self.run.tick_hz)
-            self._reach(int(t_ns[-1]))
-            if stream.entity == schema.HALL:
-                self._hall.edges(t_ns, passed.hall_new)
-        for stream, sampled in samples:
-            t_ns = ns_from_tick(sampled.tick, self.run.tick_hz)
-            self._reach(int(t_ns[-1]))
-            if stream.entity == schema.FAST:
-                self._hall.samples(t_ns, sampled.raw)
-
     def _samples(self, stream: _Stream, chunk: SampleChunk) -> None:
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
+        self._reach(int(t_ns[-1]))
         values = {column.name: column.physical(chunk.raw) for column in stream.columns}
         columns = {column.component: pa.array(values[column.name]) for column in stream.columns}
         if stream.entity != schema.FAST:
-            self._hold(stream.entity, t_ns, columns)
+            self._send(stream.entity, t_ns, columns)
             return
         errors = self._errors(values)
         columns |= {schema.error_component(name): pa.array(error) for name, error in errors.items()}
         values |= _derived(values)
         columns |= {schema.derived_component(name): pa.array(values[name]) for name in _DERIVED if name in values}
         shown = int(np.searchsorted(t_ns, t_ns[-1] - self._newest_ns))
-        self._hold(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
+        self._send(stream.entity, t_ns[shown:], {name: column[shown:] for name, column in columns.items()})
         self._last_second.samples(chunk, values, errors)
         self._telemetry_lane(t_ns, chunk)
         self._status_lanes(chunk, t_ns)
         self._send_guide(int(t_ns[0]), int(t_ns[-1]))
+        self._hall.samples(t_ns, chunk.raw)
         self._add_trend(t_ns, values, errors)
         if t_ns[-1] >= self._next_plane_ns:
             self._next_plane_ns = int(t_ns[-1] + PLANE_PERIOD * 1e9)
@@ -273,29 +251,32 @@ class RunLog:
     def _edges(self, stream: _Stream, chunk: EdgeChunk) -> None:
         columns = {f"edge:{name}": pa.array(getattr(chunk, name)) for name in EDGE_FIELDS}
         t_ns = ns_from_tick(chunk.tick, self.run.tick_hz)
-        self._hold(stream.entity, t_ns, columns)
+        self._reach(int(t_ns[-1]))
+        self._send(stream.entity, t_ns, columns)
         if stream.entity == schema.HALL:
+            self._hall.edges(t_ns, chunk.hall_new)
             self._last_second.edges(chunk)
 
     def _send_rest(self) -> None:
-        self._send_hall()
-        self._send_held()
-        self._send_pictures()
         self._send_trend(self._trend.rest())
+        self._send_lot()
 
-    def _send_hall(self) -> None:
-        """Log the Hall lanes since the last time."""
+    def _send_lot(self) -> None:
+        """Log what was held since the last time.
+
+        The Hall codes go first: a viewer that draws between two messages follows the newest one, and a window of 25 ms
+        would be all beyond the newest code.
+        """
+        held, self._held = self._held, {}
         t_ns, codes = self._hall.take()
         if len(t_ns):
             self._send(schema.HALL_LANES, t_ns, {_STATE: states.HALL_WORDS.take(pa.array(codes))})
-
-    def _send_held(self) -> None:
-        """Log the samples and edges since the last time."""
+        self._held |= held
+        self._send_pictures()
         for (entity, *_), batches in self._held.items():
-            whole = pa.Table.from_batches(batches).combine_chunks().to_batches() if len(batches) > 1 else batches
-            for batch in whole:
+            for batch in pa.Table.from_batches(batches).combine_chunks().to_batches() if len(batches) > 1 else batches:
                 self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
-        self._held.clear()
+        self._held = {}
 
     def _log_last_second(self) -> None:
         """Log the pictures of the last second, if it is time for them."""
@@ -334,23 +315,15 @@ class RunLog:
         self._stream.set_time(schema.TIMELINE, duration=np.timedelta64(t_ns, "ns"))
 
     def _send(self, entity: str, t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]) -> None:
-        batch = self._batch((entity, *columns), t_ns, columns)
-        self._stream.send_record_batch(batch, index=schema.TIMELINE, entity_path=entity)
-
-    def _hold(self, entity: str, t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]) -> None:
-        shape = (entity, *columns)
-        self._held.setdefault(shape, []).append(self._batch(shape, t_ns, columns))
-
-    def _batch(
-        self, shape: tuple[str, ...], t_ns: NDArray[np.int64], columns: Mapping[str, pa.Array]
-    ) -> pa.RecordBatch:
+        """Hold rows of an entity for the next lot."""
         arrays = [pa.array(t_ns.view("timedelta64[ns]")), *columns.values()]
+        shape = (entity, *columns)
         layout = self._layouts.get(shape)
         if layout is None:
             names = (schema.TIMELINE, *columns)
             fields = [pa.field(n, a.type, metadata=_METADATA.get(n)) for n, a in zip(names, arrays, strict=True)]
             layout = self._layouts[shape] = pa.schema(fields)
-        return pa.RecordBatch.from_arrays(arrays, schema=layout)
+        self._held.setdefault(shape, []).append(pa.RecordBatch.from_arrays(arrays, schema=layout))
 
     def _errors(self, values: Mapping[str, Values]) -> dict[str, Values]:
         """Position errors, actual minus estimated, in electrical degrees by estimate."""

@@ -39,10 +39,10 @@ class Laid:
     last: int
 
 
-def write_overlay(path: Path, a: Laid, b: Laid) -> None:
-    """Write both runs for rerun's viewer. The file appears, or replaces an earlier one, when it is whole.
+def write_overlay(path: Path, a: Laid, b: Laid, lot: float = LOT) -> None:
+    """Write both runs for rerun's viewer, `lot` s of signal a message.
 
-    Raises RecordingError.
+    The file appears, or replaces an earlier one, when it is whole. Raises RecordingError.
     """
     infos = _alike(a.run.info, b.run.info)
     whole = replace(infos[0], recording_id=f"{infos[0].recording_id}-{infos[1].recording_id}")
@@ -51,7 +51,7 @@ def write_overlay(path: Path, a: Laid, b: Laid) -> None:
         stream.send_blueprint(_blueprint(_common(*infos), *span))
         for entity, laid, info in ((A, a, infos[0]), (B, b, infos[1])):
             shifted = _Shifted(stream, entity, int(ns_from_tick(laid.zero, info.tick_hz)))
-            log = RunLog(cast(rr.RecordingStream, shifted), info, LOT)
+            log = RunLog(cast(rr.RecordingStream, shifted), info, lot)
             log.start()
             show(laid.run, log, laid.first, laid.last, closeups(laid.run, laid.first, laid.last))
             log.finish()

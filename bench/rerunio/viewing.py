@@ -44,6 +44,11 @@ FLUSH_TIMEOUT = 60.0  # s
 Span = tuple[int, int]
 
 
+def lot_for(kind: str) -> float:
+    """`lot` of a file for a `native` viewer, or for a browser (`web`)."""
+    return LOT_BROWSER if kind == "web" else LOT
+
+
 def write_rrd(
     run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0, lot: float = LOT
 ) -> None:

@@ -63,7 +63,7 @@ def as_html(board: Scoreboard) -> str:
             board=board,
             headers=HEADERS,
             columns=COLUMNS,
-            legend=" ".join(LEGEND).replace(" us.", " µs."),
+            legend=" ".join(LEGEND),
             rows=[_row(name, figures) for name, figures in board.pooled.items()],
             partly={name: partly(figures, board.tracks) for name, figures in board.pooled.items()},
             files=[

@@ -12,7 +12,7 @@ HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "re
 LEGEND = (
     "Position error (encoder minus estimate), electrical degrees: rms over all motion (the rank);",
     "std, max, p99 and bias in steady running; maximum in transients, at start-up, at reversal.",
-    "speed: std of the speed error, r/min. lag: of the angle, us. ns: time per step on this machine.",
+    "speed: std of the speed error, r/min. lag: of the angle, µs. ns: time per step on this machine.",
 )
 
 
