@@ -1,4 +1,4 @@
-"""What a run shows of why it went wrong: wires of the Hall sensors, and the flux linkage that the firmware assumes.
+"""What a run shows of why it went wrong: Hall sensors against encoder, their wires, and the firmware's flux linkage.
 
 Each keeps sums of the samples that it is given, and at the end names what does not fit, with the numbers. Bounds are
 wide, as those of `bench.live.plausible`; `bench hall check` looks closer.
@@ -6,16 +6,124 @@ wide, as those of `bench.live.plausible`; `bench hall check` looks closer.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.position import wrap
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, explained, tally
+from protocol.signals import SECTOR_OF_CODE
+from protocol.streams import EdgeChunk, SampleChunk
 
+SECTOR = math.pi / 3
+BLOCK = 0.25  # s over which Hall sensors and encoder are compared
+TURNS = 3.0  # electrical revolutions from which on they are
+ROUNDS = 2.0  # revolutions of the shaft, from which on half a pole pair shows in the ratio
+RATIO_OFF = 0.25  # of one, by which the ratio may be off before that
+FOLLOWED = math.pi / 2  # electrical rad between two samples, above which an encoder's turns cannot be counted by them
+EDGES_LATE = 0.5  # s that edges may come after samples of their time: on CAN they wait for a heartbeat
 PSI_OFF = 0.25  # of psi_f_hat, by which it may be off; likewise of R_s_hat
 LOST = 0.3  # V that dead time and noise may add to a back-EMF
 LEAST_SEEN = 100  # samples in each sector with which wires are judged
+_SECTOR = np.array(SECTOR_OF_CODE)
+_STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
+
+
+def sectors(chunk: EdgeChunk) -> NDArray[np.float64]:
+    """Sectors that each edge goes forward, shape (n,); 0 where a code is none."""
+    old, new = _SECTOR[chunk.hall_old & 7], _SECTOR[chunk.hall_new & 7]
+    return np.where((old >= 0) & (new >= 0), _STEP[(new - old) % 6], 0.0)
+
+
+class _Block(NamedTuple):
+    """Samples after the tick `start`, up to `end`: how many, and the electrical rad that the encoder turned in them."""
+
+    start: int
+    end: int
+    samples: int
+    turned: float
+
+
+class Turns:
+    """Electrical revolutions by the Hall sensors beside those by the encoder, in blocks of the drive's own time.
+
+    Samples and edges come by different ways and at different times; a block waits for its edges. One beside a gap is
+    left out. `rate`: samples a second; `n_p`: the drive's, None if it tells none.
+    """
+
+    def __init__(self, rate: float, n_p: float | None) -> None:
+        self._rate, self._n_p = rate, n_p
+        self._blocks: deque[_Block] = deque()  # whose edges may not all have come
+        self._start = self._samples = 0
+        self._turned = 0.0
+        self._last_theta: float | None = None
+        self._ticks = np.zeros(0, np.int64)
+        self._steps = np.zeros(0)  # NaN behind lost ones
+        self._hall_along = self._turned_total = 0.0  # electrical rad, of all blocks
+        self.too_fast = False
+        """Whether it turned too fast for the encoder to be followed from sample to sample."""
+
+    @property
+    def compared(self) -> bool:
+        """Whether it turned far enough."""
+        return self._turned_total >= TURNS * math.tau
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take in what the Hall sensors showed."""
+        steps = sectors(chunk)
+        steps[[gap.position for gap in chunk.gaps if gap.lost_samples]] = np.nan
+        self._ticks, self._steps = np.append(self._ticks, chunk.tick), np.append(self._steps, steps)
+
+    def samples(self, chunk: SampleChunk, theta: NDArray[np.float64] | None, step: float = 0.0) -> None:
+        """Take in the encoder's electrical angle, rad, or None: nothing is compared; `step`: rad between two."""
+        too_fast = step > FOLLOWED
+        self.too_fast |= too_fast
+        end = int(chunk.tick[-1])
+        if theta is None or chunk.gaps or self._last_theta is None or too_fast:
+            self._start, self._samples, self._turned = end, 0, 0.0
+        else:
+            self._turned += float(wrap(np.diff(theta, prepend=self._last_theta)).sum())
+            self._samples += len(chunk)
+        self._last_theta = None if theta is None else float(theta[-1])
+        if self._samples >= BLOCK * self._rate:
+            self._blocks.append(_Block(self._start, end, self._samples, self._turned))
+            self._start, self._samples, self._turned = end, 0, 0.0
+        wait = EDGES_LATE * chunk.config.tick_hz
+        while self._blocks and (
+            self._blocks[0].end < end - wait or (len(self._ticks) and self._blocks[0].end < self._ticks[-1])
+        ):
+            self._compare(self._blocks.popleft())
+        wanted = self._ticks > (self._blocks[0].start if self._blocks else self._start)
+        self._ticks, self._steps = self._ticks[wanted], self._steps[wanted]
+
+    def _compare(self, block: _Block) -> None:
+        first, behind = np.searchsorted(self._ticks, (block.start, block.end), side="right")
+        hall = SECTOR * float(np.nansum(self._steps[first:behind]))
+        lost = bool(np.isnan(self._steps[first : behind + 1]).any())  # before an edge in it, or before the next one
+        if abs(hall) > FOLLOWED * block.samples:
+            self.too_fast = True
+        elif abs(block.turned) > SECTOR and not lost:
+            self._hall_along += math.copysign(hall, hall * block.turned)
+            self._turned_total += abs(block.turned)
+
+    def finding(self) -> str:
+        """What is wrong, if they disagree; else empty."""
+        if not self.compared:
+            return ""
+        ratio, bound, n_p = self._hall_along / self._turned_total, RATIO_OFF, self._n_p
+        if n_p is not None and self._turned_total > ROUNDS * n_p * math.tau:
+            bound = min(bound, 0.5 / n_p)
+        if abs(ratio - 1.0) <= bound:
+            return ""
+        turned, hall = self._turned_total / math.tau, self._hall_along / math.tau
+        words = f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction"
+        if n_p is not None and ratio > 0.0 and round(ratio * n_p) not in (0, n_p):
+            words += f": n_p = {n_p} is wrong, or sensors or encoder are ({n_p * ratio:.1f} would fit)"
+        return words
 
 
 class Wires:

@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import flagged, reference_angle, speed_channel
-from bench.analysis.position import ErrorTable, states, wrap
+from bench.analysis.position import ErrorTable, states
 from bench.analysis.units import RPM, pole_pairs
 from bench.device.client import Sink
-from bench.live.causes import BackEmf, Wires
+from bench.live.causes import SECTOR, BackEmf, Turns, Wires, sectors
 from protocol.messages import DriveState
-from protocol.signals import SECTOR_OF_CODE, Flag, Unit
+from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
-SECTOR = math.pi / 3
 OFF_BY = SECTOR  # rms of a position error above which an angle is no estimate
 SEEN_FOR = 0.5  # s of samples from which on it is judged
 SPEED_OFF = 0.5  # of the speed that was asked for, by which its mean may be off
@@ -34,16 +33,10 @@ LEAST_SPEED = 5.0  # r/min by which any speed may be off
 RISING = 0.05  # of the speed that was asked for, by which it changes while it is still on its way
 LONG_ENOUGH = 1.0  # s at a speed before it is judged
 LAST = 10.0  # s of a stretch that are judged at most
-BLOCK = 0.25  # s over which Hall sensors and encoder are compared
-TURNS = 3.0  # electrical revolutions from which on they are
-RATIO_OFF = 0.25  # of one, by which their ratio may be off
-FOLLOWED = math.pi / 2  # electrical rad between two samples, above which an encoder's turns cannot be counted by them
-LATE = 0.5  # s for each pole pair, from which on half of one shows in the ratio, though edges may come 0.2 s late
+BLOCK = 0.25  # s of a stretch that are judged at least
 TOO_MUCH = 1.25  # of i_max that the mean current may be
 NO_SUM = 0.5  # of a phase current, rms, that the sum of the three may be
 LEAST_SUM = 0.3  # A, below which the sum is noise and offsets
-_SECTOR = np.array(SECTOR_OF_CODE)
-_STEP = np.array([0, 1, 2, 0, -2, -1])  # sectors gone, by the difference of two codes' sectors modulo 6
 PHASES = ("i_a", "i_b", "i_c")
 
 
@@ -108,13 +101,8 @@ class Plausibility(Sink):
         self._asked: list[_Asked] = []
         self._not_finite: dict[str, int] = {}
         self._current, self._phase, self._sum = _Power(), _Power(), _Power()
-        # Hall sensors against the encoder: of the block under way, electrical rad; then of all blocks
-        self._last_theta: float | None = None
-        self._hall = self._turned = self._since = 0.0
-        self._hall_along = self._turned_total = self._compared = 0.0
-        self._too_fast = False  # for its encoder to be followed from sample to sample
         self._sectors = 0.0  # since the last chunk of samples
-        self._wires, self._emf = Wires(), BackEmf(parameters)
+        self._turns, self._wires, self._emf = Turns(self._rate, self._n_p), Wires(), BackEmf(parameters)
 
     def ask(self, speed_rpm: float, load_a: float = 0.0, title: str = "") -> None:
         """From now on this speed is asked for, and this load."""
@@ -132,13 +120,13 @@ class Plausibility(Sink):
         """Follow the Hall sensors from sector to sector."""
         if chunk.config.node != self._drive:
             return
-        old, new = _SECTOR[chunk.hall_old & 7], _SECTOR[chunk.hall_new & 7]
-        legal = (old >= 0) & (new >= 0)
-        self._sectors += float(_STEP[(new - old)[legal] % 6].sum())
+        self._sectors += float(sectors(chunk).sum())
+        if self._theta:
+            self._turns.edges(chunk)
 
     def samples(self, chunk: SampleChunk) -> None:
         """Take in what was sampled while the drive was running."""
-        sectors, self._sectors = self._sectors, 0.0
+        gone, self._sectors = self._sectors, 0.0
         if chunk.config.node != self._drive or not len(chunk):
             return
         for channel in chunk.config.channels:
@@ -146,13 +134,15 @@ class Plausibility(Sink):
                 bad = int(np.count_nonzero(~np.isfinite(chunk.raw[channel.name])))
                 self._not_finite[channel.name] = self._not_finite.get(channel.name, 0) + bad
         if (told := states(chunk)) is not None and told[-1] != DriveState.RUNNING:
-            self._last_theta = None
+            self._turns.samples(chunk, None)
             return
         seconds = len(chunk) / self._rate
         self._look_at_currents(chunk)
         self._look_for_causes(chunk, seconds)
-        self._compare(chunk, sectors, seconds)
-        self._look_at_speed(chunk, sectors, seconds)
+        if self._theta:
+            step = float(np.abs(chunk.physical(self._omega)).mean()) / self._rate if self._omega else 0.0
+            self._turns.samples(chunk, chunk.physical(self._theta), step)
+        self._look_at_speed(chunk, gone, seconds)
 
     def _look_at_currents(self, chunk: SampleChunk) -> None:
         if {"i_d", "i_q"} <= self._names:
@@ -170,37 +160,13 @@ class Plausibility(Sink):
             current = math.hypot(chunk.physical("i_d").mean(), chunk.physical("i_q").mean())
             self._emf.add(seconds, emf, float(np.abs(chunk.physical(self._omega)).mean()), current)
 
-    def _compare(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
-        """Add to the block under way; a block beside a gap is left out."""
-        if not self._theta:
-            return
-        theta = chunk.physical(self._theta)
-        step = abs(sectors) * SECTOR / len(chunk)  # electrical rad between two samples
-        if self._omega:
-            step = max(step, float(np.abs(chunk.physical(self._omega)).mean()) / self._rate)
-        too_fast = step > FOLLOWED
-        self._too_fast |= too_fast
-        if chunk.gaps or self._last_theta is None or too_fast:
-            self._hall = self._turned = self._since = 0.0
-        else:
-            self._turned += float(wrap(np.diff(theta, prepend=self._last_theta)).sum())
-            self._hall += sectors * SECTOR
-            self._since += seconds
-        self._last_theta = float(theta[-1])
-        if self._since >= BLOCK:
-            if abs(self._turned) > SECTOR:
-                self._hall_along += math.copysign(self._hall, self._hall * self._turned)
-                self._turned_total += abs(self._turned)
-                self._compared += self._since
-            self._hall = self._turned = self._since = 0.0
-
-    def _look_at_speed(self, chunk: SampleChunk, sectors: float, seconds: float) -> None:
+    def _look_at_speed(self, chunk: SampleChunk, gone: float, seconds: float) -> None:
         if not self._asked or self._n_p is None:
             return
         if self._omega:
             omega = float(chunk.physical(self._omega).mean())
         elif self._edges:
-            omega = sectors * SECTOR / seconds
+            omega = gone * SECTOR / seconds
         else:
             return
         current = i_q = math.nan
@@ -240,16 +206,15 @@ class Plausibility(Sink):
 
     def causes(self) -> list[str]:
         """What is set or wired wrongly, by what the shaft showed as it turned; also of a run that ended in a trip."""
-        return self._hall_against_encoder() or [
-            cause for cause in (self._wires.finding(), self._emf.finding(SEEN_FOR)) if cause
-        ]
+        turns = self._turns.finding() if self._edges else ""
+        return [turns] if turns else [cause for cause in (self._wires.finding(), self._emf.finding(SEEN_FOR)) if cause]
 
     def unverified(self) -> list[str]:
         """What nothing in the stream could show, each with the reason."""
         unseen = []
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
-        elif self._too_fast and self._edges and self._turned_total < TURNS * math.tau:
+        elif self._turns.too_fast and self._edges and not self._turns.compared:
             unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
         if self._n_p is None:
             unseen.append("speed (no parameter n_p)")
@@ -300,20 +265,6 @@ class Plausibility(Sink):
         early, late = (_mean(part, 1) for part in (looks[: len(looks) // 2], looks[len(looks) // 2 :]))
         nearer = abs(asked.speed_rpm - early) - abs(asked.speed_rpm - late)
         return nearer > RISING * abs(asked.speed_rpm)
-
-    def _hall_against_encoder(self) -> list[str]:
-        if not self._edges or self._turned_total < TURNS * math.tau:
-            return []
-        ratio, bound = self._hall_along / self._turned_total, RATIO_OFF
-        if self._n_p is not None and self._compared > LATE * self._n_p:
-            bound = min(bound, 0.5 / self._n_p)
-        if abs(ratio - 1.0) <= bound:
-            return []
-        turned, hall = self._turned_total / math.tau, self._hall_along / math.tau
-        words = f"the encoder counts {turned:.1f} electrical revolutions, the Hall sensors {hall:.1f} in that direction"
-        if self._n_p is not None and ratio > 0.0 and round(ratio * self._n_p) not in (0, self._n_p):
-            words += f": n_p = {self._n_p} is wrong, or sensors or encoder are ({self._n_p * ratio:.1f} would fit)"
-        return [words]
 
 
 def _mean(looks: Sequence[tuple[float, ...]], column: int) -> float:

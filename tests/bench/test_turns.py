@@ -1,0 +1,88 @@
+"""Hall sensors against the encoder, in a shaft known by formula: edges that come late, or never, accuse nobody."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
+
+from bench.live.causes import Turns
+from protocol.streams import Gap, SampleChunk
+
+CHUNK = 320  # samples, 20 ms
+RAMP = tuple((6.0 * math.pi * k, 0.05) for k in range(1, 11))  # to 30 electrical revolutions a second in 0.5 s
+STEADY = ((60.0 * math.pi, 1.0),)
+SLOW = ((4.0 * math.pi, 8.0),)  # 16 electrical revolutions
+MOTOR = Motor(delta_deg=TABLE_I, turns=RAMP)
+
+
+def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK, every: int = 1) -> Turns:
+    """The samples, each `every`, in chunks, and edges `late`, s, after the samples of their time, without `lost`."""
+    seen = capture(motor)
+    samples, edges = seen.samples, seen.edges
+    turns = Turns(PWM_HZ / every, motor.n_p)
+    came = edges.tick + round(late * TICK_HZ)
+    given = 0
+    for first in range(0, len(samples), chunk):
+        at = slice(first, first + chunk, every)
+        part = SampleChunk(samples.config, samples.index[at], samples.tick[at], samples.raw[at], ())
+        upto = int(np.searchsorted(came, part.tick[-1], side="right"))
+        now = np.setdiff1d(np.arange(given, upto), lost)
+        given = upto
+        if len(now):
+            behind = tuple(Gap(int(k), len(lost), 1, False) for k in np.flatnonzero(now == lost.stop) if len(lost))
+            columns = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
+            turns.edges(replace(edges, **{name: getattr(edges, name)[now] for name in columns}, gaps=behind))
+        turns.samples(part, part.physical("theta_enc"))
+    return turns
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02, 0.1, 0.2])
+@pytest.mark.parametrize(
+    "turns", [RAMP + STEADY, STEADY, RAMP[:5] + STEADY, SLOW], ids=["ramp", "steady", "half", "slow"]
+)
+def test_edges_that_come_late_are_counted_where_they_belong(
+    turns: tuple[tuple[float, float], ...], late: float
+) -> None:
+    for sign in (1.0, -1.0):
+        motor = MOTOR.but(turns=[(sign * omega, seconds) for omega, seconds in turns])
+        judged = found(motor, late)
+        assert judged.compared
+        assert judged.finding() == ""
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2])
+@pytest.mark.parametrize("knows", [2, 4, 5, 7, 9])
+def test_wrong_pole_pairs_are_named_all_the_same(knows: int, late: float) -> None:
+    """The shaft has six; the firmware makes an electrical angle of the encoder's with what it knows."""
+    motor = MOTOR.but(turns=RAMP + STEADY, n_p=knows, encoder=lambda theta: theta * knows / 6)
+    assert f"n_p = {knows} is wrong, or sensors or encoder are (6.0 would fit)" in found(motor, late).finding()
+
+
+def test_dead_hall_sensors_are_named() -> None:
+    motor = MOTOR.but(turns=STEADY)
+    assert "the Hall sensors 0.0 in that direction" in found(motor, 10.0).finding()
+
+
+def test_lost_edges_are_no_wrong_pole_pairs() -> None:
+    """A block with a gap is left out: of 360 edges in 2 s 60 in a row are missing, more than a block has."""
+    motor = MOTOR.but(turns=((60.0 * math.pi, 2.0),))
+    judged = found(motor, 0.02, range(100, 160))
+    assert judged.compared
+    assert judged.finding() == ""
+
+
+def test_a_short_run_is_not_judged() -> None:
+    judged = found(MOTOR, 0.1)
+    assert not judged.compared
+    assert judged.finding() == ""
+
+
+def test_too_few_samples_are_told() -> None:
+    """100 electrical revolutions a second: 50 samples cannot follow them, 500 can."""
+    motor = MOTOR.but(turns=((200.0 * math.pi, 2.0),))
+    assert found(motor, 0.1, every=320, chunk=3200).too_fast
+    assert not found(motor, 0.1, every=32, chunk=3200).too_fast
