@@ -25,7 +25,7 @@ TURNS = 3.0  # electrical revolutions from which on they are
 ROUNDS = 2.0  # revolutions of the shaft, from which on half a pole pair shows in the ratio
 RATIO_OFF = 0.25  # of one, by which the ratio may be off before that
 FOLLOWED = math.pi / 2  # electrical rad between two samples, above which an encoder's turns cannot be counted by them
-EDGES_LATE = 0.5  # s that edges may come after samples of their time: on CAN they wait for a heartbeat
+EDGES_LATE = 0.5  # s that edges may come after samples dated as they are: on CAN they wait for a heartbeat
 PSI_OFF = 0.25  # of psi_f_hat, by which it may be off; likewise of R_s_hat
 LOST = 0.3  # V that dead time and noise may add to a back-EMF
 LEAST_SEEN = 100  # samples in each sector with which wires are judged
@@ -66,15 +66,19 @@ class Turns:
         self._hall_along = self._turned_total = 0.0  # electrical rad, of all blocks
         self.too_fast = False
         """Whether it turned too fast for the encoder to be followed from sample to sample."""
+        self.too_late = False
+        """Whether edges came later than a block waits for them, or were dated as if they had: nothing is told."""
+        self._settled = -1  # the end of the last block that was compared
 
     @property
     def compared(self) -> bool:
-        """Whether it turned far enough."""
-        return self._turned_total >= TURNS * math.tau
+        """Whether it turned far enough, and every edge came in time."""
+        return self._turned_total >= TURNS * math.tau and not self.too_late
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Take in what the Hall sensors showed."""
-        steps = sectors(chunk)
+    def edges(self, chunk: EdgeChunk, steps: NDArray[np.float64]) -> None:
+        """Take in what the Hall sensors showed; `steps`: their `sectors`."""
+        self.too_late |= bool(chunk.tick[0] <= self._settled)
+        steps = steps.copy()
         steps[[gap.position for gap in chunk.gaps if gap.lost_samples]] = np.nan
         self._ticks, self._steps = np.append(self._ticks, chunk.tick), np.append(self._steps, steps)
 
@@ -101,6 +105,7 @@ class Turns:
         self._ticks, self._steps = self._ticks[wanted], self._steps[wanted]
 
     def _compare(self, block: _Block) -> None:
+        self._settled = block.end
         first, behind = np.searchsorted(self._ticks, (block.start, block.end), side="right")
         hall = SECTOR * float(np.nansum(self._steps[first:behind]))
         lost = bool(np.isnan(self._steps[first : behind + 1]).any())  # before an edge in it, or before the next one

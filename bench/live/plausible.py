@@ -120,9 +120,10 @@ class Plausibility(Sink):
         """Follow the Hall sensors from sector to sector."""
         if chunk.config.node != self._drive:
             return
-        self._sectors += float(sectors(chunk).sum())
+        steps = sectors(chunk)
+        self._sectors += float(steps.sum())
         if self._theta:
-            self._turns.edges(chunk)
+            self._turns.edges(chunk, steps)
 
     def samples(self, chunk: SampleChunk) -> None:
         """Take in what was sampled while the drive was running."""
@@ -214,6 +215,10 @@ class Plausibility(Sink):
         unseen = []
         if not self._theta:
             unseen.append("position error (no angle with the flag REFERENCE)")
+        elif self._turns.too_late:
+            unseen.append(
+                "Hall sensors against the encoder (edges come too late after the samples, or their ticks are wrong)"
+            )
         elif self._turns.too_fast and self._edges and not self._turns.compared:
             unseen.append("Hall sensors against the encoder (too few samples in an electrical revolution)")
         if self._n_p is None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
 
-from bench.live.causes import Turns
+from bench.live.causes import Turns, sectors
 from protocol.streams import Gap, SampleChunk
 
 CHUNK = 320  # samples, 20 ms
@@ -35,7 +35,8 @@ def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK,
         if len(now):
             behind = tuple(Gap(int(k), len(lost), 1, False) for k in np.flatnonzero(now == lost.stop) if len(lost))
             columns = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
-            turns.edges(replace(edges, **{name: getattr(edges, name)[now] for name in columns}, gaps=behind))
+            came_now = replace(edges, **{name: getattr(edges, name)[now] for name in columns}, gaps=behind)
+            turns.edges(came_now, sectors(came_now))
         turns.samples(part, part.physical("theta_enc"))
     return turns
 
@@ -60,6 +61,15 @@ def test_wrong_pole_pairs_are_named_all_the_same(knows: int, late: float) -> Non
     """The shaft has six; the firmware makes an electrical angle of the encoder's with what it knows."""
     motor = MOTOR.but(turns=RAMP + STEADY, n_p=knows, encoder=lambda theta: theta * knows / 6)
     assert f"n_p = {knows} is wrong, or sensors or encoder are (6.0 would fit)" in found(motor, late).finding()
+
+
+@pytest.mark.parametrize("late", [0.9, 1.5])
+def test_edges_that_come_after_all_waiting_leave_it_open(late: float) -> None:
+    """A device that keeps its edges too long, or dates them by another clock: no accusation, and not ok either."""
+    judged = found(MOTOR.but(turns=((60.0 * math.pi, 3.0),)), late)
+    assert judged.too_late
+    assert not judged.compared
+    assert judged.finding() == ""
 
 
 def test_dead_hall_sensors_are_named() -> None:
