@@ -1,4 +1,4 @@
-"""Lets several workers share the suite (`pytest -n 2`): those in real time do not run beside those that compute.
+"""Lets several workers share the suite (`pytest -n 2`), and tells at the end what was skipped and what took long.
 
 A drive in real time, a watchdog or a viewer needs a core when its time has come, and a worker beside it that computes
 takes it away. So every test holds a lock of its kind while it runs, which others of that kind share. Those in real time
@@ -11,48 +11,19 @@ import fcntl
 import os
 import signal
 import tempfile
+from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests import campaign, choice, tools
+
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background begins without Ctrl-C
 
-ALONE = (
-    "bench/rerunio/test_viewer.py",
-    "bench/test_kills.py",
-)
-REAL_TIME = (
-    "bench/acceptance/test_safety_accept.py",
-    "bench/test_errors.py::test_a_wrong_baud_rate",
-    "bench/test_interrupts.py::test_ctrl_c_in_a_terminal",
-    "bench/test_live_process.py",
-    "bench/test_node.py::test_a_client_that_polls",
-    "sim/drive/test_server_process.py",
-)
-"""Tests that a busy neighbour upsets, any neighbour or one that computes: modules, or the beginning of a test's name in
-one; more are marked real_time."""
 KINDS = ("computing", "real-time")
-SLOW = (
-    *ALONE, *REAL_TIME,
-    "bench/acceptance/test_accept.py", "bench/acceptance/test_loads.py", "bench/acceptance/test_own_test.py",
-    "bench/acceptance/test_sabotage.py", "bench/acceptance/test_settings.py", "bench/acceptance/test_suite.py",
-    "bench/acceptance/test_verdicts.py", "bench/rerunio/test_dashboard.py", "bench/rerunio/test_recording.py",
-    "bench/rerunio/test_rendered.py",
-    "bench/rerunio/test_sinks.py", "bench/test_account.py", "bench/test_any_drive.py", "bench/test_augment.py",
-    "bench/test_bad_drive.py", "bench/test_can_cli.py", "bench/test_can_faults.py", "bench/test_can_logs.py",
-    "bench/test_errors.py", "bench/test_estimators.py", "bench/test_hall_check.py", "bench/test_interrupts.py",
-    "bench/test_motors.py",
-    "bench/test_node.py", "bench/test_notebook_page.py", "bench/test_output.py", "bench/test_parity.py",
-    "bench/test_prompt.py", "bench/test_replay.py", "bench/test_score.py", "protocol/c/test_c_hard.py",
-    "protocol/canmap/test_can_fuzz.py",
-    "protocol/canmap/test_can_streams.py", "protocol/links/test_can_link.py", "protocol/test_lying_device.py",
-    "sim/drive/test_edge_kalman_in_the_loop.py", "sim/drive/test_tick_protection.py",
-    "sim/observers/test_vector_tracking_q15.py",
-)  # fmt: skip
-"""What the quick tier leaves out: `pytest -n 2 -m "not slow"`."""
-HERE = Path(__file__).parent
+LONGEST = 5.0  # s that a test may take without a mark `long` that says why
 
 
 @contextmanager
@@ -62,16 +33,10 @@ def _locked(path: Path, how: int) -> Iterator[None]:
         yield
 
 
-def _where(item: pytest.Item) -> str:
-    return f"{item.path.relative_to(HERE).as_posix()}::{item.name}"
-
-
 def _kind(item: pytest.Item) -> str:
-    where = _where(item)
-    if where.startswith(ALONE):
+    if item.get_closest_marker("alone"):
         return "alone"
-    marked = any(item.iter_markers("real_time")) or any(item.iter_markers("real_links"))
-    return "real-time" if marked or where.startswith(REAL_TIME) else "computing"
+    return "real-time" if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
 
 
 @contextmanager
@@ -95,25 +60,29 @@ def _turn(kind: str) -> Iterator[None]:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """What takes long and need not run each time."""
     parser.addoption("--real-links", action="store_true", help="the test device over pty, TCP and CAN too")
+    parser.addoption("--campaign", action="store_true", help="tests of campaigns only, all seeds, motors and faults")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Hand the tests out one by one: two workers are then at the same place of the order, and end together."""
     if getattr(config.option, "maxschedchunk", 1) is None:
         config.option.maxschedchunk = 1
+    if config.getoption("--campaign"):
+        os.environ[choice.CAMPAIGN] = "1"
     config.pluginmanager.register(Order())
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what was not asked for, mark what is slow."""
-    for item in items:
-        if _where(item).startswith(SLOW):
-            item.add_marker("slow")
+    """Leave out what was not asked for."""
+    if config.getoption("--campaign"):
+        kept = campaign.wanted([item for item in items if item.get_closest_marker("campaign")])
+    else:
+        kept = [item for item in items if not item.get_closest_marker("campaign")]
     if not config.getoption("--real-links"):
-        left_out = [item for item in items if any(item.iter_markers("real_links"))]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        kept = [item for item in kept if not item.get_closest_marker("real_links")]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    items[:] = kept
 
 
 class Order:
@@ -122,8 +91,8 @@ class Order:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Long tests first, those in real time last."""
-        long = {item for item in items if any(item.iter_markers("slow"))}
-        items.sort(key=lambda item: (("computing", "real-time", "alone").index(_kind(item)), item not in long))
+        slow = {item for item in items if item.get_closest_marker("slow")}
+        items.sort(key=lambda item: (("computing", "real-time", "alone").index(_kind(item)), item not in slow))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -131,3 +100,40 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     """Run a test in its turn."""
     with _turn(_kind(item)):
         return (yield)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test whose tool is missing."""
+    for mark in item.iter_markers("needs"):
+        for name in mark.args:
+            tools.require(name)
+
+
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    """Tell the reports whether a test may take long, and of which campaigns it is."""
+    if call.when == "setup":
+        item.user_properties.append(("long", item.get_closest_marker("long") is not None))
+        item.user_properties.append(("campaigns", campaign.names_of(item)))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """What was skipped, why, and what brings it; what took long and does not say why; what chose the seeds."""
+    reports = terminalreporter.stats
+    skipped = Counter(
+        str(report.longrepr[2]).removeprefix("Skipped: ")
+        for report in reports.get("skipped", ())
+        if isinstance(report.longrepr, tuple)
+    )
+    if skipped:
+        terminalreporter.section("skipped")
+        for line in tools.skipped_table(skipped):
+            terminalreporter.write_line(line)
+    took = Counter[str]()
+    excused = set()
+    for report in (report for found in reports.values() for report in found if isinstance(report, pytest.TestReport)):
+        took[report.nodeid] += report.duration
+        excused |= {report.nodeid} if ("long", True) in report.user_properties else set()
+    for nodeid, seconds in took.most_common():
+        if seconds > LONGEST and nodeid not in excused:
+            terminalreporter.write_line(f"over {LONGEST:g} s without a mark that says why: {seconds:.1f} s {nodeid}")
+    terminalreporter.write_line(f"seeds, motors and faults chosen by {choice.commit()} ({choice.GIVEN})")

@@ -30,6 +30,8 @@ from protocol.streams import SampleChunk
 from sim.ports.device import SimulatedDevice
 from tests.devices import FULL, serving
 
+pytestmark = pytest.mark.slow
+
 PERIOD = 1250  # ticks
 
 

@@ -22,6 +22,8 @@ from tests.devices.carriers import ByteCarrier, decode, encode
 from tests.devices.device import Device
 from tests.devices.spec import ERROR, REPLY, Event, Feature, Message, State, Type
 
+pytestmark = pytest.mark.slow
+
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 ROWS = ("v_bus", "w_target", "w_meas", "pos_e", "temp_fet", "duty", "kp_w", "ki_w", "vbus_min")
 UNTRUE = r"nan r/min|KeyError|did you mean"

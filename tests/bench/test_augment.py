@@ -15,6 +15,8 @@ from protocol.descriptor import Channel
 from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
 from protocol.streams import EdgeChunk, SampleChunk
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_live_run_records_the_hosts_estimates_too(tmp_path: Path) -> None:
     path = tmp_path / "a.run"

@@ -20,6 +20,8 @@ from tests.devices import FAULTS, serving
 from tests.devices.device import Device
 from tests.devices.spec import State
 
+pytestmark = pytest.mark.slow
+
 BYTES, ALL = ("pty", "tcp"), ("pty", "tcp", "slcan")
 SHOUT = ("OUTPUTS MAY STILL BE ON", "cut the power")
 LONGER = SPIN.replace("0.8", "2.0")

@@ -17,7 +17,7 @@ from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork, CanNetwork, Network
 from sim.ports.virtual import VirtualLink
-from tests.compilers import needs_compiler
+from tests.tools import needs
 
 NAMES = ("hall", "theta_enc", "theta_vt", "i_q")
 
@@ -44,7 +44,7 @@ def in_python() -> Collector:
     return ran(None)
 
 
-@needs_compiler
+@needs("C compiler")
 def test_the_same_run_over_a_byte_link(in_python: Collector) -> None:
     in_c = ran(ByteNetwork(CompiledLink(1 << 21)))
     ours, theirs = in_c.all_samples(), in_python.all_samples()
@@ -62,7 +62,7 @@ def test_the_same_run_over_a_byte_link(in_python: Collector) -> None:
     assert {event.code for _, event in in_c.events} == {EventCode.STATE_CHANGED}
 
 
-@needs_compiler
+@needs("C compiler")
 @pytest.mark.parametrize("rates", [BusRates(1_000_000), BusRates(1_000_000, 5_000_000)], ids=["classic", "FD"])
 def test_the_same_run_over_can(rates: BusRates) -> None:
     in_c, in_python = ran(CanNetwork(rates, compiled=True)), ran(CanNetwork(rates))

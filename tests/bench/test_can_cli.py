@@ -25,6 +25,8 @@ from protocol.errors import LinkClosed, NoReply, RemoteProtocolError
 from protocol.links import open_link
 from protocol.messages import Role
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def classic() -> Iterator[str]:

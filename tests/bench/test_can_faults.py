@@ -22,6 +22,8 @@ from sim.ports.can_bus import Controller, State
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 
+pytestmark = pytest.mark.slow
+
 CLASSIC = BusRates(1_000_000)
 FD = BusRates(1_000_000, 5_000_000)
 NAMES = ("hall", "status", "theta_enc", "i_a", "i_b", "i_c", "theta_vt")

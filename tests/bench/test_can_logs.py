@@ -29,6 +29,8 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.networks import CanNetwork
 from sim.ports.virtual import VirtualLink
 
+pytestmark = pytest.mark.slow
+
 EPOCH = 1_700_000_000.0  # s: when a recording begins, for formats that want a date
 PORTION = 500  # frames that a link reads at once
 

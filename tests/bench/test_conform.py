@@ -32,9 +32,9 @@ from protocol.errors import LinkClosed, NoReply, Refused
 from protocol.links import Link
 from protocol.messages import DriveState, ErrorCode
 from sim.ports.virtual import VirtualLink
-from tests.compilers import needs_compiler
 from tests.devices import FULL, serving
 from tests.devices.spec import State
+from tests.tools import needs
 
 SPEC = Path(__file__).parents[2] / "protocol" / "SPEC.md"
 LEVELS = (0, 1, STREAMS, STATES, MOTION, CAN)
@@ -62,7 +62,7 @@ def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrie
 
 
 @pytest.mark.parametrize("network", ["bytes", "CAN", "CAN FD"])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)], ids=["Python", "C"])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs("C compiler"))], ids=["Python", "C"])
 def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) -> None:
     device = narrow() if network == "bytes" and not compiled else simulated(network=network, compiled=compiled)
     before = dict(device.bench.parameters)

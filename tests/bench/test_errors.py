@@ -19,6 +19,8 @@ from bench.cli import main
 from protocol.links import Link
 from protocol.messages import DriveState, Role
 
+pytestmark = pytest.mark.slow
+
 Fail = Callable[..., str]
 
 
@@ -62,6 +64,7 @@ def test_a_target_that_is_not_there(fail: Fail, command: str, target: str, says:
     assert re.search(says, fail(command, target))
 
 
+@pytest.mark.real_time
 def test_a_wrong_baud_rate(start_sim: Callable[..., Sim], fail: Fail) -> None:
     sim = start_sim("--pty", "--baud", "3000000")
     assert sim.target.endswith("?baud=3000000")

@@ -19,6 +19,8 @@ from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import DEFAULTS
 
+pytestmark = pytest.mark.slow
+
 ALL = tuple(f"+{name}" for name in CHECKED)
 """Also what is streamed on request only."""
 

@@ -31,6 +31,8 @@ from protocol.messages import DriveState, Fault, SetpointMode
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
+pytestmark = pytest.mark.slow
+
 TARGET = f"serial:/dev/ttyHALL-{os.getpid()}"  # its own: a rig holds its target
 
 

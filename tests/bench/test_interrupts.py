@@ -26,6 +26,8 @@ from test_prompt import on_terminal
 
 from bench.rig.interrupts import none_dropped
 
+pytestmark = pytest.mark.slow
+
 MOMENTS = int(os.environ.get("HALLBENCH_INTERRUPTS", "6"))
 AT_ONCE = 3  # processes: more would starve each other
 LONGEST = 3.0  # s of a command's life in which it is interrupted
@@ -132,6 +134,7 @@ def test_ctrl_c_ends_a_command_at_any_moment(name: str, drive_run: Path, tmp_pat
         assert any(ended.code in INTERRUPTED for ended in tried), tried
 
 
+@pytest.mark.real_time
 def test_ctrl_c_in_a_terminal_leaves_the_embedded_drive_there_for_stop() -> None:
     """A terminal interrupts the whole group in the foreground, children too."""
     command = ["live", "sim", "--speed", "300", "--viewer", "none", "--duration", "60"]

@@ -6,7 +6,11 @@ import random
 import signal
 from pathlib import Path
 
+import pytest
+
 from tests.benchmarks.bench_kills import LATEST, SHORT, WATCHDOG, drive, kill
+
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 RESULTS = {
     signal.SIGKILL: ("watchdog", -signal.SIGKILL, ""),

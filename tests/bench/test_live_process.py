@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import resource
-import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -19,6 +18,9 @@ from processes import Program, Sim
 
 from bench.recording import space
 from bench.recording.reader import Run
+from tests.tools import require
+
+pytestmark = [pytest.mark.real_time, pytest.mark.slow]
 
 Start = Callable[..., Program]
 StartSim = Callable[..., Sim]
@@ -88,14 +90,9 @@ def small_place(
     if request.param == "a limit on files":
         yield tmp_path, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), "cannot be written"
         return
-    mount = shutil.which("mount")
-    mounted = mount and subprocess.run(
-        [mount, "-t", "tmpfs", "-o", f"size={size + space.RESERVE}", "none", str(tmp_path)],
-        capture_output=True,
-        text=True,
-    )
-    if not mounted or mounted.returncode:
-        pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip() if mounted else 'no mount'}")
+    require("small disk")
+    disk = ["mount", "-t", "tmpfs", "-o", f"size={size + space.RESERVE}", "none", str(tmp_path)]
+    subprocess.run(disk, check=True)
     yield tmp_path, None, "the disk is full"
     subprocess.run(["umount", str(tmp_path)], check=True)
 

@@ -24,6 +24,8 @@ from bench.rig.settings import read_settings
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 
+pytestmark = pytest.mark.slow
+
 NO_LOAD = {  # r/min at 24 V by the figures that the sources have
     "anaheim-bly172s-24v": 60 * 24 / math.sqrt(3) / 0.0343291 / 4,  # V/Hz
     "gimbal-4310": 24 * 33,

@@ -22,6 +22,8 @@ from protocol.messages import DriveState, EventCode, Fault, Feature, Role
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS
 from protocol.streams import SampleChunk
 
+pytestmark = pytest.mark.slow
+
 SIMS = {
     "pty": ("--pty",),
     "tcp": ("--tcp", "127.0.0.1:0"),
@@ -155,6 +157,7 @@ def test_losses_add_up_over_reconfigurations(network: str) -> None:
 # -- the watchdog -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.real_time
 def test_a_client_that_polls_but_does_not_feed_trips_the_drive_too(bench: Bench) -> None:
     bench.turn(50.0)
     bench.stream()

@@ -24,6 +24,8 @@ from bench.rig.loads import Load
 from bench.scoring.board import Scoreboard
 from protocol.messages import DriveState
 
+pytestmark = pytest.mark.slow
+
 PAGE = (Path(__file__).parents[2] / "docs" / "notebook.md").read_text()
 
 

@@ -21,6 +21,8 @@ from bench.cli.streams import echo, standard_streams
 from bench.errors import BenchError
 from bench.files import write
 
+pytestmark = pytest.mark.slow
+
 Ran = tuple[int, str, str]
 
 

@@ -22,6 +22,8 @@ from protocol.messages import Fault
 from protocol.signals import AngleSource, Status
 from sim.observers.catalogue import CATALOGUE
 
+pytestmark = pytest.mark.slow
+
 TABLE_I = (-1.2, -3.0, 7.2, -3.3, 0.6, 5.6)  # deg, of Kim et al. 2011: for those who are told where the edges lie
 ESTIMATES = tuple(f"+{name}" for name in CHECKED)
 SOURCES = tuple(source for source in AngleSource if source != AngleSource.ENCODER)

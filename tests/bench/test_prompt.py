@@ -24,6 +24,8 @@ from protocol.messages import DriveState
 from sim.ports.byte_ports import PtyPort
 from sim.ports.device import SimulatedDevice
 
+pytestmark = pytest.mark.slow
+
 
 class PhysicalDrive:
     """A thread that runs such a drive in real time behind a pty, and keeps the states that it was in."""

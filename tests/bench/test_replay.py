@@ -24,6 +24,8 @@ from bench.scoring.board import score
 from protocol.signals import Status
 from protocol.streams import Gap
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run(drive_run: Path) -> Run:

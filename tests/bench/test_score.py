@@ -29,6 +29,8 @@ from bench.scoring.table import HEADERS, LEGEND, as_text
 from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
 
+pytestmark = pytest.mark.slow
+
 TO_RPM = 60 / (2 * math.pi) / N_P
 DELAY = 50e-6
 

@@ -44,11 +44,11 @@ from protocol.messages import (
     StreamStop,
     TimeSync,
 )
-from tests.compilers import needs_compiler
+from tests.tools import needs
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 BOOT = 0xB0071D
-pytestmark = needs_compiler
+pytestmark = needs("C compiler")
 
 
 def cases(name: str) -> list:

@@ -26,6 +26,8 @@ from protocol.framing import Frame
 from protocol.messages import REPLIES, UNSOLICITED, BlobReply, ErrorReply, Fault, MessageType, Payload
 from protocol.streams import STREAM_HEADER
 
+pytestmark = pytest.mark.slow
+
 NAN, INF = float("nan"), float("inf")
 EXTREMES: dict[str, list[object]] = {
     "B": [0, 1, 7, 0x80, 0xFF],

@@ -25,7 +25,7 @@ from protocol.framing import Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import Fault, Feature, StreamEvent
 from protocol.signals import Flag, RawType, Signal, Unit
 from protocol.streams import EdgeDecoder, SampleDecoder, StreamConfig, TickReference
-from tests.compilers import needs_compiler
+from tests.tools import needs
 
 VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 
@@ -49,7 +49,7 @@ def batches(request: pytest.FixtureRequest) -> Callable[[Sequence], list]:
     return cut
 
 
-@pytest.fixture(params=[small_link, pytest.param(small_link_in_c, marks=needs_compiler)], ids=["Python", "C"])
+@pytest.fixture(params=[small_link, pytest.param(small_link_in_c, marks=needs("C compiler"))], ids=["Python", "C"])
 def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
     """A link with a small drive, behind each device side."""
     return request.param

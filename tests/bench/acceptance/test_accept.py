@@ -23,6 +23,8 @@ from bench.errors import BenchError
 from bench.rig.lock import alone_on
 from protocol.messages import DriveState
 
+pytestmark = pytest.mark.slow
+
 TESTS = '''
 @limit("n_p", "", lo=6, hi=6, about="pole pairs")
 @limit("spread", "deg", hi=np.float32(5))

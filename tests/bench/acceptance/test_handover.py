@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from bench.errors import BenchError
 from bench.reports import style
 from bench.reports.html import css_string
 from bench.rig.quality import ParameterValue
+from tests.tools import chromium, needs
 
 IDENTITY = {"name": "BLDC-24", "serial": "33FF-0817", "firmware": "foc", "build": "1.4.2", "node": 1}
 MOTOR = (
@@ -247,11 +247,8 @@ def test_the_style_sheet_stays_whole_whatever_a_drive_is_called(tmp_path: Path) 
     assert "ellipsis" not in sheet
 
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(not (CHROMIUM and shutil.which("pdftotext")), reason="needs chromium and pdftotext")
+@needs("chromium", "pdftotext")
 def test_on_paper_pages_are_numbered_nothing_is_folded_and_the_signatures_are_on_one_page(tmp_path: Path) -> None:
     figure, (ax,) = style.new_figure()
     style.line(ax, np.arange(2.0), np.arange(2.0), "i_q")
@@ -263,7 +260,7 @@ def test_on_paper_pages_are_numbered_nothing_is_folded_and_the_signatures_are_on
     path = write_report(a_run(*tests, identity=IDENTITY), tmp_path)
     pdf = tmp_path / "a.pdf"
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer", f"--user-data-dir={tmp_path}/c")
-    subprocess.run([str(CHROMIUM), *options, f"--print-to-pdf={pdf}", path.as_uri()], check=True, capture_output=True)
+    subprocess.run([chromium(), *options, f"--print-to-pdf={pdf}", path.as_uri()], check=True, capture_output=True)
     text = subprocess.run(["pdftotext", "-layout", str(pdf), "-"], check=True, capture_output=True, text=True).stdout
     pages = text.split("\f")[:-1]
     assert [re.findall(r"page \d+ of \d+", page) for page in pages] == [

@@ -33,6 +33,8 @@ from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.messages import DriveState, Fault
 from sim.config.params import load_params
 
+pytestmark = pytest.mark.slow
+
 BRAKE = '''
 from __future__ import annotations
 from dataclasses import dataclass, field

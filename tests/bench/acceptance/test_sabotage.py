@@ -33,6 +33,8 @@ from sim.drive import tick_protection as protection
 from sim.drive.machine import Recorded, SimulatedBench
 from sim.ports.device import SimulatedDevice
 
+pytestmark = pytest.mark.slow
+
 SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
 BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
 QUIET = ("current_offsets", "watchdog", "stop", "trip")

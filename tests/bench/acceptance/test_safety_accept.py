@@ -19,6 +19,8 @@ from bench.errors import BenchError
 from bench.rig.lock import alone_on
 from protocol.messages import DriveState, Fault
 
+pytestmark = [pytest.mark.real_time, pytest.mark.slow]
+
 PATIENT = ("--set", "firmware.watchdog=1.0", "--set", "load.watchdog=1.0")  # other programs may want the machine
 
 # -- however it ends --------------------------------------------------------------------------------------------

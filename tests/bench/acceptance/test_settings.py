@@ -13,6 +13,8 @@ from bench.errors import BenchError
 from bench.rig.connection import target_of
 from bench.rig.settings import Settings, read_settings
 
+pytestmark = pytest.mark.slow
+
 TESTS = """
 @limit("spread", "deg", lo=1, hi=2)
 @limit("other", "A", lo=0)

@@ -20,7 +20,9 @@ from sim.config.params import BenchParams
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork
 from sim.ports.virtual import VirtualLink
-from tests.compilers import needs_compiler
+from tests.tools import needs
+
+pytestmark = pytest.mark.slow
 
 SOME = "hall_wire_broken or hall_glitches or torque_constant or fig09"  # noise, draws of the sensors, parameters
 IDEAL_HALL = "[hall]\ndelta_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nhysteresis_deg = 0.0\njitter_deg = 0.0\n"
@@ -68,7 +70,9 @@ def behind_c(params: BenchParams, seed: int = 0) -> VirtualLink:
     ("better", "compiled"),
     [
         ("ideal Hall sensors", False),
-        pytest.param("no noise, ideal inverter", True, marks=needs_compiler, id="no noise, ideal inverter, behind C"),
+        pytest.param(
+            "no noise, ideal inverter", True, marks=needs("C compiler"), id="no noise, ideal inverter, behind C"
+        ),
     ],
 )
 def test_a_drive_that_is_better_passes_and_is_nowhere_near_a_limit_for_that(

@@ -11,6 +11,8 @@ from virtual_run import at_rest, simulated
 
 from bench.acceptance.results import Verdict
 
+pytestmark = pytest.mark.slow
+
 TESTS = '''
 @limit("at_lo", lo=1, hi=2)
 @limit("at_hi", lo=1, hi=2)

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 import synthetic
 from synthetic import components
-from viewers import headless, needs_graphics
 
 from bench.recording.reader import Run
 from bench.recording.sink import RunSink
 from bench.rerunio import schema
 from bench.rerunio.plots import plots
+from tests.tools import needs
+from tests.viewers import headless
+
+pytestmark = pytest.mark.slow
 
 VIEWS = {
     "TimeSeries": len(plots(synthetic.run_info())),
@@ -56,7 +59,7 @@ def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
     assert {name for name, found in colours.items() if len(found) > 1} == set()
 
 
-@needs_graphics
+@needs("Vulkan driver")
 def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
         viewer.client.open(str(synthetic.viewed(recording)))
@@ -75,7 +78,7 @@ def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Pa
     assert picture.stat().st_size > 50_000
 
 
-@needs_graphics
+@needs("Vulkan driver")
 @pytest.mark.parametrize(
     "names",
     [

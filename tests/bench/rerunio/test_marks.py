@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import synthetic
 from rerun.chunk import RrdReader
-from viewers import headless, needs_graphics
 
 from bench.acceptance.results import Verdict
 from bench.recording.info import Mark
@@ -16,6 +15,8 @@ from bench.recording.reader import Run
 from bench.recording.sink import RunSink
 from bench.rerunio import schema
 from bench.rerunio.plots import plots
+from tests.tools import needs
+from tests.viewers import headless
 
 VIEW = "Marks"
 MARKED = (  # seconds after the run's start
@@ -114,7 +115,7 @@ def test_a_mark_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
     assert Run(tmp_path / "a.run").marks == ()
 
 
-@needs_graphics
+@needs("Vulkan driver")
 def test_the_dashboard_has_the_lane_where_there_are_marks(marked: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
         viewer.client.open(str(synthetic.viewed(marked)))

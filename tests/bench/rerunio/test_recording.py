@@ -25,6 +25,8 @@ from protocol.messages import DeviceEvent, EventCode, StreamEvent
 from protocol.signals import LOAD_CHANNELS, RawType
 from protocol.streams import Gap, SampleChunk, StreamConfig
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
     run = Run(recording)

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from viewers import TIMEOUT, HeadlessViewer, headless, needs_graphics
 from virtual_run import WatchedLink, run, simulated
 
 from bench.analysis.colours import BAD, GOOD, QUIET, RGB
@@ -25,6 +24,10 @@ from bench.rerunio.dashboard import SECOND_NAMES
 from bench.rerunio.last_second import WAYS
 from bench.rerunio.plots import BUS, plots
 from bench.rerunio.viewing import write_rrd
+from tests.tools import needs
+from tests.viewers import TIMEOUT, HeadlessViewer, headless
+
+pytestmark = pytest.mark.slow
 
 SPEEDS = (0, 100, 1000, 3000)  # r/min
 SECONDS = {100: 3.0}
@@ -88,7 +91,7 @@ def seen(picture: np.ndarray, colour: RGB, beside: float) -> int:
     return int((np.abs(looked_at - np.array(colour)).max(axis=2) <= NEAR).sum())
 
 
-@needs_graphics
+@needs("Vulkan driver")
 def test_every_plot_of_the_first_page_shows_data(turning: tuple[int, Path], tmp_path: Path) -> None:
     speed, recording = turning
     info = Run(recording).info
@@ -102,7 +105,7 @@ def test_every_plot_of_the_first_page_shows_data(turning: tuple[int, Path], tmp_
         assert seen(drawn.picture("Drive"), BAD, 0.0) == 0
 
 
-@needs_graphics
+@needs("Vulkan driver")
 def test_the_second_page_shows_what_is_defined_and_nothing_else(turning: tuple[int, Path], tmp_path: Path) -> None:
     speed, recording = turning
     colours = Run(recording).info.colours

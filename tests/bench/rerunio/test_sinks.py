@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import synthetic
-from viewers import any_port, headless, needs_graphics
 
 from bench.errors import RecordingError
 from bench.recording import sink, writer
@@ -18,6 +17,10 @@ from bench.recording.sink import RunSink
 from bench.rerunio import schema, sinks
 from bench.rerunio.log import RunLog
 from bench.rerunio.sinks import LiveSink
+from tests.tools import needs
+from tests.viewers import any_port, headless
+
+pytestmark = pytest.mark.slow
 
 
 def whole(path: Path, made: synthetic.SyntheticRun) -> bool:
@@ -38,7 +41,7 @@ def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.Sy
     assert file.logged_edges == len(made.edge_tick)
 
 
-@needs_graphics
+@needs("Vulkan driver")
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_stopped_or_killed_viewer_costs_live_frames_only(
     tmp_path: Path, made: synthetic.SyntheticRun, number: signal.Signals

@@ -15,9 +15,11 @@ from collections.abc import Callable
 import psutil
 import pytest
 import synthetic
-from viewers import any_port
 
 from bench.rerunio.viewer import HOST, LiveView, ViewerError, ViewerProcess, binary, free_port
+from tests.viewers import any_port
+
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 
 def until(condition: Callable[[], bool], timeout: float = 20.0) -> bool:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import synthetic
 from rerun.chunk import RrdReader
-from viewers import any_port
 
 from bench.errors import BenchError
 from bench.recording import layout
@@ -23,6 +22,7 @@ from bench.rerunio import schema
 from bench.rerunio.viewing import LOT_BROWSER, write_rrd
 from protocol.messages import DeviceEvent, EventCode
 from protocol.streams import Gap, SampleChunk
+from tests.viewers import any_port
 
 SECONDS, FAULT = 90, 70.25  # of device time; the fault lies within one chunk
 CONFIG = synthetic.config(synthetic.named("i_a", "theta_enc", "theta_vt"))

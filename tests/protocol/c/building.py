@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
-import pytest
+from tests.tools import require
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCE = ROOT / "protocol" / "c"
@@ -27,12 +26,13 @@ LARGE = {
 LIMIT = 100.0  # s, for any one program
 
 
-def compiler(name: str) -> str:
-    """Its path; a test that needs one that is not here is skipped."""
-    found = shutil.which(name)
-    if found is None:
-        pytest.skip(f"no {name} here")
-    return found
+def compiler(name: str, *flags: str) -> str:
+    """Its name; the test is skipped where it is missing, or cannot do what these flags ask for."""
+    require(name)
+    for flag in flags:
+        if flag == "-m32" or flag.startswith("-fsanitize="):
+            require(f"{name} {flag}")
+    return name
 
 
 def options(values: dict[str, int]) -> list[str]:
@@ -50,5 +50,5 @@ def run(*command: str | Path, text: str | None = None) -> str:
 def build(to: Path, name: str, main: str, *flags: str, can: bool = True) -> Path:
     """A program of `main` in this folder and the device side, by the compiler `name`."""
     files = [HERE / main, SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
-    run(compiler(name), "-std=c99", *flags, *files, "-o", to)
+    run(compiler(name, *flags), "-std=c99", *flags, *files, "-o", to)
     return to

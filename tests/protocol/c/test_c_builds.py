@@ -12,7 +12,7 @@ CORTEX_M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=har
 
 def compile_all(folder: Path, name: str, *flags: str) -> None:
     for file in ("hbp.c", "hbp_can.c"):
-        run(compiler(name), *flags, *STRICT, "-c", SOURCE / file, "-o", folder / "x.o")
+        run(compiler(name, *flags), *flags, *STRICT, "-c", SOURCE / file, "-o", folder / "x.o")
 
 
 @pytest.mark.parametrize("bits", ["-m32", "-m64"])

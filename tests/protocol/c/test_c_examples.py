@@ -7,9 +7,9 @@ import json
 import os
 import re
 import select
-import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -141,7 +141,6 @@ def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: P
 
 
 def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
-    python = shutil.which("python3") or pytest.skip("no python3")
     script = (
         "import ctypes, subprocess, sys\n"
         f"child = lambda: ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, {int(signal.SIGKILL)})\n"
@@ -149,7 +148,7 @@ def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
         "print(p.pid, flush=True)\n"
     )
     command = ["qemu-system-arm", "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]
-    number = int(run(python, "-c", script, *command, "-kernel", in_qemu))
+    number = int(run(sys.executable, "-c", script, *command, "-kernel", in_qemu))
     with suppress(ProcessLookupError):  # it is gone already
         ended = os.pidfd_open(number)
         try:

@@ -6,11 +6,11 @@ import pytest
 
 from protocol.device.compiled import CompiledLink, CompiledSession
 from protocol.messages import Command, DriveState, Fault, StateCommand
-from tests.compilers import needs_compiler
 from tests.protocol.small_drive import SmallDrive, frames_in, identity, wire_of
+from tests.tools import needs
 
 BOOT = 0xB0071D
-pytestmark = needs_compiler
+pytestmark = needs("C compiler")
 
 
 class Failing(SmallDrive):

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from building import LIMIT, ROOT, SOURCE, compiler, run
 
+from tests.tools import require
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 VERSION = PROJECT["project"]["version"]
 C_FILES = {"hbp.c", "hbp_can.c"}
@@ -67,6 +69,7 @@ def test_the_arduino_properties_and_layout() -> None:
 
 def test_cmake_builds_the_library_and_the_example(tmp_path: Path) -> None:
     cmake = compiler("cmake")
+    require("C compiler")
     run(cmake, "-S", SOURCE, "-B", tmp_path, "-DHBP_CAN=ON", "-DHBP_EXAMPLES=ON")
     run(cmake, "--build", tmp_path)
     with subprocess.Popen([tmp_path / "drive"], stdout=subprocess.PIPE, text=True) as drive:
@@ -77,6 +80,7 @@ def test_cmake_builds_the_library_and_the_example(tmp_path: Path) -> None:
 
 def test_cmake_in_a_project_with_options_of_its_own(tmp_path: Path) -> None:
     cmake = compiler("cmake")
+    require("C compiler")
     (tmp_path / "mine.h").write_text("#define HBP_CHANNELS 3\n")
     (tmp_path / "main.c").write_text(
         '#include "hbp.h"\n_Static_assert(HBP_CHANNELS == 3, "mine");\nstruct hbp_link link_;\n'

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import re
-import shutil
 
-import pytest
-from building import ROOT, compiler
+from building import ROOT
 
 from tests.protocol.c import sizes
+from tests.tools import needs
 
 CODE, RAM = 12 << 10, 4 << 10  # of a byte link, and of classic CAN
 INTERRUPT = 400  # instructions of hbp_tick with 8 channels, the first one of a stream included
 
-
-@pytest.fixture(autouse=True)
-def _compiler() -> None:
-    compiler("arm-none-eabi-gcc")
+pytestmark = needs("arm-none-eabi-gcc")
 
 
 def test_code_and_memory_have_a_ceiling() -> None:
@@ -25,9 +21,8 @@ def test_code_and_memory_have_a_ceiling() -> None:
         assert cost.ram <= RAM, cost.what
 
 
+@needs("qemu-system-arm")
 def test_what_the_interrupts_take_has_a_ceiling_and_is_told() -> None:
-    if shutil.which("qemu-system-arm") is None:
-        pytest.skip("no qemu-system-arm here")
     counted = {what: (mean, most) for what, mean, most in sizes.instructions()}
     assert counted["hbp_tick, the first one of a stream"][1] <= INTERRUPT
     assert counted["hbp_tick, 8 channels"][1] <= INTERRUPT

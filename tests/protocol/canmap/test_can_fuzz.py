@@ -11,6 +11,8 @@ from protocol.canmap.ids import CanId
 from protocol.host import HeartbeatReceived, RequestTimedOut
 from protocol.messages import DriveState
 
+pytestmark = pytest.mark.slow
+
 RANDOM, MUTATED = 100_000, 20_000
 NAMES = {CLASSIC: ("hall",), FD: ("hall", "status", "theta", "i_a", "count")}
 

@@ -18,6 +18,8 @@ from protocol.messages import StreamEvent, StreamGet, StreamInfo, StreamSet, Str
 from protocol.signals import RawType
 from protocol.streams import LossCounters
 
+pytestmark = pytest.mark.slow
+
 ALL = ("hall", "status", "theta", "i_a", "count")
 CASES = [
     (CLASSIC, ("hall",), 1),

@@ -38,6 +38,8 @@ from protocol.links.slcan_bus import SlcanBus
 from protocol.messages import Hello
 from sim.ports.slcan_port import SlcanPort
 
+pytestmark = pytest.mark.slow
+
 CHANNELS = (f"test-{n}" for n in itertools.count())
 
 

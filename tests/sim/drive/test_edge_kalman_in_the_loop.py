@@ -28,6 +28,8 @@ from tests.sim.observers.proving import (
     worst,
 )
 
+pytestmark = pytest.mark.slow
+
 KALMAN = "edge_kalman"
 SEEDS = range(40, 44)
 TUNED_ON = {"gimbal-4310", "linix-45zwn24-40", "maxon-ec45-flat"}

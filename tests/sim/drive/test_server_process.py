@@ -18,6 +18,8 @@ from protocol.links import open_link
 from protocol.messages import DriveState, TimeSync
 from tests.bench.processes import ENVIRONMENT, LIMIT, Sim
 
+pytestmark = [pytest.mark.real_time, pytest.mark.slow]
+
 TCP = ("--tcp", "127.0.0.1:0")
 
 

@@ -8,6 +8,8 @@ from protocol.messages import DriveState, Fault, SetpointMode
 from sim.config.params import load_params
 from sim.drive import tick_protection as protection
 
+pytestmark = pytest.mark.slow
+
 BENCH = load_params()
 PARAMS = protection.make_params(16000.0, BENCH.drive_parameters(), True, BENCH.firmware.protection)
 QUIET = protection.Sensed(0.0, 0.0, 24.0, 1, 0, 1, 0.0, 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,14 +13,13 @@ from sim.observers.vector_tracking_q15 import Constants, State
 
 C_DIR = Path(vector_tracking_q15.__file__).parent / "c"
 SOURCES = (Path(__file__).with_suffix(".c"), C_DIR / "vector_tracking_q15.c")
-COMPILER = shutil.which("gcc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
-CHECKED = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover")
+CHECKED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover")
 
 
 def build(program: Path, *flags: str, sources: tuple[Path, ...] = SOURCES) -> Path:
     """Compile and link, warnings being errors; returns `program`."""
-    command = [str(COMPILER), *STRICT, *flags, f"-I{C_DIR}", *map(str, sources), "-o", str(program)]
+    command = ["gcc", *STRICT, *flags, f"-I{C_DIR}", *map(str, sources), "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return program

@@ -28,6 +28,9 @@ from sim.native import value
 from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 from sim.observers.sample import Sample
+from tests.tools import needs
+
+pytestmark = pytest.mark.slow
 
 PARAMS = q15.make_params(PWM_HZ, own(q15))
 TURN = 1 << 32
@@ -81,7 +84,7 @@ RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
 
 # --- the C file ---
 
-needs_compiler = pytest.mark.skipif(q15_harness.COMPILER is None, reason="no gcc to compile the C file with")
+needs_compiler = needs("gcc", f"gcc {q15_harness.CHECKED[1]}")
 
 
 @pytest.fixture(scope="module")

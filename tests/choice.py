@@ -1,0 +1,44 @@
+"""Which seeds, motors and faults the suite tries today: chosen by the commit's hash, all of them in a campaign.
+
+A week of commits covers what every run covered before. The summary of a run prints the hash;
+`HALLBENCH_TESTS_CHOICE=<hash> pytest …` chooses the same again.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import random
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeVar
+
+GIVEN = "HALLBENCH_TESTS_CHOICE"
+CAMPAIGN = "HALLBENCH_TESTS_CAMPAIGN"  # set by `pytest --campaign`
+T = TypeVar("T")
+
+
+@functools.cache
+def commit() -> str:
+    """What chooses: $HALLBENCH_TESTS_CHOICE, else the hash of the commit, else "none" outside a repository."""
+    if given := os.environ.get(GIVEN):
+        return given
+    try:
+        where = Path(__file__).parent
+        found = subprocess.run(["git", "-C", where, "rev-parse", "HEAD"], capture_output=True, text=True)
+    except FileNotFoundError:
+        return "none"
+    return found.stdout.strip()[:12] or "none"
+
+
+def chosen(what: str, items: Iterable[T], count: int) -> list[T]:
+    """`count` of the items, in their order, by the commit's hash; all of them in a campaign.
+
+    `what` names the choice, so that two choices among the same items differ. Raises ValueError for too few items.
+    """
+    every = list(items)
+    if os.environ.get(CAMPAIGN):
+        return every
+    picked = random.Random(f"{commit()} {what}").sample(range(len(every)), count)
+    return [every[k] for k in sorted(picked)]
