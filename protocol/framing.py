@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from types import ModuleType
 from typing import NamedTuple, Protocol
-from zlib import crc32
-
-from cobs import cobs
 
 from protocol.errors import LocalProtocolError
 
@@ -28,7 +28,12 @@ CONNECT_PREAMBLE = bytes(16)  # ends whatever half frame the device may hold
 
 _HEADER = struct.Struct("<BBHHBB")
 _OVERHEAD = HEADER_BYTES + CRC_BYTES
-_CRC_RESIDUE = 0x2144DF1C  # CRC-32 of any message followed by its own CRC-32, little-endian
+
+
+@cache
+def compiled() -> ModuleType:
+    """`protocol.compiled_framing`, imported when it is first needed: see there."""
+    return import_module("protocol.compiled_framing")
 
 
 class Frame(NamedTuple):
@@ -71,9 +76,13 @@ class Frame(NamedTuple):
 
 def encode_frame(frame: Frame) -> bytes:
     """Return the wire bytes of a frame, with both delimiters; errors as `Frame.pack`."""
-    body = frame.pack()
-    encoded: bytes = cobs.encode(body + crc32(body).to_bytes(4, "little"))
-    return b"\0" + encoded + b"\0"
+    return wrapped(frame.pack())
+
+
+def wrapped(body: bytes, summed: bool = True) -> bytes:
+    """Return the wire bytes of header and payload, and of their CRC if `summed`."""
+    wire: bytes = compiled().encode(body, 1, b"", 0, 0, 0, summed)[0]
+    return wire
 
 
 def encoded_length(payload_bytes: int) -> int:
@@ -124,6 +133,7 @@ class Deframer:
     """
 
     def __init__(self) -> None:
+        self._compiled = compiled()
         self.counters = FramingCounters()
         self._max_chunk = encoded_length(MAX_PAYLOAD) - 2
         self._tail = b""
@@ -137,53 +147,29 @@ class Deframer:
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return header + payload of every intact frame that `data` completes, in order."""
-        counters = self.counters
-        chunks = data.split(b"\0")
-        if self._skipping:
-            counters.noise_bytes += len(chunks[0])
-            if len(chunks) == 1:
-                return []
-            self._skipping = False
-            chunks[0] = b""
-        elif self._tail:
-            chunks[0] = self._tail + chunks[0]
-        tail = chunks.pop()
-        if len(tail) > self._max_chunk:
+        counters, of = self.counters, self._compiled
+        start = data.find(b"\0") if self._skipping else 0
+        if start < 0:
+            counters.noise_bytes += len(data)
+            return []
+        counters.noise_bytes += start
+        self._skipping = False
+        data = self._tail + data[start:]
+        self._tail = data[data.rfind(b"\0") + 1 :]
+        if len(self._tail) > self._max_chunk:
             counters.too_long += 1
-            counters.noise_bytes += len(tail)
+            counters.noise_bytes += len(self._tail)
             self._skipping = True
-            tail = b""
-        self._tail = tail
+            self._tail = b""
 
-        frames: list[bytes] = []
-        decode, max_chunk = cobs.decode, self._max_chunk
-        for chunk in chunks:
-            if not chunk:
-                continue
-            if len(chunk) > max_chunk:
-                counters.too_long += 1
-                counters.noise_bytes += len(chunk)
-                continue
-            try:
-                body: bytes = decode(chunk)
-            except cobs.DecodeError:
-                counters.bad_cobs += 1
-                counters.noise_bytes += len(chunk)
-                continue
-            length = len(body) - _OVERHEAD
-            if length > MAX_PAYLOAD:
-                counters.too_long += 1
-                counters.noise_bytes += len(chunk)
-            elif length >= 0 and crc32(body) != _CRC_RESIDUE:
-                counters.bad_crc += 1
-                counters.noise_bytes += len(chunk)
-            elif length > MAX_PAYLOAD:  # zeros take no room in COBS
-                counters.too_long += 1
-                counters.noise_bytes += len(chunk)
-            elif length < 0 or body[4] | body[5] << 8 != length:
-                counters.bad_length += 1
-                counters.noise_bytes += len(chunk)
-            else:
-                frames.append(body[:-CRC_BYTES])
+        decoded, (begins, ends, lengths, results) = of.decode(data, self._max_chunk, MAX_PAYLOAD, _OVERHEAD)
+        if any(results):  # anything but INTACT
+            counters.noise_bytes += sum(length for length, result in zip(lengths, results, strict=True) if result)
+            counters.bad_crc += results.count(of.BAD_CRC)
+            counters.bad_cobs += results.count(of.BAD_COBS)
+            counters.bad_length += results.count(of.BAD_LENGTH)
+            counters.too_long += results.count(of.TOO_LONG)
+        spans = zip(begins, ends, results, strict=True)
+        frames = [decoded[begin:end] for begin, end, result in spans if result == of.INTACT]
         counters.frames += len(frames)
         return frames

@@ -7,15 +7,13 @@ import struct
 from collections.abc import Callable
 from zlib import crc32
 
-from cobs import cobs
-
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.device import PART, Device
 from bench.conforming.levels import LINK
-from bench.conforming.probe import GRACE, HELLO, PATIENCE, Answer, Probe, accepted, name_of, read, refusal, wrapped
+from bench.conforming.probe import GRACE, HELLO, PATIENCE, Answer, Probe, accepted, name_of, read, refusal
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.codes import Command, ErrorCode, MessageType
-from protocol.framing import ERROR, MAJOR, MAX_PAYLOAD, REPLY
+from protocol.framing import ERROR, MAJOR, MAX_PAYLOAD, REPLY, wrapped
 from protocol.messages import BlobRead, StreamGet, StreamInfo, StreamReply, TimeSyncReply
 
 check = Group("link", LINK)
@@ -111,7 +109,7 @@ def bad_crc(device: Device) -> bytes:
     body = _body(device, struct.pack("<BxHI", 0, 16, 0), MessageType.BLOB_READ)
     crc = crc32(body).to_bytes(4, "little")
     body = body[:10] + bytes([body[10] ^ 4]) + body[11:]
-    return b"\0" + bytes(cobs.encode(body + crc)) + b"\0"
+    return wrapped(body + crc, summed=False)
 
 
 def bad_length(device: Device) -> bytes:

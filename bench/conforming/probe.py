@@ -14,9 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol, TypeVar
-from zlib import crc32
-
-from cobs import cobs
 
 from bench.conforming.verdicts import Failed, Unknown
 from protocol.codes import Command, DriveState, ErrorCode, MessageType
@@ -29,6 +26,7 @@ from protocol.framing import (
     encode_frame,
     encoded_length,
     parse_frame,
+    wrapped,
 )
 from protocol.links import Link
 from protocol.links.serial import SerialLink
@@ -146,12 +144,6 @@ class ByteLine:
     def damaged(self) -> int:
         """See `Line`."""
         return self._deframer.counters.bad
-
-
-def wrapped(body: bytes) -> bytes:
-    """Header and payload, of any length, as a frame with a valid CRC."""
-    encoded: bytes = cobs.encode(body + crc32(body).to_bytes(4, "little"))
-    return b"\0" + encoded + b"\0"
 
 
 @dataclass

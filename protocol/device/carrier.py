@@ -11,21 +11,20 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
-from zlib import crc32
 
 import numpy as np
-from cobs import cobs
 from numpy.typing import NDArray
 
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
-from protocol.framing import MAJOR, Frame, encode_frame, encoded_length
+from protocol.framing import MAJOR, Frame, compiled, encode_frame, encoded_length
 from protocol.messages import ErrorCode, MessageType, StreamSet
 from protocol.streams import DISCONTINUITY, EDGE_RECORD, OVERRUN, STREAM_HEADER
 
 Run = slice
 """Bytes of neighbouring channels in a full sample."""
 
+TOGETHER = 16  # frames that are encoded at once
 _FULL_HEADER = struct.Struct("<BBHHBBBBHHHII")  # frame header and stream header
 
 
@@ -122,26 +121,31 @@ class _Stream:
         `start` and `step` are index and tick of the record `first`, and their increments from record to
         record.
         """
-        size = self._record_bytes
+        size, end = self._record_bytes, first + n
         index, tick = start
-        pack, encode, put = _FULL_HEADER.pack, cobs.encode, self._tx.put_bulk
-        for k in range(first, first + n, block):
-            count = min(block, first + n - k)
-            body = (
+        pack, put, encode = _FULL_HEADER.pack, self._tx.put_bulk, compiled().encode
+        while first < end:
+            counts = [min(block, end - k) for k in range(first, end, block)[:TOGETHER]]
+            heads = [
                 pack(
                     self.TYPE, MAJOR, 0, STREAM_HEADER.size + count * size, self._node, 0, self._stream,
-                    self._flags, count, self._cfg_id, self._seq, index & 0xFFFFFFFF, tick & 0xFFFFFFFF,
+                    0 if k else self._flags, count, self._cfg_id, self._seq + k & 0xFFFF,
+                    index + k * step[0] * block & 0xFFFFFFFF, tick + k * step[1] * block & 0xFFFFFFFF,
                 )
-                + data[k * size : (k + count) * size]
-            )  # fmt: skip
-            if put(b"\0" + encode(body + crc32(body).to_bytes(4, "little")) + b"\0"):
-                self._flags = 0
-            else:
-                self.dropped += 1
-                self._flags |= OVERRUN
-            self._seq = (self._seq + 1) & 0xFFFF
-            index += step[0] * count
-            tick += step[1] * count
+                for k, count in enumerate(counts)
+            ]  # fmt: skip
+            stop = first + sum(counts)
+            wire, ends = encode(b"".join(heads), len(heads), data, first * size, stop * size, block * size)
+            for count, begin, stop in zip(counts, [0, *ends], ends, strict=False):
+                sent = put(wire[begin:stop])
+                self._flags = 0 if sent else self._flags | OVERRUN
+                self._seq = (self._seq + 1) & 0xFFFF
+                index += step[0] * count
+                tick += step[1] * count
+                first += count
+                if not sent:  # the next frame tells
+                    self.dropped += 1
+                    break
 
 
 class _ByteSamples(_Stream):

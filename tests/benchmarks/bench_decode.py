@@ -22,16 +22,22 @@ from protocol.wire import StreamFrames
 from tests.benchmarks.table import Quickest, Row, speed
 
 GOAL = 8.0  # M samples/s of 32 bytes
+ZEROS = 0.17  # share of zeros in the bytes of tests/data/reversal.run: with many of them COBS takes longer
 GOAL_SI = 4.0  # M samples/s, every column in SI units
 WORDS = tuple(Signal(k + 1, f"x{k}", Unit.A, RawType.I16, 1 / 1024, Flag.CHANNEL, "") for k in range(16))
 
 
-def measure(channels: tuple[Signal, ...], read: int, n: int, repeat: int) -> Quickest:
-    """Time `n` samples of all channels, read in pieces of `read` bytes: seconds of each step, best of `repeat` runs."""
+def measure(channels: tuple[Signal, ...], read: int, n: int, repeat: int, zeros: float = 0.0) -> Quickest:
+    """Time `n` samples of all channels, read in pieces of `read` bytes: seconds of each step, best of `repeat` runs.
+
+    `zeros`: the share of bytes that are zero, beside random ones.
+    """
     identity = Identity(1, Role.DRIVE, "bench", "0", boot_id=1)
     descriptor = Descriptor.of(channels, ())
     rng = np.random.default_rng(0)
-    raw = rng.integers(0, 256, n * descriptor.dtype.itemsize, np.uint8).view(descriptor.dtype)
+    data = rng.integers(0, 256, n * descriptor.dtype.itemsize, np.uint8)
+    data[rng.random(len(data)) < zeros] = 0
+    raw = data.view(descriptor.dtype)
     best = Quickest()
     for _ in range(repeat):
         tx = TxQueue(1 << 30)
@@ -42,12 +48,12 @@ def measure(channels: tuple[Signal, ...], read: int, n: int, repeat: int) -> Qui
         with best.timed("encode"):
             table.push_samples(0, 0, raw)
         table.stop(1)
-        data = tx.take()
+        wire = tx.take()
 
         host = HostSession()
         config = StreamConfig.of(identity, request, reply, descriptor)
         decoder = SampleDecoder(config, host.tick_reference(1))
-        pieces = [data[k : k + read] for k in range(0, len(data), read)]
+        pieces = [wire[k : k + read] for k in range(0, len(wire), read)]
         chunks = []
         with best.timed("decode"):
             for piece in pieces:
@@ -70,15 +76,17 @@ def measure(channels: tuple[Signal, ...], read: int, n: int, repeat: int) -> Qui
 def rows(short: bool) -> Iterator[Row]:
     """The figures, in M samples/s on one core; the columns are those of every channel in float64."""
     n, repeat = (5_000, 1) if short else (500_000, 3)
-    for channels, read, goal, goal_si in (
-        (WORDS, 65_536, GOAL, None),
-        (WORDS, 8192, GOAL, GOAL_SI),
-        (DRIVE_CHANNELS, 65_536, None, None),
-        (DRIVE_CHANNELS, 8192, None, None),
+    for channels, read, zeros, goal, goal_si in (
+        (WORDS, 65_536, 0.0, GOAL, None),
+        (WORDS, 8192, 0.0, GOAL, GOAL_SI),
+        (WORDS, 65_536, ZEROS, GOAL, None),
+        (DRIVE_CHANNELS, 65_536, 0.0, None, None),
+        (DRIVE_CHANNELS, 8192, 0.0, None, None),
     ):
-        took = measure(channels, read, n, repeat)
+        took = measure(channels, read, n, repeat, zeros)
         size = Descriptor.of(channels, ()).dtype.itemsize
         what = f"{size} B samples of {len(channels)} channels, reads of {read // 1024} KiB"
+        what += f", {zeros:.0%} zeros" if zeros else ""
         yield speed(f"{what}: decode", n / 1e6 / took["decode"], "M samples/s", goal)
         yield speed(f"{what}: and all in SI", n / 1e6 / (took["decode"] + took["columns"]), "M samples/s", goal_si)
         if read == 8192:
