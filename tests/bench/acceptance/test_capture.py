@@ -16,7 +16,6 @@ from bench.acceptance.results import Verdict
 from bench.analysis.capture import Capture
 from bench.analysis.chunks import between
 from bench.analysis.limits import Limits
-from bench.analysis.units import RPM
 from bench.errors import BenchError
 from bench.rig.rig import Plan, Rig
 from protocol.signals import Flag
@@ -31,7 +30,7 @@ def clean() -> Capture:
     link = SpoiltLink(simulated())
     with Rig(Plan(link.open, "virtual")).prepare() as rig:  # type: ignore[arg-type]
         rig.drive.start("vector-tracking")
-        rig.drive.speed(500 * RPM)
+        rig.drive.speed(rpm=500)
         rig.wait(0.6)
         return rig.record(0.2)
 
@@ -53,7 +52,7 @@ def judged(capture: Capture) -> tuple[Verdict, str]:
 def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> None:
     assert len(clean) == pytest.approx(0.2 * RATE, abs=1)
     assert (np.diff(clean.samples.tick) == PERIOD).all()
-    assert clean.rate == pytest.approx(RATE)
+    assert clean.measured_rate == pytest.approx(RATE)
     assert clean.span[1] - clean.span[0] == pytest.approx(0.2, abs=2 / RATE)
     assert len(clean.edges) == pytest.approx(0.2 * 500 / 60 * 36, abs=2)  # six pole pairs
     ticks = clean.edges.tick
