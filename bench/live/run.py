@@ -31,6 +31,7 @@ from bench.recording.ring import Stored
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
+from bench.rig.lock import alone_on
 from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs, load_beside
@@ -543,6 +544,8 @@ def run(
             if options.save is not None or options.viewer != "none":
                 load_beside(options.viewer != "none")
             target = stack.enter_context(EmbeddedDrive(options.settings.config, screen.note)).target
+        else:
+            stack.enter_context(alone_on(target))
         link = open_link(target)
         stack.callback(link.close)
         if target.startswith("can:") and "/" not in target:  # which bus that is, python-can's files say

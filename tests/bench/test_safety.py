@@ -10,10 +10,12 @@ import pytest
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, run, simulated
 
 from bench.analysis.position import position_errors
+from bench.cli import main
 from bench.device.node import Node
 from bench.errors import BenchError, Interrupted, UnsafeError
 from bench.live.summary import run_rows
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
+from bench.rig.lock import alone_on
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
@@ -278,6 +280,24 @@ def test_a_trip_during_the_run_ends_with_the_fault_named() -> None:
     assert run(watched, speed_rpm=None, clear_faults=True).exit_code == 0
     assert never_armed(watched)
     assert device.drive.state == DriveState.IDLE
+
+
+# -- alone on its target ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", ["tcp:127.0.0.1:9", "can:virtual/locked"])
+@pytest.mark.parametrize(
+    "command", ["live {}", "live {} --speed 300 --yes", "accept {} --yes", "hall check {} --yes", "conform {}"]
+)
+def test_a_target_that_another_run_holds_is_refused_by_every_command(
+    command: str, target: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with alone_on(target), pytest.raises(SystemExit) as ended:
+        main(command.format(target).split())
+    printed = capsys.readouterr()
+    said = " ".join((printed.out + printed.err).split())
+    assert f"error: {target} is in use by another run: wait until it ends, or close its rig" in said
+    assert ended.value.code == 2
 
 
 # -- consent ----------------------------------------------------------------------------------------------------

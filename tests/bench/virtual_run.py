@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork, CanNetwork, Network
 from sim.ports.virtual import VirtualLink
 
-TARGET = "serial:/dev/ttyTEST"
+TARGET = f"serial:/dev/ttyTEST{os.getpid()}"  # a target is locked: no two processes of the tests have one
 
 
 NETWORKS = ("bytes", "CAN", "CAN FD")
