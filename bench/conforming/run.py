@@ -30,7 +30,7 @@ from bench.rig.screen import Screen
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtocolError
 from protocol.links import Link
-from protocol.messages import DriveState, Empty, HelloReply, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStart
+from protocol.messages import DriveState, Empty, HelloReply, StreamInfo, StreamReply, StreamSet, StreamStart
 from protocol.payload import PayloadError
 
 
@@ -79,7 +79,8 @@ def conform(link: Link, options: Options, screen: Screen, confirm: Callable[[str
     node = None
     try:
         node = Node(client, client.connect().node)
-        streams = _configured(node)
+        with suppress(HbpError):
+            streams = node.configured_streams()
         _prepare(node, options, confirm)
     except (NodeError, RemoteProtocolError, Refused, NoReply) as error:
         if node is None and isinstance(error, NoReply):
@@ -126,15 +127,6 @@ def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None
     if options.level >= MOTION:
         check_limits(node, envelope)
     require_consent(node, options.target, envelope, options.yes, confirm)
-
-
-def _configured(node: Node) -> list[StreamInfo]:
-    """The streams that somebody has left configured."""
-    found = []
-    for number in range(4):
-        with suppress(HbpError):
-            found.append(node.client.request(StreamGet(number), node.number, StreamInfo))
-    return found
 
 
 # -- meanwhile --------------------------------------------------------------------------------------------------------

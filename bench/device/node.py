@@ -368,20 +368,25 @@ class Node:
         """Configure the stream of Hall edges."""
         return self._configure(StreamSet(EDGES, StreamEvent.EDGES, 1, MAX_LATENCY_MS))
 
-    def active_streams(self) -> list[StreamConfig]:
-        """The streams that are configured in it now, by whomever."""
-        configs = []
+    def configured_streams(self) -> list[StreamInfo]:
+        """What it says of each stream that somebody has configured in it."""
+        found = []
         for number in range(MAX_STREAMS):
             try:
-                info = self.client.request(StreamGet(number), self.number, StreamInfo)
+                found.append(self.client.request(StreamGet(number), self.number, StreamInfo))
             except Refused as refusal:
                 if refusal.code != ErrorCode.UNKNOWN_ID:
                     raise
-                continue
+        return found
+
+    def active_streams(self) -> list[StreamConfig]:
+        """The streams that are configured in it now, by whomever."""
+        configs = []
+        for info in self.configured_streams():
             if info.event not in (StreamEvent.PWM, StreamEvent.EDGES):
                 continue  # of a later version
-            request = StreamSet(number, info.event, info.decimation, info.max_latency_ms, info.channels)
-            reply = StreamReply(number, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
+            request = StreamSet(info.stream, info.event, info.decimation, info.max_latency_ms, info.channels)
+            reply = StreamReply(info.stream, info.cfg_id, info.sample_bytes, info.block, 0.0, info.slot, info.tick0)
             configs.append(StreamConfig.of(self.identity, request, reply, self.descriptor))
         return configs
 

@@ -95,6 +95,11 @@ class LiveOptions:
         """Whether the scripted show is played: nothing but the simulated drive was asked for."""
         return self.target is None and self.speed_rpm is None and self.load_a is None
 
+    @property
+    def passive(self) -> bool:
+        """Whether the drive is only watched."""
+        return not self.show and self.speed_rpm is None and self.load_a is None
+
 
 class _ScreenNotes(Sink):
     """Sink that puts the notes of client and run on the screen."""
@@ -123,7 +128,7 @@ class LiveRun:
         self.target = target
         self.screen = screen
         self._notes = _ScreenNotes(screen)
-        self.rig = Rig(Plan(lambda: link, target))
+        self.rig = Rig(Plan(lambda: link, target, passive=options.passive))
         self.client, self.drive = self.rig.client, self.rig.drive.node
         self.client.reconnect = RECONNECT
         self.tripped = ""  # why the motor was let go, if it was
@@ -148,6 +153,7 @@ class LiveRun:
         """Say what is there and, where a load is asked for, find the load machine. Leaves the motor alone."""
         hello = self.drive.identity
         self.client.on_reboot = self._rebooted.add
+        self.rig.require_rest(or_fault=self.options.clear_faults)
         self.drive.stop_streams()
         self.screen.note(
             f"{hello.name} {hello.firmware} on {self.target}: boot {hello.boot_id:08x}, "
@@ -166,7 +172,7 @@ class LiveRun:
         if options.show:
             require(self.drive, "the show", NEEDS["the show"])
             return show(*(self.drive.parameter(name).value for name in ("omega_m_max", "i_max")))
-        if options.speed_rpm is None and options.load_a is None:
+        if options.passive:
             return ()
         source = source_number(options.observer) if options.observer else None
         title = f"{options.speed_rpm or 0:g} r/min, {options.load_a or 0:g} A"

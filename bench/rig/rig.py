@@ -127,8 +127,7 @@ class Rig:
         """
         try:
             node = self.drive.node
-            if not self.plan.passive:
-                self.require_rest()
+            self.require_rest()
             node.stop_streams()
             told = [(record, node.parameter(record.name)) for record in node.descriptor.parameters]
             self.before = tuple(ParameterValue(r.name, v.value, v.default, r.unit.symbol) for r, v in told)
@@ -157,11 +156,22 @@ class Rig:
         for what in applications:
             require(self.drive.node, what, NEEDS[what])
 
-    def require_rest(self) -> None:
-        """Raise BenchError unless the drive says that its outputs are off and that it has no fault."""
+    def require_rest(self, or_fault: bool = False) -> None:
+        """Raise BenchError unless the drive says that its outputs are off and, unless `or_fault`, that it has no fault.
+
+        Nothing is changed in the drive. In a passive rig its state does not matter: BenchError only where another host
+        has its outputs on and gets its streams.
+        """
         node, target = self.drive.node, self.plan.target
         heartbeat = node.next_heartbeat()
-        if heartbeat is not None and heartbeat.state == DriveState.FAULT:
+        if self.plan.passive:
+            if heartbeat is not None and not is_off(heartbeat) and any(s.running for s in node.configured_streams()):
+                raise BenchError(
+                    f"{target} streams to another host, which has its outputs on ({says(heartbeat)}): watching it "
+                    "would take these streams away"
+                )
+            return
+        if heartbeat is not None and heartbeat.state == DriveState.FAULT and not or_fault:
             raise BenchError(
                 f"{target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
                 "(bench live TARGET --clear-faults --duration 1 --viewer none)"

@@ -11,6 +11,7 @@ from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising
 
 from bench.analysis.position import position_errors
 from bench.cli import main
+from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import BenchError, Interrupted, UnsafeError
 from bench.live.summary import run_rows
@@ -21,6 +22,7 @@ from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
 from protocol.messages import Command, DriveState, Fault, MessageType
 from sim.ports.device import SimulatedDevice
+from sim.ports.virtual import VirtualLink
 
 # -- signals ----------------------------------------------------------------------------------------------------
 
@@ -298,6 +300,59 @@ def test_a_target_that_another_run_holds_is_refused_by_every_command(
     said = " ".join((printed.out + printed.err).split())
     assert f"error: {target} is in use by another run: wait until it ends, or close its rig" in said
     assert ended.value.code == 2
+
+
+# -- another host's drive ---------------------------------------------------------------------------------------
+
+
+def of_another_host(streams: bool = True) -> SimulatedDevice:
+    """A drive that another host has started, and whose samples come to it."""
+    device = simulated(firmware__watchdog=1.0)
+    node = Node(Client(VirtualLink(device)), 1)
+    if streams:
+        node.set_samples(node.channels(["i_q"]), 1)
+        node.start_streams()
+    node.arm()
+    node.start()
+    return device
+
+
+def seen_in(device: SimulatedDevice) -> tuple[object, ...]:
+    drive = device.drive
+    return drive.state, drive.streams.channels, drive.streams.running, dict(device.bench.parameters)
+
+
+@pytest.mark.parametrize("what", [{}, {"clear_faults": True}, {"speed_rpm": None, "load_a": 1.0}])
+def test_a_drive_that_another_host_turns_is_left_alone(what: dict[str, float | None]) -> None:
+    device = of_another_host()
+    before = seen_in(device)
+    with pytest.raises(BenchError, match=r"is not at rest \(its heartbeat says RUNNING, outputs on\): another host"):
+        run(WatchedLink(device), **what)  # type: ignore[arg-type]
+    assert seen_in(device) == before
+    assert device.drive.app.outputs_on
+
+
+def test_watching_takes_no_streams_away_from_a_host_that_turns_the_drive() -> None:
+    device = of_another_host()
+    before = seen_in(device)
+    with pytest.raises(BenchError, match=r"streams to another host, which has its outputs on .*: watching it would"):
+        run(WatchedLink(device), speed_rpm=None)
+    assert seen_in(device) == before
+    device = of_another_host(streams=False)  # whoever turns it needs none: nobody is disturbed
+    device.drive.app.enter_state(DriveState.RUNNING)
+    link = WatchedLink(device)
+    ended = run(link, speed_rpm=None)
+    assert (ended.exit_code, ended.summary.result) == (0, "ok")
+    assert set(link.states) == {DriveState.RUNNING}
+
+
+def test_streams_that_an_earlier_host_has_left_in_a_drive_at_rest_are_taken_over() -> None:
+    device = simulated()
+    node = Node(Client(VirtualLink(device)), 1)
+    node.set_samples(node.channels(["i_q"]), 1)
+    node.start_streams()
+    for options in ({"speed_rpm": None}, {}):
+        assert run(WatchedLink(device), **options).exit_code == 0  # type: ignore[arg-type]
 
 
 # -- consent ----------------------------------------------------------------------------------------------------
