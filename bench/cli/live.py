@@ -43,6 +43,8 @@ class Observer(click.Choice[str]):
     type=Number(),
     help="Load torque, given as q current, A; needs a load machine.",
 )
+@click.option("--current", "current_a", metavar="A", type=Number(above=0),
+              help="Highest phase current, A peak [default: rated current in bench.toml, else i_max].")  # fmt: skip
 @click.option(
     "--observer", type=Observer(list(SOURCE_NAMES)), help="Angle source of the drive's control [default: unchanged]."
 )
@@ -133,8 +135,9 @@ def command(
 
     if config and target not in (None, "sim"):
         raise click.UsageError(f"--config is for the simulated drive, not for {target}")
-    if given["observer"] and given["speed_rpm"] is None and given["load_a"] is None:
-        raise click.UsageError("--observer needs --speed or --load: without them the drive is only watched")
+    for option, value in (("observer", given["observer"]), ("current", given["current_a"])):
+        if value is not None and given["speed_rpm"] is None and given["load_a"] is None:
+            raise click.UsageError(f"--{option} needs --speed or --load: without them the drive is only watched")
     for option in ("keep", "split", "note"):
         if given[option] and given["save"] is None:
             raise click.UsageError(f"--{option} needs --save: nothing is recorded without it")

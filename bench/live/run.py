@@ -35,6 +35,7 @@ from bench.rig.lock import alone_on
 from bench.rig.metadata import run_info
 from bench.rig.needs import NEEDS, require
 from bench.rig.outputs import Outputs, load_beside
+from bench.rig.restore import failures_of
 from bench.rig.rig import Plan, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings
@@ -60,6 +61,8 @@ class LiveOptions:
     target: str | None = None
     speed_rpm: float | None = None
     load_a: float | None = None
+    current_a: float | None = None
+    """Most that the motor may get, A peak; None: what bench.toml says that it is rated for, else the drive's limit."""
     observer: str | None = None
     duration: float | None = None
     save: Path | None = None
@@ -83,7 +86,14 @@ class LiveOptions:
     """Observers to run on the host, whose estimates are shown and recorded beside the drive's."""
     web_port: int | None = None
     settings: Settings = field(default_factory=Settings)
-    """Of the station; of them only who and where it is, and the simulated drive's configuration."""
+    """Of the station: who and where it is, the rated current, and the simulated drive's configuration."""
+
+    @property
+    def current(self) -> float:
+        """A that the motor may get at most; inf: as much as the drive lets one ask for."""
+        if self.current_a is not None:
+            return self.current_a
+        return math.inf if self.embedded else self.settings.rated.get("current", math.inf)
 
     @property
     def embedded(self) -> bool:
@@ -132,6 +142,7 @@ class LiveRun:
         self.client, self.drive = self.rig.client, self.rig.drive.node
         self.client.reconnect = RECONNECT
         self.tripped = ""  # why the motor was let go, if it was
+        self._not_restored = ""  # parameters that are not as they were, and why
         self.unsafe = ""  # why outputs may still be on, if they may
         self._clock: ClockFit | None = None  # of this boot of the drive
         self._outputs: Outputs | None = None
@@ -186,8 +197,12 @@ class LiveRun:
                 require(self.drive, "--load", NEEDS["--load"])
             if options.observer:
                 require(self.drive, "--observer", [f"observer:{options.observer}"])
-            check_limits(self.drive, self.rig.drive.envelope)
-            require_consent(self.drive, self.target, self.rig.drive.envelope, options.yes, confirm)
+            envelope = self.rig.drive.envelope
+            check_limits(self.drive, envelope)
+            if envelope.load > envelope.current:
+                load, current = f"load {envelope.load:g} A", f"the {envelope.current:g} A that the motor may get"
+                raise BenchError(f"{load} is beyond {current}: --current, or [rated] current in bench.toml")
+            require_consent(self.drive, self.target, envelope, options.yes, confirm)
         if options.clear_faults:
             self.drive.clear_faults()
 
@@ -197,8 +212,8 @@ class LiveRun:
         """Configure samples and edges for what will be done; returns the stream of samples that will come."""
         options, identity = self.options, self.drive.identity
         if acts:
-            most = max(abs(act.speed_rpm) for act in acts)
-            self.rig.drive.envelope = Envelope(most, load=max(abs(act.load_a) for act in acts))
+            speed, load = (max(abs(getattr(act, of)) for act in acts) for of in ("speed_rpm", "load_a"))
+            self.rig.drive.envelope = Envelope(speed, options.current, load)
         decimation = decimation_of(identity.pwm_hz, options.rate_hz)
         channels = self.drive.channels(self._channel_names())
         needed: tuple[str, ...] = ()
@@ -249,6 +264,7 @@ class LiveRun:
         """Stream, perform the acts, switch off, sum up."""
         options, identity = self.options, self.drive.identity
         parameters = self.drive.parameters()
+        self.rig.drive.learn(parameters)
         self._pole_pairs = pole_pairs(parameters)
         self._watchdog = parameters.get("watchdog", WATCHDOG)
         if acts:
@@ -331,6 +347,7 @@ class LiveRun:
         try:
             self.drive.start_streams()
             if acts:
+                self.rig.drive.limit_current()
                 for machine in reversed(self.rig.machines):  # the load machine first, so that it holds the shaft
                     machine.energise()
             end = self.client.now()
@@ -349,6 +366,7 @@ class LiveRun:
             duration, percent = self.client.now() - started, cpu.percent()
             self._bus = meter.report(self.drive.load)
             self._uninterrupted(self.make_safe)
+        self._uninterrupted(self._put_back)
         with suppress(HbpError):
             self._uninterrupted(self.drive.stop_streams)
         self._gathered.flush()
@@ -364,6 +382,11 @@ class LiveRun:
                 ended = f"ended by {signal.Signals(self._signal).name}"
                 result = f"{result} ({ended})" if result.startswith(IMPLAUSIBLE) else ended
                 exit_code = 128 + self._signal
+        if self._not_restored:
+            words = self._not_restored
+            if not exit_code:
+                words, exit_code = f"the bench could not be restored: {words}", BenchError.exit_code
+            result = words if result == "ok" else f"{result}; {words}"
         if self.unsafe:
             result = self.unsafe if result == "ok" else f"{self.unsafe} ({result})"
             exit_code = OutputsMayBeOn.exit_code
@@ -423,17 +446,26 @@ class LiveRun:
                 self._judge.ask(act.speed_rpm, act.load_a, act.title)
             try:
                 if act.source is not None:
-                    self.drive.set("observer", act.source)
+                    self.rig.drive.set("observer", act.source)
                 if self.rig.load.abilities:
                     n_p, psi_f = (self.drive.parameter(name).value for name in ("n_p", "psi_f_hat"))
                     self.rig.load.torque(1.5 * n_p * psi_f * act.load_a)  # N·m per A of q current, peak-valued
                 if self.rig.drive.on:
-                    self.drive.speed(act.speed_rpm * RPM)
+                    self.rig.drive.speed(rpm=act.speed_rpm)
             except (HbpError, BenchError) as error:
                 self._trip(str(error))
         while (left := end - self.client.now()) > 0:
             self.client.poll(min(POLL, left))
             self._look(stats)
+
+    def _put_back(self) -> None:
+        """Every parameter of the drive as it was before the run; not in one whose outputs may still be on."""
+        drive = self.rig.drive
+        failures = [] if self.unsafe else failures_of([drive.put_back])
+        words = [str(failure) for failure in failures] + [drive.not_put_back().removeprefix("; ")]
+        self._not_restored = "; ".join(filter(None, words))
+        if self._not_restored:
+            self.client.note(self._not_restored, "ERROR")
 
     def make_safe(self) -> None:
         """Outputs off, and seen to be off, on every node that was energised; `unsafe` says where that was not seen.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import signal
+from dataclasses import replace
 
 import pytest
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, run, simulated
@@ -13,10 +15,12 @@ from bench.analysis.position import position_errors
 from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.errors import BenchError, Interrupted, UnsafeError
+from bench.errors import BenchError, Interrupted, NodeError, UnsafeError
+from bench.live.manoeuvres import Act
 from bench.live.summary import run_rows
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from bench.rig.lock import alone_on
+from bench.rig.settings import Settings
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
@@ -353,6 +357,96 @@ def test_streams_that_an_earlier_host_has_left_in_a_drive_at_rest_are_taken_over
     node.start_streams()
     for options in ({"speed_rpm": None}, {}):
         assert run(WatchedLink(device), **options).exit_code == 0  # type: ignore[arg-type]
+
+
+# -- what was agreed, and what is put back -----------------------------------------------------------------------
+
+
+def test_no_setpoint_goes_beyond_what_was_agreed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def further(acts: tuple[Act, ...], seconds: float | None) -> list[Act]:
+        return [replace(acts[0], seconds=0.3), replace(acts[0], speed_rpm=900.0, seconds=0.3, title="faster")]
+
+    monkeypatch.setattr("bench.live.run.timed", further)
+    speeds: list[float] = []
+    link = WatchedLink(simulated(), lambda call: speeds.append(link.device.bench.truth.omega_m * 30 / math.pi))
+    ended = run(link)
+    assert "speed 900 r/min is beyond the announced limit of 500 r/min" in ended.summary.result
+    assert ended.exit_code == 1
+    assert at_rest(link.device)
+    assert 500 < max(speeds) < 600
+
+
+MEANWHILE = {"i_max": 3.0, "observer": 1.0}
+BEFORE = {"i_max": 8.0, "observer": 2.0}
+
+
+def parameters_of(device: SimulatedDevice) -> dict[str, float]:
+    return {name: device.bench.parameters[name] for name in BEFORE}
+
+
+class Parameters(WatchedLink):
+    """A watched link that keeps the drive's parameters as they were while it was running."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        super().__init__(device, self._keep)
+        self.running: list[dict[str, float]] = []
+
+    def _keep(self, call: int) -> None:
+        if self.device.drive.state == DriveState.RUNNING:
+            self.running.append(parameters_of(self.device))
+
+
+@pytest.mark.parametrize(
+    "given", [{"current_a": 3.0}, {"settings": Settings(rated={"current": 3.0})}], ids=["--current", "bench.toml"]
+)
+def test_the_drives_own_limit_is_lowered_meanwhile_and_what_was_set_is_put_back(given: dict[str, object]) -> None:
+    asked: list[str] = []
+    link = Parameters(physical())
+    ended = run(link, lambda question: not asked.append(question), observer="average-speed", duration=1.5, **given)  # type: ignore[arg-type,func-returns-value]
+    assert (ended.exit_code, ended.summary.result) == (0, "ok")
+    assert "up to 500 r/min, phase current up to 3 A" in asked[0]
+    assert link.running[-1] == MEANWHILE
+    assert {row["i_max"] for row in link.running} == {3.0}  # from the first moment on
+    assert parameters_of(link.device) == BEFORE
+
+
+def test_a_load_beyond_the_current_is_refused() -> None:
+    link = WatchedLink(simulated())
+    with pytest.raises(BenchError, match=r"load 4 A is beyond the 3 A that the motor may get: --current"):
+        run(link, load_a=4.0, current_a=3.0)
+    assert never_armed(link)
+
+
+def test_what_was_set_is_put_back_in_a_drive_that_keeps_its_fault() -> None:
+    link = TripsAtStop(simulated())
+    ended = run(link, observer="average-speed", current_a=3.0)
+    assert ended.summary.result == "the drive tripped: OVERCURRENT"
+    assert link.device.drive.state == DriveState.FAULT
+    assert parameters_of(link.device) == BEFORE
+
+
+@pytest.mark.usefixtures("no_waiting")
+def test_what_could_not_be_put_back_is_told() -> None:
+    link = Cable(simulated(), 0.8, 1e9)
+    ended = run(link, duration=100.0, observer="average-speed", current_a=3.0)
+    assert ended.exit_code == 5
+    assert ended.summary.result.endswith("; not restored: i_max (was 8), observer (was 2))")
+
+
+def test_a_drive_that_refuses_its_old_parameters_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = simulated()
+    link = WatchedLink(device)
+    set_one = Node.set
+
+    def refusing(node: Node, name: str, value: float) -> float:
+        if DriveState.RUNNING in link.states and device.drive.state == DriveState.IDLE:
+            raise NodeError(f"{name} = {value:g} was refused by node 1: READ_ONLY")
+        return set_one(node, name, value)
+
+    monkeypatch.setattr(Node, "set", refusing)
+    ended = run(link, current_a=3.0, duration=1.5)
+    why = "i_max = 8 was refused by node 1: READ_ONLY; not restored: i_max (was 8)"
+    assert (ended.exit_code, ended.summary.result) == (2, f"the bench could not be restored: {why}")
 
 
 # -- consent ----------------------------------------------------------------------------------------------------
