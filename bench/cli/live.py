@@ -133,20 +133,7 @@ def command(
     from bench.live import run as live
     from bench.live.triggers import Condition
 
-    if config and target not in (None, "sim"):
-        raise click.UsageError(f"--config is for the simulated drive, not for {target}")
-    for option, value in (("observer", given["observer"]), ("current", given["current_a"])):
-        if value is not None and given["speed_rpm"] is None and given["load_a"] is None:
-            raise click.UsageError(f"--{option} needs --speed or --load: without them the drive is only watched")
-    for option in ("keep", "split", "note"):
-        if given[option] and given["save"] is None:
-            raise click.UsageError(f"--{option} needs --save: nothing is recorded without it")
-    if given["keep"] and given["split"]:
-        raise click.UsageError("--keep and --split exclude each other: --keep writes one run")
-    if given["split"] and given["save"].suffix == RRD:
-        raise click.UsageError(
-            "--split cannot write .rrd files: use --save NAME.run and open the parts with bench view"
-        )
+    _check(target, config, given)
     for text in given["trigger"]:
         Condition.parse(text)
     names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
@@ -186,3 +173,21 @@ def command(
     for error in unwritten:
         note(f"error: {error}")
     sys.exit(ended.exit_code)
+
+
+def _check(target: str | None, config: Path | None, given: dict[str, Any]) -> None:
+    """Raise UsageError for options that exclude each other."""
+    if config and target not in (None, "sim"):
+        raise click.UsageError(f"--config is for the simulated drive, not for {target}")
+    for option, value in (("observer", given["observer"]), ("current", given["current_a"])):
+        if value is not None and given["speed_rpm"] is None and given["load_a"] is None:
+            raise click.UsageError(f"--{option} needs --speed or --load: without them the drive is only watched")
+    for option in ("keep", "split", "note"):
+        if given[option] and given["save"] is None:
+            raise click.UsageError(f"--{option} needs --save: nothing is recorded without it")
+    if given["keep"] and given["split"]:
+        raise click.UsageError("--keep and --split exclude each other: --keep writes one run")
+    if given["split"] and given["save"].suffix == RRD:
+        raise click.UsageError(
+            "--split cannot write .rrd files: use --save NAME.run and open the parts with bench view"
+        )

@@ -248,12 +248,12 @@ class Device:
             raise Unknown(f"STREAM_STOP was refused: {answer}")
         self.probe.quiet()
 
-    def blocks(self, stream: int | None = None) -> list[Block]:
-        """The stream frames that came, those of one stream or all."""
+    def blocks(self, stream: int | None = None, since: int = 0) -> list[Block]:
+        """The stream frames that came, those of one stream or all, after the first `since` messages."""
         kinds = (MessageType.DATA, MessageType.EDGES)
         found = [
             Block.of(place, each)
-            for place, each in enumerate(self.probe.heard)
+            for place, each in enumerate(self.probe.heard[since:], since)
             if each.frame.type in kinds and each.frame.node == self.probe.node
         ]
         return [block for block in found if stream is None or block.stream == stream]

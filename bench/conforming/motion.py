@@ -8,8 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench.analysis.units import RPM
+from bench.analysis.units import RPM, pole_pairs
+from bench.analysis.waveforms.sectors import steps_between
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import EDGES_FIRST, edges_ahead
 from bench.conforming.device import PATIENCE, Device, ids, is_off
@@ -18,6 +20,7 @@ from bench.conforming.probe import accepted, read, state_name
 from bench.conforming.setpoints import code_name, send
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import says
+from bench.rig.runaway import Runaway
 from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
 from protocol.descriptor import Channel
 from protocol.messages import Heartbeat, ParamSet, StateReply
@@ -84,8 +87,10 @@ def _turn(device: Device) -> Turn:
         told = device.configure(1, ids([channel or device.descriptor.channels[0]]), RATE, LATENCY_MS)
         mask |= 2
     device.start_streams(mask)
-    spin(device)
-    device.probe.listen(TURNS)
+    watch = _Watch(device, channel if told else None, told.reply.slot if told else 0, slot)
+    with device.probe.watched(watch.look):
+        spin(device)
+        device.probe.listen(TURNS)
     device.probe.feed_every = None
     answer = device.probe.stop()
     accepted(answer, "STOP while turning")
@@ -105,13 +110,51 @@ def _turn(device: Device) -> Turn:
     return Turn(_edges(device, slot), travel, beats, ahead, late, stopped, read(answer.frame, StateReply).state)
 
 
-def _edges(device: Device, slot: int | None) -> list[tuple[int, int, int]]:
+class _Watch:
+    """Looks whether the motor runs away while it turns; its drive tells its pole pairs, or nothing is looked at."""
+
+    def __init__(self, device: Device, channel: Channel | None, slot: int, edge_slot: int | None) -> None:
+        self._device, self._channel, self._slots = device, channel, (slot, edge_slot)
+        names = ("n_p", "omega_m_max")
+        told = {name: device.parameter(record).value for name in names if (record := device.named(name))}
+        self._runaway = Runaway(pole_pairs(told), lambda: told.get("omega_m_max", 0.0))
+        self._runaway.ask(device.speed_rpm * RPM)
+        self._heard = self._frames = 0  # how many of them were looked at
+        self._edge: tuple[int, int] | None = None  # tick and codes of the last one
+        self._angles = np.zeros(0)
+
+    def look(self) -> None:
+        """Look at what has come since. Raises Failed, with the motor stopped, where it runs away."""
+        device, now = self._device, self._device.probe.now()
+        heard, frames = len(device.probe.heard), len(device.probe.stream_frames)
+        if (heard, frames) == (self._heard, self._frames):
+            return
+        since, (self._heard, self._frames) = (self._heard, self._frames), (heard, frames)
+        slot, edge_slot = self._slots
+        edges = [(tick, codes) for _, tick, codes in _edges(device, edge_slot, since)]
+        if edges and self._edge is not None and (ticks := (edges[-1][0] - self._edge[0]) & 0xFFFFFFFF) < 1 << 31:
+            codes = np.array([codes for _, codes in edges])
+            self._runaway.by_edges(now, max(ticks, 1) / device.hz, steps_between(codes & 7, codes >> 3 & 7))
+        self._edge = edges[-1] if edges else self._edge
+        if self._channel is not None:
+            angles = np.concatenate([self._angles[-1:], _angles(device, self._channel, slot, since)])
+            if len(angles) > 1:
+                self._runaway.by_encoder(now, (len(angles) - 1) / RATE, _turned_by(angles))
+            self._angles = angles
+        self._runaway.judge(now)
+        if words := self._runaway.verdict:
+            device.probe.stop()
+            raise Failed(f"the drive {words}; STOP was sent")
+
+
+def _edges(device: Device, slot: int | None, since: tuple[int, int] = (0, 0)) -> list[tuple[int, int, int]]:
+    """`since`: how many messages, and frames of streams on a bus, are left out."""
     found: list[tuple[int, int, int]] = []
-    for block in device.blocks():
+    for block in device.blocks(since=since[0]):
         if block.edges:
             rows = struct.iter_unpack("<IBBH", block.data)
             found += [(block.index + k, tick, codes) for k, (tick, codes, _, _) in enumerate(rows)]
-    for frame in device.probe.stream_frames:
+    for frame in device.probe.stream_frames[since[1] :]:
         if frame.edges and frame.slot == slot:
             tick, codes, index = struct.unpack_from("<IBB", frame.data)
             found.append((index, tick, codes))
@@ -120,18 +163,23 @@ def _edges(device: Device, slot: int | None) -> list[tuple[int, int, int]]:
 
 def _travel(device: Device, channel: Channel | None, slot: int) -> float:
     """How far the encoder turned, in electrical rad with its sign; NaN where there is none."""
-    if channel is None:
-        return math.nan
-    raw: list[bytes] = [block.data for block in device.blocks(1) if not block.edges]
+    values = np.zeros(0) if channel is None else _angles(device, channel, slot)
+    return math.nan if len(values) < 2 else _turned_by(values)
+
+
+def _angles(device: Device, channel: Channel, slot: int, since: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
+    """What the encoder's `channel` showed, (n,) rad; `since` as in `_edges`."""
+    raw: list[bytes] = [block.data for block in device.blocks(1, since[0]) if not block.edges]
     size = np.dtype(channel.raw.dtype).itemsize
-    for frame in device.probe.stream_frames:
+    for frame in device.probe.stream_frames[since[1] :]:
         if not frame.edges and frame.slot == slot:
             counter = 4 if device.bus.rates.fd else 2
             raw.append(frame.data[counter : counter + (len(frame.data) - counter) // size * size])
-    values = np.frombuffer(b"".join(raw), channel.raw.dtype) * channel.scale + channel.offset
-    if len(values) < 2:
-        return math.nan
-    steps = (np.diff(values) + math.pi) % (2 * math.pi) - math.pi
+    return np.frombuffer(b"".join(raw), channel.raw.dtype) * channel.scale + channel.offset
+
+
+def _turned_by(angles: NDArray[np.float64]) -> float:
+    steps = (np.diff(angles) + math.pi) % (2 * math.pi) - math.pi
     return float(steps.sum())
 
 

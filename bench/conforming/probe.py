@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import random
 import struct
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol, TypeVar
@@ -167,6 +167,7 @@ class Probe:
     def __post_init__(self) -> None:
         self._tid = random.randrange(1, 0x10000)
         self._alive = 0
+        self._watch: Callable[[], None] = lambda: None
         self._fed = -1e9
         wire = self.link.wire()
         baud = wire.baud if isinstance(wire, ByteWire) else math.inf
@@ -208,6 +209,20 @@ class Probe:
                 self.stream_frames.append(each)
             else:
                 self.heard.append(each)
+        watch, self._watch = self._watch, lambda: None  # it may poll itself
+        try:
+            watch()
+        finally:
+            self._watch = watch
+
+    @contextmanager
+    def watched(self, watch: Callable[[], None]) -> Iterator[None]:
+        """Inside, `watch` is called whenever the link was looked at."""
+        self._watch = watch
+        try:
+            yield
+        finally:
+            self._watch = lambda: None
 
     def listen(self, seconds: float) -> None:
         """Take what comes in so many s."""

@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from bench.analysis.units import RPM
 from bench.analysis.waveforms.sectors import SECTORS, sector_of_code
 from bench.errors import BenchError
 from bench.hall.trace import Recorded
+from bench.rig.drive import RanAway
 from bench.rig.loads import SPEED
 from bench.rig.needs import offers
 from bench.rig.recorder import Recorder
@@ -83,7 +83,7 @@ class Turner:
                 f"--speed {most_rpm:g} is too slow: at least {slowest:g} r/min are needed, for {ENOUGH:g} electrical "
                 f"revolutions in {DWELL[1]:g} s"
             )
-        self._asked = 0.0  # electrical rad/s, the highest so far
+        self._asked = 0.0  # mechanical rad/s, the highest so far
         self._running = False  # the drive, as far as it was told; its heartbeat says so a tenth of a second later
 
     def spin(self) -> Turned:
@@ -138,21 +138,21 @@ class Turner:
             if self._running and self._speed() * omega_m < 0.0:
                 self._brake()
             first = self._rig.tick()
-            self._asked = max(self._asked, abs(omega_m) * drive.n_p)
-            limit = RUNAWAY * self._asked
+            self._asked = max(self._asked, abs(omega_m))
+            self._at_most(RUNAWAY * self._asked)
             try:
                 if not self._running:
                     self._running = True
                     drive.start(observer)
-                drive.speed(rad_s=omega_m, unless=partial(self._let_go, limit))
+                drive.speed(rad_s=omega_m, unless=lambda: bool(drive.faults))
+                self._rig.until(lambda: bool(drive.faults), self._dwell(omega_m))
+            except RanAway:
+                raise _NotFollowing(f"at {omega_m / RPM:+.0f} r/min it ran away and was stopped") from None
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
-            self._rig.until(partial(self._let_go, limit), self._dwell(omega_m))
             if drive.faults:
                 self._after_trip(source, omega_m)
-            elif abs(self._speed()) > limit:
-                raise _NotFollowing(f"at {omega_m / RPM:+.0f} r/min it ran away and was stopped")
             self._require_following(first, omega_m)
 
     def _brake(self) -> None:
@@ -161,18 +161,22 @@ class Turner:
         By its Hall sensors a motor may hunt about a stand: it is let go, and starts anew from there.
         """
         before = self._speed()
-        limit = GROWS * abs(before)
+        drive = self._rig.drive
+        self._at_most(GROWS * abs(before) / drive.n_p)
         with suppress(BenchError, HbpError):
-            self._rig.drive.speed(rpm=0, unless=partial(self._let_go, limit))
-        self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
-        if self._rig.drive.faults or abs(self._speed()) < STANDS:
+            drive.speed(rpm=0, unless=lambda: bool(drive.faults))
+        if drive.on:
+            with suppress(RanAway):
+                self._rig.until(lambda: abs(self._speed()) < STANDS or bool(drive.faults), COAST)
+        ran_away = not drive.on
+        if drive.faults or (abs(self._speed()) < STANDS and not ran_away):
             return
         if abs(self._speed()) < HUNTS * abs(before):
             self._running = False
-            self._rig.drive.stop()
+            drive.stop()
             self._coast()
-        if abs(self._speed()) >= STANDS:
-            was, now = (speed / self._rig.drive.n_p / RPM for speed in (before, self._speed()))
+        if abs(self._speed()) >= STANDS or ran_away:
+            was, now = (speed / drive.n_p / RPM for speed in (before, self._speed()))
             raise _NotFollowing(f"commanded to stop, it went from {was:+.0f} to {now:+.0f} r/min and was switched off")
 
     def _by_load(self) -> None:
@@ -187,8 +191,10 @@ class Turner:
 
     # -- looks --------------------------------------------------------------------------------------------------
 
-    def _let_go(self, limit: float) -> bool:
-        return bool(self._rig.drive.faults) or abs(self._speed()) > limit
+    def _at_most(self, omega_m: float) -> None:
+        """A motor that turns faster than this, mechanical rad/s, is stopped: it raises RanAway."""
+        if self._rig.drive.guard is not None:
+            self._rig.drive.guard.most = omega_m
 
     def _speed(self) -> float:
         """Electrical rad/s, by what the drive has; 0 before the first sample."""

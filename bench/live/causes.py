@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.position import wrap
+from bench.analysis.waveforms.sectors import SECTOR_WIDTH as SECTOR
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, explained, tally
-from protocol.signals import SECTOR_OF_CODE
 from protocol.streams import EdgeChunk, SampleChunk
 
-SECTOR = math.pi / 3
 BLOCK = 0.25  # s over which Hall sensors and encoder are compared
 TURNS = 3.0  # electrical revolutions from which on they are
 ROUNDS = 2.0  # revolutions of the shaft, from which on half a pole pair shows in the ratio
@@ -29,14 +28,6 @@ EDGES_LATE = 0.5  # s that edges may come after samples dated as they are: on CA
 PSI_OFF = 0.25  # of psi_f_hat, by which it may be off; likewise of R_s_hat
 LOST = 0.3  # V that dead time and noise may add to a back-EMF
 LEAST_SEEN = 100  # samples in each sector with which wires are judged
-_SECTOR = np.array(SECTOR_OF_CODE)
-_STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
-
-
-def sectors(chunk: EdgeChunk) -> NDArray[np.float64]:
-    """Sectors that each edge goes forward, shape (n,); 0 where a code is none."""
-    old, new = _SECTOR[chunk.hall_old & 7], _SECTOR[chunk.hall_new & 7]
-    return np.where((old >= 0) & (new >= 0), _STEP[(new - old) % 6], 0.0)
 
 
 class _Block(NamedTuple):

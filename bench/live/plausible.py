@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from bench.analysis.channels import flagged, reference_angle, speed_channel
 from bench.analysis.position import ErrorTable, states
 from bench.analysis.units import RPM, pole_pairs
+from bench.analysis.waveforms.sectors import SECTOR_WIDTH as SECTOR
+from bench.analysis.waveforms.sectors import steps_between
 from bench.device.client import Sink
-from bench.live.causes import SECTOR, BackEmf, Turns, Wires, sectors
+from bench.live.causes import BackEmf, Turns, Wires
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
@@ -120,7 +122,7 @@ class Plausibility(Sink):
         """Follow the Hall sensors from sector to sector."""
         if chunk.config.node != self._drive:
             return
-        steps = sectors(chunk)
+        steps = steps_between(chunk.hall_old, chunk.hall_new)
         self._sectors += float(steps.sum())
         if self._theta:
             self._turns.edges(chunk, steps)
@@ -134,6 +136,8 @@ class Plausibility(Sink):
             if channel.raw.dtype == "<f4":
                 bad = int(np.count_nonzero(~np.isfinite(chunk.raw[channel.name])))
                 self._not_finite[channel.name] = self._not_finite.get(channel.name, 0) + bad
+        if self._theta and "hall" in self._names:  # in any state
+            self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])
         if (told := states(chunk)) is not None and told[-1] != DriveState.RUNNING:
             self._turns.samples(chunk, None)
             return
@@ -154,8 +158,6 @@ class Plausibility(Sink):
             self._sum.add((a + b + c) ** 2)
 
     def _look_for_causes(self, chunk: SampleChunk, seconds: float) -> None:
-        if self._theta and "hall" in self._names:
-            self._wires.add(chunk.physical(self._theta), chunk.raw["hall"])
         if self._omega and self._names.issuperset(("e_alpha", "e_beta", "i_d", "i_q")) and self._by == "the encoder":
             emf = float(np.hypot(chunk.physical("e_alpha"), chunk.physical("e_beta")).mean())
             current = math.hypot(chunk.physical("i_d").mean(), chunk.physical("i_q").mean())

@@ -306,7 +306,8 @@ class LiveRun:
             self._gathered = Gathered(watching)
             if augmenter is not None:
                 self.client.change = augmenter.take
-            self.client.sinks = [self._notes, self._gathered, *outputs.sinks]
+            guards = [self.rig.guard()] if acts else []
+            self.client.sinks = [self._notes, *guards, self._gathered, *outputs.sinks]
             self.drive.next_heartbeat()  # the drive's own counts start from this one
             result, exit_code, duration, cpu = self._run_acts(acts, stats)
             summary = summarise(self.target, self.client, stats, identity, duration, cpu, outputs.latency, self._bus)
@@ -376,6 +377,8 @@ class LiveRun:
         if self.tripped and exit_code == 0:
             causes = self._judge.causes() if self._judge else []
             result, exit_code = "; ".join([self.tripped, *causes]), 1
+            if self.rig.drive.ran_away:
+                result = f"{result}. {self._advice}"
         if exit_code == 0:
             result, exit_code = self._judged(stats)
             if self._signal:
@@ -405,12 +408,16 @@ class LiveRun:
         if self._judge is None:
             return "ok", 0
         if implausible := self._judge.implausible(stats.errors):
-            again = self.target
-            if self.options.embedded:  # that address is of a child of this command
-                again = "sim" + (f" --config {config}" if (config := self.options.settings.config) else "")
-            return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. `bench hall check {again}` looks for the cause", 1
+            return f"{IMPLAUSIBLE}: {'; '.join(implausible)}. {self._advice}", 1
         unseen = self._judge.unverified()
         return f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", 0
+
+    @property
+    def _advice(self) -> str:
+        again = self.target
+        if self.options.embedded:  # that address is of a child of this command
+            again = "sim" + (f" --config {config}" if (config := self.options.settings.config) else "")
+        return f"`bench hall check {again}` looks for the cause"
 
     def _with_recording(self, result: str, exit_code: int) -> tuple[str, int]:
         """Result and exit code of the run, or those of a recording that failed; a run that failed itself says both."""

@@ -19,6 +19,7 @@ from bench.errors import BenchError, DriveFailed
 from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
+from bench.rig.runaway import RunawayGuard
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
@@ -28,6 +29,10 @@ class DriveTripped(BenchError):
     """The drive switched itself off, and the test did not expect that."""
 
     exit_code = 1
+
+
+class RanAway(DriveTripped):
+    """The motor ran away, and was switched off."""
 
 
 class Drive(Machine):
@@ -44,6 +49,10 @@ class Drive(Machine):
         self.changed: dict[str, float] = {}
         """Those that were set, as they were last set."""
         self._initial: dict[str, float] = {}
+        self.guard: RunawayGuard | None = None
+        """What sees that the motor runs away, once it is known what is streamed."""
+        self.ran_away = False
+        """Whether its motor ran away, and was switched off."""
         self._may_trip = False
         self._expected = Fault(0)  # faults that a test was about
         self._told = Fault(0)  # faults that a DriveTripped was raised for
@@ -104,12 +113,15 @@ class Drive(Machine):
         require_announced_speed("speed", omega_m, self.envelope)
         self._start_by_itself()
         with self._trips_first():
-            self.node.speed(omega_m, unless)
+            self._ask(omega_m)  # before it is: it may run away while the setpoint is confirmed
+            self.node.speed(omega_m, lambda: bool(self.runs_away) or unless())
+            self._stop_runaway()
 
     def current(self, i_q: float, i_d: float = 0.0) -> None:
         """Set current references, A, peak-valued."""
         require_announced("current", math.hypot(i_q, i_d), self.envelope.current, "A", "current")
         self._start_by_itself()
+        self._ask(None)
         with self._trips_first():
             self.node.current(i_q, i_d)
 
@@ -119,6 +131,8 @@ class Drive(Machine):
 
     def stop(self) -> DriveState:
         """See `Machine.stop`."""
+        self.ran_away |= bool(self.runs_away)
+        self._ask(None)
         try:
             return super().stop()
         except DriveFailed:
@@ -159,6 +173,22 @@ class Drive(Machine):
         self._left = self._faults
         self._expected |= self._left
 
+    @property
+    def runs_away(self) -> str:
+        """What was seen of it, if the motor has run away from the speed that was asked for; to follow `title`."""
+        verdict = "" if self.guard is None or self._faults else self.guard.verdict
+        return f"{verdict}; it was switched off" if verdict else ""
+
+    def _ask(self, omega_m: float | None) -> None:
+        if self.guard is not None:
+            self.guard.ask(omega_m)
+
+    def _stop_runaway(self) -> None:
+        """Switch off a motor that runs away, and raise RanAway; what is wrong with STOP is raised instead."""
+        if words := self.runs_away:
+            self.stop()
+            raise RanAway(f"{self.title} {words}")
+
     # -- for the rig --------------------------------------------------------------------------------------------
 
     def limit_current(self) -> None:
@@ -166,13 +196,21 @@ class Drive(Machine):
         if self.envelope.current < self.parameters.get("i_max", -math.inf):
             self._set("i_max", self.envelope.current)
 
+    def trouble(self, watchdog: float = WATCHDOG) -> str:
+        """See `Machine.trouble`; a motor that runs away is one, too."""
+        return super().trouble(watchdog) or (f" {self.runs_away}" if self.on and self.runs_away else "")
+
     def look(self) -> None:
-        """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should."""
+        """Raise DriveTripped if the drive has tripped against expectation, or does not run as it should.
+
+        RanAway if its motor has run away, which is switched off.
+        """
         if self._faults & ~self._expected and not self._may_trip:
             self._told |= self._faults
             starved = self.starved(self.parameters.get("watchdog", WATCHDOG))  # if the reason is here
             advice = "; compute after drive.stop(), not while the drive runs" if starved else ""
             raise DriveTripped(f"the drive tripped: {', '.join(self.faults)}{starved}{advice}")
+        self._stop_runaway()
         if why := self.node.astray():
             raise DriveTripped(f"the drive: {why}")
 

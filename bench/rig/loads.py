@@ -79,6 +79,8 @@ class NodeLoad(Machine):
 
     def __init__(self, node: Node, envelope: Envelope) -> None:
         super().__init__(node, envelope)
+        self.forced: float | None = None
+        """The speed that it forces on the shaft, mechanical rad/s."""
         self._armed = False
         self._told = False  # that it has tripped since it is on
 
@@ -86,12 +88,14 @@ class NodeLoad(Machine):
         """See `Load`."""
         self.start()
         self.node.torque(tau)
+        self.forced = None
 
     def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
         """See `Load`."""
         omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self.start()
+        self.forced = omega_m
         self.node.speed(omega_m)
 
     def start(self) -> None:
@@ -121,6 +125,7 @@ class NodeLoad(Machine):
             raise BenchError(f"the load machine: {why}")
 
     def _stop(self) -> None:
+        self.forced = None
         if not self.on:
             return
         state = self.stop()
@@ -170,6 +175,8 @@ class OwnLoad:
     """What the present test announced."""
 
     def __init__(self, name: str, own: object) -> None:
+        self.forced: float | None = None
+        """See `NodeLoad`."""
         self._name = name
         self._own = own
         for method in ("torque", "off"):
@@ -185,15 +192,18 @@ class OwnLoad:
     def torque(self, tau: float) -> None:
         """See `Load`."""
         self._call("torque", tau)
+        self.forced = None
 
     def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
         """See `Load`."""
         omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
+        self.forced = omega_m
         self._call("speed", omega_m)
 
     def off(self) -> None:
         """See `Load`."""
+        self.forced = None
         self._call("off")
 
     def close(self) -> None:

@@ -34,6 +34,7 @@ from bench.rig.person import Ask
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
 from bench.rig.restore import failures_of
+from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
 from bench.rig.streams import configure, edge_rate
 from protocol.descriptor import Channel
@@ -236,7 +237,16 @@ class Rig:
         self._stack.callback(self.outputs.close)
         if self.outputs.file is not None:
             self._stack.callback(self.outputs.file.close)
-        self.client.sinks = [self.recorder, *self.outputs.sinks]
+        self.client.sinks = [self.recorder, self.guard(), *self.outputs.sinks]
+
+    def guard(self) -> RunawayGuard:
+        """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
+        assert self.samples is not None
+        edges = self.drive.node.offers_edges
+        self.drive.guard = RunawayGuard(
+            self.samples, edges, self.drive.parameters, lambda: getattr(self.load, "forced", None)
+        )
+        return self.drive.guard
 
     # -- the end ------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
 
-from bench.live.causes import Turns, sectors
+from bench.analysis.waveforms.sectors import steps_between
+from bench.live.causes import Turns
 from protocol.streams import Gap, SampleChunk
 
 CHUNK = 320  # samples, 20 ms
@@ -36,7 +37,7 @@ def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK,
             behind = tuple(Gap(int(k), len(lost), 1, False) for k in np.flatnonzero(now == lost.stop) if len(lost))
             columns = ("tick", "hall_old", "hall_new", "illegal", "encoder", "index")
             came_now = replace(edges, **{name: getattr(edges, name)[now] for name in columns}, gaps=behind)
-            turns.edges(came_now, sectors(came_now))
+            turns.edges(came_now, steps_between(came_now.hall_old, came_now.hall_new))
         turns.samples(part, part.physical("theta_enc"))
     return turns
 

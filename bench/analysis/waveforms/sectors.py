@@ -18,6 +18,7 @@ from protocol.signals import SECTOR_OF_CODE
 
 SECTORS = 6
 SECTOR_WIDTH = math.pi / 3.0  # electrical rad
+_STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
 FORWARDS, BACKWARDS = 0, 1
 """Columns of `EdgeOffsets`."""
 
@@ -104,3 +105,9 @@ def sector_of_code(code: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
         raise ValueError(f"a Hall code is 0..7, got {code.min()} to {code.max()}")
     sector: NDArray[np.int64] = np.array(SECTOR_OF_CODE)[code.astype(np.int64)]
     return sector
+
+
+def steps_between(hall_old: NDArray[np.integer[Any]], hall_new: NDArray[np.integer[Any]]) -> Floats:
+    """Sectors that each Hall edge goes forward, -2..2, shape (n,); 0 where a code is none, or where it goes three."""
+    old, new = sector_of_code(hall_old & 7), sector_of_code(hall_new & 7)
+    return np.where((old >= 0) & (new >= 0), _STEP[(new - old) % SECTORS], 0.0)
