@@ -144,6 +144,7 @@ OWN_FROM = 0.5  # [omega_b] chosen: speed from which on they are learned; an edg
 SCATTER_SHARE = 0.011  # of the square of a residue that is learned as scatter
 SCATTER_LEAST = 0.018 * DEG  # rad
 SCATTER_CLIP = 9.0  # [scatter] chosen: a residue counts as 3 standard deviations at most
+LEAST_SAMPLES = 4.0  # in a revolution that anything is learned from; chosen
 SETTLED = 12  # edges in a row, one way, before either is learned; chosen: two electrical revolutions
 
 STANDSTILL = 4.0  # [1 / hall_timeout] chosen: rate at which the angle of a rotor at rest moves to the sector's middle
@@ -277,6 +278,8 @@ class Edge(NamedTuple):
     residue: float  # rad, its angle minus the estimate at its capture
     variance: float  # rad2, of `at`
     fast: float  # 0..1, by the speed: near 1 above omega_b
+    far: bool  # it lies far from the estimate
+    rejected: bool  # it is taken as wrong
 
 
 def make_params(pwm_hz: float, drive: Settings) -> Params:
@@ -550,8 +553,13 @@ def _trusted(scale: Scale, kalman: Filter, watch: Watch, psi: float, driven: boo
 
 
 @kernel
-def _edge(params: Params, state: State, sensor: int, before: int, ago: float, driven: bool) -> State:
-    """The state after an edge of `sensor`, captured `ago` seconds before the sample; `before`: levels until then."""
+def _edge(
+    params: Params, state: State, sensor: int, before: int, ago: float, driven: bool
+) -> tuple[Edge, Belief, Lessons]:
+    """An edge of `sensor`, captured `ago` seconds before the sample, and whether that sensor has moved.
+
+    `before`: the levels until then.
+    """
     scale = params.scale
     kalman, last, belief, lessons = state.filter, state.last, state.belief, state.lessons
     places = lessons.places
@@ -582,15 +590,13 @@ def _edge(params: Params, state: State, sensor: int, before: int, ago: float, dr
             lessons = edge_lessons.moved(lessons, sensor, -z)
             z = 0.0
             far = False
-    state = state._replace(belief=belief, lessons=lessons)
-    if far and sharp and state.watch.quiet > QUIET and last.passed > 0 and last.off <= OFF_MAX:
-        return state._replace(last=last._replace(row=0, off=last.off + 1))
-    return _edge_used(params, state, Edge(boundary, way, pair, at, ago, z, r, fast), far)
+    rejected = far and sharp and state.watch.quiet > QUIET and last.passed > 0 and last.off <= OFF_MAX
+    return Edge(boundary, way, pair, at, ago, z, r, fast, far, rejected), belief, lessons
 
 
 @kernel
-def _edge_used(params: Params, state: State, edge: Edge, far: bool) -> State:
-    """The state after an edge that is not rejected; `far`: it lies far from the estimate."""
+def _corrected_by_edge(params: Params, state: State, edge: Edge) -> State:
+    """The state after an edge that is not rejected."""
     scale = params.scale
     kalman, last, lessons = state.filter, state.last, state.lessons
     places = lessons.places
@@ -601,7 +607,7 @@ def _edge_used(params: Params, state: State, edge: Edge, far: bool) -> State:
     passed = 0 if turned else last.passed
     speed = abs(kalman.x[1]) / scale.omega_b
     z = edge.residue
-    if far:
+    if edge.far:
         kalman, z = _from_edge(scale, kalman, lessons.drop[0], last, edge, passed)
     g = _ago(kalman.P, ago)
     s = 1.0 / (g[0] - ago * g[1] + edge.variance)
@@ -626,10 +632,6 @@ def _edge_used(params: Params, state: State, edge: Edge, far: bool) -> State:
     else:
         lessons = edge_lessons.met(lessons, places, since)
         sums = sums._replace(off=sums.off + z - 0.5 * moved_by)
-        if boundary == 0:
-            if row >= edge_lessons.ROW and sums.n >= 4.0:
-                lessons, kalman = _revolution(scale, lessons, kalman, sums, state.watch.i_q, way)
-            sums = edge_lessons.nothing()
     levels = state.levels._replace(unused=state.levels.unused - 1)
     last = Last(passed, row, way, boundary, edge.at, ago, 0)
     return state._replace(filter=kalman, last=last, levels=levels, belief=belief, lessons=lessons, sums=sums)
@@ -677,13 +679,13 @@ def _boundary(lessons: Lessons, sensor: int, before: int, code: int, theta: floa
 
 
 @kernel
-def _revolution(
-    scale: Scale, lessons: Lessons, kalman: Filter, sums: Sums, i_q: float, way: int
-) -> tuple[Lessons, Filter]:
+def _revolution(scale: Scale, state: State, way: int) -> tuple[Lessons, Filter]:
     """What a revolution teaches, and the filter: what the learned drop takes over is removed from b."""
+    kalman = state.filter
+    i_q = state.watch.i_q
     x = kalman.x
-    was = edge_lessons.along(lessons, scale, x[1], i_q)
-    lessons = edge_lessons.turn(lessons, sums, scale, way, 0)
+    was = edge_lessons.along(state.lessons, scale, x[1], i_q)
+    lessons = edge_lessons.turn(state.lessons, state.sums, scale, way, 0)
     if abs(i_q) <= LOW_CURRENT * scale.i:
         return lessons, kalman
     more = edge_lessons.along(lessons, scale, x[1], i_q) - was
@@ -813,7 +815,17 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
     kalman, watch = _updated(params, state.filter, state.watch, state.lessons.drop[0], driven)
     state = state._replace(filter=kalman, watch=watch)
     if sensor >= 0 and hall_levels.believed(state.belief, sensor):
-        state = _edge(params, state, sensor, before, ago, driven)
+        edge, belief, lessons = _edge(params, state, sensor, before, ago, driven)
+        state = state._replace(belief=belief, lessons=lessons)
+        if edge.rejected:
+            state = state._replace(last=state.last._replace(row=0, off=state.last.off + 1))
+        else:
+            state = _corrected_by_edge(params, state, edge)
+            if params.learn != 0 and edge.boundary == 0:
+                if state.last.row >= edge_lessons.ROW and state.sums.n >= LEAST_SAMPLES:
+                    lessons, kalman = _revolution(scale, state, edge.way)
+                    state = state._replace(lessons=lessons, filter=kalman)
+                state = state._replace(sums=edge_lessons.nothing())
     kalman, last, lessons = state.filter, state.last, state.lessons
     psi = lessons.drop[0]
     _, sharp = _trusted(scale, kalman, watch, psi, driven)
