@@ -6,12 +6,16 @@ A record is a NamedTuple of numbers, of records and of tuples of one kind of num
 addresses; whoever calls keeps the memory. It is compiled, or loaded, when it is first called or its address is asked
 for. Nothing that it does raises: a division by zero gives an infinity, as on a drive.
 
+In kernels `record._replace(field=...)` works as in Python, and `with_item` gives a tuple with another item: records and
+tuples are values, and nothing is assigned to a part of one.
+
 With NUMBA_DISABLE_JIT it all runs as plain Python, on the same memory.
 """
 
 from __future__ import annotations
 
 import ctypes
+import inspect
 import os
 from collections.abc import Callable
 from functools import cache
@@ -23,9 +27,10 @@ from numpy.typing import NDArray
 
 from sim.numba_cache import compiled_for_c, is_kept
 
-__all__ = ["Cells", "Native", "Pointer", "address", "invoke", "layout", "native", "specialised", "value"]
+__all__ = ["Cells", "Native", "Pointer", "address", "invoke", "layout", "native", "specialised", "value", "with_item"]
 
 T = TypeVar("T")
+Items = TypeVar("Items", bound=tuple[Any, ...])
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 _SCALARS: dict[Any, str] = {
@@ -168,6 +173,11 @@ def specialised(function: Any, name: str, annotations: dict[str, Any], **names: 
     return made
 
 
+def with_item(values: Items, k: int, item: object) -> Items:
+    """The tuple `values`, all of one kind, with another k-th item."""
+    return (*values[:k], item, *values[k + 1 :])  # type: ignore[return-value]
+
+
 if PLAIN:
 
     def invoke(
@@ -186,8 +196,42 @@ if PLAIN:
 
 else:
     from llvmlite import ir
-    from numba import types
-    from numba.extending import intrinsic
+    from numba import types as numba_types
+    from numba.core.typing import templates as numba_templates
+    from numba.cpython.unsafe import tuple as numba_tuple
+    from numba.extending import intrinsic, lower_builtin, overload
+
+    types: Any = numba_types
+    templates: Any = numba_templates
+    tuple_setitem: Any = numba_tuple.tuple_setitem
+
+    @overload(with_item)
+    def _with_item(values, k, item):  # type: ignore[no-untyped-def]
+        return lambda values, k, item: tuple_setitem(values, k, item)
+
+    @templates.infer_getattr
+    class _Replacing(templates.AttributeTemplate):  # type: ignore[misc]
+        """Types `record._replace(field=...)`: the fields' places go along as a constant last argument."""
+
+        key = types.BaseNamedTuple
+
+        @templates.bound_function("namedtuple._replace")
+        def resolve__replace(self, record, values, fields):  # type: ignore[no-untyped-def]
+            if values or not set(fields) <= set(record.fields):
+                return None
+            places = tuple(record.fields.index(name) for name in fields)
+            kinds = *(record[k] for k in places), types.Omitted(places)
+            anywhere = inspect.Parameter.POSITIONAL_OR_KEYWORD
+            names = [inspect.Parameter(name, anywhere) for name in fields]
+            named = inspect.Signature([*names, inspect.Parameter("_places", anywhere, default=None)])
+            return templates.signature(record, *kinds, recvr=record).replace(pysig=named)
+
+    @lower_builtin("namedtuple._replace", types.BaseTuple, types.VarArg(types.Any))  # type: ignore[no-untyped-call]
+    def _replaced(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+        record, *values, _ = arguments
+        for place, value in zip(call.args[-1].value, values, strict=True):
+            record = builder.insert_value(record, value, place)
+        return record
 
     @intrinsic
     def invoke(typing, function, params, state, samples, reset, found, size, j):  # type: ignore[no-untyped-def]

@@ -33,7 +33,6 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
 @click.option("--pty", is_flag=True, help="Serve on a pseudo terminal, like a serial port (default).")
 @click.option("--tcp", metavar="HOST:PORT", help="Serve on TCP, one client at a time; port 0: any free port.")
 @click.option("--slcan", is_flag=True, help="Serve on a CAN bus, through an slcan adapter on a pseudo terminal.")
-@click.option("--socketcand", metavar="HOST:PORT", help="Serve on a classic CAN bus, through a socketcand server.")
 @click.option("--bitrate", metavar="N", type=int, help="CAN bit rate, bit/s [default: 1000000].")
 @click.option("--fd", is_flag=True, help="Use CAN FD.")
 @click.option(
@@ -84,15 +83,14 @@ def command(
       bench sim --config maxon-ec60-flat
       bench sim --device c
     """
-    places = [name for name in ("tcp", "slcan", "socketcand") if given[name]] + ["pty"] * pty
+    places = [name for name in ("tcp", "slcan") if given[name]] + ["pty"] * pty
     if len(places) > 1:
         raise click.UsageError(f"give only one of {', '.join(f'--{name}' for name in places)}")
     if data_bitrate is not None and not fd:
         raise click.UsageError("--data-bitrate needs CAN FD: add --fd")
-    on_can = given["slcan"] or given["socketcand"]
     for name, value in (("--bitrate", bitrate), ("--fd", fd), ("--ext", ext)):
-        if value and not on_can:
-            raise click.UsageError(f"{name} needs a CAN bus: add --slcan or --socketcand")
+        if value and not given["slcan"]:
+            raise click.UsageError(f"{name} needs a CAN bus: add --slcan")
     from protocol.canmap.frame import BusRates
     from protocol.links.target import DEFAULT_DATA_BITRATE
     from sim.ports.server import ServeOptions, parse_override, serve

@@ -10,9 +10,7 @@ import errno
 import logging
 import re
 import socket
-import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from configparser import ConfigParser
 from contextlib import suppress
 from difflib import get_close_matches
@@ -179,7 +177,6 @@ def open_bus(name: str, arguments: dict[str, Any]) -> can.BusABC:
         return SlcanBus(str(arguments["channel"] or ""), **others)
     if interface == "socketcand":
         _meet_socketcand(name, arguments)
-        return _in_time(lambda: can.Bus(ignore_config=True, **arguments))
     return can.Bus(ignore_config=True, **arguments)
 
 
@@ -204,35 +201,8 @@ def _meet_socketcand(name: str, arguments: dict[str, Any]) -> None:
         raise LinkNotFound(f"{name}: no answer from {place} within {OPEN_TIMEOUT:g} s") from None
     except (OSError, UnicodeError) as error:
         raise LinkNotFound(f"{name}: cannot reach {place}: {one_line(error)}") from None
-    if not greeting:
-        raise LinkBusy(f"{name}: {place} closed the connection at once: is another program connected?")
-    if not b"< hi >".startswith(greeting[:6]):
+    if not greeting or not b"< hi >".startswith(greeting[:6]):
         raise LinkNotFound(f"{name}: the server on {place} is not socketcand")
-
-
-def _in_time(make: Callable[[], can.BusABC]) -> can.BusABC:
-    """Make a bus within `OPEN_TIMEOUT`; one that comes later is shut down."""
-    future: Future[can.BusABC] = Future()
-
-    def work() -> None:
-        try:
-            future.set_result(make())
-        except Exception as error:
-            future.set_exception(error)
-
-    threading.Thread(target=work, name="opens a CAN bus", daemon=True).start()
-    try:
-        return future.result(OPEN_TIMEOUT)
-    except BaseException as error:  # a user's interrupt is one of them
-        future.add_done_callback(_shut_down_late)
-        if isinstance(error, TimeoutError):
-            raise TimeoutError(f"no handshake within {OPEN_TIMEOUT:g} s") from None
-        raise
-
-
-def _shut_down_late(future: Future[can.BusABC]) -> None:
-    if future.exception() is None:
-        shut_down(future.result())
 
 
 def shut_down(bus: can.BusABC) -> None:

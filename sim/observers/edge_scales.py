@@ -1,9 +1,9 @@
-"""Sizes of what disturbs an observer of Hall edges and back-EMF, by the motor's parameters.
+"""Sizes of the disturbances of an observer of Hall edges and back-EMF, from the motor's parameters.
 
-What a dead time, a ripple or a load does to an angle goes with voltage, current, speed and inertia of the drive. Every
-constant of `edge_kalman` is a multiple of one of these, so that it means the same on each motor.
+The effect of a dead time, a ripple or a load on an angle depends on voltage, current, speed and inertia of the drive.
+Each constant of `edge_kalman` is a multiple of one of these sizes, so it means the same with every motor.
 
-Never sees a sample.
+This module never sees a sample.
 """
 
 from __future__ import annotations
@@ -13,30 +13,31 @@ from typing import NamedTuple
 
 from sim import legs
 
-V_SHARE = 0.00546  # of u_dc, V: what dead time and devices leave of a back-EMF
-SHAFT = 0.14  # s: inertia of a shaft that is not known, by its torque at i_ref and the largest speed
-AT_HALF = 0.99  # of the speed that u_dc / sqrt 3 allows with half of i_ref: the largest that is asked for
-FULL_SCALE = 2.5  # of i_ref: the current sensors' range
-OMEGA_B = 15.0  # omega_v, above which the back-EMF tells an angle better than one edge does
+V_SHARE = 0.00546  # of u_dc, V: what dead time and devices leave of a back-EMF; chosen, as e_on in sim/default.toml
+SHAFT = 0.14  # s: inertia of an unknown shaft, by its torque at i and the largest speed; chosen, as mechanics.J there
+AT_HALF = 0.99  # of the speed that u_dc / sqrt 3 allows at half of i: the largest one; derived, as `top` there
+FULL_SCALE = 2.5  # range of the current sensors by the largest current; derived, as current_sensor.range there
+OMEGA_B = 15.0  # omega_b by omega_v: above it the back-EMF gives an angle better than one edge; tuned
+DROP_SHARE = 0.1  # of R_s i, V: how wrong a resistance may be; chosen
 TINY = 1e-9  # least flux linkage, inductance, voltage, in their units: none of them divides by zero
-LEAST = 1e-3  # A and rad/s
+LEAST = 1e-3  # A and rad/s, likewise
 
 
 class Scale(NamedTuple):
-    """The motor, and sizes; SI units, electrical angles."""
+    """The motor, and the sizes; SI units, electrical angles."""
 
     T_s: float
     R_s: float
     L_s: float
     psi_f: float
-    v: float  # V, a voltage that nobody knows
-    v_drop: float  # V, the same along the current, where a resistance may be wrong
-    i: float  # A, the largest phase current
-    i_fade: float  # A, at which the dead time's error saturates
-    omega_v: float  # rad/s, at which the back-EMF is v
-    omega_b: float  # rad/s
-    alpha: float  # rad/s2, what the largest torque does to the shaft
-    feed: float  # rad/(s2 A), what the current does to it; 0: its inertia is not known
+    v: float  # V, unknown part of the voltage
+    v_drop: float  # V, the same along the current, where a resistance may be wrong too
+    i: float  # A, largest phase current
+    i_fade: float  # A, current at which the dead time's error saturates
+    omega_v: float  # rad/s, speed at which the back-EMF is v
+    omega_b: float  # rad/s, speed above which the back-EMF gives an angle better than one edge
+    alpha: float  # rad/s2, acceleration by the largest torque
+    feed: float  # rad/(s2 A), acceleration by current; 0: the inertia is not known
 
 
 def make_scale(
@@ -65,7 +66,7 @@ def make_scale(
         L_s=L_s_hat,
         psi_f=psi_f,
         v=v,
-        v_drop=max(v, 0.1 * R_s_hat * i),
+        v_drop=max(v, DROP_SHARE * R_s_hat * i),
         i=i,
         i_fade=legs.FADE / (L_s_hat * pwm_hz),
         omega_v=v / psi_f,

@@ -66,9 +66,7 @@ class ServeOptions:
     tcp: str | None = None
     """HOST:PORT to listen on, port 0 = any."""
     slcan: bool = False
-    """On a CAN bus behind an slcan adapter on a pty."""
-    socketcand: str | None = None
-    """HOST:PORT of a socketcand server for the CAN bus. Without any of these: a pty."""
+    """On a CAN bus behind an slcan adapter on a pty. Without any of these: a pty."""
     rates: BusRates = field(default_factory=BusRates)
     """Of the CAN bus."""
     extended: bool = False
@@ -85,11 +83,6 @@ class ServeOptions:
     """The devices' side of HBP is the one in C (protocol/c)."""
     store: Path | None = None
     """File in which PARAM_COMMIT keeps the drive's parameters; None = it is refused."""
-
-    @property
-    def can(self) -> bool:
-        """Whether the devices are on a CAN bus."""
-        return self.slcan or self.socketcand is not None
 
 
 def parse_override(text: str) -> tuple[str, Value]:
@@ -292,11 +285,11 @@ def _handlers(handler: Callable[[int, FrameType | None], object], numbers: Itera
 def _make_port(options: ServeOptions) -> Port:
     if options.baud is not None and not MIN_BAUD <= options.baud <= MAX_BAUD:
         raise ConfigError(f"baud must be between {MIN_BAUD} and {MAX_BAUD}, got {options.baud}")
-    if options.link is not None and (options.tcp or options.socketcand):
+    if options.link is not None and options.tcp:
         raise ConfigError("--link needs a pty")
-    if options.baud is not None and (options.tcp or options.can):
+    if options.baud is not None and (options.tcp or options.slcan):
         raise ConfigError("--baud needs a pty; for a CAN bus use --bitrate")
-    if options.can:
+    if options.slcan:
         return _make_can_port(options)
     if options.tcp is not None:
         return TcpPort(*split_host_port(options.tcp))
@@ -304,15 +297,11 @@ def _make_port(options: ServeOptions) -> Port:
 
 
 def _make_can_port(options: ServeOptions) -> Port:
-    check_rates(options.rates)
     from sim.ports.slcan_port import SlcanPort
-    from sim.ports.socketcand_port import SocketcandPort
 
-    if options.slcan:
-        check_slcan_rates(options.rates)
-        return SlcanPort(options.link, options.rates, options.extended)
-    assert options.socketcand is not None
-    return SocketcandPort(*split_host_port(options.socketcand), options.rates, options.extended)
+    check_rates(options.rates)
+    check_slcan_rates(options.rates)
+    return SlcanPort(options.link, options.rates, options.extended)
 
 
 def check_rates(rates: BusRates) -> None:
@@ -346,7 +335,7 @@ def _make_network(options: ServeOptions) -> Network:
     capacity = None if options.baud is None else options.baud / BITS_PER_CHARACTER
     room = TX_BYTES if capacity is None else min(TX_BYTES, max(MIN_TX_BYTES, round(0.3 * capacity)))
     try:
-        if options.can:
+        if options.slcan:
             return CanNetwork(options.rates, options.extended, compiled=options.compiled)
         if options.compiled:
             return ByteNetwork(CompiledLink(room, capacity))

@@ -30,7 +30,6 @@ SIMS = {
     "slcan": ("--slcan",),
     "slcan, FD": ("--slcan", "--fd"),
     "slcan, 29 bits": ("--slcan", "--ext"),
-    "socketcand": ("--socketcand", "127.0.0.1:0"),
 }
 IN_PROCESS = {
     "virtual": BusRates(),

@@ -1,6 +1,6 @@
 """The CAN link over python-can's own buses: virtual, a plug-in that fails to order, and drivers that are not here.
 
-The other end is python-can itself; socketcand is in `tests/sim/drive/test_socketcand_port.py`.
+The other end is python-can itself; socketcand is in `test_socketcand.py`.
 """
 
 from __future__ import annotations

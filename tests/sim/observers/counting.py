@@ -59,7 +59,7 @@ CYCLES = {
 ARITHMETIC = dict.fromkeys(CYCLES, 0) | {"add": 1, "multiply": 1, "divide": 1, "root": 1}
 """The same where only arithmetic counts, each operation alike."""
 
-COPIES = {"with12", "_with6", "_with_pair", "_with"}  # functions that put one element in its place
+COPIES = {"with_item"}  # functions that put one element in its place
 FUNCTIONS = {"sin": "sine", "cos": "cosine", "sqrt": "root"}
 
 Tally = Counter[tuple[str, str]]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ideal_motor import PAPER_EDGES, PWM_HZ, constant, own, rpm, run, samples, signals
 
+from sim.native import with_item
 from sim.observers import back_emf, covariance, edge_kalman, hall_levels, hall_places, transforms, vector_tracking
 from sim.observers.catalogue import CATALOGUE
 from tests.sim.observers.counting import CYCLES, Counted, Int, Number, cost, counted, counting, stored
@@ -55,7 +56,7 @@ def kinds(function, *arguments):
         (hall_levels.rising, (Int(1), Int(2)), {"integer": 2, "integer compare": 1}),
         # 60 deg and the place are read
         (hall_places.angle, (PLACES, Int(3), 1), {"convert": 1, "multiply": 1, "add": 1, "load": 2}),
-        (hall_places.with12, (PLACES.actual, Int(3), Number(1.0)), {}),
+        (with_item, (PLACES.actual, Int(3), Number(1.0)), {}),
     ],
 )
 def test_a_kernel_counts_as_by_hand(function, arguments, by_hand):
