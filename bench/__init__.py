@@ -3,7 +3,7 @@
     import bench
 
     with bench.connect("sim") as rig:                      # or "serial:/dev/ttyACM0": asks before anything turns
-        rig.drive.speed(500, "r/min")
+        rig.drive.speed(rpm=500)
         rig.load.torque(0.2)                                # N·m
         rig.wait(0.5)
         run = rig.record(2.0)                               # a Capture

@@ -1,13 +1,13 @@
 """Acceptance tests for drives: a pytest plug-in, measurements with limits, and a report.
 
-    from bench.acceptance import RPM, energises, limit, needs
+    from bench.acceptance import energises, limit, needs
 
     @limit("error_std", "deg", hi=5.0)
     @needs("encoder")
-    @energises(speed_rpm=500, current=4)
+    @energises(rpm=500, current=4)
     def test_steady_500_rpm(drive, record, measure):
         drive.start("vector-tracking")
-        drive.speed(500 * RPM)
+        drive.speed(rpm=500)
         record.wait(0.5)
         steady = record(1.0)
         measure("error_std", np.degrees(steady.position_error("theta_vt").std()), steady)

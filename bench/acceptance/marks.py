@@ -76,21 +76,21 @@ def needs(*what: str) -> pytest.MarkDecorator:
 class _Asked:
     """How far a test goes: mechanical r/min and A, or shares of the drive's ratings."""
 
-    speed_rpm: float | None
+    rpm: float | None
     current: float | None
     rated_speed: float | None
     rated_current: float | None
 
     def within(self, ratings: Ratings) -> Envelope:
         """The same for a drive with these ratings; nothing where one is needed that nobody has told."""
-        speed, current = self.speed_rpm, self.current
+        rpm, current = self.rpm, self.current
         if self.rated_speed is not None:
-            speed = self.rated_speed * ratings.told.get(RATED_SPEED, 0.0)
+            rpm = self.rated_speed * ratings.told.get(RATED_SPEED, 0.0)
         if self.rated_current is not None:
             current = self.rated_current * ratings.told.get(RATED_CURRENT, 0.0)
-        assert speed is not None
+        assert rpm is not None
         assert current is not None
-        return Envelope(speed, current)
+        return Envelope(rpm, current)
 
     def rated_by(self) -> set[str]:
         """The ratings that are needed for that."""
@@ -99,7 +99,7 @@ class _Asked:
 
 
 def energises(
-    speed_rpm: float | None = None,
+    rpm: float | None = None,
     current: float | None = None,
     *,
     rated_speed: float | None = None,
@@ -110,9 +110,9 @@ def energises(
     Mechanical r/min and A (peak), or either as a share of what the drive is rated for. Raises ValueError unless each is
     given once.
     """
-    if (speed_rpm is None) == (rated_speed is None) or (current is None) == (rated_current is None):
-        raise ValueError("energises: give speed_rpm or rated_speed, and current or rated_current")
-    return pytest.mark.bench_energises(_Asked(speed_rpm, current, rated_speed, rated_current))
+    if (rpm is None) == (rated_speed is None) or (current is None) == (rated_current is None):
+        raise ValueError("energises: give rpm or rated_speed, and current or rated_current")
+    return pytest.mark.bench_energises(_Asked(rpm, current, rated_speed, rated_current))
 
 
 def declared_limits(item: pytest.Item) -> list[Limits]:

@@ -144,7 +144,7 @@ class Turner:
                 if not self._running:
                     self._running = True
                     drive.start(observer)
-                drive.speed(omega_m, unless=partial(self._let_go, limit))
+                drive.speed(rad_s=omega_m, unless=partial(self._let_go, limit))
             except (BenchError, HbpError):
                 if not drive.faults:
                     raise
@@ -163,7 +163,7 @@ class Turner:
         before = self._speed()
         limit = GROWS * abs(before)
         with suppress(BenchError, HbpError):
-            self._rig.drive.speed(0.0, unless=partial(self._let_go, limit))
+            self._rig.drive.speed(rpm=0, unless=partial(self._let_go, limit))
         self._rig.until(lambda: abs(self._speed()) < STANDS or self._let_go(limit), COAST)
         if self._rig.drive.faults or abs(self._speed()) < STANDS:
             return
@@ -180,7 +180,7 @@ class Turner:
         try:
             for omega_m in self._speeds(SHARES):
                 self._progress(f"the load machine: {omega_m / RPM:+.0f} r/min")
-                load.speed(omega_m)
+                load.speed(rad_s=omega_m)
                 self._rig.wait(self._dwell(omega_m))
         finally:
             load.off()

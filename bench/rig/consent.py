@@ -27,7 +27,7 @@ def check_limits(drive: Node, envelope: Envelope) -> None:
     """Raise BenchError, naming value and limit, if the envelope exceeds what the drive allows."""
     for what, value, parameter, unit, symbol in (  # `unit`: what one `symbol` is in the parameter's own unit
         ("current", envelope.current, "i_max", 1.0, "A"),
-        ("speed", envelope.speed_rpm, "omega_m_max", RPM, "r/min"),
+        ("speed", envelope.rpm, "omega_m_max", RPM, "r/min"),
         ("load", envelope.load, "i_max", 1.0, "A"),
     ):
         if math.isinf(value) or not drive.has_parameter(parameter):  # without it the drive sets no limit here
@@ -49,7 +49,7 @@ def require_consent(
         return
     most = min(drive.parameter("i_max").value, envelope.current) if drive.has_parameter("i_max") else None
     current = "its own limit" if most is None else f"{most:g} A"
-    speed = f"up to {abs(envelope.speed_rpm):g} r/min, " if envelope.speed_rpm else "to be held at rest, "
+    speed = f"up to {abs(envelope.rpm):g} r/min, " if envelope.rpm else "to be held at rest, "
     what = (
         f"{drive.identity.name} (boot {drive.identity.boot_id:08x}) on {target}: {speed}phase current up to {current}"
     )
@@ -58,7 +58,7 @@ def require_consent(
             f"refusing to energise {what}: no terminal to confirm; "
             "pass --yes (in Python: yes=True) if the shaft is clear"
         )
-    if not confirm(f"{'Spin' if envelope.speed_rpm else 'Energise'} {what}. Is the shaft clear?"):
+    if not confirm(f"{'Spin' if envelope.rpm else 'Energise'} {what}. Is the shaft clear?"):
         raise UnsafeError("not confirmed: the drive was not energised")
 
 
@@ -90,11 +90,11 @@ def require_agreement(
         require_consent(drive, target, at_most(drive, envelope), yes, confirm)
         if machine := load_target(settings):
             load = open_load_machine(machine, stack)
-            most = at_most(load, Envelope(envelope.speed_rpm))
+            most = at_most(load, Envelope(envelope.rpm))
             require_consent(load, f"{machine}, the load machine", most, yes, confirm)
 
 
 def at_most(node: Node, envelope: Envelope) -> Envelope:
     """The envelope with what the machine lets one ask for, where that is slower."""
     most = node.parameter("omega_m_max").value if node.has_parameter("omega_m_max") else math.inf
-    return replace(envelope, speed_rpm=min(envelope.speed_rpm, most / RPM))
+    return replace(envelope, rpm=min(envelope.rpm, most / RPM))

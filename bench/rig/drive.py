@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from bench.analysis.sources import source_names, source_number
-from bench.analysis.units import RPM, pole_pairs
+from bench.analysis.units import pole_pairs, shaft_speed
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
 from bench.errors import BenchError, DriveFailed
@@ -22,9 +22,6 @@ from bench.rig.restore import try_all
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState
-
-UNITS = {"rad/s": 1.0, "r/min": RPM, "rpm": RPM}
-"""Of a speed, in mechanical rad/s."""
 
 
 class DriveTripped(BenchError):
@@ -96,14 +93,14 @@ class Drive(Machine):
             raise BenchError(f"no angle source '{observer}'; available: {', '.join(source_names())}")
         self.set("observer", float(source))
 
-    def speed(self, omega_m: float, unit: str = "rad/s", *, unless: Callable[[], bool] = lambda: False) -> None:
-        """Set the speed reference, mechanical, in `unit`; its confirmation is awaited unless `unless`.
+    def speed(
+        self, *, rpm: float | None = None, rad_s: float | None = None, unless: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Set the speed reference, mechanical, in one of two units; its confirmation is awaited unless `unless`.
 
-        Raises BenchError for another unit and beyond what was announced, and DriveTripped.
+        Raises BenchError beyond what was announced, DriveTripped, and TypeError unless just one unit is given.
         """
-        if unit not in UNITS:
-            raise BenchError(f"no speed unit '{unit}'; available: {', '.join(UNITS)}")
-        omega_m *= UNITS[unit]
+        omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed("speed", omega_m, self.envelope)
         self._start_by_itself()
         with self._trips_first():

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
+
+from bench.analysis.units import RPM
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """The most that is asked of a drive: mechanical r/min and A of peak phase current; inf is the drive's limit."""
+    """The most that is asked of a drive: mechanical r/min and A of peak phase current; inf is the drive's limit.
 
-    speed_rpm: float = math.inf
+    The speed may be given as `rad_s` instead; TypeError for both.
+    """
+
+    rpm: float = math.inf
     current: float = math.inf
     load: float = 0.0
     """A of q current that the load torque takes."""
+    rad_s: InitVar[float | None] = None
+
+    def __post_init__(self, rad_s: float | None) -> None:
+        if rad_s is not None:
+            if self.rpm != math.inf:
+                raise TypeError("give a speed either as rpm=… or as rad_s=…, mechanical")
+            object.__setattr__(self, "rpm", rad_s / RPM)
 
     def join(self, other: Envelope) -> Envelope:
         """What covers both."""
-        return Envelope(
-            max(self.speed_rpm, other.speed_rpm), max(self.current, other.current), max(self.load, other.load)
-        )
+        return Envelope(max(self.rpm, other.rpm), max(self.current, other.current), max(self.load, other.load))

@@ -23,6 +23,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
+from bench.analysis.units import shaft_speed
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.rig.envelope import Envelope
@@ -45,8 +46,8 @@ class Load(Protocol):
     def torque(self, tau: float) -> None:
         """Brake with `tau` N·m against the drive's positive direction."""
 
-    def speed(self, omega_m: float) -> None:
-        """Force the shaft to `omega_m`, mechanical rad/s. BenchError beyond what was announced."""
+    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
+        """Force the shaft to a mechanical speed, in one of two units. BenchError beyond what was announced."""
 
     def off(self) -> None:
         """Leave the shaft alone; from any state, as often as one likes."""
@@ -61,7 +62,9 @@ class NoLoad:
         """BenchError."""
         raise BenchError("there is no load: no node 2 answers on the drive's link, or bench.toml has load = none")
 
-    speed = torque
+    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
+        """BenchError."""
+        self.torque(0.0)
 
     def off(self) -> None:
         """Nothing."""
@@ -84,8 +87,9 @@ class NodeLoad(Machine):
         self.start()
         self.node.torque(tau)
 
-    def speed(self, omega_m: float) -> None:
+    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
         """See `Load`."""
+        omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self.start()
         self.node.speed(omega_m)
@@ -148,7 +152,7 @@ class PersonLoad:
             self._ask(f"Set the brake to {tau:.3f} N·m")
             self._set = tau
 
-    def speed(self, omega_m: float) -> None:
+    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
         """BenchError: it takes a machine."""
         raise BenchError("a person with a brake cannot force a speed")
 
@@ -182,8 +186,9 @@ class OwnLoad:
         """See `Load`."""
         self._call("torque", tau)
 
-    def speed(self, omega_m: float) -> None:
+    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
         """See `Load`."""
+        omega_m = shaft_speed(rpm, rad_s)
         require_announced_speed(LOAD_SPEED, omega_m, self.envelope)
         self._call("speed", omega_m)
 

@@ -83,7 +83,7 @@ class Machine:
 
 def require_announced_speed(what: str, omega_m: float, envelope: Envelope) -> None:
     """Raise BenchError if `omega_m`, mechanical rad/s, is beyond the speed that was announced."""
-    require_announced(what, abs(omega_m) / RPM, envelope.speed_rpm, "r/min", "speed_rpm")
+    require_announced(what, abs(omega_m) / RPM, envelope.rpm, "r/min", "rpm")
 
 
 def require_announced(what: str, value: float, limit: float, unit: str, argument: str) -> None:

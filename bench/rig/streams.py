@@ -63,10 +63,10 @@ def configure(
 
 def edge_rate(node: Node, envelope: Envelope) -> float:
     """Hall edges a second at the speed of `envelope`; 0 where that, or the number of pole pairs, is not known."""
-    if not math.isfinite(envelope.speed_rpm) or not node.has_parameter("n_p"):
+    if not math.isfinite(envelope.rpm) or not node.has_parameter("n_p"):
         return 0.0
     n_p = pole_pairs({"n_p": node.parameter("n_p").value})
-    return 6 * (n_p or 0) * envelope.speed_rpm / 60
+    return 6 * (n_p or 0) * envelope.rpm / 60
 
 
 def _decimation_beside(node: Node, config: StreamConfig, edges_per_s: float) -> int:

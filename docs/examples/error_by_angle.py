@@ -21,7 +21,7 @@ OBSERVERS = {
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:
-    rig.drive.speed(300, "r/min")
+    rig.drive.speed(rpm=300)
     rig.load.torque(0.1)
     rig.wait(0.5)
     run = rig.record(3.0)  # the first two seconds are for the observers to settle, and to learn

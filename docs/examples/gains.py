@@ -14,7 +14,7 @@ from bench.reports.style import SERIES, axis_labels, legend_above, new_figure
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:
     rig.drive.start("encoder")  # the control does not depend on what is compared
-    rig.drive.speed(200, "r/min")
+    rig.drive.speed(rpm=200)
     rig.load.torque(0.0)  # armed and started here, so that the step itself is one
     rig.wait(0.5)
     with rig.recording() as stretch:

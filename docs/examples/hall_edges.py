@@ -17,7 +17,7 @@ angles, edges = [], []
 with bench.connect("sim") as rig:
     rig.drive.start("encoder")
     for rpm in (200, -200):
-        rig.drive.speed(rpm, "r/min")
+        rig.drive.speed(rpm=rpm)
         rig.wait(1.0)
         run = rig.record(2.0)
         angles.append(run.theta_at_edges())

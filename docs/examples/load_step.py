@@ -16,7 +16,7 @@ RPM_SET, TORQUE = 500, 0.15  # r/min, N·m
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:
-    rig.drive.speed(RPM_SET, "r/min")
+    rig.drive.speed(rpm=RPM_SET)
     rig.load.torque(0.0)  # it is armed and started here, so that the step itself is one
     rig.wait(1.5)
     with rig.recording() as stretch:

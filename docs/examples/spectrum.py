@@ -19,7 +19,7 @@ figure, (waves, lines) = new_figure(2, height=4.8, share_x=False)
 for source, theta in SOURCES.items():
     with bench.connect("sim") as rig:
         rig.drive.start(source)
-        rig.drive.speed(600, "r/min")
+        rig.drive.speed(rpm=600)
         rig.load.torque(0.2)
         rig.wait(1.5)
         run = rig.record(1.0)

@@ -21,11 +21,11 @@ runs = {}
 for source in SOURCES:
     with bench.connect("sim") as rig:
         rig.drive.start(source)
-        rig.drive.speed(FROM, "r/min")
+        rig.drive.speed(rpm=FROM)
         rig.wait(1.5)
         with rig.recording() as stretch:
             rig.wait(0.1)
-            rig.drive.speed(TO, "r/min")
+            rig.drive.speed(rpm=TO)
             rig.wait(0.7)
         runs[source] = stretch.capture
 

@@ -51,7 +51,7 @@ def start(rig: Rig, *, load_first: bool = False) -> None:
 
 def force(rig: Rig, rpm: float) -> None:
     """The load machine holds the shaft at this speed, and the drive keeps its q current."""
-    rig.load.speed(rpm * RPM)
+    rig.load.speed(rpm=rpm)
 
 
 def edges(params: BenchParams) -> dict[str, float]:
@@ -82,7 +82,7 @@ def start_up(rig: Rig) -> None:
     """From rest, 30 deg off the middle of the sector, to 500 r/min."""
     rig.wait(0.2)
     start(rig)
-    rig.drive.speed(500 * RPM)
+    rig.drive.speed(rpm=500)
     rig.wait(0.6)
 
 
@@ -90,7 +90,7 @@ def speed_step(rig: Rig) -> None:
     """500 to 1000 r/min and back, near no load."""
     start_up(rig)
     for rpm in (1000, 500):
-        rig.drive.speed(rpm * RPM)
+        rig.drive.speed(rpm=rpm)
         rig.wait(0.5)
 
 
@@ -111,7 +111,7 @@ def load_step_full(rig: Rig) -> None:
 def reversal(rig: Rig) -> None:
     """From 500 to -500 r/min near no load."""
     start_up(rig)
-    rig.drive.speed(-500 * RPM)
+    rig.drive.speed(rpm=-500)
     rig.wait(0.6)
 
 
@@ -195,7 +195,7 @@ def _course(rig: Rig) -> list[str]:
         rig.load.torque(0.0)
         rig.wait(0.4)
         with suppress(NodeError):  # it has tripped
-            rig.drive.speed(target * RPM)
+            rig.drive.speed(rpm=target)
         rig.load.torque(load * rig.drive.torque_constant)
         rig.wait(0.7)
         rpm = rig.record(60.0 / abs(target))["omega_enc"] / (RPM * rig.drive.n_p)

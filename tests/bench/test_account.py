@@ -234,7 +234,7 @@ def test_an_acceptance_test_counts_what_is_lost_at_its_end_too() -> None:
     link = Lossy(simulated())
     with Rig(Plan(lambda: link, "virtual")).prepare() as rig:
         rig.drive.start("encoder")
-        rig.drive.speed(50.0)
+        rig.drive.speed(rad_s=50.0)
         rig.wait(0.4)
         link.loses = True
         rig.wait(0.4)

@@ -118,7 +118,7 @@ OWN_TEST = """
 from bench.acceptance import energises, limit
 
 @limit("n_p", lo=1)
-@energises(speed_rpm=100, current=4)
+@energises(rpm=100, current=4)
 def test_it(drive, record, measure):
     record.wait(0.1)
     measure("n_p", drive.n_p, record(0.1))

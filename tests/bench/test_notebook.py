@@ -86,7 +86,7 @@ ENDS: dict[str, tuple[Callable[[bench.Rig], object], type[BaseException] | None]
     "of itself": (lambda rig: rig.wait(0.05), None),
     "by a bug": (lambda rig: rig.no_such_name, AttributeError),  # type: ignore[attr-defined]
     "by Ctrl-C": (lambda rig: signal.raise_signal(signal.SIGINT), KeyboardInterrupt),
-    "by a refusal of the drive": (lambda rig: rig.drive.speed(401.0), NodeError),
+    "by a refusal of the drive": (lambda rig: rig.drive.speed(rad_s=401.0), NodeError),
 }
 
 
@@ -98,7 +98,7 @@ def test_what_turned_is_off_and_seen_off_and_put_back(
     ends = pytest.raises(raised) if raised else nullcontext()
     with ends, connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
         rig.drive.set("k_p_vt", 900.0)
-        rig.drive.speed(500, "r/min")
+        rig.drive.speed(rpm=500)
         rig.load.torque(0.05)
         rig.wait(0.2)
         assert link.device.drive.state == link.device.load.state == DriveState.RUNNING
@@ -113,7 +113,7 @@ def test_what_turned_is_off_and_seen_off_and_put_back(
 
 def _run(link: WatchedLink) -> None:
     with connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
-        rig.drive.speed(300, "r/min")
+        rig.drive.speed(rpm=300)
         rig.load.torque(0.02)
         rig.record(0.1)
 
@@ -134,7 +134,7 @@ def test_ctrl_c_at_any_moment_leaves_it_off_and_as_it_was() -> None:
 def test_ctrl_c_in_record_stops_at_once() -> None:
     link = WatchedLink(physical())
     with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012
-        rig.drive.speed(500, "r/min")
+        rig.drive.speed(rpm=500)
         began, calls = link.clock(), link.calls
         link._on_call = raising(signal.SIGINT, calls + 10)
         rig.record(60.0)
@@ -150,7 +150,7 @@ def test_a_start_that_fails_leaves_it_off() -> None:
         link.device.drive.fault(Fault.OVERCURRENT) if link.states[-2:] == [DriveState.ARMED] * 2 else None
     )
     with pytest.raises(BenchError, match="OVERCURRENT"), connected(link, yes=True) as rig:
-        rig.drive.speed(500, "r/min")
+        rig.drive.speed(rpm=500)
     assert DriveState.ARMED in link.states
     assert DriveState.RUNNING not in link.states
     assert at_rest(link.device)
@@ -160,11 +160,11 @@ def test_a_closed_rig_turns_nothing() -> None:
     link = WatchedLink(physical())
     with connected(link, yes=True) as rig:
         assert repr(rig).endswith("the drive IDLE, the load machine IDLE, 22 channels at 16000 Hz")
-        rig.drive.speed(100, "r/min")
+        rig.drive.speed(rpm=100)
         assert repr(rig.drive) == "the drive RUNNING"
     assert repr(rig).endswith("the drive IDLE, the load machine IDLE, streams nothing")
     with pytest.raises(Exception, match="is closed"):
-        rig.drive.speed(100, "r/min")
+        rig.drive.speed(rpm=100)
     assert at_rest(link.device)
 
 
@@ -174,7 +174,7 @@ def test_a_closed_rig_turns_nothing() -> None:
 def test_nothing_is_energised_where_nobody_can_be_asked() -> None:
     link = WatchedLink(physical())
     with connected(link, limits=bench.Envelope(300, 2.0)) as rig:
-        for act in (rig.drive.start, lambda: rig.drive.speed(1.0), lambda: rig.drive.current(0.1)):
+        for act in (rig.drive.start, lambda: rig.drive.speed(rad_s=1.0), lambda: rig.drive.current(0.1)):
             with pytest.raises(UnsafeError, match=r"up to 300 r/min, phase current up to 2 A: .*in Python: yes=True"):
                 act()
         with pytest.raises(UnsafeError):
@@ -189,7 +189,7 @@ def test_only_a_yes_is_one(monkeypatch: pytest.MonkeyPatch, answer: str | Except
     somebody = Somebody(monkeypatch, answer)
     words = "yes=True" if isinstance(answer, Exception) else "not confirmed"
     with connected(link) as rig, pytest.raises(UnsafeError, match=words):
-        rig.drive.speed(1.0)
+        rig.drive.speed(rad_s=1.0)
     assert len(somebody.asked) == 1
     assert not ENERGISED & set(link.states)
 
@@ -202,9 +202,9 @@ def test_somebody_is_asked_once_for_drive_and_load_and_again_after_a_no(monkeypa
         with pytest.raises(UnsafeError):
             rig.load.torque(0.1)
         rig.load.torque(0.1)
-        rig.drive.speed(100, "rpm")
+        rig.drive.speed(rpm=100)
         rig.drive.stop()
-        rig.drive.speed(200, "rpm")
+        rig.drive.speed(rpm=200)
     assert len(somebody.asked) == 2
     drive = link.device.sessions[0].identity
     assert somebody.asked[0] == (
@@ -229,7 +229,7 @@ def test_whoever_takes_time_to_answer_loses_nothing(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(builtins, "input", take_time)
     with closing(drive), bench.connect(drive.port.target) as rig:
         before = rig.tick()
-        rig.drive.speed(300, "r/min")
+        rig.drive.speed(rpm=300)
         run = rig.record(0.2)
         asked = rig.capture(before, int(run.samples.tick[-1]))
     assert run.dropped == asked.dropped == ()
@@ -240,24 +240,29 @@ def test_whoever_takes_time_to_answer_loses_nothing(monkeypatch: pytest.MonkeyPa
 def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
     link = WatchedLink(physical())
     app = link.device.sessions[0].app
-    with connected(link, yes=True, limits=bench.Envelope(speed_rpm=300, current=2.5)) as rig:
+    with connected(link, yes=True, limits=bench.Envelope(rpm=300, current=2.5)) as rig:
         assert app.get_param("i_max") == 2.5
         for act, words in (
-            (lambda: rig.drive.speed(-301, "r/min"), "speed 301 r/min is beyond the announced limit of 300 r/min"),
-            (lambda: rig.drive.speed(31.6), "speed 301.8 r/min is beyond the announced limit of 300 r/min"),
-            (lambda: rig.drive.speed(math.nan), "speed nan r/min is beyond the announced limit of 300 r/min"),
+            (lambda: rig.drive.speed(rpm=-301), "speed 301 r/min is beyond the announced limit of 300 r/min"),
+            (lambda: rig.drive.speed(rad_s=31.6), "speed 301.8 r/min is beyond the announced limit of 300 r/min"),
+            (lambda: rig.drive.speed(rad_s=math.nan), "speed nan r/min is beyond the announced limit of 300 r/min"),
             (
                 lambda: rig.drive.current(2.0, -1.6),
                 r"current 2\.561 A is beyond the announced limit of 2\.5 A.*Envelope\(current=…\)",
             ),
             (lambda: rig.drive.set("i_max", 2.6), r"i_max 2\.6 A is beyond the announced limit of 2\.5 A"),
-            (lambda: rig.load.speed(31.6), r"load\.speed 301\.8 r/min is beyond the announced limit of 300 r/min"),  # type: ignore[attr-defined]
-            (lambda: rig.drive.speed(10, "deg/s"), r"no speed unit 'deg/s'; available: rad/s, r/min, rpm"),
+            (
+                lambda: rig.load.speed(rad_s=31.6),
+                r"load\.speed 301\.8 r/min is beyond the announced limit of 300 r/min",
+            ),  # type: ignore[attr-defined]
         ):
             with pytest.raises(BenchError, match=words):
                 act()
+        for act in (rig.drive.speed, lambda: rig.drive.speed(rpm=10, rad_s=1), rig.load.speed):
+            with pytest.raises(TypeError, match=r"give a speed either as rpm=… or as rad_s=…, mechanical"):
+                act()
         assert not ENERGISED & set(link.states)
-        rig.drive.speed(300, "r/min")
+        rig.drive.speed(rpm=300)
     assert app.get_param("i_max") == I_MAX
 
 
@@ -265,7 +270,7 @@ def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
     ("limits", "words"),
     [
         (bench.Envelope(current=9.0), r"current 9 A is beyond the drive's limit of 8 A \(its parameter i_max\)"),
-        (bench.Envelope(speed_rpm=4000), r"speed 4000 r/min is beyond the drive's limit of 3151 r/min"),
+        (bench.Envelope(rpm=4000), r"speed 4000 r/min is beyond the drive's limit of 3151 r/min"),
     ],
 )
 def test_limits_beyond_the_drives_own_are_refused(limits: bench.Envelope, words: str) -> None:
@@ -281,7 +286,7 @@ def test_limits_beyond_the_drives_own_are_refused(limits: bench.Envelope, words:
 def test_a_drive_that_another_host_runs_is_refused_and_goes_on() -> None:
     link = WatchedLink(physical())
     with connected(link, yes=True) as other:
-        other.drive.speed(100, "r/min")
+        other.drive.speed(rpm=100)
         with (
             reached(link),
             pytest.raises(BenchError, match=r"tty2 is not at rest \(its heartbeat says RUNNING, outputs on\): another"),
@@ -350,7 +355,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[bench.Capture, Path
     """0.5 s at 500 r/min with 0.1 N·m, and the recording of all of its run."""
     path = tmp_path_factory.mktemp("saved") / "run.run"
     with bench.connect("sim", save=path) as rig:
-        rig.drive.speed(500, "r/min")
+        rig.drive.speed(rpm=500)
         rig.load.torque(0.1)
         rig.wait(0.5)
         capture = rig.record(0.5)
@@ -427,7 +432,7 @@ def test_a_recording_reads_as_what_was_recorded(saved: tuple[bench.Capture, Path
 def test_what_is_lost_is_told_by_the_capture_and_by_the_recording(tmp_path: Path) -> None:
     link = SpoiltLink(simulated())
     with connected(link, save=tmp_path / "run.run") as rig:
-        rig.drive.speed(300, "r/min")
+        rig.drive.speed(rpm=300)
         with rig.recording() as stretch:
             rig.wait(0.1)
             link.lose = 2

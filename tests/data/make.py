@@ -26,7 +26,7 @@ MARGIN = "0.2%"
 def steady(rig: bench.Rig) -> None:
     """500 r/min with a load, from a start."""
     rig.drive.start("encoder")
-    rig.drive.speed(500, unit="r/min")
+    rig.drive.speed(rpm=500)
     rig.load.torque(0.2)
     rig.wait(0.6)
 
@@ -34,9 +34,9 @@ def steady(rig: bench.Rig) -> None:
 def reversal(rig: bench.Rig) -> None:
     """1000 to -1000 r/min without a load."""
     rig.drive.start("encoder")
-    rig.drive.speed(1000, unit="r/min")
+    rig.drive.speed(rpm=1000)
     rig.wait(0.3)
-    rig.drive.speed(-1000, unit="r/min")
+    rig.drive.speed(rpm=-1000)
     rig.wait(0.4)
 
 

@@ -232,7 +232,7 @@ def electrical_turn(drive: Drive, speed_rpm: float) -> float:
 def run_at(drive: Drive, record: Record, speed_rpm: float, seconds: float) -> None:
     """Start the drive on its own angle, ask for a speed, and wait `seconds` after the ramp's end."""
     drive.start(own_angle(drive))
-    drive.speed(speed_rpm * RPM)
+    drive.speed(rpm=speed_rpm)
     record.wait(ramp(drive, speed_rpm) + seconds)
 
 
@@ -268,14 +268,14 @@ def turn_both_ways(drive: Drive, rated: Ratings, record: Record, measure: Measur
     speed = 0.1 * rated.speed_rpm
     drive.start("encoder")
     with drive.may_trip(), record.stretch() as started:  # a drive may well trip over wrong wiring: name that first
-        drive.speed(speed * RPM)
+        drive.speed(rpm=speed)
         record.wait(0.8)
     measure("wiring_as_specified", or_nan(lambda: _wiring_as_specified(started.capture, record)), started.capture)
     if drive.faults:
         raise DriveTripped(f"the drive tripped: {', '.join(drive.faults)}")
     turning = []
     for direction in (1, -1):
-        drive.speed(direction * speed * RPM)
+        drive.speed(rpm=direction * speed)
         assert settle(record, direction * speed), f"{direction * speed:g} r/min were not reached"
         turning.append(record(max(1.0, 5.0 * 60.0 / speed)))
     edges = [capture.edges for capture in turning]

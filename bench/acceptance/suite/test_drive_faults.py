@@ -14,7 +14,6 @@ import pytest
 from bench.acceptance import (
     RATED_CURRENT,
     RATED_SPEED,
-    RPM,
     Capture,
     Drive,
     Ratings,
@@ -138,7 +137,7 @@ def test_hall_wiring_is_named(
     The load machine turns the shaft; the encoder tells which codes belong where.
     """
     speed = rated.speed_rpm / 50
-    load.speed(speed * RPM)
+    load.speed(rpm=speed)
     record.wait(0.2)
 
     def look(name: str, expected: str) -> Capture:
@@ -185,7 +184,7 @@ def test_hall_wires_exchanged(
     It cannot turn; it must not draw more than its limit, run away, or trip for another reason.
     """
     speed = rated.speed_rpm / 30
-    load.speed(0.6 * speed * RPM)  # the Hall sensors are seen once before
+    load.speed(rpm=0.6 * speed)  # the Hall sensors are seen once before
     record.wait(0.2)
     load.torque(0.0)
     record.wait(0.3)
@@ -193,7 +192,7 @@ def test_hall_wires_exchanged(
     with drive.may_trip():
         drive.start(own_angle(drive))
         with record.stretch() as stretch:
-            drive.speed(speed * RPM)
+            drive.speed(rpm=speed)
             record.until(lambda: bool(drive.faults), 0.9)
         run = stretch.capture
         faults = drive.faults
@@ -318,7 +317,7 @@ def _silence(
         with record.stretch() as stretch:
             record.wait(0.03)
             drive.node.client.feed(drive.node.number, on=False)
-            drive.speed(LAST * rated.speed_rpm * RPM)
+            drive.speed(rpm=LAST * rated.speed_rpm)
             record.until(lambda: bool(drive.faults), 3.0 * _watchdog(drive))
             let_go()
             record.wait(0.05)

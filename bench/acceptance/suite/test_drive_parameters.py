@@ -9,7 +9,6 @@ import numpy as np
 from bench.acceptance import (
     RATED_CURRENT,
     RATED_SPEED,
-    RPM,
     Capture,
     Drive,
     Limits,
@@ -85,7 +84,7 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
     """
     speed = speed_rpm(drive, rated, SPEED)
     drive.start(PROPOSED)
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     settle(record, speed)
     load.torque(LOAD * rated.current * drive.torque_constant)
     settle(record, speed, within=0.005)
@@ -187,7 +186,7 @@ def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, me
     run_at(drive, record, speed, 1.0)
     with record.stretch() as turning:
         for speed_rpm in (speed, speed / 2, -speed / 2, -speed):
-            drive.speed(speed_rpm * RPM)
+            drive.speed(rpm=speed_rpm)
             record.wait(0.5)
     drive.stop()
     found = delays(turning.capture)

@@ -13,7 +13,6 @@ import pytest
 from bench.acceptance import (
     RATED_CURRENT,
     RATED_SPEED,
-    RPM,
     Capture,
     Drive,
     Limits,
@@ -76,7 +75,7 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
     """
     speed = speed_rpm(drive, rated, 1 / 10)
     run_at(drive, record, speed, 0.4)
-    run = around(record, 0.05, lambda: drive.speed(-speed * RPM), 0.6 + ramp(drive, 2.0 * speed))
+    run = around(record, 0.05, lambda: drive.speed(rpm=-speed), 0.6 + ramp(drive, 2.0 * speed))
     after = whole_turns(record(max(0.2, 1.1 * 60.0 / speed)))
     start, omega, reference = stepped(run, "omega_ref"), rpm(run), rpm(run, "omega_ref")
     since = run.t >= start
@@ -123,7 +122,7 @@ def test_lowest_speed(
     """
     speed = speed_rpm(drive, rated, LOWEST, BARELY)
     drive.start(PROPOSED)
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     if torque:
         load.torque(0.01 * torque * rated.current * drive.torque_constant)
     record.wait(0.8)
@@ -213,13 +212,13 @@ def test_stall_and_restart(
     The current must stay at its limit, and the drive must start by itself and come down to its speed.
     """
     speed = speed_rpm(drive, rated, 1 / 10)
-    load.speed(0.2 * speed * RPM)  # to some position that nobody has chosen
+    load.speed(rpm=0.2 * speed)  # to some position that nobody has chosen
     record.wait(0.2)
-    load.speed(0.0)
+    load.speed(rpm=0)
     record.wait(0.1)
     drive.start(own_angle(drive))
     with record.stretch() as stretch:
-        drive.speed(speed * RPM)
+        drive.speed(rpm=speed)
         record.wait(0.4)
         load.torque(0.0)
         record.wait(0.8)

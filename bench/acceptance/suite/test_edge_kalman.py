@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, called, energises, limit, limits, needs
+from bench.acceptance import Capture, Drive, Limits, Ratings, called, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.by_speed import Panel, draw_by_speed
 from bench.acceptance.plots.transients import draw_transient
@@ -71,7 +71,7 @@ class Bench(NamedTuple):
     def at_point(self, speed: float, current: float, seconds: float = 0.0) -> Capture:
         """A capture at a forced speed with a q current, both as shares; as long as its own turns take if not longer."""
         rate = speed * self.rated.speed_rpm
-        self.load.speed(rate * RPM)
+        self.load.speed(rpm=rate)
         self.drive.current(current * self.rated.current)
         self.record.wait(SETTLING + 20.0 / rate)  # the load's ramp takes its time, and a slow estimate some turns
         return self.record(max(seconds, 0.2, 2.2 * electrical_turn(self.drive, rate)))
@@ -80,7 +80,7 @@ class Bench(NamedTuple):
         """Start the drive on the Kalman filter and let it learn, the load machine turning the shaft."""
         self.drive.start(KALMAN)
         for speed, current, seconds in LESSONS:
-            self.load.speed(speed * self.rated.speed_rpm * RPM)
+            self.load.speed(rpm=speed * self.rated.speed_rpm)
             self.drive.current(current * self.rated.current)
             self.record.wait(seconds)
 
@@ -186,10 +186,10 @@ def test_edge_kalman_transients(
     high = 2.0 * low
     bench.teach()
     load.torque(0.0)
-    drive.speed(low * RPM)
+    drive.speed(rpm=low)
     settle(record, low)
-    speed_step = around(record, 0.1, lambda: drive.speed(high * RPM), 0.55 + ramp(drive, high - low))
-    drive.speed(low * RPM)
+    speed_step = around(record, 0.1, lambda: drive.speed(rpm=high), 0.55 + ramp(drive, high - low))
+    drive.speed(rpm=low)
     settle(record, low)
     load_step = around(record, 0.1, lambda: load.torque(0.5 * rated.current * drive.torque_constant), 0.6)
     before = bench.at_point(low / rated.speed_rpm, 1 / 40)
@@ -250,7 +250,7 @@ def test_edge_kalman_wrong_parameters(
     drive.start(PROPOSED)
     speeds = [speed_rpm(drive, rated, at, WRONG_SEEN, WRONG_MOST) / rated.speed_rpm for at in WRONG]
     own = [bench.at_point(speed, 1.0) for speed in speeds]
-    load.speed(0.0)
+    load.speed(rpm=0)
     record.wait(0.5)
     drive.stop()
     for name, factor in OFF.items():

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bench.acceptance import RPM, Capture, Drive, Limits, Ratings, called, energises, limits, needs
+from bench.acceptance import Capture, Drive, Limits, Ratings, called, energises, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.suite.common import TURNS, Measure, electrical_turn, ratio, speed_rpm, whole_turns
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
@@ -108,7 +108,7 @@ def test_observer(
     elif short == "ek":
         share, seconds = LEARNING
         for sign in WAYS.values():
-            load.speed(sign * speed_rpm(drive, rated, share) * RPM)
+            load.speed(rpm=sign * speed_rpm(drive, rated, share))
             for current in LESSONS:
                 drive.current(current * rated.current)
                 record.wait(seconds)
@@ -128,7 +128,7 @@ def test_observer(
 
 def _run(drive: Drive, load: NodeLoad, record: Record, speed: float, settling: float) -> Capture:
     """Whole turns at a forced speed in r/min, `settling` s after the change."""
-    load.speed(speed * RPM)
+    load.speed(rpm=speed)
     record.wait(settling + 6.0 * electrical_turn(drive, speed))
     return whole_turns(record(max(0.25, 2.2 * 60.0 / abs(speed))))
 

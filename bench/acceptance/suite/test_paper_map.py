@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.acceptance import RPM, Drive, Limits, Ratings, called, energises, limit, limits, needs
+from bench.acceptance import Drive, Limits, Ratings, called, energises, limit, limits, needs
 from bench.acceptance.fixtures import Record
 from bench.acceptance.plots.by_speed import draw_thd_map
 from bench.acceptance.suite.common import (
@@ -67,7 +67,7 @@ def test_fig13_thd_map(
     drive.start(PROPOSED)
     captures = []
     for speed, amps, observer in grid:
-        load.speed(speed * rated.speed_rpm * RPM)
+        load.speed(rpm=speed * rated.speed_rpm)
         drive.observe(observer)
         drive.current(amps * rated.current)
         record.wait(SETTLING)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bench.acceptance import (
     RATED_CURRENT,
     RATED_SPEED,
-    RPM,
     Capture,
     Drive,
     Limits,
@@ -185,7 +184,7 @@ def test_fig02_misaligned_hall(
         load.set(f"hall_delta_{s + 1}", math.radians(delta))
     speed = rated.speed_rpm / 15
     drive.start("encoder")
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     assert settle(record, speed), f"{speed:g} r/min were not reached"
     steady = record(2.0 * 60.0 / speed)
     before, after = _errors_at_edges(steady)
@@ -273,7 +272,7 @@ def test_fig06_frequency_response(
     speed = rated.speed_rpm / 3
     frequencies = _frequencies(gains[0], speed / 60.0)
     drive.start("encoder")
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     assert settle(record, speed), f"{speed:g} r/min were not reached"
     answers = {"low_pass": (Injection.BACK_EMF, _low_pass), "high_pass": (Injection.HALL, _high_pass)}
     expected = {name: law(frequencies, *gains) for name, (_, law) in answers.items()}
@@ -404,7 +403,7 @@ def test_fig08_steady(
     """
     speed = speed_rpm(drive, rated, LOW, ENOUGH)
     drive.start(PROPOSED)
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     load.torque(drive.torque_constant * LOAD * rated.current)
     steady = {}
     for observer in (PROPOSED, AVERAGE):

@@ -12,7 +12,6 @@ import numpy as np
 from bench.acceptance import (
     RATED_CURRENT,
     RATED_SPEED,
-    RPM,
     Capture,
     Drive,
     Limits,
@@ -173,9 +172,9 @@ def place(load: Load, record: Record) -> None:
 
     record.until(at_rest, 5.0)
     if SPEED in load.abilities and not at_the_edge():
-        load.speed(TURNING * RPM)
+        load.speed(rpm=TURNING)
         record.until(at_the_edge, 10.0)
-        load.speed(0.0)
+        load.speed(rpm=0)
         load.off()
         record.wait(0.1)
 
@@ -186,9 +185,9 @@ def start_up(drive: Drive, load: Load, record: Record, observer: str, speed: flo
     with record.stretch() as stretch:
         record.wait(0.05)
         drive.start(observer)
-        drive.speed(speed * RPM)
+        drive.speed(rpm=speed)
         record.wait(0.75 + early(drive, speed))
-    drive.speed(0.0)
+    drive.speed(rpm=0)
     record.until(lambda: abs(record.latest("omega_enc")) < 1.0, 5.0)
     drive.stop()
     return from_reference(stretch.capture, 0.0, observer)
@@ -280,9 +279,9 @@ def test_fig10_speed_step(drive: Drive, rated: Ratings, record: Record, measure:
     drive.start(AVERAGE)
     for observer in (AVERAGE, PROPOSED):
         drive.observe(observer)
-        drive.speed(low * RPM)
+        drive.speed(rpm=low)
         settle(record, low)
-        step = around(record, 0.1, lambda: drive.speed(high * RPM), 0.65 + until)
+        step = around(record, 0.1, lambda: drive.speed(rpm=high), 0.65 + until)
         runs[observer] = from_reference(step, low, observer)
     drive.stop()  # what follows may take longer than the watchdog
     stds = {}
@@ -333,7 +332,7 @@ def test_fig11_load_step(
     speed, amperes = speed_rpm(drive, rated, LOW), LOAD * rated.current
     turn = electrical_turn(drive, speed)
     drive.start(AVERAGE)
-    drive.speed(speed * RPM)
+    drive.speed(rpm=speed)
     for observer in (AVERAGE, PROPOSED):
         drive.observe(observer)
         load.torque(0.0)
@@ -405,7 +404,7 @@ def test_fig12_load_angle(
     """
     speed = speed_rpm(drive, rated, LOW)
     L_hat, k_ic = drive.parameters["L_s_hat"], abs(drive.parameters["k_ic"])
-    load.speed(speed * RPM)
+    load.speed(rpm=speed)
     drive.start(PROPOSED)
     settle(record, speed)
     u_dc = float(record(0.01)["u_dc"].mean())

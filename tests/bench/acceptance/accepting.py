@@ -34,7 +34,7 @@ from bench.acceptance import RPM, energises, limit, limits, needs, Limits
 
 def turn(drive, record, rpm=300):
     drive.start("vector-tracking")
-    drive.speed(rpm * RPM)
+    drive.speed(rpm=rpm)
     record.wait(0.1)
 
 def trip(record):

@@ -423,10 +423,10 @@ def test_goes_on(measure): measure("x", 0)
 
 
 TWO = """
-@energises(speed_rpm=300, current=2)
+@energises(rpm=300, current=2)
 def test_one(drive, record): turn(drive, record)
 
-@energises(speed_rpm=150, current=4)
+@energises(rpm=150, current=4)
 def test_two(drive, record): turn(drive, record, 150)
 """
 

@@ -16,7 +16,6 @@ from bench.acceptance.results import Verdict
 from bench.analysis.capture import Capture
 from bench.analysis.chunks import between
 from bench.analysis.limits import Limits
-from bench.analysis.units import RPM
 from bench.errors import BenchError
 from bench.rig.rig import Plan, Rig
 from protocol.signals import Flag
@@ -31,7 +30,7 @@ def clean() -> Capture:
     link = SpoiltLink(simulated())
     with Rig(Plan(link.open, "virtual")).prepare() as rig:  # type: ignore[arg-type]
         rig.drive.start("vector-tracking")
-        rig.drive.speed(500 * RPM)
+        rig.drive.speed(rpm=500)
         rig.wait(0.6)
         return rig.record(0.2)
 

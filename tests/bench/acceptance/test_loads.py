@@ -96,7 +96,7 @@ def test_brakes(drive, load, record, measure):
 
 @needs("load.speed")
 def test_forces(drive, load):
-    load.speed(1.0)
+    load.speed(rad_s=1.0)
 """
 
 
@@ -166,7 +166,7 @@ def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a
     with connected(link) as rig:
         assert isinstance(rig.load, NodeLoad)
         rig.drive.start("vector-tracking")
-        rig.drive.speed(500 * RPM)
+        rig.drive.speed(rpm=500)
         rig.wait(0.8)
         free = rig.record(0.3)
         rig.load.torque(0.1)
@@ -182,7 +182,7 @@ def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a
         rig.wait(0.6)
         assert rig.record(0.2)["i_q"].mean() == pytest.approx(free["i_q"].mean(), abs=0.1)
         rig.drive.stop()
-        rig.load.speed(-200 * RPM)
+        rig.load.speed(rpm=-200)
         rig.wait(0.5)
         assert link.device.bench.truth.omega_m == pytest.approx(-200 * RPM, rel=0.01)
     assert link.left() == (True, before)
@@ -233,20 +233,19 @@ def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: st
     run = brake(FASTER, link)
     assert run.tests == {"faster": "ERROR", "as_fast": "PASS"}
     assert run["faster"].why == (
-        "load.speed 101 r/min is beyond the announced limit of 100 r/min: @energises(speed_rpm=…), "
-        "or limits=Envelope(speed_rpm=…)"
+        "load.speed 101 r/min is beyond the announced limit of 100 r/min: @energises(rpm=…), or limits=Envelope(rpm=…)"
     )
     assert at_rest(link.device)
 
 
 FASTER = """
-@energises(speed_rpm=100, current=1)
+@energises(rpm=100, current=1)
 def test_faster(load):
-    load.speed(-101 * RPM)
+    load.speed(rpm=-101)
 
-@energises(speed_rpm=101, current=1)
+@energises(rpm=101, current=1)
 def test_as_fast(load):
-    load.speed(-101 * RPM)
+    load.speed(rpm=-101)
 """
 
 
@@ -346,7 +345,7 @@ def test_the_bench_goes_on_while_a_person_is_asked(link: SpoiltLink) -> None:
     with rig_with("person", link, ask=somebody([], answered)) as rig:
         assert isinstance(rig.load, PersonLoad)
         rig.drive.start("vector-tracking")
-        rig.drive.speed(300 * RPM)
+        rig.drive.speed(rpm=300)
         rig.wait(0.5)
         with rig.recording() as stretch:
             rig.load.torque(0.1)
@@ -427,7 +426,7 @@ def test_somebody_breaks_a_hall_wire_while_the_motor_turns_and_puts_it_back_at_t
         assert missing("hall-faults", rig) is None
         hall_faults = HallFaults(rig)
         rig.drive.start("vector-tracking")
-        rig.drive.speed(300 * RPM)
+        rig.drive.speed(rpm=300)
         rig.wait(0.4)
         with rig.drive.may_trip():
             hall_faults.open("a")

@@ -25,7 +25,7 @@ def test_turns(drive, rated, record, measure):
     run = record(0.2)
     measure("speed", run["omega_enc"].mean() / RPM / drive.n_p, run)
     measure("current", drive.parameters["i_max"] + 0 * np.abs(run["i_a"]).max(), run)
-    drive.speed(0.11 * rated.speed_rpm * RPM)
+    drive.speed(rpm=0.11 * rated.speed_rpm)
 """
 
 
@@ -82,13 +82,13 @@ def test_limits_are_wider_by_a_share_of_the_load_angle() -> None:
     "arguments",
     [
         {},
-        {"speed_rpm": 5},
-        {"speed_rpm": 5, "rated_speed": 1, "current": 1},
-        {"speed_rpm": 5, "current": 1, "rated_current": 1},
+        {"rpm": 5},
+        {"rpm": 5, "rated_speed": 1, "current": 1},
+        {"rpm": 5, "current": 1, "rated_current": 1},
     ],
 )
 def test_a_test_announces_speed_and_current_once(arguments: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="give speed_rpm or rated_speed, and current or rated_current"):
+    with pytest.raises(ValueError, match="give rpm or rated_speed, and current or rated_current"):
         energises(**arguments)
 
 

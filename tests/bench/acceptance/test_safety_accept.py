@@ -57,7 +57,7 @@ def test_load_trips(turning, load):
     load.node.client.feed(2, on=False)
     turning.wait(0.5)
 def test_overspeed(turning, load):
-    load.speed(500 * RPM)
+    load.speed(rpm=500)
     turning.wait(0.2)
 def test_behind_our_back(turning, drive):
     drive.stop()
@@ -189,13 +189,13 @@ def test_a_drive_with_a_latched_fault_is_not_touched(accepting: Accepting, link:
 # -- consent ----------------------------------------------------------------------------------------------------
 
 ANNOUNCED = """
-@energises(speed_rpm=200, current=3)
+@energises(rpm=200, current=3)
 def test_slow(drive, record): turn(drive, record, 200)
 
-@energises(speed_rpm=150, current=4)
+@energises(rpm=150, current=4)
 def test_strong(drive, record): turn(drive, record, 150)
 
-@energises(speed_rpm=9999, current=99)
+@energises(rpm=9999, current=99)
 def test_beyond_all(drive, record): turn(drive, record)
 
 def test_says_nothing(drive, record): turn(drive, record)
@@ -229,22 +229,22 @@ def test_a_physical_drive_is_not_energised_where_nobody_can_be_asked(
 
 
 WITHIN = """
-@energises(speed_rpm=500, current=2)
+@energises(rpm=500, current=2)
 def test_blocked(drive, load, record):
     load.torque(0.9)  # more than the announced current can hold
     drive.start("encoder")
-    drive.speed(400 * RPM)
+    drive.speed(rpm=400)
     record.wait(0.5)
 
-@energises(speed_rpm=500, current=2)
+@energises(rpm=500, current=2)
 def test_raises_it(drive):
     drive.set("i_max", 2.5)
 
-@energises(speed_rpm=500, current=2)
+@energises(rpm=500, current=2)
 def test_lowers_it(drive):
     drive.set("i_max", 1.5)
 
-@energises(speed_rpm=500, current=9)
+@energises(rpm=500, current=9)
 def test_more(drive):
     assert drive.parameters["i_max"] == 8
 """

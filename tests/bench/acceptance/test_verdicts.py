@@ -49,7 +49,7 @@ def test_trips_while_waiting(drive, record):
 def test_trips_before_a_set_point(drive, record):
     turn(drive, record)
     trip(record)
-    drive.speed(0.0)
+    drive.speed(rpm=0)
 
 @limit("x", hi=1)
 def test_trips_at_the_end(drive, record, measure):
@@ -119,13 +119,13 @@ def test_twice(measure):
     measure("x", 1)
 
 @limit("x", hi=1)
-@energises(speed_rpm=100, current=1)
+@energises(rpm=100, current=1)
 def test_too_fast(drive):
     drive.start()
-    drive.speed(-101 * RPM)
+    drive.speed(rpm=-101)
 
 @limit("x", hi=1)
-@energises(speed_rpm=100, current=1)
+@energises(rpm=100, current=1)
 def test_too_much_current(drive):
     drive.start()
     drive.current(0.8, -0.8)
@@ -187,7 +187,7 @@ EXPECTED = {
     "never_measured": ("ERROR", "1 of 2 measurements did not pass"),
     "undeclared": ("ERROR", "undeclared measures 'z' but declares only: x"),
     "twice": ("ERROR", "twice measures 'x' twice"),
-    "too_fast": ("ERROR", r"speed 101 r/min is beyond the announced limit of 100 r/min: .*speed_rpm"),
+    "too_fast": ("ERROR", r"speed 101 r/min is beyond the announced limit of 100 r/min: .*rpm=…"),
     "too_much_current": ("ERROR", r"current 1\.131 A is beyond the announced limit of 1 A: .*current"),
     "lacks": ("SKIPPED", "needs the parameter no_such; needs the channel no_such"),
     "lacks_nothing": ("PASS", ""),
