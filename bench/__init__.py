@@ -1,4 +1,4 @@
-"""A bench for PMSM drives with Hall sensors, from Python: connect, turn, record, estimate, score.
+"""A bench for PMSM drives with Hall sensors, from Python: connect, turn, record, estimate, score, check, plot.
 
     import bench
 
@@ -18,30 +18,39 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from bench.analysis.capture import Capture
+    from bench.comparing.compare import Comparison
     from bench.errors import BenchError
+    from bench.exports.export import Exported
+    from bench.figures.plot import Plot
+    from bench.hall.health import Health
+    from bench.recording.recording import Recording, Source
     from bench.rig.drive import DriveTripped
     from bench.rig.envelope import Envelope
+    from bench.rig.notebook import Simulated
     from bench.rig.rig import Rig
     from bench.rig.settings import Settings
     from bench.scoring.board import Scoreboard
     from protocol import __version__
 
 __all__ = [
-    "BenchError", "Capture", "DriveTripped", "Envelope", "Rig", "Settings", "__version__", "connect", "estimate",
-    "pieces", "read", "score",
+    "BenchError", "Capture", "DriveTripped", "Envelope", "Recording", "Rig", "Settings", "__version__", "compare",
+    "connect", "estimate", "export", "hall", "open", "pieces", "plot", "read", "score",
 ]  # fmt: skip
 
 _HOMES = {
     "BenchError": "bench.errors", "Capture": "bench.analysis.capture", "DriveTripped": "bench.rig.drive",
-    "Envelope": "bench.rig.envelope", "Rig": "bench.rig.rig", "Settings": "bench.rig.settings",
-    "__version__": "protocol",
+    "Envelope": "bench.rig.envelope", "Recording": "bench.recording.recording", "Rig": "bench.rig.rig",
+    "Settings": "bench.rig.settings", "__version__": "protocol",
 }  # fmt: skip
+
+for _folder in ("hall",):  # importing one binds its name here: before the function of that name, which stays
+    import_module(f"{__name__}.{_folder}")
 
 
 def __getattr__(name: str) -> Any:
@@ -64,6 +73,7 @@ def connect(
     overwrite: bool = False,
     viewer: str = "none",
     settings: Settings | str | Path | None = None,
+    **simulated: Unpack[Simulated],
 ) -> Rig:
     """Connect to a drive and stream it. Use it as a context manager: however that is left, the outputs are off after.
 
@@ -77,6 +87,9 @@ def connect(
         save: a run to record to, such as `a.run`; `overwrite` replaces one that is there.
         viewer: a dashboard meanwhile: `native`, `web`, `auto`, or `none`; its address is printed.
         settings: what a bench.toml says, or its path; None: ./bench.toml, if there is one.
+        simulated: of the simulated drive: `config`, the path of a configuration, the name of a motor, or a mapping such
+            as {"motor": {"R_s": 0.4}}, in the place of keys of bench.toml's; and `seed`, of its noise: two runs with
+            one seed are equal.
 
     Returns:
         The rig. `rig.drive` takes setpoints (the first one starts it), `rig.load` brakes, `rig.record(seconds)` gives
@@ -84,7 +97,8 @@ def connect(
         compute after the `with` block, or a physical drive switches itself off.
 
     Raises:
-        BenchError: the drive is not at rest, nobody agrees, a channel or a limit that it does not have.
+        BenchError: the drive is not at rest, nobody agrees, a channel or a limit that it does not have, a configuration
+            or a seed for a drive that is not simulated.
         HbpError: the link cannot be opened, or nothing answers.
     """
     from bench.rig.envelope import Envelope
@@ -95,7 +109,20 @@ def connect(
     if settings is None or isinstance(settings, str | Path):
         settings = read_settings(None if settings is None else Path(settings))
     recording = Recording(None if save is None else Path(save), viewer=viewer, overwrite=overwrite)
-    return open_rig(target, settings, limits or Envelope(), yes, channels, recording)
+    return open_rig(target, settings, limits or Envelope(), yes, channels, recording, simulated)
+
+
+def open(path: str | Path) -> Recording:
+    """A recorded run, for pandas: `.samples`, `.edges`, `.marks`, `.events`, `.notes` are DataFrames by device time.
+
+    `.info` is what is known of the run, `.read(begin, end, channels)` a part of it as a capture, and iterating gives
+    all of it as `pieces`. DataFrames need pandas: `pip install 'hallbench[pandas]'`.
+
+    Raises BenchError where `path` holds no recording.
+    """
+    from bench.recording.recording import Recording
+
+    return Recording(path)
 
 
 def read(
@@ -112,11 +139,7 @@ def read(
         BenchError: no recording, no samples in that time, a channel that it does not have, or more than fits into
             memory.
     """
-    from bench.recording.reader import Run, capture_of
-    from bench.recording.times import ticks_between
-
-    run = Run(path)
-    return capture_of(run, *ticks_between(run, begin, end), channels)
+    return open(path).read(begin, end, channels)
 
 
 def pieces(
@@ -126,11 +149,7 @@ def pieces(
 
     Each has the Hall edges up to its last sample, and in `dropped` what was lost since the one before.
     """
-    from bench.recording.reader import Run, captures
-    from bench.recording.times import ticks_between
-
-    run = Run(path)
-    return captures(run, *ticks_between(run, begin, end), channels)
+    return open(path).pieces(begin, end, channels)
 
 
 def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
@@ -149,16 +168,16 @@ def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
     return estimate_capture(capture, observer, settings)
 
 
-def score(*runs: Capture | str | Path, observers: Sequence[str] = ()) -> Scoreboard:
+def score(*runs: Source, observers: Sequence[str] = ()) -> Scoreboard:
     """How good position estimates are, with the encoder as the reference: those in the runs, and observers run on them.
 
     Args:
-        runs: captures, or paths of recordings; several are pooled.
+        runs: captures, recordings, or paths of recordings; several are pooled.
         observers: names, as `bench score --observer` takes them; none: all.
 
     Returns:
-        `.pooled[name]` holds an observer's figures, angles in electrical degrees, the best first; `.by_file` those of
-        each run; `.as_json()` all of it as plain data.
+        `.pooled[name]` holds an observer's figures, angles in electrical degrees, the best first; `.to_pandas()` the
+        same as a table; `.by_file` those of each run; `.as_json()` all of it as plain data.
 
     Raises:
         BenchError: a run without encoder or samples, a name that is nowhere.
@@ -166,3 +185,110 @@ def score(*runs: Capture | str | Path, observers: Sequence[str] = ()) -> Scorebo
     from bench.scoring.board import score as board
 
     return board([Path(run) if isinstance(run, str) else run for run in runs], observers)
+
+
+def hall(run: Source, begin: float | None = None, end: float | None = None) -> Health:
+    """What is wrong with the Hall sensors, their wires or the encoder, as `bench hall check` finds it in a recording.
+
+    Args:
+        run: a capture, a recording, or the path of one, in which the shaft turned both ways.
+        begin, end: device time in s, both included; None: from its beginning, to its end.
+
+    Returns:
+        `.outcome` is HEALTHY, FAULT or CANNOT_TELL; `.findings` name causes, with evidence and advice; `.missing` says
+        why no more can be said; `.measured.to_pandas()` is the table of the edges.
+
+    Raises:
+        BenchError: no samples, no Hall edges, no channel `hall`.
+    """
+    from bench.analysis.capture import Capture
+    from bench.hall.health import examine
+    from bench.hall.trace import Recorded, trace
+    from bench.recording.recording import run_of
+
+    if isinstance(run, Capture) and begin is None and end is None:
+        return examine(trace(run))
+    return examine(trace(Recorded(run_of(run), begin, end)))
+
+
+def compare(
+    a: Source,
+    b: Source,
+    *,
+    align: str = "begin",
+    begin: float | None = None,
+    end: float | None = None,
+    channels: Sequence[str] = (),
+) -> Comparison:
+    """The differences of two runs that are more than noise, as `bench compare` finds them.
+
+    Args:
+        a, b: captures, recordings, or paths of recordings.
+        align: what time 0 is in both: "begin", a mark, or an event such as "START"; "NAME#2" is the second one.
+        begin, end: s after time 0, both included; None: as far as both go.
+        channels: names of those that are compared; none: all that both have.
+
+    Returns:
+        `.rows`, also as `.to_pandas()`, are B less A with its standard error and a verdict; `.events` and `.parameters`
+        are those that differ.
+
+    Raises:
+        BenchError: a run without samples, a name that is nowhere, no time in common.
+    """
+    from bench.comparing.alignment import aligned
+    from bench.comparing.compare import compare as compare_sides
+    from bench.recording.recording import readable
+
+    return compare_sides(*aligned(readable(a), readable(b), align, begin, end), channels)
+
+
+def plot(run: Source, begin: float | None = None, end: float | None = None) -> dict[str, Plot]:
+    """The standard plots of a run, as `bench plot` draws them, by name.
+
+    Args:
+        run: a capture, a recording, or the path of one.
+        begin, end: device time in s, both included; None: from its beginning, to its end.
+
+    Returns:
+        `["spectrum"].figure` is a matplotlib Figure, None where it cannot be drawn: `.why` says why. `.numbers` are the
+        plotted values, `.words` what they say in a line.
+
+    Raises:
+        BenchError: no samples, or a drive that rebooted meanwhile.
+    """
+    from bench.figures.plot import draw_all
+    from bench.recording.recording import readable
+    from bench.recording.times import ticks_of
+
+    opened = readable(run)
+    return {each.name: each for each in draw_all(opened, *ticks_of(opened, begin, end))}
+
+
+def export(
+    run: Source,
+    path: str | Path,
+    begin: float | None = None,
+    end: float | None = None,
+    channels: Sequence[str] | None = None,
+    *,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a run in the format of another tool, which the ending of `path` says, as `bench export` does.
+
+    Args:
+        run: a capture, a recording, or the path of one.
+        path: a file that ends in .csv, .mf4, .mat, .npz, .rrd or .parquet; tables that it cannot hold are beside it.
+        begin, end: device time in s, both included; None: from its beginning, to its end.
+        channels: names of those that are wanted; None: all.
+        overwrite: replace files that are there.
+
+    Returns:
+        `.files` by what they hold, `.rows` by table, `.notes` for whoever asked.
+
+    Raises:
+        BenchError: an ending that is unknown, a file that exists, a name that is nowhere.
+    """
+    from bench.exports.export import export as write
+    from bench.recording.recording import run_of
+
+    return write(run_of(run), Path(path), None, begin, end, channels, overwrite)

@@ -13,16 +13,20 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.descriptor import Channel, Descriptor, sample_dtype
 from protocol.errors import RemoteProtocolError
+from protocol.frames import data_frame
 from protocol.framing import HEADER_BYTES
 from protocol.messages import HelloReply, StreamEvent, StreamReply, StreamSet
 from protocol.signals import Signal
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STREAM_HEADER = struct.Struct("<BBHHHII")  # stream, flags, n, cfg_id, seq, index, tick
 STREAM_OFFSET = HEADER_BYTES + STREAM_HEADER.size  # of the first record in header + payload
@@ -194,6 +198,11 @@ class EdgeChunk:
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each edge by the device time `t` in s: codes, whether that is illegal, encoder count, index."""
+        names = ("hall_old", "hall_new", "illegal", "encoder", "index")
+        return data_frame({name: getattr(self, name) for name in names}, self.tick / self.config.tick_hz)
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ from bench.analysis.channels import reference_angle, speed_channel
 from bench.analysis.chunks import as_bytes, between, join, part, streams_none
 from bench.analysis.position import position_error
 from bench.errors import BenchError
+from protocol.frames import data_frame
 from protocol.signals import Flag
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 
@@ -51,7 +52,7 @@ class Capture:
         if not len(self):
             return "Capture of no samples"
         first, last = self.span
-        what = f"{len(self)} samples of {len(self.names)} channels at {self.sample_rate:g} Hz"
+        what = f"{len(self)} samples of {len(self.names)} channels at {self.rate:g} Hz"
         return f"Capture of {what}, {len(self.edges)} Hall edges, {first:.3f} … {last:.3f} s"
 
     @property
@@ -65,9 +66,16 @@ class Capture:
         return {channel.name: channel.unit.symbol for channel in self.samples.config.channels}
 
     def __getitem__(self, channel: str) -> F64:
-        """A channel in its unit, shape (n,). BenchError if it is not streamed."""
-        self._require(channel)
-        return self.samples.physical(channel)
+        """A channel in its unit, shape (n,), read-only. BenchError if it is not streamed."""
+        if channel not in self._physical:
+            self._require(channel)
+            self._physical[channel] = values = self.samples.physical(channel)
+            values.flags.writeable = False
+        return self._physical[channel]
+
+    @cached_property
+    def _physical(self) -> dict[str, F64]:
+        return {}
 
     def __contains__(self, channel: str) -> bool:
         return channel in self.names
@@ -90,13 +98,13 @@ class Capture:
 
     @property
     def rate(self) -> float:
-        """Samples a second, as they came."""
-        return (len(self) - 1) / float(self.t[-1] - self.t[0])
-
-    @property
-    def sample_rate(self) -> float:
         """Samples a second, where none is lost."""
         return self.samples.config.rate
+
+    @property
+    def measured_rate(self) -> float:
+        """Samples a second, as they came."""
+        return (len(self) - 1) / float(self.t[-1] - self.t[0])
 
     @property
     def tick_hz(self) -> int:
@@ -138,15 +146,9 @@ class Capture:
     def to_pandas(self) -> pd.DataFrame:
         """A column for each channel in its unit, by the device time `t` in s; `attrs["units"]` has the units.
 
-        Raises BenchError where pandas is not installed.
+        Raises ImportError where pandas is not installed, as every `to_pandas` does.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise BenchError("to_pandas() needs pandas: pip install pandas") from None
-        frame = pd.DataFrame({name: self[name] for name in self.names}, index=pd.Index(self.t, name="t"))
-        frame.attrs["units"] = self.units
-        return frame
+        return data_frame({name: self.samples.physical(name) for name in self.names}, self.t, units=self.units)
 
     # -- angles -------------------------------------------------------------------------------------------------
 

@@ -100,4 +100,4 @@ def _window(before: Capture | None, now: Capture, after: Capture | None, around:
 
 
 def _samples(capture: Capture, seconds: float) -> int:
-    return max(1, math.ceil(seconds * capture.sample_rate))
+    return max(1, math.ceil(seconds * capture.rate))

@@ -63,9 +63,9 @@ def command(
     check_files({"--json": json_file, "--save": save}, overwrite, [a, b])
     from bench.comparing import alignment
     from bench.comparing.compare import as_json, compare
-    from bench.recording.reader import Run
+    from bench.recording.recording import readable
 
-    runs = [alignment.readable(Run(path)) for path in (a, b)]
+    runs = [readable(path) for path in (a, b)]
     sides = alignment.aligned(runs[0], runs[1], align, begin, end)
     names = [name.strip() for name in (channels or "").split(",") if name.strip()]
     found = compare(*sides, names)

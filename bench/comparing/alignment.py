@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from bench.errors import BenchError
-from bench.recording.layout import SAMPLES
 from bench.recording.reader import Run
 from protocol.codes import DriveState, EventCode, fault_names
 from protocol.messages import DeviceEvent
@@ -30,15 +29,6 @@ class Side:
     def seconds(self, tick: int) -> float:
         """Time of a tick after time 0."""
         return (tick - self.zero) / self.run.info.tick_hz
-
-
-def readable(run: Run) -> Run:
-    """The run, if it has samples and one clock. BenchError says why not."""
-    if SAMPLES not in run.names or not run.segments:
-        raise BenchError(f"{run.path} holds no samples of the drive")
-    if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
-    return run
 
 
 def aligned(a: Run, b: Run, to: str, begin: float | None, end: float | None) -> tuple[Side, Side]:

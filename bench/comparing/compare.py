@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,12 @@ from bench.comparing.said import EventPair, ParameterPair, events, parameters
 from bench.errors import BenchError
 from bench.recording.info import AnyChannel
 from bench.recording.layout import SAMPLES
+from protocol.frames import data_frame
 from protocol.signals import Flag
 from protocol.streams import SampleChunk
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WORDS = ("hall", "status")
 """Bits, which have no mean."""
@@ -42,6 +46,10 @@ class Comparison:
     """Channels that are not compared, each with why."""
     events: tuple[EventPair, ...]
     parameters: tuple[ParameterPair, ...]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each quantity: unit, mean in A and B, their difference and its standard error, the verdict."""
+        return data_frame(as_json(self)["rows"]).set_index("quantity")
 
 
 def compare(a: Side, b: Side, channels: Sequence[str] = ()) -> Comparison:

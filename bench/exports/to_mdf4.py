@@ -38,8 +38,9 @@ def write(content: Content, paths: Mapping[str, Path]) -> None:
         about = content.about()
         mdf.attach(json.dumps(about, indent=2).encode(), file_name="run.json", mime="application/json",
                    comment="what was recorded")  # fmt: skip
-        started = datetime.fromisoformat(content.run.info.started)
-        mdf.header.start_time = started - timedelta(seconds=_began(content.run) / content.run.info.tick_hz)
+        if started := content.run.info.started:  # a capture does not tell
+            began = timedelta(seconds=_began(content.run) / content.run.info.tick_hz)
+            mdf.header.start_time = datetime.fromisoformat(started) - began
         mdf.header.comment = f"{about['run']}, exported by {about['exported_by']}"
         with path.open("wb+") as file:
             mdf.save(file)

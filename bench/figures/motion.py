@@ -20,7 +20,7 @@ from bench.analysis.units import RPM
 from bench.recording.layout import SAMPLES
 from bench.recording.reader import Run
 from bench.scoring.phases import START_UP, Phases, phases_of, speed_of
-from protocol.messages import DriveState, EventCode
+from protocol.messages import DriveState
 from protocol.streams import SampleChunk
 
 F64 = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Motion:
         self._reference = reference_angle(config.channels)
         self._speed = speed_channel(config.channels, run.info.parameters)
         self._n_p = run.info.n_p or 1
-        self._watched = _told_running(run)
+        self._watched = run.ran
         self._held: SampleChunk | None = None
         self.why = "" if self._reference or self._speed else "needs an encoder's angle, or a speed in rad/s"
 
@@ -108,12 +108,3 @@ class Motion:
             )
             return None
         return speed_of(np.nan_to_num(theta), self._rate)
-
-
-def _told_running(run: Run) -> bool:
-    """Whether the run tells that the drive was RUNNING."""
-    node = run.info.node
-    return any(its == node and beat.state == DriveState.RUNNING for its, beat in run.heartbeats) or any(
-        event.node == node and event.code == EventCode.STATE_CHANGED and event.number == DriveState.RUNNING
-        for event in run.events
-    )

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import between, contiguous, no_edges, part
-from bench.errors import BenchError
 from bench.figures import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
 from bench.figures.motion import Motion
 from bench.recording.layout import EDGES, SAMPLES
 from bench.recording.reader import Run
+from bench.recording.recording import readable
 from bench.reports.style import FONT_SIZE, save
 from protocol.streams import EdgeChunk, SampleChunk
 
@@ -26,7 +26,7 @@ RECORD = "record all channels (bench live --save)"
 
 
 @dataclass
-class Drawn:
+class Plot:
     """A figure, or why there is none."""
 
     name: str
@@ -40,12 +40,9 @@ class Drawn:
     numbers: dict[str, Any] = field(default_factory=dict)
 
 
-def draw_all(run: Run, first: int, last: int) -> list[Drawn]:
+def draw_all(run: Run, first: int, last: int) -> list[Plot]:
     """The figures of the ticks `first` to `last` of a run. BenchError without samples, or where its clock goes back."""
-    if SAMPLES not in run.names:
-        raise BenchError(f"{run.path} holds no samples of the drive")
-    if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{run.path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
+    readable(run)
     names = [channel.name for channel in run.config(SAMPLES).channels]
     estimates = run.info.position_estimates if run.info.position_reference else ()
     estimates = tuple(name for name in estimates if name in names)
@@ -78,14 +75,14 @@ def draw_all(run: Run, first: int, last: int) -> list[Drawn]:
         "current_plane": lambda: _plane(plane),
         "hall_edges": lambda: _edges(edges),
     }
-    drawn = [Drawn(name, why=why[name]) if why[name] else found[name]() for name in NAMES]
+    drawn = [Plot(name, why=why[name]) if why[name] else found[name]() for name in NAMES]
     for each in drawn:
         if each.figure is not None:
             _title(each.figure, run, each.over or f"{run.at(first)} … {run.at(last)}")
     return drawn
 
 
-def write(drawn: Drawn, path: Path) -> None:
+def write(drawn: Plot, path: Path) -> None:
     """Write a figure that was drawn as PNG, or as SVG where `path` says so. Raises OSError."""
     assert drawn.figure is not None
     if path.suffix == ".svg":
@@ -122,10 +119,10 @@ def _edges_with(run: Run, edges: hall_edges.HallEdges, first: int, last: int) ->
     return found if isinstance(found, EdgeChunk) else no_edges(run.config(EDGES))
 
 
-def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Drawn:
+def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plot:
     name = "spectrum"
     if stretch is None:
-        return Drawn(name, why=motion.why or NOT_STEADY)
+        return Plot(name, why=motion.why or NOT_STEADY)
     last = min(stretch.last, stretch.first + round(spectrum.LONGEST * run.info.tick_hz))
     samples = run.chunk(SAMPLES, stretch.first, last)
     assert isinstance(samples, SampleChunk)
@@ -133,43 +130,43 @@ def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Dra
     try:
         found = spectrum.currents(part(samples, rows.start, rows.stop), stretch.rpm, run.info.n_p or 1)
     except ValueError as error:
-        return Drawn(name, why=str(error))
-    return Drawn(
+        return Plot(name, why=str(error))
+    return Plot(
         name, spectrum.draw(found), words=spectrum.words(found), over=f"steady {spectrum.stretch(found)}",
         numbers=spectrum.as_json(found),
     )  # fmt: skip
 
 
-def _by_angle(sums: error_by_angle.ErrorByAngle, motion: Motion) -> Drawn:
+def _by_angle(sums: error_by_angle.ErrorByAngle, motion: Motion) -> Plot:
     name, found = "error_by_angle", sums.result()
     if not found:
-        return Drawn(name, why=motion.why or NOT_STEADY)
+        return Plot(name, why=motion.why or NOT_STEADY)
     of = error_by_angle
-    return Drawn(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
+    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
 
 
-def _by_speed(sums: error_by_speed.ErrorBySpeed, motion: Motion, unit: str) -> Drawn:
+def _by_speed(sums: error_by_speed.ErrorBySpeed, motion: Motion, unit: str) -> Plot:
     name, found = "error_by_speed", sums.result()
     if not found:
-        return Drawn(name, why=motion.why or NOT_STEADY)
+        return Plot(name, why=motion.why or NOT_STEADY)
     of = error_by_speed
-    return Drawn(name, of.draw(found, unit), words=of.words(found), numbers=of.as_json(found, sums.width))
+    return Plot(name, of.draw(found, unit), words=of.words(found), numbers=of.as_json(found, sums.width))
 
 
-def _plane(sums: current_plane.CurrentPlane) -> Drawn:
+def _plane(sums: current_plane.CurrentPlane) -> Plot:
     name, found = "current_plane", sums.result()
     if found is None:
-        return Drawn(name, why="the drive is never RUNNING")
+        return Plot(name, why="the drive is never RUNNING")
     of = current_plane
-    return Drawn(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
+    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
 
 
-def _edges(collected: hall_edges.HallEdges) -> Drawn:
+def _edges(collected: hall_edges.HallEdges) -> Plot:
     name, found = "hall_edges", collected.result()
     if found is None:
-        return Drawn(name, why="no Hall edge of a turning shaft: it was at rest")
+        return Plot(name, why="no Hall edge of a turning shaft: it was at rest")
     of = hall_edges
-    return Drawn(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
+    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
 
 
 def _title(figure: Figure, run: Run, over: str) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
@@ -22,7 +23,11 @@ from bench.analysis.delays import within_groups
 from bench.analysis.position import wrap
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.hall.trace import INPUTS, Edges, Floats
+from protocol.frames import data_frame
 from sim.observers.hall_speed import SECTOR_WIDTH
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CONFIDENCE = 0.95
 FAR = 6.0  # times the scatter,
@@ -97,6 +102,23 @@ class Measured:
     """Share of an electrical turn in which the input a, b, c is 1; NaN unless both its edges were met."""
     widths: tuple[float, ...]
     """Of sectors I to VI, rad; NaN unless both edges were met."""
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each edge and direction: angles in electrical degrees, NaN for what is not known."""
+        rows = [
+            {
+                "edge": edge.name,
+                "direction": way,
+                "ideal": math.degrees(edge.ideal),
+                "late": -math.degrees(edge.delta(passages)),
+                "half_width_95": math.degrees(passages.half_width),
+                "jitter": math.degrees(passages.jitter),
+                "n": passages.n,
+            }
+            for edge in self.edges
+            for way, passages in (("forward", edge.up), ("reverse", edge.down))
+        ]
+        return data_frame(rows)
 
     def least(self) -> int:
         """Passages of the edge and direction with the fewest."""

@@ -254,5 +254,5 @@ def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, fl
         up, down = np.count_nonzero(steps == 1), np.count_nonzero(steps == SECTORS - 1)
         half = 0.5 * (len(steps) - up - down)
         return (up + half) / SECTORS, (down + half) / SECTORS
-    steps = np.diff(theta[:: max(1, round(capture.rate / LOOKS))])
+    steps = np.diff(theta[:: max(1, round(capture.measured_rate / LOOKS))])
     return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau

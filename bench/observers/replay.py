@@ -19,9 +19,9 @@ from bench.errors import BenchError
 from bench.files import RUN, check_output
 from bench.observers.augment import Augmenter
 from bench.observers.estimators import INPUTS, all_for, entry_of, unfit
-from bench.recording import layout
 from bench.recording.extended import Extension
 from bench.recording.reader import Run
+from bench.recording.recording import readable
 from bench.rerunio import markdown
 from protocol import __version__
 from protocol.signals import DRIVE_PARAMETERS, Flag
@@ -77,7 +77,7 @@ def replay(
     if out.exists() and out.samefile(path):
         raise BenchError(f"{out} is the recording itself: choose another name")
     names = tuple(dict.fromkeys(entry_of(name).name for name in observers))
-    run = readable_run(path)
+    run = readable(path)
     if why := not_replayable(*run.drive_streams):
         raise BenchError(f"{path} cannot be replayed: {why}")
     values = checked_settings(settings or {}, names or tuple(CATALOGUE), run.info.parameters)
@@ -156,16 +156,6 @@ def estimate_capture(capture: Capture, observer: str, settings: Mapping[str, flo
         raise BenchError(f"{double[0]} is already in this capture: use the original capture")
     augmenter.estimators.edges(capture.edges)
     return replace(capture, samples=augmenter.samples(capture.samples))
-
-
-def readable_run(path: Path) -> Run:
-    """Open a recording with samples of the drive and one clock. BenchError says why it is none."""
-    run = Run(path)
-    if layout.SAMPLES not in run.names:
-        raise BenchError(f"{path} holds no samples of the drive")
-    if (back := run.clock_went_back()) is not None:
-        raise BenchError(f"{path}: the drive's clock jumped back at {run.at(back)}: it rebooted during the run")
-    return run
 
 
 def not_replayable(samples: StreamConfig, edges: StreamConfig | None) -> str:

@@ -58,7 +58,8 @@ class RunInfo:
     """What is known of a run before its first sample.
 
     `channels` are those of the stream that the dashboard shows (node `node`), `parameters` the drive's by name in SI
-    units, `identity` anything else that tells what was tested (HELLO's fields, target, host version), as plain JSON.
+    units, `identity` anything else that tells what was tested (HELLO's fields, target, host version), as plain JSON,
+    and `started` the date and time, empty where nobody knows.
     """
 
     tick_hz: int

@@ -28,7 +28,7 @@ from bench.recording.info import Mark, RunInfo, stream_from_json
 from bench.recording.losses import LOSS_FIELDS, LossAccount
 from bench.recording.memory import available, in_words
 from bench.recording.overview import Overview
-from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat
+from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 
 if TYPE_CHECKING:
@@ -70,16 +70,22 @@ class Run:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.damage: list[str] = []
-        """What is not as it was written, as far as it was looked at: what, where, and the time that it costs."""
+        self._begin(Path(path))
         if not self.path.is_dir():
             raise NotARecordingError(f"{path}: no such run: {_advice(self.path)}")
         try:
-            data = (self.path / layout.LOG).read_bytes()
+            self._data = (self.path / layout.LOG).read_bytes()
         except OSError:
             raise NotARecordingError(f"{path} is not a recorded run: it has no {layout.LOG}") from None
-        self.info = self._described(data)
+        self.info = self._described(self._data)
+        self._take(self._records(self._data))
+        self._look_for_files()
+
+    def _begin(self, path: Path) -> None:
+        self.path = path
+        self.damage: list[str] = []
+        """What is not as it was written, as far as it was looked at: what, where, and the time that it costs."""
+        self._data = b""
         self._configs: dict[int, StreamConfig] = {}
         self._numbers: dict[str, int] = {}
         self._segments: dict[int, dict[str, tuple[StoredFile, ...]]] = {}
@@ -90,9 +96,6 @@ class Run:
         """What was missing of it by its end, see `bench.recording.losses`; None where it came to no end."""
         self.summary = ""
         """Markdown."""
-        self._data = data
-        self._take(self._records(data))
-        self._look_for_files()
 
     # -- the log ------------------------------------------------------------------------------------------------
 
@@ -243,6 +246,15 @@ class Run:
     def drive_streams(self) -> tuple[StreamConfig, StreamConfig | None]:
         """How the drive's samples and edges came; KeyError without samples, None without edges."""
         return self.config(layout.SAMPLES), self.config(layout.EDGES) if layout.EDGES in self._numbers else None
+
+    @property
+    def ran(self) -> bool:
+        """Whether it tells that the drive was RUNNING."""
+        node = self.info.node
+        return any(its == node and beat.state == DriveState.RUNNING for its, beat in self.heartbeats) or any(
+            event.node == node and event.code == EventCode.STATE_CHANGED and event.number == DriveState.RUNNING
+            for event in self.events
+        )
 
     def clock_went_back(self) -> int | None:
         """The tick at which a stream's time starts again, because the device has rebooted; None if it never does."""

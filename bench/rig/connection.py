@@ -27,7 +27,7 @@ def target_of(given: str | None, settings: Settings) -> str:
 
 
 def open_target(target: str, settings: Settings, name: str = "") -> Link:
-    """A link to `target`; for `sim` to a drive whose noise is that of `name`.
+    """A link to `target`; for `sim` to a drive whose noise has the seed of `settings`, or one made of `name`.
 
     Raises LinkError, and BenchError for figures that the simulated drive cannot have, or a load machine that is not on
     its shaft.
@@ -39,7 +39,8 @@ def open_target(target: str, settings: Settings, name: str = "") -> Link:
     from sim.ports.virtual import ConfigError, open_virtual
 
     try:
-        return open_virtual(settings.config, {}, crc32(name.encode()))
+        seed = crc32(name.encode()) if settings.seed is None else settings.seed
+        return open_virtual(settings.config, settings.overrides, seed)
     except ConfigError as error:
         raise BenchError(str(error)) from None
 

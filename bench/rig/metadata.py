@@ -45,6 +45,8 @@ def about_bench(settings: Settings) -> dict[str, Any]:
             about[name] = said
     if settings.config is not None:
         about["configuration"] = {"file": str(settings.config), **changed_keys(settings.config)}
+    if settings.overrides:
+        about["configuration"] = {**about.get("configuration", {}), **dict(leaves(settings.overrides))}
     return about
 
 

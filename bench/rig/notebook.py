@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
+from typing import Any, TypedDict
 
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.errors import UnsafeError
+from bench.device.simulator import configuration
+from bench.errors import BenchError, UnsafeError
 from bench.rig.connection import SIM, load_target, open_target, target_of
 from bench.rig.consent import at_most, check_limits, require_consent
 from bench.rig.envelope import Envelope
@@ -21,6 +25,13 @@ from bench.rig.settings import Settings
 from protocol.errors import HbpError
 
 
+class Simulated(TypedDict, total=False):
+    """What is given for the simulated drive."""
+
+    config: Mapping[str, Any] | str | Path
+    seed: int
+
+
 def open_rig(
     target: str | None,
     settings: Settings,
@@ -28,9 +39,11 @@ def open_rig(
     yes: bool,
     channels: Sequence[str] | str | None,
     recording: Recording,
+    simulated: Simulated,
 ) -> Rig:
     """See `bench.connect`."""
     target = target_of(target, settings)
+    settings = _with_simulated(settings, target, **simulated)
     link = partial(open_target, target, settings, "notebook")
     held = alone_on(target, load_target(settings))
     rig = Rig(Plan(link, target, settings, limits, virtual=target == SIM, held=held))
@@ -57,6 +70,18 @@ def open_rig(
         rig.close()
         raise
     return rig
+
+
+def _with_simulated(
+    settings: Settings, target: str, config: Mapping[str, Any] | str | Path | None = None, seed: int | None = None
+) -> Settings:
+    if (config, seed) != (None, None) and target != SIM:
+        raise BenchError(f"config and seed are for the simulated drive, not for {target}")
+    if isinstance(config, Mapping):
+        settings = replace(settings, overrides=config)
+    elif config is not None:
+        settings = replace(settings, config=configuration(Path(config), str(config)))
+    return settings if seed is None else replace(settings, seed=seed)
 
 
 def _somebody_is_there() -> bool:

@@ -68,6 +68,11 @@ class Settings:
     motor: str = ""
     """Which motor the drive has."""
     config: Path | None = None
+    """Of the simulated drive,"""
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """and what stands in the place of its keys, by section or dotted key."""
+    seed: int | None = None
+    """Of the simulated drive's noise; None: one of its own for each test."""
     load: str = "node"
     person: bool = False
     rated: Mapping[str, float] = field(default_factory=dict)

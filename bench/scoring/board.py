@@ -13,8 +13,7 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,11 +21,16 @@ from bench.analysis.capture import Capture
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.observers.estimators import did_you_mean, entry_of
+from bench.recording.recording import Source
 from bench.scoring import phases
 from bench.scoring.tally import Tally
 from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Track, load
 from protocol import __version__
+from protocol.frames import data_frame
 from sim.observers.catalogue import CATALOGUE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Figures = dict[str, Any]
 PHASES = ("moving", "error", "transient", "start_up", "reversal")
@@ -59,6 +63,13 @@ class Scoreboard:
             anew = f"observers restarted {began} times after losses" if began else ""
             found += [f"{track.path}: {words}" for words in (*track.notes, lost, short, anew) if words]
         return found
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The pooled numbers: a row for each observer, the best first, and columns such as ("moving", "rms")."""
+        rows = {name: dict(flat(figures)) for name, figures in self.pooled.items()}
+        frame = data_frame(list(rows.values()), list(rows), "observer")
+        frame.columns = frame.columns.map(lambda name: name.rpartition(".")[::2] if "." in name else (name, ""))
+        return frame
 
     def as_json(self) -> dict[str, Any]:
         """All of it as plain data; undefined values are null."""
@@ -96,7 +107,7 @@ class Scoreboard:
 
 
 def score(
-    sources: Sequence[Path | Capture],
+    sources: Sequence[Source],
     observers: Sequence[str] = (),
     begin: float | None = None,
     end: float | None = None,

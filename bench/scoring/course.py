@@ -72,7 +72,7 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
     rate = 1.0
     for window in windows(captures, CONTEXT):
         whole, own = window.capture.samples, window.samples
-        rate = window.capture.sample_rate
+        rate = window.capture.rate
         lost += sum(gap.lost_samples for gap in own.gaps)
         edges += len(window.capture.edges)
         for name in fastest:

@@ -8,25 +8,25 @@ samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
-from bench.analysis.chunks import narrowed, no_edge_stream, of_channels
 from bench.analysis.delays import STATOR, Evidence, blame
 from bench.analysis.units import pole_pairs
 from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
 from bench.observers.estimators import INPUTS, Estimate, Estimators, all_for
-from bench.observers.replay import ENDS_EARLY, not_replayable, readable_run
+from bench.observers.replay import ENDS_EARLY, not_replayable
 from bench.recording.info import HOST_SUFFIX
-from bench.recording.reader import captures
+from bench.recording.reader import Run, captures
+from bench.recording.recording import Source, readable
 from bench.recording.times import ticks_between
 from bench.scoring.course import Course, Stretch, survey
 from bench.scoring.phases import CONTEXT, phases_with, speed_of
@@ -38,6 +38,8 @@ F64 = NDArray[np.float64]
 POINTS = 6000  # of a plot over time, about
 LEAST = 0.1  # s, shorter stretches between two losses are left out
 DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
+Pieces = Callable[..., Iterable[Capture]]
+"""Gives captures that follow each other, with the `channels` that are asked for, as often as it is called."""
 
 
 @dataclass(frozen=True)
@@ -88,56 +90,14 @@ class Track:
         return sum(len(stretch.turns.reversals) for stretch in self.stretches)
 
 
-class Recorded(Protocol):
-    """What can be scored: a recording, or a capture."""
-
-    path: str
-    samples: StreamConfig
-    edges: StreamConfig
-    parameters: Mapping[str, float]
-
-    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
-        """It, with these channels, piece by piece, as often as it is asked for."""
-
-
-class _OfRun:
-    def __init__(self, path: Path, begin: float | None, end: float | None) -> None:
-        self.path, self.run = str(path), readable_run(path)
-        self._part = ticks_between(self.run, begin, end)
-        info = self.run.info
-        self.samples, edges = self.run.drive_streams
-        self.edges = edges or no_edge_stream(info.node, info.tick_hz, info.pwm_hz)
-        self.parameters = info.parameters
-
-    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
-        return captures(self.run, *self._part, channels)
-
-
-class _OfCapture:
-    path = "the capture"
-
-    def __init__(self, capture: Capture) -> None:
-        self._capture = capture
-        self.samples, self.edges, self.parameters = capture.samples.config, capture.edges.config, capture.parameters
-
-    def pieces(self, channels: Collection[str]) -> Iterable[Capture]:
-        chosen = of_channels(self._capture.samples, narrowed(self.samples, channels))
-        return (replace(self._capture, samples=chosen),)
-
-
-def load(
-    source: Path | Capture, names: Sequence[str] | None, begin: float | None = None, end: float | None = None
-) -> Track:
+def load(source: Source, names: Sequence[str] | None, begin: float | None = None, end: float | None = None) -> Track:
     """Take a recording or a capture and run the observers `names` on it; None: all that its parameters suffice for.
 
-    `begin`, `end`: of a recording, device time in s. Raises BenchError where it has no encoder, no samples, or a clock
+    `begin`, `end`: device time in s. Raises BenchError where it has no encoder, no samples, or a clock
     that goes back.
     """
-    if isinstance(source, Capture):
-        return _track(_OfCapture(source), names)
-    recorded = _OfRun(source, begin, end)
-    track = _track(recorded, names)
-    run = recorded.run
+    run = readable(source)
+    track = _track(run, partial(captures, run, *ticks_between(run, begin, end)), names)
     return replace(
         track,
         started=run.info.started,
@@ -147,8 +107,8 @@ def load(
     )
 
 
-def _track(source: Recorded, names: Sequence[str] | None) -> Track:
-    config, parameters, path = source.samples, source.parameters, source.path
+def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
+    (config, edges), parameters, path = run.drive_streams, run.info.parameters, str(run.path)
     reference = reference_angle(config.channels)
     if not reference:
         raise BenchError(f"{path} cannot be scored: no reference angle: it needs an encoder; record theta_enc")
@@ -156,7 +116,7 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     there = [channel.name for channel in config.channels]
     status = [name for name in ("status",) if name in there]
     speeds = _speeds(config)
-    course = survey(source.pieces({reference, *speeds, *status}), reference, speeds, n_p or 1)
+    course = survey(pieces(channels={reference, *speeds, *status}), reference, speeds, n_p or 1)
     if not course.samples:
         raise BenchError(f"{path} cannot be scored: it holds no samples")
     _require_unambiguous(course, path, config.rate, (n_p or 1) * parameters.get("omega_m_max", 0.0))
@@ -164,7 +124,7 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     recorded = _recorded(config)
     kinds = {name: kind for name, (kind, _, _) in recorded.items()}
     estimators = None
-    if why := not_replayable(config, source.edges):
+    if why := not_replayable(config, edges):
         notes.append(f"no observer can run on it: {why}")
     else:
         if names is None:
@@ -181,7 +141,7 @@ def _track(source: Recorded, names: Sequence[str] | None) -> Track:
     wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, n_p or 1)
     evidence = Evidence(course.samples, course.edges)
-    for window in windows(source.pieces(wanted), CONTEXT):
+    for window in windows(pieces(channels=wanted), CONTEXT):
         evidence.add(window.capture, window.own)
         found = _estimates(window.samples, recorded)
         if estimators is not None:

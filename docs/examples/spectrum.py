@@ -30,7 +30,7 @@ for source, theta in SOURCES.items():
         f"rms {i_a.std():.4f} A"
     )
     first = int((np.diff(run["theta_enc"]) < -3).argmax())  # an electrical turn begins
-    shown = slice(first, first + round(2.5 * run.sample_rate / distortion.f))
+    shown = slice(first, first + round(2.5 * run.rate / distortion.f))
     waves.plot(1e3 * (run.t[shown] - run.t[first]), i_a[shown], color=colour(theta), linewidth=1, label=source)
     f, amplitude = spectrum(run.t, i_a)
     low = (f > 5) & (f < 1300)

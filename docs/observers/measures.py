@@ -23,8 +23,8 @@ from bench.analysis.position import wrap
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import thd_by_angle
 from bench.observers.estimators import Estimators
-from bench.observers.replay import readable_run
 from bench.recording.reader import Run
+from bench.recording.recording import readable
 from bench.scoring.phases import phases_of, speed_of
 from sim.config.params import load_params
 from sim.native import layout
@@ -34,7 +34,7 @@ from sim.observers.catalogue import CATALOGUE
 F64 = NDArray[np.float64]
 ORDERS = 18
 LUT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-READ = cache(readable_run)
+READ = cache(readable)
 
 
 class Seen:

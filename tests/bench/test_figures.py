@@ -25,7 +25,7 @@ from bench.figures.error_by_speed import MOST, ErrorBySpeed
 from bench.figures.hall_edges import HallEdges
 from bench.figures.looks import looks
 from bench.figures.motion import Motion
-from bench.figures.plot import NAMES, Drawn, draw_all
+from bench.figures.plot import NAMES, Plot, draw_all
 from bench.recording.reader import Run
 from bench.recording.times import ticks_of
 from bench.recording.writer import RunWriter
@@ -36,7 +36,7 @@ N = PWM_HZ  # samples of a second
 FIFTH, SEVENTH = 0.05, 0.03
 
 
-def drawn(path: Path, begin: float | None = None, end: float | None = None) -> dict[str, Drawn]:
+def drawn(path: Path, begin: float | None = None, end: float | None = None) -> dict[str, Plot]:
     run = Run(path)
     return {each.name: each for each in draw_all(run, *ticks_of(run, begin, end))}
 

@@ -15,12 +15,18 @@ from unittest.mock import patch
 import matplotlib as mpl
 import numpy as np
 import pytest
+from scipy.io import loadmat
 from virtual_run import WatchedLink, at_rest, physical
 
 import bench
 from bench.analysis import waveforms
+from bench.comparing.compare import Comparison
+from bench.exports.export import Exported
+from bench.figures.plot import Plot
+from bench.hall.health import Health, Outcome
 from bench.rig.drive import Drive
 from bench.rig.loads import Load
+from bench.rig.notebook import Simulated
 from bench.scoring.board import Scoreboard
 from protocol.messages import DriveState
 
@@ -69,12 +75,21 @@ def test_the_page_as_it_is_printed(
         assert re.search(rf"^{name} +{figures['moving']['rms']:.3f}° rms$", printed, re.MULTILINE)
     assert DriveState.RUNNING in link.states
     assert at_rest(link.device)
+    assert set(cells["recording"].events["name"]) == {"STATE_CHANGED"}
+    assert cells["longest"] == len(cells["recording"].samples) == len(cells["whole"])
+    assert cells["health"].outcome is Outcome.CANNOT_TELL
+    assert printed.count("CANNOT_TELL [] ('only ") == 1
+    assert cells["differences"].loc["i_q", "verdict"] == "differs"
+    assert set(cells["plots"]) == {"spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges"}
+    assert Path("spectrum.png").stat().st_size > 10_000
+    assert loadmat("run.mat")["samples"]["i_q"][0, 0].ravel() == pytest.approx(cells["run"]["i_q"])
     assert cells["table"].num_rows == len(cells["frame"]) == len(cells["run"])
     assert re.search(r"^dashboard: http://127\.0\.0\.1:\d+/\?url=", printed, re.MULTILINE)
 
 
 SIGNATURES = [node for block in re.findall(r"```pyi\n(.*?)```", PAGE, re.DOTALL) for node in ast.parse(block).body]
-HOMES = {"Drive": Drive, "Load": Load, "Scoreboard": Scoreboard}
+CLASSES = (Comparison, Drive, Exported, Health, Load, Plot, Scoreboard, Simulated)
+HOMES = {cls.__name__: cls for cls in CLASSES}
 
 
 def home(name: str) -> Any:

@@ -86,7 +86,7 @@ def _mean(transient: Transient) -> tuple[F64, F64]:
     capture = transient.capture
     error, t = error_deg(capture, transient.observer), capture.t - transient.start
     turn = math.tau / abs(float(capture["omega_enc"].mean()))
-    length = round(turn * capture.rate)
+    length = round(turn * capture.measured_rate)
     mean = np.convolve(error, np.full(length, 1 / length), "same")
     mean[: length // 2] = mean[-length // 2 :] = np.nan
     mean[np.abs(t) < turn / 2] = np.nan

@@ -150,7 +150,7 @@ def ripple(capture: Capture, channel: str, period: float) -> float:
 
     Raises ValueError where the capture is no longer than that.
     """
-    length = round(period * capture.rate)
+    length = round(period * capture.measured_rate)
     if length >= len(capture):
         raise ValueError(f"{len(capture)} samples are not more than {period:g} s: take a longer stretch")
     values = capture[channel]

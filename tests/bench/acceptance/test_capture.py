@@ -52,7 +52,7 @@ def judged(capture: Capture) -> tuple[Verdict, str]:
 def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> None:
     assert len(clean) == pytest.approx(0.2 * RATE, abs=1)
     assert (np.diff(clean.samples.tick) == PERIOD).all()
-    assert clean.rate == pytest.approx(RATE)
+    assert clean.measured_rate == pytest.approx(RATE)
     assert clean.span[1] - clean.span[0] == pytest.approx(0.2, abs=2 / RATE)
     assert len(clean.edges) == pytest.approx(0.2 * 500 / 60 * 36, abs=2)  # six pole pairs
     ticks = clean.edges.tick
