@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 def printable(text: str) -> str:
     r"""Return `text` on one line, with an escape such as \x1b or \u202e for each character that is not to be printed.
@@ -17,6 +19,12 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str) -> str:
     """So many of a thing: 1 outage, 2 outages."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def either(names: Iterable[str]) -> str:
+    """One or more names as a choice: a, b or c."""
+    *most, last = names
+    return f"{', '.join(most)} or {last}" if most else last
 
 
 def told(value: object) -> str:

@@ -6,6 +6,7 @@ and messages into what a link writes. It knows no requests and no time-outs, and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -88,11 +89,12 @@ class HostWire(Protocol):
 
 
 class ByteWire:
-    """COBS frames: serial ports, TCP."""
+    """COBS frames: serial ports, TCP. `baud`: rate of a UART, bit/s; inf for what is no UART."""
 
     shared = False
 
-    def __init__(self) -> None:
+    def __init__(self, baud: float = math.inf) -> None:
+        self.baud = baud
         self._deframer = Deframer()
         self.counters = self._deframer.counters
 

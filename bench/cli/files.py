@@ -23,7 +23,6 @@ RUN = click.Path(path_type=Path)
 """A recorded run, which is a folder, or where one is to be."""
 OR_STANDARD_OUTPUT = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 
-_ARGUMENT = re.compile(r"sim$|(serial|tcp|can):|.*\.(run|rrd)$")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -32,7 +31,9 @@ class _JsonFile(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Read it, or say why not."""
-        if _ARGUMENT.match(str(value)):
+        from protocol.links.target import Target  # numpy costs 70 ms: only those who need it pay
+
+        if re.match(rf"sim$|({'|'.join(Target.kinds)}):|.*\.(run|rrd)$", str(value)):
             raise click.UsageError(f"--json would write to a file named {value}: put --json last, or use --json=-", ctx)
         return super().convert(value, param, ctx)
 

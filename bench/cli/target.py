@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +26,16 @@ class TargetType(click.ParamType[str]):
                 f"{target}`, `bench replay {target}` and `bench hall check {target}`"
             )
         if target != "sim" and os.path.isfile(target):
-            self.fail(f"{target} is a file, not a target: use serial:PORT, tcp:HOST:PORT, can:INTERFACE/CHANNEL")
+            from protocol.links.target import Target
+
+            self.fail(f"{target} is a file, not a target: use {', '.join(kind.form for kind in Target.kinds.values())}")
         return target
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """`sim`, the form of a TCP target, and the ports that are there, serial ones also as slcan adapters."""
-        from serial.tools import list_ports
+        """`sim`, and the targets of each kind that are there."""
+        from protocol.links.target import Target
 
-        ports = [port.device for port in list_ports.comports()]
-        known = ["sim", "tcp:127.0.0.1:", *(f"serial:{port}" for port in ports)]
-        known += [f"can:socketcan/{name}" for _, name in socket.if_nameindex() if "can" in name]
-        known += [f"can:slcan/{port}" for port in ports]
+        known = ["sim", *(target for kind in Target.kinds.values() for target in kind.here())]
         return [CompletionItem(target) for target in known if target.startswith(incomplete)]
 
 

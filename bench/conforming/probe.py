@@ -29,7 +29,6 @@ from protocol.framing import (
     wrapped,
 )
 from protocol.links import Link
-from protocol.links.serial import SerialLink
 from protocol.messages import (
     UNACKNOWLEDGED,
     ErrorReply,
@@ -40,6 +39,7 @@ from protocol.messages import (
     TimeSyncReply,
 )
 from protocol.payload import PayloadError
+from protocol.wire import ByteWire
 
 R = TypeVar("R", bound=Payload)
 
@@ -168,7 +168,8 @@ class Probe:
         self._tid = random.randrange(1, 0x10000)
         self._alive = 0
         self._fed = -1e9
-        baud = self.link.target.baud if isinstance(self.link, SerialLink) else math.inf
+        wire = self.link.wire()
+        baud = wire.baud if isinstance(wire, ByteWire) else math.inf
         self._longest = 10 * encoded_length(MAX_PAYLOAD) / baud
         """s that the longest frame is under way on a UART."""
 

@@ -30,7 +30,6 @@ from bench.rig.screen import Screen
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtocolError
 from protocol.links import Link
-from protocol.links.can import CanLink
 from protocol.messages import DriveState, Empty, HelloReply, StreamGet, StreamInfo, StreamReply, StreamSet, StreamStart
 from protocol.payload import PayloadError
 
@@ -103,8 +102,7 @@ def _line(link: Link) -> Line:
     wire = link.wire()
     if not isinstance(wire, CanWire):
         return ByteLine()
-    node, host = (link.node, link.target.host) if isinstance(link, CanLink) else (1, 0)
-    return BusLine(wire.rates, node, wire.extended, host)
+    return BusLine(wire.rates, wire.node, wire.extended, wire.host)
 
 
 # -- before -----------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from bench.exports import ENDINGS
 from bench.exports.content import Content
 from bench.files import check_output, part_of
 from bench.recording.reader import Run
+from protocol.text import either
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def format_of(out: Path, named: str | None) -> str:
     """The format that `named` says, or the ending of `out`. Raises BenchError where they do not."""
     by_ending = next((name for name, ending in ENDINGS.items() if ending == out.suffix.lower()), None)
     if named is None and by_ending is None:
-        raise BenchError(f"{out} has no known extension: use {_either(ENDINGS.values())}, "
+        raise BenchError(f"{out} has no known extension: use {either(ENDINGS.values())}, "
                          "or --format")  # fmt: skip
     if named is not None and by_ending not in (None, named):
         raise BenchError(f"{out} has the extension of {by_ending}, but --format is {named}: use {ENDINGS[named]}")
@@ -110,8 +111,3 @@ def _notes(content: Content, writer: Any, files: Mapping[str, Path], out: Path) 
     if not run.ended:
         notes.append(f"warning: {run.path} has no end: it was interrupted, or is still recording")
     return (*notes, *(f"warning: {words}" for words in run.damage))
-
-
-def _either(names: Any) -> str:
-    *most, last = names
-    return f"{', '.join(most)} or {last}"

@@ -117,8 +117,6 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
     status = [name for name in ("status",) if name in there]
     speeds = _speeds(config)
     course = survey(pieces(channels={reference, *speeds, *status}), reference, speeds, n_p or 1)
-    if not course.samples:
-        raise BenchError(f"{path} cannot be scored: it holds no samples")
     _require_unambiguous(course, path, config.rate, (n_p or 1) * parameters.get("omega_m_max", 0.0))
     notes: list[str] = []
     recorded = _recorded(config)

@@ -70,8 +70,8 @@ class CanWire:
         self.extended = extended
         self.busy_seconds = 0.0
         """For how long the frames that were heard and sent occupied the bus."""
-        self._node = node
-        self._host = host
+        self.node = node
+        self.host = host
         self._encoder = TransferEncoder(rates.fd, extended)
         self._reassemblers: dict[CanId, Reassembler] = {}
         self._routes: list[_Route] = []
@@ -98,7 +98,7 @@ class CanWire:
 
     def encode(self, frame: Frame) -> bytes:
         """See `HostWire.encode`. A STOP goes ahead of all else, then again as a request that is answered."""
-        node = frame.node or self._node
+        node = frame.node or self.node
         if node > MAX_NODE:
             raise LocalProtocolError(f"there is no node {node} on a CAN bus: they are 1 to {MAX_NODE}")
         return self._sent(self._encode(frame._replace(node=node).pack(), node))
@@ -115,7 +115,7 @@ class CanWire:
         slot = STATUS_SLOTS.get(message[0])
         if slot is not None:
             return self._encoder.encode(CanId(CanClass.STATUS, node, slot), message)
-        wire = self._encoder.encode(CanId(CanClass.TO_DEVICE, node, self._host), message)
+        wire = self._encoder.encode(CanId(CanClass.TO_DEVICE, node, self.host), message)
         if message[0] == MessageType.STATE_CMD and message[HEADER_BYTES : HEADER_BYTES + 1] == bytes((Command.STOP,)):
             return stop_record(node, self.extended, self.rates.fd) + wire
         return wire
@@ -151,7 +151,7 @@ class CanWire:
             if parts is None or parts.node == BROADCAST:
                 continue
             status = parts.kind == CanClass.STATUS and parts.slot in _DEVICE_STATUS
-            if status or (parts.kind == CanClass.TO_HOST and parts.slot == self._host):
+            if status or (parts.kind == CanClass.TO_HOST and parts.slot == self.host):
                 table[can_id] = _MESSAGE
             elif parts.kind >= CanClass.EDGES:
                 table[can_id] = _STALE
@@ -272,7 +272,7 @@ class CanWire:
     def advice(self, heard: bool) -> str:
         """See `HostWire.advice`."""
         if heard:
-            return f"check that node {self._node} is an HBP device, and its frame format and identifiers"
+            return f"check that node {self.node} is an HBP device, and its frame format and identifiers"
         return "check power, cable, termination, the bit rates and the node"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from protocol.links.base import Link
 from protocol.links.target import CanTarget, SerialTarget, Target, TcpTarget, parse_target
 
@@ -16,14 +18,6 @@ def open_link(target: str | Target) -> Link:
         LinkError: it cannot be opened (`LinkNotFound`, `LinkBusy`, …).
     """
     named = parse_target(target) if isinstance(target, str) else target
-    if isinstance(named, SerialTarget):
-        from protocol.links.serial import SerialLink  # pyserial costs 20 ms: only those who need it pay
-
-        return SerialLink(named)
-    if isinstance(named, CanTarget):
-        from protocol.links.can import CanLink  # and python-can 90 ms
-
-        return CanLink(named)
-    from protocol.links.tcp import TcpLink
-
-    return TcpLink(named)
+    module, _, name = named.link.rpartition(".")  # pyserial costs 20 ms, python-can 90: only those who need it pay
+    link: Link = getattr(import_module(module), name)(named)
+    return link

@@ -19,6 +19,7 @@ from serial.tools import list_ports
 from protocol.errors import LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.base import DescriptorLink
 from protocol.links.target import SerialTarget
+from protocol.wire import ByteWire, HostWire
 
 _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("=4I20x2I")  # c_iflag..c_lflag, c_line and c_cc, c_ispeed, c_ospeed
@@ -89,6 +90,10 @@ class SerialLink(DescriptorLink):
         if error.errno == errno.EISDIR or "Could not configure port" in str(error):
             return LinkError(f"{port} is not a serial port")
         return LinkError(f"cannot open {port}: {error}")
+
+    def wire(self) -> HostWire:
+        """See `Link.wire`."""
+        return ByteWire(self.target.baud)
 
     def close(self) -> None:
         """See `Link.close`."""

@@ -6,11 +6,14 @@ This module only reads and writes the strings; it opens nothing, and so does not
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+import socket
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from protocol.errors import TargetError
+from protocol.text import either
 
 if TYPE_CHECKING:
     from protocol.canmap.frame import BusRates
@@ -31,34 +34,101 @@ MAX_HOST = 15
 CAN_KEYS = ("node", "ext", "context", "host_number")
 """Our own keys of a CAN target; of the others python-can knows which there are."""
 
-_FORMS = "serial:/dev/ttyACM0?baud=3000000, tcp:127.0.0.1:7000 or can:socketcan/can0"
+
+class Target(ABC):
+    """What names a link. To add one, write a subclass here and its link: defining it makes it known everywhere."""
+
+    scheme: ClassVar[str]
+    """What its strings begin with, before the colon."""
+    form: ClassVar[str]
+    """How they look, for help and errors."""
+    example: ClassVar[str]
+    link: ClassVar[str]
+    """Module and class of the `Link` that it opens, which is made of a target; loaded when one is opened."""
+    kinds: ClassVar[dict[str, type[Target]]] = {}
+    """All that there are, by scheme."""
+
+    def __init_subclass__(cls) -> None:
+        cls.kinds[cls.scheme] = cls
+
+    @classmethod
+    @abstractmethod
+    def read(cls, text: str, address: str, options: Mapping[str, str]) -> Self:
+        """The target `text`, whose part after the scheme is `address` with `options`. Raises TargetError."""
+
+    @staticmethod
+    def here() -> list[str]:
+        """Targets of this kind that are on this machine, or how they begin: what a shell completes."""
+        return []
 
 
 @dataclass(frozen=True, slots=True)
-class SerialTarget:
+class SerialTarget(Target):
     """A serial port and its rate in baud (a USB port of a microcontroller ignores the rate)."""
+
+    scheme = "serial"
+    form = "serial:PORT"
+    example = "serial:/dev/ttyACM0?baud=3000000"
+    link = "protocol.links.serial.SerialLink"
 
     port: str
     baud: int = DEFAULT_BAUD
+
+    @classmethod
+    def read(cls, text: str, address: str, options: Mapping[str, str]) -> Self:
+        """See `Target.read`."""
+        _allow(text, options, ("baud",))
+        if not address:
+            raise TargetError(f"target '{text}' names no port: write serial:/dev/ttyACM0")
+        return cls(address, _whole(text, options, "baud", DEFAULT_BAUD, MIN_BAUD, MAX_BAUD))
+
+    @staticmethod
+    def here() -> list[str]:
+        """See `Target.here`."""
+        return [f"serial:{port}" for port in _ports()]
 
     def __str__(self) -> str:
         return f"serial:{self.port}" + (f"?baud={self.baud}" if self.baud != DEFAULT_BAUD else "")
 
 
 @dataclass(frozen=True, slots=True)
-class TcpTarget:
+class TcpTarget(Target):
     """A TCP server."""
+
+    scheme = "tcp"
+    form = "tcp:HOST:PORT"
+    example = "tcp:127.0.0.1:7000"
+    link = "protocol.links.tcp.TcpLink"
 
     host: str
     port: int
+
+    @classmethod
+    def read(cls, text: str, address: str, options: Mapping[str, str]) -> Self:
+        """See `Target.read`."""
+        _allow(text, options, ())
+        try:
+            return cls(*split_host_port(address, lowest=1))
+        except TargetError as error:
+            raise TargetError(f"target '{text}': {error}") from None
+
+    @staticmethod
+    def here() -> list[str]:
+        """See `Target.here`."""
+        return ["tcp:127.0.0.1:"]
 
     def __str__(self) -> str:
         return f"tcp:{join_host_port(self.host, self.port)}"
 
 
 @dataclass(frozen=True, slots=True)
-class CanTarget:
+class CanTarget(Target):
     """A node on a CAN bus that python-can reaches; what is None is left to python-can's configuration."""
+
+    scheme = "can"
+    form = "can:INTERFACE/CHANNEL"
+    example = "can:socketcan/can0"
+    link = "protocol.links.can.CanLink"
 
     interface: str | None = None
     """python-can's name of the kind of adapter, for example `socketcan`."""
@@ -72,6 +142,35 @@ class CanTarget:
     """Section of python-can's configuration."""
     host: int = 0
     """Number of this host among those on the bus."""
+
+    @classmethod
+    def read(cls, text: str, address: str, options: Mapping[str, str]) -> Self:
+        """See `Target.read`."""
+        interface, _, channel = address.partition("/")
+        if channel.startswith("dev/"):
+            channel = f"/{channel}"
+        for key in ("interface", "channel"):
+            if key in options:
+                raise TargetError(f"target '{text}': {key} is not an option: write can:INTERFACE/CHANNEL before the ?")
+        bitrate = _whole(text, options, "bitrate", DEFAULT_BITRATE, MIN_BITRATE, MAX_BITRATE)
+        if not _whole(text, options, "fd", 0, 0, 1) and "data_bitrate" in options:
+            raise TargetError(f"target '{text}': data_bitrate needs CAN FD: add fd=1")
+        _whole(text, options, "data_bitrate", DEFAULT_DATA_BITRATE, bitrate, MAX_DATA_BITRATE)
+        return cls(
+            interface or None,
+            channel or None,
+            tuple((key, value) for key, value in options.items() if key not in CAN_KEYS),
+            _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE),
+            bool(_whole(text, options, "ext", 0, 0, 1)),
+            options.get("context"),
+            _whole(text, options, "host_number", 0, 0, MAX_HOST),
+        )
+
+    @staticmethod
+    def here() -> list[str]:
+        """See `Target.here`; serial ports are also those of slcan adapters."""
+        buses = [f"can:socketcan/{name}" for _, name in socket.if_nameindex() if "can" in name]
+        return buses + [f"can:slcan/{port}" for port in _ports()]
 
     @property
     def rates(self) -> BusRates:
@@ -99,9 +198,6 @@ class CanTarget:
         return f"can:{place}" + (f"?{query}" if query else "")
 
 
-Target = SerialTarget | TcpTarget | CanTarget
-
-
 def parse_target(text: str) -> Target:
     """Read a target string.
 
@@ -109,14 +205,16 @@ def parse_target(text: str) -> Target:
         TargetError: the string names no link; the message quotes the part at fault and what is allowed there.
     """
     scheme, colon, rest = text.partition(":")
-    if not colon or scheme not in _PARSERS:
+    if not colon or scheme not in Target.kinds:
         if text.startswith("/") or text.upper().startswith("COM"):
             raise TargetError(f"target '{text}' has no scheme: write serial:{text}")
-        near = difflib.get_close_matches(scheme, _PARSERS, 1) if colon else []
-        hint = f"did you mean {near[0]}:?" if near else f"write {_FORMS}"
+        near = difflib.get_close_matches(scheme, Target.kinds, 1) if colon else []
+        hint = (
+            f"did you mean {near[0]}:?" if near else f"write {either(kind.example for kind in Target.kinds.values())}"
+        )
         raise TargetError(f"unknown target '{text}': {hint}")
     address, _, query = rest.partition("?")
-    return _PARSERS[scheme](text, address, _read_options(text, query))
+    return Target.kinds[scheme].read(text, address, _read_options(text, query))
 
 
 def split_host_port(text: str, lowest: int = 0) -> tuple[str, int]:
@@ -168,45 +266,7 @@ def _whole(text: str, options: Mapping[str, str], key: str, default: int, lowest
     return int(value)
 
 
-def _parse_serial(text: str, port: str, options: Mapping[str, str]) -> SerialTarget:
-    _allow(text, options, ("baud",))
-    if not port:
-        raise TargetError(f"target '{text}' names no port: write serial:/dev/ttyACM0")
-    return SerialTarget(port, _whole(text, options, "baud", DEFAULT_BAUD, MIN_BAUD, MAX_BAUD))
+def _ports() -> list[str]:
+    from serial.tools import list_ports  # pyserial costs 20 ms
 
-
-def _parse_tcp(text: str, address: str, options: Mapping[str, str]) -> TcpTarget:
-    _allow(text, options, ())
-    try:
-        return TcpTarget(*split_host_port(address, lowest=1))
-    except TargetError as error:
-        raise TargetError(f"target '{text}': {error}") from None
-
-
-def _parse_can(text: str, place: str, options: Mapping[str, str]) -> CanTarget:
-    interface, _, channel = place.partition("/")
-    if channel.startswith("dev/"):
-        channel = f"/{channel}"
-    for key in ("interface", "channel"):
-        if key in options:
-            raise TargetError(f"target '{text}': {key} is not an option: write can:INTERFACE/CHANNEL before the ?")
-    bitrate = _whole(text, options, "bitrate", DEFAULT_BITRATE, MIN_BITRATE, MAX_BITRATE)
-    if not _whole(text, options, "fd", 0, 0, 1) and "data_bitrate" in options:
-        raise TargetError(f"target '{text}': data_bitrate needs CAN FD: add fd=1")
-    _whole(text, options, "data_bitrate", DEFAULT_DATA_BITRATE, bitrate, MAX_DATA_BITRATE)
-    return CanTarget(
-        interface or None,
-        channel or None,
-        tuple((key, value) for key, value in options.items() if key not in CAN_KEYS),
-        _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE),
-        bool(_whole(text, options, "ext", 0, 0, 1)),
-        options.get("context"),
-        _whole(text, options, "host_number", 0, 0, MAX_HOST),
-    )
-
-
-_PARSERS: dict[str, Callable[[str, str, Mapping[str, str]], Target]] = {
-    "serial": _parse_serial,
-    "tcp": _parse_tcp,
-    "can": _parse_can,
-}
+    return [port.device for port in list_ports.comports()]

@@ -9,7 +9,6 @@ from unittest.mock import patch
 
 from virtual_run import RecordingScreen
 
-from bench.conforming import probe
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import chosen
 from bench.conforming.checks import Check
@@ -18,7 +17,7 @@ from bench.conforming.verdicts import Verdict
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link
-from protocol.links.target import SerialTarget
+from protocol.wire import ByteWire
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
 from sim.ports.networks import ByteNetwork
@@ -149,9 +148,12 @@ class UartLink(VirtualLink):
 
     def __init__(self, device: SimulatedDevice, baud: int) -> None:
         super().__init__(device, step=1e-3)
-        self.target = SerialTarget(self.name, baud)
+        self._baud = baud
         self._pacer = Pacer(baud)
         self._sent = b""
+
+    def wire(self) -> ByteWire:
+        return ByteWire(self._baud)
 
     def read(self, timeout: float, settle: float = 0.0) -> bytes:
         end = self.clock() + timeout
@@ -171,10 +173,7 @@ def on_uart(level: int, baud: int) -> Run:
     """The run on a simulated bench that knows its UART's rate and has room for half a second of frames."""
     network = ByteNetwork(DeviceLink(TxQueue(bulk_limit=baud // 20, capacity=baud / BITS_PER_CHARACTER)))
     device = SimulatedDevice(load_params(), 1, network=network)
-    with patch.object(probe, "SerialLink", UartLink):
-        return run_on(
-            UartLink(device, baud), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz))
-        )
+    return run_on(UartLink(device, baud), level, idle=lambda seconds: device.advance(round(seconds * device.pwm_hz)))
 
 
 def narrow() -> SimulatedDevice:

@@ -344,7 +344,7 @@ def test_a_run_without_edges_is_refused(tmp_path: Path) -> None:
 
 def test_nothing_is_scored_of_no_samples() -> None:
     read = bench.read(STEADY)
-    with pytest.raises(BenchError, match="cannot be scored: it holds no samples"):
+    with pytest.raises(BenchError, match="the capture holds no samples of the drive"):
         score([replace(read, samples=part(read.samples, 0, 0))])
     with pytest.raises(BenchError, match="'hall' was not recorded"):
         trace(replace(read, samples=part(read.samples, 0, 0)))
