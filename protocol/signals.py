@@ -137,35 +137,30 @@ OTHER_SOURCE = 3  # what the two bits say for every angle source that they canno
 class AngleSource(IntEnum):
     """Values of the parameter `observer`: whose angle and speed the control uses."""
 
-    ENCODER = 0
-    AVERAGE_SPEED = 1
-    VECTOR_TRACKING = 2
-    LOAD_ANGLE = 3
-    SECTOR_CENTRE = 4
-    LOOKUP_TABLE = 5
-    HALL_VECTOR = 6
-    HALL_VECTOR_DECOUPLED = 7
-    PROGRAMMABLE_FILTER = 8
-    VECTOR_TRACKING_Q15 = 9
-    EDGE_KALMAN = 10
+    short: str
+    """What channels call it: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
+
+    def __new__(cls, number: int, short: str = "") -> Self:
+        """A source and its short name."""
+        made = int.__new__(cls, number)
+        made._value_, made.short = number, short
+        return made
+
+    ENCODER = 0, "enc"
+    AVERAGE_SPEED = 1, "avg"
+    VECTOR_TRACKING = 2, "vt"
+    LOAD_ANGLE = 3, "la"
+    SECTOR_CENTRE = 4, "sc"
+    LOOKUP_TABLE = 5, "lut"
+    HALL_VECTOR = 6, "hv"
+    HALL_VECTOR_DECOUPLED = 7, "hvd"
+    PROGRAMMABLE_FILTER = 8, "plf"
+    VECTOR_TRACKING_Q15 = 9, "q15"
+    EDGE_KALMAN = 10, "ek"
 
 
 SOURCE_NAMES = {source.name.lower().replace("_", "-"): source for source in AngleSource}
 """What people call the angle sources: `encoder`, `average-speed` …"""
-SHORT = {
-    AngleSource.ENCODER: "enc",
-    AngleSource.AVERAGE_SPEED: "avg",
-    AngleSource.VECTOR_TRACKING: "vt",
-    AngleSource.LOAD_ANGLE: "la",
-    AngleSource.SECTOR_CENTRE: "sc",
-    AngleSource.LOOKUP_TABLE: "lut",
-    AngleSource.HALL_VECTOR: "hv",
-    AngleSource.HALL_VECTOR_DECOUPLED: "hvd",
-    AngleSource.PROGRAMMABLE_FILTER: "plf",
-    AngleSource.VECTOR_TRACKING_Q15: "q15",
-    AngleSource.EDGE_KALMAN: "ek",
-}
-"""What channels call an angle source: its angle is `theta_enc`, `theta_avg` …, its speed `omega_enc` …"""
 
 
 class Injection(IntEnum):

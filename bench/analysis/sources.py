@@ -5,7 +5,7 @@ The catalogue is asked only about what the table does not have: it takes a while
 
 from __future__ import annotations
 
-from protocol.signals import SHORT, SOURCE_NAMES, AngleSource
+from protocol.signals import SOURCE_NAMES, AngleSource
 
 
 def source_number(name: str) -> int | None:
@@ -28,7 +28,7 @@ def source_name(number: float) -> str:
 
 def source_short(number: float) -> str:
     """What channels call it; empty if there is none of that number."""
-    return next((short for source, short in SHORT.items() if source == number), "") or _other(number)[1]
+    return next((source.short for source in AngleSource if source == number), "") or _other(number)[1]
 
 
 def _other(number: float) -> tuple[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.recording.info import HOST_SUFFIX, AnyChannel
 from bench.recording.layout import EDGES, SAMPLES
-from protocol.signals import SHORT, RawType
+from protocol.signals import AngleSource, RawType
 
 APPLICATION = "hallbench"
 TIMELINE = "device_time"
@@ -85,8 +85,8 @@ U_ABS, U_LIMIT = "u_abs", "u_limit"
 
 
 LABELS = {
-    f"{what}_{short}": source.name.lower().replace("_", " ").replace("hall", "Hall")
-    for source, short in SHORT.items()
+    f"{what}_{source.short}": source.name.lower().replace("_", " ").replace("hall", "Hall")
+    for source in AngleSource
     for what in ("theta", "omega")
 } | {
     "theta_true": "plant",

@@ -51,7 +51,6 @@ def draw(paths: Mapping[str, Path], seen: Seen, numbers: Mapping[str, Any], fold
     _save(transients(numbers), folder / "transients.png")
     weaknesses: dict[str, Callable[[Axes], None]] = {
         "average_speed": lambda ax: _event(ax, events["reversal"], ("average_speed", "vector_tracking"), 0.2),
-        "sector_centre": lambda ax: _distribution(ax, seen),
         "lookup_table": lambda ax: _shares(ax, numbers),
         "hall_vector": lambda ax: _event(ax, events["load_step_full"], ("hall_vector", "vector_tracking"), 0.2),
         "hall_vector_decoupled": lambda ax: _spectrum(ax, numbers),
@@ -61,10 +60,10 @@ def draw(paths: Mapping[str, Path], seen: Seen, numbers: Mapping[str, Any], fold
         "vector_tracking_q15": lambda ax: _rounding(ax, seen),
         "edge_kalman": lambda ax: _learning(ax, Seen(paths["learning"], ("edge_kalman",))),
     }
-    for name, weakness in weaknesses.items():
+    for name in CATALOGUE:
         figure, (left, right) = new_figure(1, 2, height=2.5, share_x=False)
         _one_turn(left, seen, name)
-        weakness(right)
+        weaknesses.get(name, lambda ax, name=name: _distribution(ax, seen, name))(right)
         _save(figure, folder / f"{name}.png")
 
 
@@ -118,7 +117,7 @@ def _one_turn(ax: Axes, seen: Seen, name: str) -> None:
     wraps = at[1:][np.diff(seen.theta[at]) < -math.pi]
     turn = np.arange(wraps[0], wraps[1])
     t = 1e3 * (turn - turn[0]) / seen.rate
-    code = np.flatnonzero(np.diff(seen.errors["sector_centre"][turn]) < -30.0)
+    code = np.flatnonzero(np.diff(seen.errors[name][turn]) < -30.0)
     for edge in code:
         ax.axvline(t[edge], color=LIGHT, linewidth=2.5)
     colour = HUE[name]
@@ -143,12 +142,12 @@ def _event(ax: Axes, seen: Seen, names: tuple[str, ...], length: float) -> None:
     legend_above(ax)
 
 
-def _distribution(ax: Axes, seen: Seen) -> None:
+def _distribution(ax: Axes, seen: Seen, name: str) -> None:
     """How often which error occurs, beside the uniform one of ideal sensors."""
     # bins of 4.5 deg: four samples at 500 r/min
     error = seen.errors["sector_centre"][seen.whole(500, 4.0)]
     bins = [4.5 * k for k in range(-10, 11)]
-    ax.hist(error, bins=bins, density=True, color=HUE["sector_centre"], alpha=0.5, label="measured")
+    ax.hist(error, bins=bins, density=True, color=HUE[name], alpha=0.5, label="measured")
     ax.plot([-30, -30, 30, 30], [0, 1 / 60, 1 / 60, 0], color=BLACK, lw=LINE_WIDTH, label="ideal sensors")
     axis_labels(ax, "error", "density", "el. °", "1/°")
     legend_above(ax)

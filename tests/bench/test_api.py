@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ STEADY, REVERSAL = DATA / "steady.run", DATA / "reversal.run"
 KINDS = ("path", "recording", "capture")
 
 
+@cache
 def told(*arguments: object) -> dict[str, object]:
     """What a command writes as JSON."""
     printed = CliRunner().invoke(cli, [*map(str, arguments), "--json", "-"]).stdout
@@ -58,10 +60,15 @@ def test_compare_finds_what_the_command_finds(kind: str) -> None:
     assert list(table.index) == ["i_q", *(f"theta_vt error, {what}" for what in ("mean", "rms", "std"))]
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("drawn")
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_plots_are_those_of_the_command(kind: str, tmp_path: Path) -> None:
+def test_plots_are_those_of_the_command(kind: str, drawn: Path) -> None:
     plots = bench.plot(sources(STEADY)[kind], 0.1)
-    for figure in told("plot", STEADY, "--from", 0.1, "-o", tmp_path)["figures"]:  # type: ignore[attr-defined]
+    for figure in told("plot", STEADY, "--from", 0.1, "-o", drawn)["figures"]:  # type: ignore[attr-defined]
         mine = plots[figure["figure"]]
         assert (isinstance(mine.figure, Figure), mine.why or None) == (bool(figure["file"]), figure["why_not"])
         assert json.loads(json.dumps(mine.numbers)) == figure["numbers"]

@@ -14,7 +14,7 @@ from bench.analysis.chunks import part
 from bench.errors import BenchError
 from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
 from bench.recording.reader import Run
-from protocol.signals import DRIVE_CHANNELS, SHORT, AngleSource, Injection, Status
+from protocol.signals import DRIVE_CHANNELS, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import DEFAULTS
@@ -83,7 +83,7 @@ def test_chunks_of_any_size_and_the_whole_recording_give_the_same_bits(drive_run
 
 def test_the_catalogue_is_consistent() -> None:
     assert [name.upper() for name in CATALOGUE] == [source.name for source in AngleSource if source]
-    assert [entry.short for entry in CATALOGUE.values()] == [SHORT[source] for source in AngleSource if source]
+    assert [entry.short for entry in CATALOGUE.values()] == [source.short for source in AngleSource if source]
     assert len({entry.short for entry in CATALOGUE.values()}) == len(CATALOGUE)
     for name, entry in CATALOGUE.items():
         assert entry.name == name

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from bench.acceptance.fixtures import Record
 from bench.acceptance.suite.common import TURNS, Measure, electrical_turn, ratio, speed_rpm, whole_turns
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
 from bench.rig.loads import NodeLoad
+from protocol.signals import SOURCE_NAMES, AngleSource
 
 SPEEDS = {"slow": 1 / 6, "fast": 2 / 3}  # of the rated speed
 WAYS = {"forwards": 1, "backwards": -1}
@@ -39,6 +40,8 @@ class Reach(NamedTuple):
     """It takes the edges for ideal: its mean error is that of the edges, and is measured from there."""
     taught: bool = False
     """It is told where the edges lie, by the parameters `edge_up_1` … `edge_down_6`."""
+    learns: bool = False
+    """It has to be turned both ways with several loads first."""
     settling: float = 0.4
     """s after a change of the speed: one that models the shaft takes its time."""
     than: str = ""
@@ -46,19 +49,20 @@ class Reach(NamedTuple):
 
 
 BACK_EMF = Reach((2.5, 2.5), (4.5, 5.5))
+SECTOR = Reach((2.5, 2.5), (21.0, 21.0), of_ring=True)
 REACH = {
-    "average-speed": ("avg", Reach((2.5, 2.5), (12.0, 12.0), of_ring=True)),
-    "vector-tracking": ("vt", BACK_EMF),
-    "load-angle": ("la", BACK_EMF),
-    "sector-centre": ("sc", Reach((2.5, 2.5), (21.0, 21.0), of_ring=True)),
-    "lookup-table": ("lut", Reach((1.5, 1.5), (2.0, 2.0), taught=True)),
-    "hall-vector": ("hv", Reach((3.0, 3.0), (5.0, 4.0), of_ring=True, settling=2.0)),
-    "hall-vector-decoupled": ("hvd", Reach((3.0, 3.0), (4.0, 4.0), of_ring=True, settling=2.0, than="hv")),
-    "programmable-filter": ("plf", BACK_EMF),
-    "vector-tracking-q15": ("q15", BACK_EMF),
-    "edge-kalman": ("ek", Reach((2.5, 2.5), (1.0, 0.8))),
+    "average-speed": Reach((2.5, 2.5), (12.0, 12.0), of_ring=True),
+    "vector-tracking": BACK_EMF,
+    "load-angle": BACK_EMF,
+    "sector-centre": SECTOR,
+    "lookup-table": Reach((1.5, 1.5), (2.0, 2.0), taught=True),
+    "hall-vector": Reach((3.0, 3.0), (5.0, 4.0), of_ring=True, settling=2.0),
+    "hall-vector-decoupled": Reach((3.0, 3.0), (4.0, 4.0), of_ring=True, settling=2.0, than="hv"),
+    "programmable-filter": BACK_EMF,
+    "vector-tracking-q15": BACK_EMF,
+    "edge-kalman": Reach((2.5, 2.5), (1.0, 0.8), learns=True),
 }
-"""By the name of the angle source, with what channels call it."""
+"""By the name of the angle source; one that is not here reaches what the centre of a sector does."""
 LITTLE = 1.0  # deg
 
 
@@ -82,10 +86,12 @@ def _needed(short: str, reach: Reach) -> list[str]:
     return [f"channel:theta_{name}" for name in (short, reach.than) if name] + more
 
 
-CASES = [
-    pytest.param(short, reach, id=name, marks=[limits(*_declared(short, reach)), needs(*_needed(short, reach))])
-    for name, (short, reach) in REACH.items()
-]
+def _case(name: str, source: AngleSource) -> Any:
+    short, reach = source.short, REACH.get(name, SECTOR)
+    return pytest.param(short, reach, id=name, marks=[limits(*_declared(short, reach)), needs(*_needed(short, reach))])
+
+
+CASES = [_case(name, source) for name, source in SOURCE_NAMES.items() if source != AngleSource.ENCODER]
 
 
 @called("Observer: {id}")
@@ -105,7 +111,7 @@ def test_observer(
     drive.current(LOAD * rated.current)
     if reach.taught:
         _teach(drive, [_run(drive, load, record, points["slow", way], reach.settling) for way in WAYS])
-    elif short == "ek":
+    elif reach.learns:
         share, seconds = LEARNING
         for sign in WAYS.values():
             load.speed(rpm=sign * speed_rpm(drive, rated, share))
