@@ -3,11 +3,30 @@
 What the protocol and its links raise stands in `protocol.errors`.
 """
 
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """How `bench` ends; a signal is 128 + its number. README has the same table."""
+
+    DONE = 0
+    FAILED = 1
+    """The drive tripped, failed or behaved implausibly, or the link was lost for good."""
+    ERROR = 2
+    """A wrong argument, or an error."""
+    NOT_RECORDED = 3
+    NO_VIEWER = 4
+    OUTPUTS_MAY_BE_ON = 5
+    INCOMPLETE = 6
+    """Not everything could be tested."""
+    NO_READER = 141
+    """The output pipe was closed."""
+
 
 class BenchError(Exception):
     """Something that the user can mend. `str(error)` is the whole story, in one line."""
 
-    exit_code = 2
+    exit_code: int = ExitCode.ERROR
 
 
 class NodeError(BenchError):
@@ -25,19 +44,19 @@ class DoesNotFit(NodeError):
 class DriveFailed(NodeError):
     """A device did not do what the protocol promises: it is the drive that failed, not the bench."""
 
-    exit_code = 1
+    exit_code = ExitCode.FAILED
 
 
 class OutputsMayBeOn(NodeError):
     """A power stage was not seen to be off at the end. Its exit code goes before all others."""
 
-    exit_code = 5
+    exit_code = ExitCode.OUTPUTS_MAY_BE_ON
 
 
 class RecordingError(BenchError):
     """The recording cannot be written."""
 
-    exit_code = 3
+    exit_code = ExitCode.NOT_RECORDED
 
 
 class UnsafeError(BenchError):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from bench.analysis.limits import Limits
 from bench.analysis.verdict import Verdict, worst
-from bench.errors import OutputsMayBeOn
+from bench.rig.outcome import RunOutcome
 from bench.rig.quality import ParameterValue, Quality
 from protocol.text import counted
 
@@ -126,9 +126,7 @@ class RunResult:
     @property
     def exit_code(self) -> int:
         """0 passed, 1 the drive failed, 2 the bench did, 6 incomplete, 130 aborted; 5 outputs may still be on."""
-        if self.unsafe:
-            return OutputsMayBeOn.exit_code
-        return {Verdict.PASS: 0, Verdict.FAIL: 1, Verdict.INCOMPLETE: 6, Verdict.ABORTED: 130}.get(self.verdict, 2)
+        return RunOutcome.of(self.verdict, unsafe=self.unsafe).exit_code
 
 
 def tightest(measurements: Iterable[Measurement]) -> Measurement | None:

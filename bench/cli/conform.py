@@ -74,7 +74,7 @@ def command(
     if junit == STANDARD_OUTPUT or report == STANDARD_OUTPUT:
         raise click.UsageError("only --json can go to standard output: give file names to --junit and --report")
     check_files({"--json": json_file, "--junit": junit, "--report": report}, overwrite)
-    from bench.conforming.claim import about, as_data, claim, exit_code
+    from bench.conforming.claim import about, as_data, claim, outcome
     from bench.conforming.junit import as_xml
     from bench.conforming.report import as_html
     from bench.rig.metadata import about_bench
@@ -99,7 +99,7 @@ def command(
     say(claim(run).words)
     if report is not None:
         say(f"report: {report}")
-    sys.exit(exit_code(run))
+    sys.exit(outcome(run).exit_code)
 
 
 def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> Run:

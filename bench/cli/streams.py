@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
-from bench.errors import BenchError
+from bench.errors import BenchError, ExitCode
 from protocol.text import printable
 
 _PLAIN = {
@@ -31,7 +31,7 @@ class OutputError(BenchError):
 class OutputClosed(BenchError):
     """Nobody reads standard output any more; the exit code is that of SIGPIPE."""
 
-    exit_code = 141
+    exit_code = ExitCode.NO_READER
 
 
 def echo(text: str = "") -> None:

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.analysis.verdict import Verdict as Outcome
 from bench.analysis.versions import PROGRAM
 from bench.conforming.checks import Check, Result
 from bench.conforming.levels import CAN, LEVELS, MOTION
 from bench.conforming.run import Run
 from bench.conforming.verdicts import Verdict
 from bench.device.description import describe
+from bench.rig.outcome import RunOutcome
 from protocol import __version__
 from protocol.framing import MAJOR, MINOR
 from protocol.text import counted
-
-FAILED, UNSAFE, INCOMPLETE = 1, 5, 6  # exit codes
 
 
 @dataclass(frozen=True)
@@ -85,15 +85,16 @@ def _ids(results: Sequence[Result], verdict: Verdict) -> list[str]:
     return [result.check.id for result in results if result.verdict is verdict]
 
 
-def exit_code(run: Run) -> int:
-    """Of the command: see `bench.cli`."""
-    if run.unsafe:
-        return UNSAFE
-    if run.count(Verdict.FAILED) or run.troubles or (run.ended and not run.signal):
-        return FAILED
-    if run.signal:
-        return 128 + run.signal
-    return INCOMPLETE if claim(run).missing else 0
+def outcome(run: Run) -> RunOutcome:
+    """How it ended; `findings` are the checks that failed, and troubles."""
+    found, failed = claim(run), _ids(run.results, Verdict.FAILED)
+    if failed or run.troubles or (run.ended and not run.signal):
+        verdict = Outcome.FAIL
+    elif run.signal:
+        verdict = Outcome.ABORTED
+    else:
+        verdict = Outcome.INCOMPLETE if found.missing else Outcome.PASS
+    return RunOutcome.of(verdict, found.words, (*failed, *run.troubles), unsafe=run.unsafe, signum=run.signal)
 
 
 def about(run: Run, station: dict[str, Any], started: str) -> dict[str, Any]:

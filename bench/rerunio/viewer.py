@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from urllib.parse import quote
 
-from bench.errors import BenchError
+from bench.errors import BenchError, ExitCode
 from bench.recording.info import RunInfo
 from bench.rerunio.sinks import LiveSink
 
@@ -44,7 +44,7 @@ wait $viewer
 class ViewerError(BenchError):
     """The live view cannot be started."""
 
-    exit_code = 4
+    exit_code = ExitCode.NO_VIEWER
 
 
 def free_port(first: int, wanted: int | None = None, use: str = "the live view") -> int:

@@ -15,7 +15,7 @@ from bench.analysis.sources import source_names, source_number
 from bench.analysis.units import pole_pairs, shaft_speed
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
-from bench.errors import BenchError, DriveFailed
+from bench.errors import BenchError, DriveFailed, ExitCode
 from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
@@ -28,7 +28,7 @@ from protocol.messages import DriveState
 class DriveTripped(BenchError):
     """The drive switched itself off, and the test did not expect that."""
 
-    exit_code = 1
+    exit_code = ExitCode.FAILED
 
 
 class RanAway(DriveTripped):

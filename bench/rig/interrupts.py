@@ -103,6 +103,28 @@ def _again(number: int) -> None:
     _thread.start_new_thread(send, ())
 
 
+class FirstSignal:
+    """The number of the first signal that came in a run that goes on to its regular end all the same; 0: none."""
+
+    def __init__(self) -> None:
+        self.number = 0
+
+    def remember(self, interrupt: BaseException) -> None:
+        """That came as this exception: KeyboardInterrupt or Interrupted."""
+        self.number = self.number or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
+
+    def uninterrupted(self, action: Callable[[], object]) -> None:
+        """Do it undisturbed, once. A signal that comes before, meanwhile or after is remembered."""
+        begun = False
+        while not begun:
+            try:
+                with undisturbed():
+                    begun = True
+                    action()
+            except (KeyboardInterrupt, Interrupted) as interrupt:
+                self.remember(interrupt)
+
+
 @contextmanager
 def undisturbed() -> Iterator[list[int]]:
     """No signal but SIGKILL takes effect inside; the first that came does on leaving. Gives those that have come.

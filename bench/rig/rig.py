@@ -18,13 +18,15 @@ from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle, speed_channel
 from bench.analysis.chunks import no_edge_stream
 from bench.analysis.verdict import Verdict
-from bench.device.client import POLL, Client
+from bench.device.client import POLL, WATCHDOG, Client, Sink
+from bench.device.node import ClockFit
 from bench.device.safety import is_off, says
-from bench.errors import BenchError, Interrupted, OutputsMayBeOn
+from bench.errors import BenchError, DriveFailed, Interrupted, OutputsMayBeOn
+from bench.recording.ring import FOR_EVER, Stored
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
-from bench.rig.interrupts import undisturbed
+from bench.rig.interrupts import FirstSignal, undisturbed
 from bench.rig.loads import Load, NodeLoad, NoLoad, OwnLoads, PersonLoad
 from bench.rig.machine import Machine
 from bench.rig.metadata import changed_keys, run_info
@@ -45,6 +47,7 @@ from protocol.signals import Flag, Signal
 from protocol.streams import StreamConfig
 
 SILENCE = 2.0  # s without samples after which waiting for more is given up
+CLOCK_PERIOD = 2.0  # s between looks at the drive's clock
 LATE = 1.0  # s that samples of a stretch may come after its end
 CORE = ("hall", "status", "i_a", "i_d", "i_q")
 """What is streamed, beside reference and estimates, where a link cannot carry everything."""
@@ -62,6 +65,10 @@ class Plan:
     """None where nobody can be asked."""
     virtual: bool = False
     """Time passes as fast as it can be computed."""
+    reconnect: float = 0.0
+    """s that a lost link is waited for."""
+    goes_on: bool = False
+    """Whether a run goes on that cannot turn its motor any more: what lets it go is told, not raised."""
     passive: bool = False
     """Nothing is energised, and state, faults and parameters are left alone."""
     held: AbstractContextManager[object] = field(default_factory=nullcontext)
@@ -78,6 +85,10 @@ class Recording:
     about: dict[str, str] = field(default_factory=dict)
     viewer: str = "none"
     overwrite: bool = True
+    web_port: int | None = None
+    stored: Stored = FOR_EVER
+    sector: float | None = None
+    """How long a Hall sector will last, s, where that is known."""
 
 
 class Rig:
@@ -96,13 +107,26 @@ class Rig:
         self.before: tuple[ParameterValue, ...] = ()
         """The drive's parameters before the run."""
         self.outputs: Outputs | None = None
+        self.tripped = ""
+        """Why the motor was let go, in a run that goes on."""
+        self.unsafe = ""
+        """Why outputs may still be on, likewise."""
+        self.not_restored = ""
+        """What is not as it was before, and why, likewise."""
+        self.signal = FirstSignal()
+        """That came to a run that goes on."""
+        self.clock: ClockFit | None = None
+        """Of this boot of the drive, in a run that goes on."""
+        self._next_clock = 0.0
+        self._rebooted: set[int] = set()
         self._prepared = False
         self._signals: list[int] | None = None  # that came while it is closed; None before that
         with ExitStack() as stack:
             stack.enter_context(plan.held)
             link = plan.link()
             stack.callback(link.close)
-            self.client = Client(link)
+            self.client = Client(link, plan.reconnect)
+            self.client.on_reboot = self._rebooted.add
             node = find_drive(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
             self.recorder = Recorder(node.number)
@@ -127,18 +151,14 @@ class Rig:
         The drive must be at rest, but in a passive rig. Closed where that fails. Raises BenchError and HbpError.
         """
         try:
-            node = self.drive.node
-            self.require_rest()
-            node.stop_streams()
-            told = [(record, node.parameter(record.name)) for record in node.descriptor.parameters]
-            self.before = tuple(ParameterValue(r.name, v.value, v.default, r.unit.symbol) for r, v in told)
-            self.drive.learn({p.name: p.value for p in self.before})
+            self.take()
+            self.learn()
             if not self.plan.passive:
                 self.load = self._find_load()
             self.at_end.append(self.load.off)
             self.recorder.expect(self.configure(channels or self._most_channels(needed), slower=True))
-            self._record(recording or Recording())
-            node.start_streams()
+            self.record_to(recording or Recording(), [self.recorder])
+            self.drive.node.start_streams()
             self.wait(2 * POLL)
         except BaseException:
             self._stack.close()
@@ -151,6 +171,18 @@ class Rig:
                 self.close()
                 raise
         return self
+
+    def take(self, or_fault: bool = False) -> None:
+        """Begin to use the drive, if it is free: see `require_rest`. Streams that somebody has left are stopped."""
+        self.require_rest(or_fault)
+        self.drive.node.stop_streams()
+
+    def learn(self) -> None:
+        """Read the drive's parameters, which its end puts back."""
+        node = self.drive.node
+        told = [(record, node.parameter(record.name)) for record in node.descriptor.parameters]
+        self.before = tuple(ParameterValue(r.name, v.value, v.default, r.unit.symbol) for r, v in told)
+        self.drive.learn({p.name: p.value for p in self.before})
 
     def require(self, *applications: str) -> None:
         """Raise NodeError unless the drive has what these applications of `bench.rig.needs` need."""
@@ -229,15 +261,32 @@ class Rig:
         core = tuple(c for c in channels if c.name in wanted or c.flags & (Flag.REFERENCE | Flag.ESTIMATE))
         return [channels, core]
 
-    def _record(self, recording: Recording) -> None:
-        plan = self.plan
-        parameters = self.drive.parameters
-        info = run_info(self.drive.node, plan.target, self.channels, parameters, plan.settings, **recording.about)
-        self.outputs = Outputs(info, recording.path, recording.overwrite, recording.viewer, wait=plan.virtual)
-        self._stack.callback(self.outputs.close)
-        if self.outputs.file is not None:
-            self._stack.callback(self.outputs.file.close)
-        self.client.sinks = [self.recorder, self.guard(), *self.outputs.sinks]
+    def record_to(
+        self, recording: Recording, watching: Sequence[Sink], more: Sequence[Channel | Signal] = ()
+    ) -> Outputs:
+        """From now on what comes is recorded and shown, and handed to `watching` first.
+
+        `more`: channels that the host adds to those that are streamed. Raises RecordingError or ViewerError.
+        """
+        plan, channels = self.plan, (*self.channels, *more)
+        info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
+        outputs = self.outputs = Outputs(
+            info,
+            recording.path,
+            recording.overwrite,
+            recording.viewer,
+            recording.web_port,
+            plan.virtual,
+            recording.stored,
+            recording.sector,
+        )
+        self._stack.callback(outputs.close)
+        if outputs.file is not None and not plan.goes_on:
+            self._stack.callback(outputs.file.close)
+        if plan.goes_on:
+            outputs.time_by(lambda tick: None if self.clock is None else self.clock.host_time(tick))
+        self.client.sinks = [*watching, *([] if plan.passive else [self.guard()]), *outputs.sinks]
+        return outputs
 
     def guard(self) -> RunawayGuard:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
@@ -258,6 +307,46 @@ class Rig:
     def off(self) -> list[Exception]:
         """Outputs off, and seen to be off, of all that is on; what could not be done, in that order."""
         return failures_of(machine.stop for machine in self.machines if machine.on)
+
+    def let_go(self, why: str) -> None:
+        """Of a run that goes on: switch off what is on, and tell why."""
+        self.tripped = why
+        self.client.note(why, "ERROR")
+        self.switch_off()
+
+    def switch_off(self) -> None:
+        """Of a run that goes on: outputs off, and seen to be off, of all that is on; `unsafe` says where not.
+
+        Nothing keeps a node from being told; what a sink raises meanwhile is raised when all have been.
+        """
+        failure: Exception | None = None
+        for error in () if self.unsafe else self.off():
+            match error:
+                case OutputsMayBeOn():
+                    self.unsafe = self.unsafe or str(error)
+                    self.client.note(str(error), "CRITICAL")
+                case DriveFailed():
+                    self.tripped = self.tripped or str(error)
+                    self.client.note(str(error), "ERROR")
+                case _:  # of a sink: the outputs were seen to be off all the same
+                    failure, self.client.sinks = failure or error, self.client.sinks[:1]
+        if failure is not None:
+            raise failure
+
+    def finish(self) -> None:
+        """Of a run that goes on: outputs off, parameters as they were, streams ended. No signal gets in between."""
+        self.signal.uninterrupted(self.switch_off)
+        self.signal.uninterrupted(self._restore)
+        with suppress(HbpError):
+            self.signal.uninterrupted(self.drive.node.stop_streams)
+
+    def _restore(self) -> None:
+        """Not in a drive whose outputs may still be on: it keeps its lowered limits."""
+        failures = [] if self.unsafe else failures_of([self.drive.put_back])
+        words = [str(failure) for failure in failures] + [self.drive.not_put_back().removeprefix("; ")]
+        self.not_restored = "; ".join(filter(None, words))
+        if self.not_restored:
+            self.client.note(self.not_restored, "ERROR")
 
     def rest(self) -> None:
         """Off at once what has a watchdog. What cannot be done is told by `close`, which tries again."""
@@ -285,7 +374,7 @@ class Rig:
         trip: DriveTripped | None = None
         prepared, self._prepared = self._prepared, False
         if not prepared:
-            failures = self.off()
+            failures = [] if self.unsafe else self.off()  # what can be done there was
         elif not self.plan.passive:
             failures = failures_of([self.drive.stop])
             stopped = not failures
@@ -383,7 +472,13 @@ class Rig:
     def _poll(self, timeout: float) -> None:
         self._turn(timeout)
         if self.outputs is not None:
+            for text, level in self.outputs.news():
+                self.client.note(text, level)
             self.outputs.check()
+        if self.plan.goes_on:
+            if self.client.health.down_since is None:
+                self._look()
+            return
         if self.plan.passive:
             return
         if self.client.health.reboots:
@@ -391,6 +486,28 @@ class Rig:
         self.drive.look()
         if isinstance(self.load, NodeLoad):
             self.load.look()
+
+    def _look(self) -> None:
+        """Of a run that goes on: let go what does not run as it should, and keep the clock fresh."""
+        now = self.client.now()
+        while self._rebooted:
+            node = self._rebooted.pop()
+            for machine in self.machines:
+                if machine.node.number == node:
+                    self.let_go(f"{machine.title} has rebooted")
+            if node == self.drive.node.number:
+                self.clock, self._next_clock = None, now
+                self.drive.node.resume_streams()
+        for machine in () if self.unsafe else reversed(self.machines):
+            watchdog = self.drive.parameters.get("watchdog", WATCHDOG) if machine is self.drive else WATCHDOG
+            if why := machine.trouble(watchdog):
+                self.let_go(f"{machine.title}{why}")
+        if now >= self._next_clock and not self.client.session.busy:
+            self._next_clock = now + CLOCK_PERIOD
+            try:
+                self.clock = self.drive.node.clock_fit(tries=1)
+            except HbpError as error:
+                self.client.note(f"no clock: {error}", "WARN")
 
     # -- what it has --------------------------------------------------------------------------------------------
 

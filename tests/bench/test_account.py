@@ -18,7 +18,6 @@ from virtual_run import NETWORKS, RecordingScreen, WatchedLink, at_rest, run, si
 from bench.device.client import Client, Losses, Sink
 from bench.device.node import Node
 from bench.errors import RecordingError
-from bench.live import run as live
 from bench.live.summary import Lost, Summary, run_rows
 from bench.rig.outputs import Outputs
 from bench.rig.rig import Plan, Rig
@@ -311,7 +310,7 @@ def test_latency_is_never_taken_with_the_clock_of_another_boot(monkeypatch: pyte
         def sinks(self) -> list:
             return [*super().sinks, *sinks]
 
-    monkeypatch.setattr(live, "Outputs", WithAges)
+    monkeypatch.setattr("bench.rig.rig.Outputs", WithAges)
 
     def reboots(call: int) -> None:
         if link.clock() > 8.0 and not link._before:

@@ -23,7 +23,7 @@ from bench.cli import cli
 from bench.conforming import run as conforming
 from bench.conforming.catalogue import checks, chosen
 from bench.conforming.checks import Carrier
-from bench.conforming.claim import claim, exit_code
+from bench.conforming.claim import claim, outcome
 from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
 from bench.conforming.run import Options, Run, conform
 from bench.conforming.verdicts import Verdict
@@ -56,7 +56,7 @@ def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrie
     assert not ended(run, Verdict.FAILED)
     assert ended(run, Verdict.UNKNOWN) == UNSEEN[vocabulary, carrier]
     assert len(run.results) == len(chosen(CAN, carrier == "CAN"))
-    assert (run.troubles, run.unsafe, run.ended, exit_code(run)) == ([], "", "", 0)
+    assert (run.troubles, run.unsafe, run.ended, outcome(run).exit_code) == ([], "", "", 0)
     assert (device.state, device.outputs_on, device.streams) == (State.IDLE, False, {})
     assert device.values == pytest.approx({row.id: row.value for row in device.vocabulary.parameters}, rel=1e-7)
 
@@ -114,7 +114,7 @@ def test_what_was_not_seen_is_unknown_and_the_claim_names_it() -> None:
         r"not tested: level 3 \(states and setpoints\), level 4 \(motion\)",
         found.words,
     )
-    assert exit_code(run) == 0
+    assert outcome(run).exit_code == 0
 
 
 def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +131,7 @@ def test_a_level_whose_start_was_refused_is_not_claimed(monkeypatch: pytest.Monk
     assert not ended(run, Verdict.FAILED)
     assert {"state.stop-obeyed", "watchdog.trips"} <= set(ended(run, Verdict.UNKNOWN))
     found = claim(run)
-    assert (found.level, found.conforms, exit_code(run)) == (STREAMS, True, 6)
+    assert (found.level, found.conforms, outcome(run).exit_code) == (STREAMS, True, 6)
     assert found.words.startswith("conforms to HBP 1.0 at level 2: ")
     assert found.words.endswith(
         "; not shown: level 3 (states and setpoints), which needs state.stop-obeyed, watchdog.trips; "
@@ -242,7 +242,7 @@ def test_however_it_ends_the_outputs_are_off(raised: Any, code: int, words: str)
     link = Ending(raised)
     run = run_on(link, STATES)
     assert at_rest(link.device)
-    assert (run.ended, exit_code(run), run.unsafe) == (words, code, "")
+    assert (run.ended, outcome(run).exit_code, run.unsafe) == (words, code, "")
     assert claim(run).conforms is None
     assert f"not run: {words}" in {result.evidence for result in run.results}
 
@@ -261,7 +261,7 @@ def test_a_drive_that_does_not_stop_is_not_energised_again_and_shouted_at_the_en
     assert device.seen["START"] == 0  # STOP was not obeyed in ARMED
     run, _ = on_device(MOTION, ["stop-outputs-stay"], without=OVERLOADED)
     assert "MAY STILL BE ON" in run.unsafe
-    assert exit_code(run) == 5
+    assert outcome(run).exit_code == 5
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from bench.device.simulator import motors
 from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
-from bench.live.run import Ended
+from bench.live.run import LiveOutcome
 from bench.rig.settings import read_settings
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
@@ -46,7 +46,7 @@ def embedded(*arguments: object) -> Iterator[SimpleNamespace]:
     yield SimpleNamespace(target="tcp:127.0.0.1:1")
 
 
-def show(name: str, **changed: float) -> Ended:
+def show(name: str, **changed: float) -> LiveOutcome:
     """The show on this motor, with other values for some keys; the drive is in this process, in virtual time."""
     overrides = {key.replace("__", "."): value for key, value in changed.items()}
     link = WatchedLink(SimulatedDevice(load_params(motors()[name], overrides), 1))

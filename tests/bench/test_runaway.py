@@ -20,7 +20,7 @@ from virtual_run import NETWORKS, WatchedLink, at_rest, run, simulated
 
 import bench
 from bench.analysis.chunks import narrowed, of_channels, part
-from bench.conforming.claim import exit_code
+from bench.conforming.claim import outcome
 from bench.conforming.levels import MOTION
 from bench.rig.drive import RanAway
 from bench.rig.runaway import RunawayGuard
@@ -97,7 +97,7 @@ def test_conform_stops_a_motor_that_runs_away_and_turns_it_no_more(network: str)
     words = {result.check.id: result.evidence for result in results.results if result.check.id.startswith("motion.")}
     assert re.match(WORDS.format(300) + "STOP was sent", words["motion.stop"])
     assert words["motion.direction"] == words["motion.watchdog"] == "not tried: motion.stop failed"
-    assert exit_code(results) == 1
+    assert outcome(results).exit_code == 1
     assert at_rest(device)
     assert 0.0 < link.too_far_for(300.0) < SOON
 

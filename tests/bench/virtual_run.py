@@ -100,7 +100,7 @@ def reached_by(link: Link) -> Iterator[None]:
 
 def run(
     link: Link, confirm: Callable[[str], bool] | None = None, screen: RecordingScreen | None = None, **options: object
-) -> live.Ended:
+) -> live.LiveOutcome:
     """Run `bench live` on `link`: 0.3 virtual seconds at 500 r/min unless told otherwise."""
     given = live.LiveOptions(
         **({"target": TARGET, "viewer": "none", "speed_rpm": 500.0, "duration": 0.3} | options)  # type: ignore[arg-type]
