@@ -1,48 +1,106 @@
-"""What the simulated drive may run, compiled before it runs in real time: it must not stand still for an observer.
+"""Kernels are compiled in processes of their own: no handler of a signal runs inside LLVM's compiler.
 
-`python -m sim.compile` compiles all but the drive's loop, which takes as long as all the others: `compile_all` runs it
-beside itself. In virtual time nothing waits, and each is compiled when it is first used.
+`compile_apart` starts a child for each group of functions and waits. If an exception ends the wait, Ctrl-C say, the
+children are killed. Otherwise what they have compiled is on disk (`sim.numba_cache`), to be loaded. A child is
+`python -m sim.compile NAME...`; it also ends when its standard input does, which it does when the parent is gone.
+
+Importing this module does not import numba.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Protocol
 
-from sim.drive import tick, tick_record
-from sim.native import Native
-from sim.observers import sample
-from sim.observers.catalogue import CATALOGUE
-from sim.ports import can_bits
-
-
-def others() -> list[Native]:
-    """All compiled functions but the drive's loop."""
-    return [tick_record.pack, sample.run, can_bits.count, *(entry.function for entry in CATALOGUE.values())]
+TELL_EVERY = 1.0  # s
+POLL = 0.02  # s between two looks at the children
 
 
-def compile_all() -> None:
-    """Compile what is not kept yet, on two cores, and load it all."""
-    beside = None
-    if not tick.advance.kept and not all(one.kept for one in others()):
-        nothing = subprocess.DEVNULL
-        command = [sys.executable, "-m", "sim.compile"]
-        beside = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
-    tick.advance.load()
-    if beside is not None:
-        beside.wait()
-    for one in others():
-        one.load()
+def _print(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+_tell: Callable[[str], None] = _print
+
+
+class Compiled(Protocol):
+    """A function that can be compiled, as `sim.native` has it."""
+
+    name: str
+    """MODULE:NAME where another process finds it; with :ARGUMENT, NAME is a function that gives it for that text."""
+
+    @property
+    def kept(self) -> bool:
+        """Whether nothing is to be compiled."""
+
+    def make(self) -> None:
+        """Compile it here, or load it."""
+
+
+def tell_by(tell: Callable[[str], None]) -> None:
+    """From now on `tell` gets a line each second while something is compiled; before, standard error does."""
+    global _tell
+    _tell = tell
+
+
+def compile_apart(*groups: Sequence[Compiled]) -> None:
+    """Compile those functions that are not kept yet and that a child can find, a child for each group."""
+    wanted = [[one for one in group if not one.kept and findable(one)] for group in groups]
+    every = [one for group in wanted for one in group]
+    children: list[subprocess.Popen[bytes]] = []
+    begun, told = time.monotonic(), -math.inf
+    try:
+        for group in wanted:
+            if group:
+                command = [sys.executable, "-m", "sim.compile", *(one.name for one in group)]
+                pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
+                made = subprocess.Popen(command, stdin=pipe, stdout=nothing, stderr=nothing, start_new_session=True)
+                children.append(made)
+        while any(child.poll() is None for child in children):
+            if (now := time.monotonic()) - told >= TELL_EVERY:
+                told = now
+                done = sum(one.kept for one in every)
+                _tell(f"compiling, once on this machine: {done} of {len(every)} functions, {now - begun:.0f} s")
+            time.sleep(POLL)
+    finally:
+        for child in children:
+            child.kill()
+            child.communicate()
+
+
+def findable(function: Compiled) -> bool:
+    """Whether another process finds a function by its name."""
+    try:
+        return found(function.name) is function
+    except (ImportError, AttributeError):
+        return False
+
+
+def found(name: str) -> Compiled:
+    """The function of this name (`Compiled.name`)."""
+    module, attribute, *argument = name.split(":")
+    at = getattr(import_module(module), attribute)
+    result: Compiled = at(*argument) if argument else at
+    return result
 
 
 def main() -> None:
-    """Compile the others, as long as whoever asked for it is there."""
-    parent = os.getppid()
-    for one in others():
-        if os.getppid() != parent:
-            return
-        one.load()
+    """Compile the functions named on the command line, as long as the parent is there."""
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    for name in sys.argv[1:]:
+        found(name).make()
+
+
+def _end_with_input() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)
 
 
 if __name__ == "__main__":

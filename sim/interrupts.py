@@ -7,7 +7,6 @@ there. Elsewhere nothing has to wait.
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from types import FrameType, TracebackType
 from typing import Any, ClassVar
@@ -63,12 +62,6 @@ class Held:
         self._let_go()
         if self.came and error is None:
             signal.raise_signal(self.came[0])
-
-    def deliver(self) -> None:
-        """Run the handlers of what has come, here and now."""
-        while self.came:
-            number = self.came.pop(0)
-            self._handlers[number](number, sys._getframe())
 
     def _let_go(self) -> None:
         try:

@@ -3,8 +3,8 @@
 A record is a NamedTuple of numbers, of records and of tuples of one kind of number, in the layout of a C structure.
 `layout` gives it as a dtype, so that numpy makes room for records and reads them. A function marked `native` takes
 `Pointer`s to such records, whole numbers and floats, as its annotations say, and returns nothing. It is called with
-addresses; whoever calls keeps the memory. It is compiled, or loaded, when it is first called or its address is asked
-for. Nothing that it does raises: a division by zero gives an infinity, as on a drive.
+addresses; whoever calls keeps the memory. It is compiled in a child (`sim.compile`) and loaded when it is first called
+or its address is asked for. Nothing that it does raises: a division by zero gives an infinity, as on a drive.
 
 In kernels `record._replace(field=...)` works as in Python, and `with_item` gives a tuple with another item: records and
 tuples are values, and nothing is assigned to a part of one.
@@ -25,6 +25,8 @@ from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.compile import compile_apart
+from sim.interrupts import Held
 from sim.numba_cache import compiled_for_c, is_kept
 
 __all__ = ["Cells", "Native", "Pointer", "address", "invoke", "layout", "native", "specialised", "value", "with_item"]
@@ -112,9 +114,10 @@ def address(array: NDArray[Any]) -> int:
 
 
 class Native:
-    """A function of pointers and numbers, called with addresses and numbers."""
+    """A function of pointers and numbers, called with addresses and numbers; `name`: where another process finds it."""
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    def __init__(self, function: Callable[..., None], name: str = "") -> None:
+        self.name = name or f"{function.__module__}:{function.__qualname__}"
         self._function = function
         self._hints = {name: kind for name, kind in get_type_hints(function).items() if name != "return"}
         self._call: Callable[..., None] = self._first
@@ -140,14 +143,21 @@ class Native:
         self._call(*arguments)
 
     def load(self) -> None:
-        """Compile it, or load what is kept."""
+        """Load it, compiled by a child if it is not kept."""
         if self._address:
             return
         if PLAIN:
             self._address = id(self)
             _NATIVES[self._address] = self._call = self._plainly
             return
-        self._address = compiled_for_c(self._function, [_numba_type(kind) for kind in self._hints.values()])
+        if not self.kept:
+            compile_apart([self])
+        self.make()
+
+    def make(self) -> None:
+        """Load it, or compile it here, where no child could; signals wait until that is done."""
+        with Held():
+            self._address = compiled_for_c(self._function, [_numba_type(kind) for kind in self._hints.values()])
         kinds = [ctypes.c_double if kind is float else ctypes.c_int64 for kind in self._hints.values()]
         self._call = ctypes.CFUNCTYPE(None, *kinds)(self._address)
 
@@ -159,9 +169,9 @@ class Native:
 _NATIVES: dict[int, Callable[..., None]] = {}  # by what stands for their addresses in plain Python
 
 
-def native(function: Callable[..., None]) -> Native:
+def native(function: Callable[..., None], name: str = "") -> Native:
     """A function of pointers and numbers, to be called from Python or by `invoke`."""
-    return Native(function)
+    return Native(function, name)
 
 
 def specialised(function: Any, name: str, annotations: dict[str, Any], **names: Any) -> Any:

@@ -5,32 +5,27 @@ stale caller. So the kernels live in a directory whose name holds a hash of ever
 of, together with the versions of Python and numba: any edit starts a fresh directory, and old ones are
 pruned. Only what Python calls is kept (`sim.native`): the kernels that it is made of are in it.
 
-`$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory. Other packages' numba caches are
-never touched. Importing this module does not import numba; its decorators do.
-
-Signals: numba is not made for handlers that raise, such as Python's own of Ctrl-C. A handler runs between any two
-steps of Python code, and LLVM calls Python back while it compiles or loads: there an exception is printed and lost. So
-signals wait (`sim.interrupts`) while a function compiles, until the next pass.
+`$NUMBA_CACHE_DIR`, where set, takes the place of the user's cache directory; where that cannot be written, a temporary
+one does, for this process and those that it starts. Other packages' numba caches are never touched. Importing this
+module does not import numba; its decorators do.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
-import math
 import os
 import shutil
 import sys
-import threading
-import time
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import ModuleType
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, TypeVar, cast
 
-from sim.interrupts import Held
+from platformdirs import user_cache_path
 
 __all__ = [
     "Locator",
@@ -40,17 +35,15 @@ __all__ = [
     "kernel",
     "source_hash",
     "source_stamp",
-    "tell_by",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-TELL_EVERY = 1.0  # s
 KEPT = 6  # cache directories of other source states that are left alone: branches, two checkouts
 _HERE = Path(__file__).parent
 
 # Of `sim/drive` and `sim/ports` only the control tick and the lengths of CAN frames are kernels.
-_PLAIN = ("config", "drive", "ports", "interrupts.py")
+_PLAIN = ("config", "drive", "ports", "compile.py", "interrupts.py")
 _KERNELS_AMONG = ("drive/tick*.py", "ports/can_bits.py")
 _IN_PROTOCOL = (
     "codes.py",
@@ -106,22 +99,30 @@ def source_stamp(module: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _user_cache_dir() -> Path:
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(given)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base)
-
-
 @cache
 def cache_dir() -> Path:
-    """The directory for the kernels of the present sources; it may not exist yet."""
-    return _user_cache_dir() / "hallbench" / f"numba-{source_hash()}"
+    """The directory for the kernels of the present sources, marked as used now; the oldest others are dropped."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    base = Path(given) / "hallbench" if given else user_cache_path("hallbench", appauthor=False)
+    own = base / f"numba-{source_hash()}"
+    try:
+        own.mkdir(parents=True, exist_ok=True)
+        os.utime(own)
+    except OSError:
+        os.environ["NUMBA_CACHE_DIR"] = temporary = tempfile.mkdtemp(prefix="hallbench-")
+        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+        return Path(temporary, "hallbench", own.name)
+    others = sorted((p for p in base.glob("numba-*") if p != own), key=_last_used)
+    for old in others[: max(0, len(others) - KEPT)]:
+        shutil.rmtree(old, ignore_errors=True)
+    return own
+
+
+def _last_used(folder: Path) -> float:
+    try:
+        return folder.stat().st_mtime
+    except OSError:  # dropped by another process
+        return 0.0
 
 
 def is_kept(function: Callable[..., Any]) -> bool:
@@ -131,21 +132,6 @@ def is_kept(function: Callable[..., Any]) -> bool:
     """
     folder = cache_dir() / function.__module__
     return any(folder.glob(f"*.{function.__qualname__}-*.nbc"))
-
-
-@cache
-def _prepare() -> str:
-    """Make the cache directory, mark it as used now, drop the oldest others; "" if it cannot be written."""
-    own = cache_dir()
-    try:
-        own.mkdir(parents=True, exist_ok=True)
-        os.utime(own)
-        others = sorted((p for p in own.parent.glob("numba-*") if p != own), key=lambda p: p.stat().st_mtime)
-    except OSError:
-        return ""
-    for old in others[: max(0, len(others) - KEPT)]:
-        shutil.rmtree(old, ignore_errors=True)
-    return str(own)
 
 
 def kernel(function: F) -> F:
@@ -184,81 +170,23 @@ def _plainly_called(dispatcher: Any) -> type[Any]:
 def compiled_for_c(function: Callable[..., None], arguments: Sequence[Any]) -> int:
     """The address of a function compiled for C's calls: `arguments` are numba's types, it returns nothing.
 
-    Where no cache can be written, it compiles in every process. What it compiles is told (`tell_by`).
+    No handler of a signal may raise in here (`sim.interrupts`): LLVM calls Python back, and drops what is raised there.
     """
     import numba
 
     cfunc: Any = numba.cfunc
     signature = numba.types.void(*arguments)
-    with _kept_by_numba(), nullcontext() if is_kept(function) else _told(function):
+    with _kept_by_numba():
         try:
-            compile_ = cfunc(signature, cache=bool(_prepare()), error_model="numpy", _nrt=False)
-            made = _between_passes(compile_)(function)
-        except RuntimeError:  # numba: "no locator available", the directory became unwritable
-            compile_ = cfunc(signature, error_model="numpy", _nrt=False)
-            made = _between_passes(compile_)(function)
+            made = cfunc(signature, cache=True, error_model="numpy", _nrt=False)(function)
+        except RuntimeError:  # numba: "no locator available", nothing can be written
+            made = cfunc(signature, error_model="numpy", _nrt=False)(function)
     _FUNCTIONS.append(made)
     address: int = made.address
     return address
 
 
 _FUNCTIONS: list[Any] = []  # what is compiled for C, alive as long as the process
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-class Progress:
-    """How much has been compiled in this process, and how that is told."""
-
-    tell: ClassVar[Callable[[str], None]] = _print
-    done: ClassVar[int] = 0
-    of: ClassVar[int] = 0
-    told: ClassVar[float] = -math.inf
-
-
-def tell_by(tell: Callable[[str], None]) -> None:
-    """From now on `tell` gets a line now and then while something compiles; before, standard error does."""
-    Progress.tell = tell
-
-
-@contextmanager
-def _told(function: Callable[..., Any]) -> Iterator[None]:
-    """Tell how far compiling has come."""
-    from numba.core import event
-
-    class Kernels(event.Listener):
-        def on_start(self, event: object) -> None:
-            _count(0)
-
-        def on_end(self, event: object) -> None:
-            _count(1)
-
-    Progress.of += 1 + len([one for one in kernels_of(function) if not one.signatures])
-    with event.install_listener("numba:compile", Kernels()):
-        yield
-    Progress.done = Progress.of
-
-
-def _count(kernels: int) -> None:
-    Progress.done = min(Progress.done + kernels, Progress.of)
-    if time.monotonic() - Progress.told >= TELL_EVERY:
-        Progress.told = time.monotonic()
-        Progress.tell(f"compiling, once on this machine: {Progress.done} of {Progress.of} kernels")
-
-
-def kernels_of(function: Any, found: set[Any] | None = None) -> set[Any]:
-    """All kernels that a function is made of, by the names in its code."""
-    found = set() if found is None else found
-    named, known = function.__code__.co_names, function.__globals__
-    values = [known.get(name) for name in named]
-    values += [getattr(module, name, None) for module in values if isinstance(module, ModuleType) for name in named]
-    for value in values:
-        if hasattr(value, "py_func") and value not in found:
-            found.add(value)
-            kernels_of(value.py_func, found)
-    return found
 
 
 class Locator:
@@ -310,24 +238,3 @@ def _kept_by_numba() -> Iterator[None]:
         yield
     finally:
         config.CACHE_LOCATOR_CLASSES = before
-
-
-def _between_passes(compile_: Callable[..., Any]) -> Callable[..., Any]:
-    """`compile_`, with handlers of signals that run between two of its passes only: that may raise."""
-
-    def call(*arguments: Any, **more: Any) -> Any:
-        from numba.core import event
-
-        class Between(event.Listener):
-            def on_start(self, event: object) -> None:
-                held = Held.active
-                if held is not None and not held.undisturbed and threading.current_thread() is threading.main_thread():
-                    held.deliver()
-
-            def on_end(self, event: object) -> None:
-                pass
-
-        with Held(), event.install_listener("numba:run_pass", Between()):
-            return compile_(*arguments, **more)
-
-    return call

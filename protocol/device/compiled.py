@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from platformdirs import user_cache_path
 
 from protocol.descriptor import sample_dtype
 from protocol.device.app import DeviceApp, Identity
@@ -51,11 +52,6 @@ class NoCompiler(Exception):
     """The C device side cannot be compiled here."""
 
 
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "hallbench"
-
-
 def compiler() -> list[str]:
     """The system's C compiler: `$CC`, else cc, gcc or clang. Raises NoCompiler."""
     if given := os.environ.get("CC"):
@@ -82,7 +78,7 @@ def library(pool: int, frames: int) -> ctypes.CDLL:
     digest = hashlib.sha256(repr(command).encode())
     for file in sorted(SOURCE.rglob("*.[ch]")):
         digest.update(file.read_bytes())
-    target = _cache() / f"hbp-{digest.hexdigest()[:16]}.so"
+    target = user_cache_path("hallbench", appauthor=False) / f"hbp-{digest.hexdigest()[:16]}.so"
     if not target.exists():
         try:
             target.parent.mkdir(parents=True, exist_ok=True)

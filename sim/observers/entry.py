@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, cached_property
+from importlib import import_module
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
@@ -191,7 +192,13 @@ def _over(init: Any, step: Any) -> Native:
     annotations = dict(zip(_each.__code__.co_varnames, kinds, strict=False))
     module = step.__module__
     name = f"{_each.__name__}_{module.rpartition('.')[2]}{source_stamp(module)}"
-    return native(specialised(_each, name, annotations, init=init, step=step))
+    return native(specialised(_each, name, annotations, init=init, step=step), f"{__name__}:function_of:{module}")
+
+
+def function_of(module: str) -> Native:
+    """`run(params, state, samples, reset, n, estimates)` of the observer in this module."""
+    home = import_module(module)
+    return _over(home.init, home.step)
 
 
 def _each(params, state, samples, reset, n, estimates):  # type: ignore[no-untyped-def]

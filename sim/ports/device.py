@@ -15,10 +15,15 @@ from protocol import __version__
 from protocol.device.session import DeviceLink, Identity
 from protocol.device.tx import TxQueue
 from protocol.messages import Fault, Feature, Role
+from sim.compile import compile_apart
 from sim.config.params import BenchParams
+from sim.drive import tick, tick_record
 from sim.drive.apps import DriveApp, LoadApp
 from sim.drive.machine import SimulatedBench
 from sim.numba_cache import source_hash
+from sim.observers import sample
+from sim.observers.catalogue import CATALOGUE
+from sim.ports import can_bits
 from sim.ports.networks import ByteNetwork, Network, Session
 
 FIRMWARE = "hallbench-sim"
@@ -147,6 +152,17 @@ class SimulatedDevice:
                 notice(f"outputs off {unfed:.0f} ms after the last ALIVE: watchdog ({name})")
             else:
                 notice(f"outputs off: {faults.name if faults else 'STOP'} ({name})")
+
+
+def compile_all() -> None:
+    """Compile and load what a device may run, before it runs in real time: it must not stand still for an observer.
+
+    In virtual time nothing waits, and each function is compiled when it is first used.
+    """
+    others = [tick_record.pack, sample.run, can_bits.count, *(entry.function for entry in CATALOGUE.values())]
+    compile_apart([tick.advance], list(dict.fromkeys(others)))  # the loop takes as long as all the others
+    for one in (tick.advance, *others):
+        one.load()
 
 
 def random_boot_id() -> int:

@@ -31,7 +31,7 @@ from protocol.links.target import (
     MIN_BITRATE,
     split_host_port,
 )
-from sim import numba_cache
+from sim.compile import tell_by
 from sim.config.params import BenchParams, ConfigError, Value, load_params
 from sim.ports.byte_ports import Port, PtyPort, TcpPort
 from sim.ports.uart import BITS_PER_CHARACTER, Pacer
@@ -216,7 +216,7 @@ def serve(options: ServeOptions, tell: Say) -> None:
     port = _make_port(options)
     try:
         network = _make_network(options)
-        numba_cache.tell_by(tell)
+        tell_by(tell)
         if isinstance(port, TcpPort) and port.exposed:
             print(f"warning: {EXPOSED.format(port.target)}", file=sys.stderr, flush=True)
         with _handlers(lambda *_: _stop_at_once(port, tell), (*_STOPS, signal.SIGUSR1, signal.SIGUSR2)):
@@ -263,7 +263,7 @@ def _run(server: Server, received: set[int], tell: Say) -> None:
 
 
 def _stop_at_once(port: Port, tell: Say) -> None:
-    """End while it compiles: an exception out of the compiler's callbacks would end in a traceback."""
+    """End while it compiles and loads; children that compile end with their input."""
     try:
         port.unplug()
         tell("stopped")
@@ -345,8 +345,7 @@ def _make_network(options: ServeOptions) -> Network:
 
 
 def _make_device(params: BenchParams, options: ServeOptions, network: Network, tell: Say) -> SimulatedDevice:
-    from sim.compile import compile_all  # numba
-    from sim.ports.device import SimulatedDevice, random_boot_id
+    from sim.ports.device import SimulatedDevice, compile_all, random_boot_id  # numba
 
     compile_all()
     return SimulatedDevice(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,11 @@ from typing import Any
 import pytest
 
 from sim import numba_cache
+from sim.compile import findable, found
 from sim.drive import tick
 from sim.native import Cells, Native, Pointer, native
-from sim.numba_cache import is_kept, kernels_of, tell_by
+from sim.numba_cache import is_kept
+from sim.observers.catalogue import CATALOGUE
 
 SOURCE = """
 from sim.native import Pointer
@@ -82,55 +85,74 @@ def test_hash_is_that_of_the_kernels_and_of_the_constants_that_they_take(
 
 
 def test_old_directories_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tmp_path /= "hallbench"
     for k in range(10):
-        (tmp_path / f"numba-{k:016x}").mkdir()
-    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
-    assert numba_cache._prepare.__wrapped__() == str(tmp_path / "numba-now")
+        (tmp_path / f"numba-{k:016x}").mkdir(parents=True)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path.parent))
+    own = numba_cache.cache_dir.__wrapped__()
+    assert own.parent == tmp_path
+    assert own in list(tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == numba_cache.KEPT + 1
 
 
-@pytest.fixture
-def lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
-    """What is told of compiling, in an empty cache."""
-    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
-    monkeypatch.setattr(numba_cache, "_prepare", lambda: str(tmp_path))
-    monkeypatch.setattr(
-        numba_cache, "Progress", type("Fresh", (numba_cache.Progress,), {"told": -1e9, "done": 0, "of": 0})
-    )
-    monkeypatch.setattr(numba_cache, "TELL_EVERY", 0.0)
-    told: list[str] = []
-    tell_by(told.append)
-    return told
+def test_a_cache_that_cannot_be_written_is_a_temporary_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    made = numba_cache.cache_dir.__wrapped__()
+    assert tmp_path not in made.parents
+    assert numba_cache.cache_dir.__wrapped__() == made
+    assert made.is_dir()
 
 
-def test_what_is_compiled_is_kept_and_told_and_found_again_by_a_copy_installed_elsewhere(
-    fill: FunctionType, lines: list[str], tmp_path: Path
+def test_what_is_compiled_here_is_kept_and_found_by_a_copy_installed_elsewhere(
+    fill: FunctionType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(numba_cache, "cache_dir", lambda: tmp_path / "numba-now")
     assert not is_kept(fill)
     assert filled(native(fill), 1.5) == 6.0
     assert is_kept(fill)
-    assert lines[0] == "compiling, once on this machine: 0 of 3 kernels"
-    assert lines[-1] == "compiling, once on this machine: 2 of 3 kernels"
-    before = len(lines)
     elsewhere = fill.__code__.replace(co_filename=str(tmp_path / "elsewhere" / Path(__file__).name))
     copy = FunctionType(elsewhere, fill.__globals__, "fill")
     copy.__annotations__, copy.__module__ = fill.__annotations__, fill.__module__
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / Path(__file__).name).write_text("")
-    assert filled(native(copy), 2.5) == 10.0
-    assert len(lines) == before
+    with monkeypatch.context() as nothing_compiles:
+        nothing_compiles.setattr("numba.core.compiler.compile_extra", None)
+        assert filled(native(copy), 2.5) == 10.0
 
 
-def test_kernels_are_found_by_the_names_in_the_code(fill: FunctionType) -> None:
-    assert {one.__name__ for one in kernels_of(fill)} == {"twice", "four_times"}
-    names = {f"{one.__module__}.{one.__name__}" for one in kernels_of(tick.advance._function)}
-    assert {"sim.plant.integrator.rotation", "sim.control.transforms.park", "sim.plant.noise.uniform"} <= names
-
-
-def test_unwritable_cache_still_compiles(monkeypatch: pytest.MonkeyPatch, fill: FunctionType, lines: list[str]) -> None:
+def test_where_nothing_can_be_kept_it_compiles(monkeypatch: pytest.MonkeyPatch, fill: FunctionType) -> None:
     monkeypatch.setattr(numba_cache.Locator, "from_function", classmethod(lambda cls, function, file: None))
     assert filled(native(fill), 1.0) == 4.0
     assert not is_kept(fill)
+
+
+COLD = """
+from sim import compile
+from sim.native import Cells
+from sim.observers.catalogue import CATALOGUE
+from sim.numba_cache import compiled_for_c
+import sim.native
+def here(function, arguments):
+    assert sim.native.is_kept(function), "compiled in this process"
+    return compiled_for_c(function, arguments)
+sim.native.compiled_for_c = here
+compile.tell_by(lambda text: print(text, flush=True))
+CATALOGUE["sector_centre"].function.load()
+"""
+
+
+def test_a_child_compiles_and_tells_how_far_it_is(tmp_path: Path) -> None:
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    ended = subprocess.run([sys.executable, "-c", COLD], capture_output=True, text=True, check=False, env=env)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith("compiling, once on this machine: 0 of 1 functions, 0 s\n")
+
+
+def test_functions_are_found_by_their_names_and_others_compiled_here(fill: FunctionType) -> None:
+    for one in (tick.advance, *(entry.function for entry in CATALOGUE.values())):
+        assert found(one.name) is one
+    assert not findable(native(fill))
 
 
 def test_a_division_by_zero_raises_nothing_in_compiled_code() -> None:
