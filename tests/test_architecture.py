@@ -102,3 +102,35 @@ def imported(nodes: Nodes) -> Iterator[tuple[str, str]]:
             yield from ((room, alias.name.partition(".")[0]) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield room, node.module.partition(".")[0]
+
+
+# -- docs/architecture.md -------------------------------------------------------------------------------------------
+
+MAP = (ROOT / "docs" / "architecture.md").read_text()
+
+
+def test_the_map_draws_the_layers_as_they_are() -> None:
+    (drawing,) = re.findall(r"```text\n(.*?)```", MAP, re.DOTALL)
+    drawn = [set(found) for line in drawing.splitlines() if (found := re.findall(r"\w+/[\w.]+", line))]
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]
+    layers = [re.split(r"\s*\|\s*", layer) for layer in contract["layers"]]
+    assert drawn == [
+        {
+            name.replace(".", "/") + ("" if (ROOT / name.replace(".", "/")).is_dir() else ".py")
+            for name in layer
+        }
+        for layer in layers
+    ]  # fmt: skip
+
+
+def test_the_map_names_every_folder_and_nothing_that_is_not_there() -> None:
+    named = set(re.findall(r"`((?:bench|docs|protocol|sim|tests)/[\w./-]*)`", MAP))
+    folders = {
+        f"{init.parent.relative_to(ROOT)}/"
+        for package in PACKAGES
+        for init in (ROOT / package).rglob("__init__.py")
+        if init.parent != ROOT / package
+    }
+    assert folders <= named
+    assert not [name for name in named if not (ROOT / name).exists()]
+    assert all(name.endswith("/") == (ROOT / name).is_dir() for name in named)

@@ -604,14 +604,18 @@ def captures(
 
 
 def require_memory(
-    run: Run, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
+    run: Run,
+    first: int | None = None,
+    last: int | None = None,
+    channels: Collection[str] | None = None,
+    further: int = 0,
 ) -> None:
-    """BenchError where a part of a run does not fit into memory at once."""
+    """BenchError where a part of a run does not fit into memory at once, with `further` bytes for each sample."""
     if layout.SAMPLES not in run.names:
         return
     config = narrowed(run.config(layout.SAMPLES), channels)
     of_index_and_tick = 16
-    size = run.rows(layout.SAMPLES, first, last) * (config.dtype.itemsize + of_index_and_tick)
+    size = run.rows(layout.SAMPLES, first, last) * (config.dtype.itemsize + of_index_and_tick + further)
     needed = size + BESIDE
     if needed > (free := available()):
         a, b = run.span

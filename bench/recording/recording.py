@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from bench.analysis.position import states
 from bench.errors import BenchError
 from bench.recording.info import RunInfo
 from bench.recording.layout import EDGES, SAMPLES
-from bench.recording.reader import Run, capture_of, captures
+from bench.recording.reader import Run, capture_of, captures, require_memory
 from bench.recording.times import ticks_between
 from protocol.codes import EventCode
 from protocol.frames import data_frame
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 class Recording:
     """A recorded run: captures of any part of it, and tables in SI units by device time `t`, s.
 
-    What was said is read when it is opened, samples and edges when they are asked for. Iterating gives `pieces()`.
+    What was said is read when it is opened, a table when it is first asked for. Iterating gives `pieces()`.
     Raises BenchError where `path` holds no recording.
     """
 
@@ -65,38 +66,40 @@ class Recording:
         """See `bench.pieces`."""
         return captures(self.run, *ticks_between(self.run, begin, end), channels)
 
-    @property
+    @cached_property
     def samples(self) -> pd.DataFrame:
         """A column for each channel in its unit. BenchError where they do not fit into memory."""
+        channels = len(self.run.drive_streams[0].channels) if SAMPLES in self.run.names else 0
+        require_memory(self.run, further=8 * (channels + 1))
         return self.read().to_pandas()
 
-    @property
+    @cached_property
     def edges(self) -> pd.DataFrame:
         """The Hall edges: codes before and after, whether that is illegal, the encoder's count; empty for none."""
         edges = self.run.chunk(EDGES) if EDGES in self.run.names else None
         return edges.to_pandas() if isinstance(edges, EdgeChunk) else data_frame({})
 
-    @property
+    @cached_property
     def marks(self) -> pd.DataFrame:
         """Stretches that were marked, from `t` to `until`, s."""
         marks = self.run.marks
         rows = [(self._seconds(mark.last_tick), mark.name, mark.verdict) for mark in marks]
         return self._table([mark.first_tick for mark in marks], ("until", "name", "verdict"), rows)
 
-    @property
+    @cached_property
     def events(self) -> pd.DataFrame:
         """What the devices have reported, with `arg` and `detail` as the protocol has them for each `name`."""
         events = self.run.events
         rows = [(event.node, EventCode(event.code).name, event.arg, event.detail) for event in events]
         return self._table([event.tick for event in events], ("node", "name", "arg", "detail"), rows)
 
-    @property
+    @cached_property
     def notes(self) -> pd.DataFrame:
         """Lines of the host's log."""
         rows = [(level, text) for level, (_, text) in zip(self.run.levels, self.run.notes, strict=True)]
         return self._table([tick for tick, _ in self.run.notes], ("level", "text"), rows)
 
-    @property
+    @cached_property
     def changes(self) -> pd.DataFrame:
         """Parameters that the host has set during the run."""
         changes = self.run.changes

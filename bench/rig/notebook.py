@@ -43,6 +43,8 @@ def open_rig(
 ) -> Rig:
     """See `bench.connect`."""
     target = target_of(target, settings)
+    if unknown := sorted(simulated.keys() - Simulated.__annotations__.keys()):
+        raise TypeError(f"connect() got an unexpected keyword argument '{unknown[0]}'")
     settings = _with_simulated(settings, target, **simulated)
     link = partial(open_target, target, settings, "notebook")
     held = alone_on(target, load_target(settings))

@@ -19,7 +19,7 @@ from sim.config.unkind import effects
 from sim.observers.catalogue import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 IN_LINE = re.compile(r"`(bench [^`\n]*)`")
 AT_START = re.compile(r"^(?:\S+/)?(bench [^#\n]*)", re.MULTILINE)
 

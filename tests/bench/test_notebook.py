@@ -258,7 +258,9 @@ def test_nothing_beyond_the_limits_is_asked_of_the_drive() -> None:
         ):
             with pytest.raises(BenchError, match=words):
                 act()
-        for act in (rig.drive.speed, lambda: rig.drive.speed(rpm=10, rad_s=1), rig.load.speed):
+        assert bench.Envelope(rad_s=10 * math.pi) == bench.Envelope(rpm=pytest.approx(300))
+        both = (lambda: rig.drive.speed(rpm=10, rad_s=1)), lambda: bench.Envelope(rpm=10, rad_s=1)
+        for act in (rig.drive.speed, rig.load.speed, *both):
             with pytest.raises(TypeError, match=r"give a speed either as rpm=… or as rad_s=…, mechanical"):
                 act()
         assert not ENERGISED & set(link.states)

@@ -53,7 +53,7 @@ def test_a_kind_of_target_is_known_everywhere_by_being_defined(
     link = open_link("pipe:/tmp/a")
     assert isinstance(link, Opened)
     assert link.target == pipe("/tmp/a")  # type: ignore[call-arg]
-    with pytest.raises(TargetError, match=r"can:socketcan/can0 or pipe:/tmp/a$"):
+    with pytest.raises(TargetError, match=r" or pipe:/tmp/a$"):
         parse_target("nothing:x")
     with pytest.raises(TargetError, match=r"did you mean pipe:\?"):
         parse_target("pipes:x")

@@ -58,7 +58,7 @@ def test_errors_are_within_limits(name, recorded):
     for out in estimates:
         assert np.isfinite(out.omega).all()
         assert ((out.theta >= -np.pi) & (out.theta < np.pi)).all()
-    if (known := LIMITS[label, CATALOGUE[name].short]) is not None:
+    if (known := LIMITS.get((label, CATALOGUE[name].short))) is not None:
         found = scenario.figures(recordings, estimates)
         margins = np.maximum(np.multiply(scenario.tolerance, known), FLOORS)
         assert np.all(np.abs(np.subtract(found, known)) <= margins), f"{name}, {label}: {found}, known are {known}"
