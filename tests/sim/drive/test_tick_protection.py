@@ -184,8 +184,8 @@ def watched(bench, periods):
     doubt, opposed = 0.0, 0.0
     for _ in range(periods // 80):
         bench.advance(80)
-        state = bench._state.first.firmware.protection
-        doubt, opposed = max(doubt, state.doubt), max(opposed, state.opposed)
+        state = bench._state.array[0]["firmware"]["protection"]
+        doubt, opposed = max(doubt, state["doubt"]), max(opposed, state["opposed"])
     assert bench.faults == 0
     return doubt, opposed
 
@@ -227,6 +227,6 @@ def test_jitter_at_an_edge_raises_no_doubt_at_standstill():
     for k in range(100):
         bench.load_setpoint(SetpointMode.SPEED, (-1) ** k * 1.0)
         edges += len(bench.advance(80).edges)
-        assert bench._state.first.firmware.protection.doubt == 0.0
+        assert bench._state.array[0]["firmware"]["protection"]["doubt"] == 0.0
     assert edges > 50
     assert bench.faults == 0
