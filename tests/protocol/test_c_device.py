@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import subprocess
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link_in_c, wire_of
+from test_vectors import each
 
 from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import CanDevice
@@ -44,16 +46,12 @@ from protocol.messages import (
     StreamStop,
     TimeSync,
 )
+from tests.choice import CAMPAIGN
 from tests.tools import needs
 
-VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 BOOT = 0xB0071D
+EXAMPLES = 300 if os.environ.get(CAMPAIGN) else 75
 pytestmark = needs("C compiler")
-
-
-def cases(name: str) -> list:
-    loaded = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))
-    return [pytest.param(case, id=case["name"]) for case in loaded]
 
 
 PRELUDE = """
@@ -73,21 +71,11 @@ def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
     assert len(code) > 50
     file = tmp_path / "usage.c"
     file.write_text(PRELUDE + "\n".join(code) + "\n")
-    flags = [
-        "-std=c99",
-        "-pedantic",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        f"-I{SOURCE}",
-        "-c",
-        "-o",
-        str(tmp_path / "usage.o"),
-    ]
-    subprocess.run([*compiler(), *flags, str(file)], check=True)
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-c"]
+    subprocess.run([*compiler(), *flags, f"-I{SOURCE}", "-o", tmp_path / "usage.o", file], check=True)
 
 
-@pytest.mark.parametrize("case", cases("framing"))
+@each("framing")
 def test_frames_are_found_or_counted_however_they_come(case: dict) -> None:
     wire = bytes.fromhex(case["wire_hex"])
     good = case["verdict"] == "ok"
@@ -195,7 +183,7 @@ def same(ours: list[tuple], theirs: list[tuple]) -> bool:
     return list(map(loose, ours)) == list(map(loose, theirs))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(st.lists(STEP, max_size=40), st.booleans())
 def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
     python, c = DeviceLink(TxQueue(1 << 22)), CompiledLink(1 << 20)
@@ -292,7 +280,7 @@ def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
     return found, sorted(messages, key=lambda frame: frame[0] == MessageType.HEARTBEAT)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(
     st.lists(st.one_of(can_steps(), can_steps(), st.integers(1, 400), st.just("again")), max_size=30),
     st.sampled_from([CLASSIC, FD]),
