@@ -121,12 +121,7 @@ fault(
 )
 fault("stop-says-running", "The reply to STOP says RUNNING, and so it is.", stop=lambda self, _: self.state)
 fault("stop-refused", "STOP is refused (BUSY).", stop=refuses(Code.BUSY))
-fault(
-    "stop-unanswered",
-    "STOP is neither obeyed nor answered.",
-    stop=lambda self, _: self.state,
-    answer=_unanswered,
-)
+fault("stop-unanswered", "STOP is neither obeyed nor answered.", stop=lambda self, _: self.state, answer=_unanswered)
 fault(
     "stop-third-time",
     "STOP is obeyed from the third one on; before that it is confirmed with the state as it is.",

@@ -11,14 +11,7 @@ import can
 import pytest
 from can_rows import frame
 
-from protocol.canmap.frame import (
-    BRS,
-    ERROR,
-    ERROR_CONTROLLER,
-    ERROR_PROTOCOL,
-    FDF,
-    BusRates,
-)
+from protocol.canmap.frame import BRS, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, FDF, BusRates
 from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
 
 CLASSIC = BusRates(1_000_000)

@@ -127,15 +127,17 @@ def digests(windows):
 
 @EACH
 def test_step_and_run_agree_bit_for_bit(observer):
-    seen, reset = heard(busy)
-    params, state = observer.make_params(PWM_HZ, own(observer, **TOLD)), observer.init()
+    """From a reset on, over another one and over a missing Hall code."""
+    seen, reset = (of[2400:4200] for of in heard(busy))
+    params = observer.make_params(PWM_HZ, own(observer, **TOLD))
+    last, out = run(observer, params, seen, reset, state := observer.init())
     estimates = []
     for k in range(reset.size):
         if reset[k]:
             state = observer.init()
         state, estimate = observer.step(params, state, value(Sample, seen[k]))
         estimates.append(estimate)
-    last, out = run_whole(observer, busy)
+    assert reset.sum() == 3
     assert bits(estimates, state) == bits(out, last)
 
 

@@ -41,10 +41,7 @@ def both(s, hall_factor=1.0):
     seen, reset = samples(s), np.zeros(s.tick.size, np.bool_)
     seen = changed(seen, hall__omega=hall_factor * seen.hall.omega)
     params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
-    return (
-        run(q15, PARAMS, seen, reset)[1],
-        run(vector_tracking, params, seen, reset)[1],
-    )
+    return (run(q15, PARAMS, seen, reset)[1], run(vector_tracking, params, seen, reset)[1])
 
 
 def traced(constants, state, rows):
