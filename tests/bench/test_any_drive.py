@@ -17,7 +17,7 @@ import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
 from bench.recording.reader import Run
-from protocol.framing import Frame, encode_frame
+from protocol.framing import encode_frame
 from tests.devices import FULL, OWN, build, serving
 from tests.devices.carriers import ByteCarrier
 from tests.devices.device import Device
@@ -72,7 +72,7 @@ def asked(device: Device, request_hex: str) -> tuple[str | None, list[bytes]]:
     device.carrier = carrier
     (request,) = carrier.parse(bytes.fromhex(request_hex))
     device.receive(request)
-    replies = [encode_frame(Frame(*message)).hex() for message in carrier.sent if message.flags & REPLY]
+    replies = [encode_frame(message).hex() for message in carrier.sent if message.flags & REPLY]
     events = [message.payload for message in carrier.sent if message.type == Type.EVENT]
     assert len(replies) <= 1
     return "".join(replies), [event for event in events if event[8] == Event.SETPOINT_REJECTED]

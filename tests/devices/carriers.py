@@ -18,7 +18,7 @@ import can
 from protocol.canmap.frame import RECORD, BusRates
 from protocol.canmap.ids import STATUS_SLOTS, CanClass, CanId, parse_id
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
-from protocol.framing import Deframer, Frame, encode_frame, parse_frame
+from protocol.framing import Deframer, encode_frame, parse_frame
 from protocol.links.can_message import to_messages, to_record
 from sim.ports.byte_ports import Port, PtyPort, TcpPort
 from sim.ports.slcan_port import SlcanPort
@@ -94,14 +94,14 @@ class ByteCarrier(Carrier):
 
     def parse(self, data: bytes) -> list[Message]:
         """The messages that these bytes complete."""
-        return [Message(*parse_frame(raw)) for raw in self._deframer.feed(data)]
+        return [parse_frame(raw) for raw in self._deframer.feed(data)]
 
     def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
         """Send, or send again what was `sent`; returns that.
 
         Replies always have room; a heartbeat that waits is replaced; LOG and EVENT are dropped where all is full.
         """
-        frame = sent or encode_frame(Frame(*message))
+        frame = sent or encode_frame(message)
         if message.type == Type.HEARTBEAT:
             self._heartbeat = frame
         elif message.flags & REPLY or len(self._waiting) < MOST_WAITING:
@@ -184,7 +184,7 @@ class CanCarrier(Carrier):
         if kind not in (CanClass.STATUS, CanClass.TO_DEVICE):
             return None
         body = self._assemblers.setdefault(number, self.assembler(node, self._counters)).feed(data)
-        message = None if body is None else Message(*parse_frame(body))
+        message = None if body is None else parse_frame(body)
         if message is None or (kind == CanClass.STATUS) != (message.type in (Type.ALIVE, Type.SETPOINT)):
             return None
         if kind == CanClass.STATUS and slot != STATUS_SLOTS[message.type]:
@@ -197,7 +197,7 @@ class CanCarrier(Carrier):
         """See `ByteCarrier`."""
         reply = message.flags & REPLY
         kind, slot = (CanClass.TO_HOST, host) if reply else (CanClass.STATUS, STATUS_SLOTS[message.type])
-        return self._put(sent or self._encoder.encode(CanId(kind, message.node, slot), Frame(*message).pack()))
+        return self._put(sent or self._encoder.encode(CanId(kind, message.node, slot), message.pack()))
 
     def _put(self, records: bytes) -> bytes:
         self._waiting += records

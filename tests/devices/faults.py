@@ -20,7 +20,7 @@ from protocol.canmap.transport import ID_MASK, START, TOGGLE, Reassembler
 from protocol.framing import parse_frame
 from tests.devices.device import UNFED, Device, Peer
 from tests.devices.motor import Samples
-from tests.devices.spec import ERROR, PWM, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, State, Type, Unit
+from tests.devices.spec import ERROR, Code, Command, Event, Flag, Message, Mode, Raw, Refusal, Source, State, Type, Unit
 from tests.devices.streams import Record, Stream
 from tests.devices.vocabulary import FULL, Channel, Vocabulary, encoded
 
@@ -110,15 +110,11 @@ def _stop_once(self: Any, state_cmd: Callable[..., bytes], message: Message, pee
 
 fault(
     "stop-ignored",
-    "STOP is confirmed with IDLE, and the drive goes on RUNNING; its watchdog does not end that either.",
+    "STOP is confirmed with IDLE, and it goes on RUNNING; the watchdog does not end that.",
     stop=lambda self, _: State.IDLE,
     watchdog_expired=lambda self, _: False,
 )
-fault(
-    "stop-outputs-stay",
-    "STOP is confirmed with IDLE and the state is IDLE, but outputs_on stays 1.",
-    stop=_outputs_stay,
-)
+fault("stop-outputs-stay", "STOP is confirmed, the state is IDLE, but outputs_on stays 1.", stop=_outputs_stay)
 fault("stop-says-running", "The reply to STOP says RUNNING, and so it is.", stop=lambda self, _: self.state)
 fault("stop-refused", "STOP is refused (BUSY).", stop=refuses(Code.BUSY))
 fault("stop-unanswered", "STOP is neither obeyed nor answered.", stop=lambda self, _: self.state, answer=_unanswered)
@@ -129,7 +125,7 @@ fault(
 )
 fault(
     "stop-confirmed-only",
-    "STOP is confirmed with IDLE and not obeyed; the watchdog is at work.",
+    "STOP is confirmed with IDLE and not obeyed.",
     stop=lambda self, _: State.IDLE if self.state != State.FAULT else self.state,
 )
 fault(
@@ -205,11 +201,7 @@ def _answers_with(tid: Callable[[int], int]) -> Callable[..., None]:
     return answer
 
 
-fault(
-    "no-watchdog",
-    "watchdog_ms is 0xFFFF in ARMED and RUNNING: there is none at work.",
-    watchdog_left=lambda self, _: UNFED,
-)
+fault("no-watchdog", "watchdog_ms is always 0xFFFF: none is at work.", watchdog_left=lambda self, _: UNFED)
 fault(
     "no-watchdog-running",
     "watchdog_ms is as it should be in ARMED and 0xFFFF in RUNNING.",
@@ -293,7 +285,7 @@ def _fits(detail: float) -> Callable[..., bytes]:
     """STREAM_SET of samples is refused with DOES_NOT_FIT and this detail."""
 
     def stream_set(self: Device, as_usual: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
-        if message.payload[1] == PWM:
+        if message.payload[1] == Source.PWM:
             raise Refusal(Code.DOES_NOT_FIT, detail)
         return as_usual(message, peer)
 
@@ -304,7 +296,7 @@ def _load(load: float) -> Callable[..., bytes]:
     """Samples fit from decimation 2 on, and their load is this."""
 
     def stream_set(self: Device, as_usual: Callable[..., bytes], message: Message, peer: Peer) -> bytes:
-        if message.payload[1] == PWM and int.from_bytes(message.payload[2:4], "little") < 2:
+        if message.payload[1] == Source.PWM and int.from_bytes(message.payload[2:4], "little") < 2:
             raise Refusal(Code.DOES_NOT_FIT, 2.0)
         reply = as_usual(message, peer)
         return reply[:8] + struct.pack("<f", load) + reply[12:]
@@ -403,14 +395,13 @@ def _past_end(self: Device, blob_read: Callable[..., bytes], message: Message, p
 
 
 SIX_HUNDRED = tuple(
-    Channel(number, f"c{number}", Raw.U8, Unit.NONE, Flag.NONE, 1.0, lambda s: s.index % 256)
-    for number in range(1, 601)
+    Channel(number, f"c{number}", Raw.U8, Unit.NONE, Flag(0), 1.0, lambda s: s.index % 256) for number in range(1, 601)
 )
 fault("no-channels", "It has parameters only.", words=lambda self, _, words: replace(words, channels=()))
 fault("channels-600", "600 channels of a byte.", words=lambda self, _, words: replace(words, channels=SIX_HUNDRED))
 fault(
     "descriptor-endless",
-    "The descriptor is said to have 2^32 - 1 bytes; it ends after the first 64 KiB, so that a host does too.",
+    "The descriptor is said to have 2^32 - 1 bytes; it ends after 64 KiB, so that a host does too.",
     blob_read=_endless,
 )
 fault("descriptor-crc", "HELLO announces another CRC than the descriptor has.", hello_fields=_other_crc)
@@ -477,7 +468,7 @@ def _nan(self: Device, _: object, vocabulary: Vocabulary) -> Vocabulary:
 
 fault(
     "control-characters",
-    "Window title, clear screen, right-to-left and new lines in all texts of HELLO, names of channels and LOG.",
+    "Window title, clear screen, right-to-left and new lines in all texts.",
     words=_control_characters,
     heartbeat=_controls,
 )
@@ -501,7 +492,7 @@ def _without_crc(self: Device, attach: Callable[[Any], None], carrier: Any) -> N
             with suppress(cobs.DecodeError):
                 body = cobs.decode(chunk)[:-4]
                 if 8 <= len(body) <= 1032 and body[4] | body[5] << 8 == len(body) - 8:
-                    message = Message(*parse_frame(body))
+                    message = parse_frame(body)
                     found += [(message, 0)] if (message, 0) not in found else []
         return found
 
@@ -661,11 +652,7 @@ def _edges_late(self: Device, flush: Callable[..., None], stream: Stream, everyt
         flush(stream, everything)
 
 
-fault(
-    "drop-uncounted",
-    "Frames that find no room are not counted in tx_dropped.",
-    dropped=lambda self, dropped, stream, frames: dropped(stream, 0),
-)
+fault("drop-uncounted", "tx_dropped does not count.", dropped=lambda self, dropped, stream, frames: dropped(stream, 0))
 fault("seq-of-sent", "seq counts the frames that were sent only.", dropped=_seq_of_sent)
 fault("overrun-missing", "No frame carries OVERRUN.", dropped=_no_overrun)
 fault("cfg-id-stale", "Frames carry the cfg_id before.", stream_set=_stale_set, flush=_stale_flush)
