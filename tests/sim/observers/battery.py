@@ -5,7 +5,7 @@ The encoder is in the loop, so that all observers see the same run. Sensors as i
 dead time's error uncompensated: the defaults of the simulated bench. Unless a scenario begins at standstill, a lap of
 2.4 s at 1000 r/min and 1 A, both ways, comes first: an observer that learns has learned then.
 
-`python tests/sim/observers/battery.py` prints the table, means over five seeds.
+`python tests/sim/observers/battery.py` prints the table, means over five seeds; tests/data/battery.txt is such a table.
 """
 
 from __future__ import annotations
