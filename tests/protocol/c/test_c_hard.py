@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from building import HERE, LARGE, ROOT, SANITIZED, SMALL, SOURCE, build, compiler, options, run
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long("compiles with sanitizers")]
 
 VECTORS = {file.stem: json.loads(file.read_text()) for file in (ROOT / "protocol" / "vectors").glob("*.json")}
 AS_IN_VECTORS = {
@@ -108,7 +108,7 @@ def test_any_frames(built: Callable[..., Path], name: str, values: dict[str, int
 def test_frames_for_a_32_bit_core(built: Callable[..., Path]) -> None:
     program = built("gcc", "fuzz.c", "-m32", "-O2")
     for link in ("byte", "can"):
-        run(program, link, "50000", "2")
+        run(program, link, "20000", "2")
 
 
 @pytest.mark.campaign("c")
