@@ -16,6 +16,7 @@ INTERRUPT = 400  # instructions of hbp_tick with 8 channels, the first one of a 
 pytestmark = [pytest.mark.slow, needs("arm-none-eabi-gcc")]
 
 
+@pytest.mark.long("compiles it in every shape")
 def test_code_and_memory_have_a_ceiling() -> None:
     for cost in sizes.costs():
         assert cost.code <= CODE, cost.what
