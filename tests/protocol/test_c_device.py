@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import subprocess
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import can_rows
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link_in_c, wire_of
 from test_vectors import each
@@ -45,11 +44,10 @@ from protocol.messages import (
     StreamStop,
     TimeSync,
 )
-from tests.choice import CAMPAIGN
+from tests.choice import examples
 from tests.tools import needs
 
 BOOT = 0xB0071D
-EXAMPLES = 300 if os.environ.get(CAMPAIGN) else 75
 pytestmark = needs("C compiler")
 
 
@@ -182,7 +180,7 @@ def same(ours: list[tuple], theirs: list[tuple]) -> bool:
     return list(map(loose, ours)) == list(map(loose, theirs))
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@examples(75, 300, campaign="c")
 @given(st.lists(STEP, max_size=40), st.booleans())
 def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
     python, c = DeviceLink(TxQueue(1 << 22)), CompiledLink(1 << 20)
@@ -279,7 +277,7 @@ def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
     return found, sorted(messages, key=lambda frame: frame[0] == MessageType.HEARTBEAT)
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@examples(75, 300, campaign="c")
 @given(
     st.lists(st.one_of(can_steps(), can_steps(), st.integers(1, 400), st.just("again")), max_size=30),
     st.sampled_from([CLASSIC, FD]),

@@ -33,7 +33,7 @@ from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import DEFAULTS, names
 from sim.observers.hall_edges import EDGES
 from sim.observers.sample import FrontEnd, Sample
-from tests.choice import chosen
+from tests.choice import also_in, chosen
 
 MODULES = [name for name in CATALOGUE if name != "average_speed"]  # which is the front end's
 OBSERVERS = [import_module(f"sim.observers.{name}") for name in MODULES]
@@ -165,6 +165,7 @@ def test_the_front_end_gives_the_same_bits_in_portions_with_edges_to_come(seed):
     assert np.array_equal(np.concatenate(parts), samples(s, reset))
 
 
+@also_in(campaign="kernels")
 def test_the_uncompiled_kernels_agree_bit_for_bit():
     """Over some hundreds of samples, from the state on in which the compiled ones are by then."""
     every = [(make, start) for make in (busy, learning) for start in range(0, len(heard(make)[0]), WINDOW)]

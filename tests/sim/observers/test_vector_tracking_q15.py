@@ -1,13 +1,12 @@
 """The fixed-point observer: as good as the floating-point one, and integer for integer what its C file does."""
 
 import math
-import os
 import subprocess
 
 import numpy as np
 import pytest
 import q15_harness
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ideal_motor import (
     PAPER_EDGES,
@@ -29,7 +28,7 @@ from sim.native import value
 from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 from sim.observers.sample import Sample
-from tests.choice import CAMPAIGN
+from tests.choice import examples
 from tests.tools import needs
 
 pytestmark = pytest.mark.slow
@@ -160,7 +159,7 @@ inputs = st.tuples(
 
 
 @needs_compiler
-@settings(max_examples=150 if os.environ.get(CAMPAIGN) else 40, deadline=None)
+@examples(40, 150, campaign="c")
 @given(constants(), states, st.lists(inputs, min_size=1, max_size=40), st.integers(0, 99))
 def test_c_and_kernel_agree_at_the_limits_of_every_type(program, constants, state, some, seed):
     """Nothing overflows (the C file is trapped), and what is stored stays within what the header says."""
