@@ -17,8 +17,9 @@ import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
 from bench.recording.reader import Run
+from protocol.framing import encode_frame
 from tests.devices import FULL, OWN, build, serving
-from tests.devices.carriers import ByteCarrier, decode, encode
+from tests.devices.carriers import ByteCarrier
 from tests.devices.device import Device
 from tests.devices.spec import ERROR, REPLY, Event, Feature, Message, State, Type
 
@@ -32,8 +33,8 @@ LESS = {
     "encoder": FULL.without("theta_enc", "omega_enc"),
     "n_p": FULL.without("n_p"),
     "observer": FULL.without("observer"),
-    "edges": FULL.without(features=Feature.NONE),
-    "hall": FULL.without("hall", features=Feature.NONE),
+    "edges": FULL.without(features=Feature(0)),
+    "hall": FULL.without("hall", features=Feature(0)),
     "currents": FULL.without("i_a", "i_b", "i_c", "i_d", "i_q"),
     "i_max": FULL.without("i_max"),
     "omega_m_max": FULL.without("omega_m_max"),
@@ -57,12 +58,9 @@ class Kept(ByteCarrier):
         super().__init__()
         self.sent: list[Message] = []
 
-    def _descriptor(self) -> int:
-        return -1
-
-    def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
+    def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
         self.sent.append(message)
-        return 0
+        return b""
 
 
 # -- the device -------------------------------------------------------------------------------------------------
@@ -72,10 +70,9 @@ def asked(device: Device, request_hex: str) -> tuple[str | None, list[bytes]]:
     """What the device answers, in hex ("" for nothing), and the payloads of its SETPOINT_REJECTED."""
     carrier = Kept()
     device.carrier = carrier
-    request = decode(bytes.fromhex(request_hex).strip(b"\0"))
-    assert request is not None
+    (request,) = carrier.parse(bytes.fromhex(request_hex))
     device.receive(request)
-    replies = [encode(message).hex() for message in carrier.sent if message.flags & REPLY]
+    replies = [encode_frame(message).hex() for message in carrier.sent if message.flags & REPLY]
     events = [message.payload for message in carrier.sent if message.type == Type.EVENT]
     assert len(replies) <= 1
     return "".join(replies), [event for event in events if event[8] == Event.SETPOINT_REJECTED]
@@ -101,8 +98,7 @@ def test_the_device_answers_in_sequence_as_the_vectors_say(case: dict[str, Any])
     for step in case["steps"]:
         reply, rejected = asked(device, step["request_hex"])
         if step["reply_hex"] is None:
-            answer = decode(bytes.fromhex(reply or "").strip(b"\0"))
-            assert answer is not None
+            (answer,) = ByteCarrier().parse(bytes.fromhex(reply or ""))
             assert not answer.flags & ERROR
         else:
             assert reply == step["reply_hex"]

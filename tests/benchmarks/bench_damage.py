@@ -78,10 +78,7 @@ def damaged(times: int, folder: Path) -> Iterator[Row]:
     rig.client.run_for(seconds)
     rig.rest()
     sink.close()
-    for whole, kind in (
-        (Whole(file), "ended"),
-        (Whole(unfinished(Run(file), folder / "killed.run")), "was killed"),
-    ):
+    for whole, kind in ((Whole(file), "ended"), (Whole(unfinished(Run(file), folder / "killed.run")), "was killed")):
         dice = random.Random(17)
         trials = [whole.trial(dice, folder) for _ in range(times)]
         for trial in trials:

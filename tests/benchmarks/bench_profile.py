@@ -17,9 +17,8 @@ from sim.observers import sample
 from sim.observers.entry import chosen
 from sim.plant import integrator, inverter, mechanics
 from tests.benchmarks.bench_sim import RPM, TORQUE
-from tests.benchmarks.replay import measured_of
 from tests.benchmarks.table import Quickest, Row, cost
-from tests.sim.drive.rig import Rig
+from tests.sim.drive.rig import Rig, measured_of
 
 PERIODS = 1200  # a call of the session in virtual time
 USUAL = 26  # channels
@@ -64,7 +63,7 @@ def rows(short: bool) -> Iterator[Row]:
         plant(params.at, state.at, load.at, address(u_alpha), address(u_beta), h, PERIODS)
 
     front = sample.FrontEnd(sample.make_params(bench.params.clock.tick_hz, chosen(sample.Settings, bench.parameters)))
-    measured, none = measured_of(bench, recorded), np.zeros(PERIODS, bool)
+    measured, none = measured_of(bench, [recorded]), np.zeros(PERIODS, bool)
     seen = front.run(measured, recorded.captured, none)
     observer = next(iter(bench._observers.values()))
     channels = DRIVE_CHANNELS[:USUAL]

@@ -7,10 +7,7 @@ from collections.abc import Iterator
 from tests.benchmarks.last import Last, Measured
 from tests.benchmarks.parts import LONG, PARTS
 
-PAGES = {
-    "benchmarks.md": [part for part in PARTS if part not in LONG],
-    "reliability.md": list(LONG),
-}
+PAGES = {"benchmarks.md": [part for part in PARTS if part not in LONG], "reliability.md": list(LONG)}
 """Which parts' tables stand on which page of docs."""
 BEGIN, END = "<!-- benchmarks: begin -->", "<!-- benchmarks: end -->"
 

@@ -27,9 +27,7 @@ def motulator(seconds: float) -> dict[str, object]:
 
     par = SynchronousMachinePars(n_p=N_P, R_s=R_S, L_d=L_S, L_q=L_S, psi_f=PSI_F)
     mdl = model.Drive(
-        model.VoltageSourceConverter(u_dc=U_DC),
-        model.SynchronousMachine(par),
-        model.StiffMechanicalSystem(J=J),
+        model.VoltageSourceConverter(u_dc=U_DC), model.SynchronousMachine(par), model.StiffMechanicalSystem(J=J)
     )
     cfg = control.CurrentReferenceCfg(par, nom_w_m=N_P * 314.0, max_i_s=I_MAX)
     ctrl = control.CurrentVectorControl(par, cfg, T_s=T_S, J=J, alpha_c=math.tau * 800, sensorless=False)

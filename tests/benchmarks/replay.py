@@ -7,15 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.signals import AngleSource, Status
-from sim.native import Cells
-from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
-from sim.observers.entry import chosen
 from tests.benchmarks.table import Quickest
-from tests.sim.drive.rig import PWM_HZ, SCALE, Recorded, Rig, column
+from tests.sim.drive.rig import PWM_HZ, Recorded, Rig, column, front_end
 from tests.sim.observers.counting import Counted, counted
-
-MEASURED = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
 
 
 class Telemetry(NamedTuple):
@@ -50,28 +45,11 @@ class Telemetry(NamedTuple):
         return 1e9 * best[""] / self.reset.size
 
 
-def measured_of(bench: Rig, *parts: Recorded) -> np.ndarray:
-    """What the front end takes of it, edges aside."""
-    raw = np.concatenate([part.samples for part in parts])
-    measured = Cells(sample.Measured, raw.size).array
-    measured["tick"] = parts[0].tick + np.arange(raw.size) * bench.params.clock.period_ticks
-    measured["hall"] = raw["hall"]
-    for name in MEASURED:
-        measured[name] = raw[name] * SCALE[name]
-    measured["i_q_err"] = raw["i_q_ref"] * SCALE["i_q_ref"] - np.r_[0.0, raw["i_q"][:-1] * SCALE["i_q"]]
-    return measured
-
-
 def telemetry(bench: Rig, parts: list[Recorded]) -> Telemetry:
     """Everything recorded, as a host would have it."""
-    raw = np.concatenate([part.samples for part in parts])
-    clock = bench.params.clock
-    measured = measured_of(bench, *parts)
-    reset = (raw["status"] & Status.OBSERVERS_RESET) != 0
-    front = sample.FrontEnd(sample.make_params(clock.tick_hz, chosen(sample.Settings, bench.parameters)))
-    samples = front.run(measured, np.concatenate([part.captured for part in parts]), reset)
+    reset = np.concatenate([part.samples["status"] & Status.OBSERVERS_RESET for part in parts]) != 0
     theta, theta_vt = (np.concatenate([column(part, name) for part in parts]) for name in ("theta_e", "theta_vt"))
-    return Telemetry(samples, reset, theta, theta_vt, bench.parameters)
+    return Telemetry(front_end(bench, parts, reset), reset, theta, theta_vt, bench.parameters)
 
 
 class Run:

@@ -1,7 +1,8 @@
 """A test device that speaks HBP and misbehaves on request, written from protocol/SPEC.md alone.
 
-It shares no code with `protocol`: `spec` has the numbers, `carriers` the frames, `device` the requests and states,
-`motor` a shaft that turns, `vocabulary` what it calls its channels, `faults` what it gets wrong.
+It has numbers and frames of `protocol` (`spec`, `carriers`), but no requests, states (`device`) and streams. `motor` is
+a shaft that turns, `vocabulary` what it calls its channels, `faults` what it
+gets wrong.
 
 In a test, over a pty, TCP or CAN in real time, or in virtual time ("bytes", "CAN": `device.link` is then the link):
 

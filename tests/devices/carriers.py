@@ -1,136 +1,113 @@
-"""Byte links: frames of chapter 1 over a pty or TCP. A carrier waits, receives, sends, and says its `target`."""
+"""What carries the messages of a device: frames and transfers are made by `protocol`, ports by `sim`.
+
+A carrier waits, receives, sends, and says its `target`. How it fits streams into a link and what it drops is its own:
+chapters 11 and 16 of protocol/SPEC.md, without `protocol`.
+"""
 
 from __future__ import annotations
 
-import os
+import itertools
 import select
-import socket
-import struct
-import tty
-from contextlib import suppress
-from zlib import crc32
+import time
+from collections import defaultdict
+from collections.abc import Iterable
+from functools import partial
 
-from cobs import cobs
+import can
 
+from protocol.canmap.frame import RECORD, BusRates
+from protocol.canmap.ids import STATUS_SLOTS, CanClass, CanId, parse_id
+from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
+from protocol.framing import Deframer, encode_frame, parse_frame
+from protocol.links.can_message import to_messages, to_record
+from sim.ports.byte_ports import Port, PtyPort, TcpPort
+from sim.ports.slcan_port import SlcanPort
 from tests.devices.spec import REPLY, Code, Message, Refusal, Type
 from tests.devices.streams import HEADER, Record, Stream
 
-HEAD = struct.Struct("<BBHHBx")
-SHORTEST, LONGEST = 12, 1036  # bytes of a frame, decoded
+NODE = 1
 MOST_WAITING = 32768  # bytes that wait to be sent, from which on streams are dropped
-MOST_RECEIVED = 2048  # bytes without a delimiter that are kept
+CHUNK = 4000  # bytes that a port is given at once: whole records
+CLASSIC = BusRates(1_000_000)
+ROOM = 6  # bytes of samples in a CAN frame
+MOST_LOAD = 0.95
+EDGES_PER_SECOND = 1000
+EDGE_SLOTS, SAMPLE_SLOTS = 16, 32
+MOST_GROUPS = 16
 
 
-def encode(message: Message) -> bytes:
-    """The bytes of a message on a byte link."""
-    body = HEAD.pack(message.type, message.flags, message.tid, len(message.payload), message.node) + message.payload
-    return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
+class Carrier:
+    """Messages over a port."""
 
-
-def decode(frame: bytes) -> Message | None:
-    """What stands between two delimiters; None if it is damaged."""
-    try:
-        data = cobs.decode(frame)
-    except cobs.DecodeError:
-        return None
-    body = data[:-4]
-    if not SHORTEST <= len(data) <= LONGEST or crc32(body) != int.from_bytes(data[-4:], "little"):
-        return None
-    kind, flags, tid, length, node = HEAD.unpack_from(body)
-    payload = body[HEAD.size :]
-    return Message(kind, flags, tid, node, payload) if length == len(payload) else None
-
-
-class ByteCarrier:
-    """Frames over a descriptor that reads and writes bytes; subclasses say which."""
-
-    target: str
-
-    def __init__(self) -> None:
-        self.bad = 0
-        """Damaged frames."""
-        self._received = bytearray()
-        self._synchronised = False
+    def __init__(self, port: Port | None = None) -> None:
+        self.port = port
         self._waiting = bytearray()
-        self._heartbeat: bytes | None = None  # waits for room
 
-    # -- what a subclass has ------------------------------------------------------------------------------------
-
-    def _descriptor(self) -> int:
-        """To read from and write to; -1 where nobody is connected."""
-        raise NotImplementedError
-
-    def _read(self) -> bytes:
-        return os.read(self._descriptor(), 65536)
-
-    def _write(self, data: bytes) -> int:
-        return os.write(self._descriptor(), data)
-
-    def _lost(self) -> None:
-        """Reading or writing failed."""
-
-    def _begin(self) -> None:
-        """Another host: nothing of the last one is left."""
-        self._received.clear()
-        self._waiting.clear()
-        self._synchronised = False
-
-    def close(self) -> None:
-        """Done."""
-
-    # -- receiving and sending ----------------------------------------------------------------------------------
+    @property
+    def target(self) -> str:
+        """What a host connects to."""
+        assert self.port is not None
+        return self.port.target
 
     def wait(self, seconds: float) -> None:
         """Until there is something to read, or so long."""
-        descriptor = self._descriptor()
-        readable = [descriptor] if descriptor >= 0 else []
-        select.select(readable, readable if self._waiting else [], [], seconds)
+        assert self.port is not None
+        if fds := self.port.read_fds():
+            select.select(fds, fds if self._waiting else [], [], seconds)
+        else:
+            time.sleep(seconds / 10)
         self._push()
+
+    def close(self) -> None:
+        """Done."""
+        if self.port is not None:
+            self.port.unplug()
+
+    def _received(self) -> bytes:
+        self._push()
+        return b"" if self.port is None else self.port.read()
+
+    def _push(self) -> None:
+        while self.port is not None and self._waiting:
+            taken = self.port.write(bytes(self._waiting[:CHUNK]))
+            del self._waiting[:taken]
+            if not taken:
+                return
+
+
+class ByteCarrier(Carrier):
+    """Frames of chapter 1."""
+
+    def __init__(self, port: Port | None = None) -> None:
+        super().__init__(port)
+        self._deframer = Deframer()
+        self._heartbeat: bytes | None = None  # waits for room
+
+    @property
+    def bad(self) -> int:
+        """Damaged frames."""
+        return self._deframer.counters.bad
 
     def receive(self) -> list[tuple[Message, int]]:
         """The messages that have come, with the number of the host."""
-        try:
-            data = self._read() if self._descriptor() >= 0 else b""
-        except BlockingIOError:
-            return []
-        except OSError:
-            self._lost()
-            return []
-        return self._parse(data)
+        return [(message, 0) for message in self.parse(self._received())]
 
-    def _parse(self, data: bytes) -> list[tuple[Message, int]]:
-        self._received += data
-        *frames, rest = self._received.split(b"\0")
-        self._received = rest[-MOST_RECEIVED:]
-        if frames and not self._synchronised:
-            frames, self._synchronised = frames[1:], True
-        found = []
-        for frame in filter(None, frames):
-            message = decode(bytes(frame))
-            if message is None:
-                self.bad += 1
-                message = self.salvaged(bytes(frame))
-            if message is not None:
-                found.append((message, 0))
-        return found
+    def parse(self, data: bytes) -> list[Message]:
+        """The messages that these bytes complete."""
+        return [parse_frame(raw) for raw in self._deframer.feed(data)]
 
-    @staticmethod
-    def salvaged(frame: bytes) -> Message | None:
-        """What is made of a damaged frame, for faults."""
-        return None
-
-    def send(self, message: Message, host: int = 0, transfer: int | None = None) -> int:
-        """Send; returns its transfer id, for sending it again on CAN.
+    def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
+        """Send, or send again what was `sent`; returns that.
 
         Replies always have room; a heartbeat that waits is replaced; LOG and EVENT are dropped where all is full.
         """
-        frame = encode(message)
+        frame = sent or encode_frame(message)
         if message.type == Type.HEARTBEAT:
             self._heartbeat = frame
         elif message.flags & REPLY or len(self._waiting) < MOST_WAITING:
             self._waiting += frame
         self._push()
-        return 0
+        return frame
 
     def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
         """Fill in block, load and slot. Raises Refusal(DOES_NOT_FIT). A byte link carries any load."""
@@ -151,72 +128,178 @@ class ByteCarrier:
         if self._heartbeat is not None and len(self._waiting) < MOST_WAITING:
             self._waiting += self._heartbeat
             self._heartbeat = None
-        if self._descriptor() < 0:
-            self._waiting.clear()
-            return
-        try:
-            with suppress(BlockingIOError):
-                while self._waiting:
-                    del self._waiting[: self._write(bytes(self._waiting[:4096]))]
-        except OSError:
-            self._lost()
+        super()._push()
 
 
-class Pty(ByteCarrier):
-    """A pseudo terminal; a host opens it like a serial port, one after the other."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._master, self._slave = os.openpty()  # held open, so that a host that leaves is no error
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.target = f"serial:{os.ttyname(self._slave)}"
-
-    def _descriptor(self) -> int:
-        return self._master
-
-    def close(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
+def frame_bits(length: int) -> int:
+    """Most bits of a classic frame, with stuff bits and interframe space."""
+    stuffable = 34 + 8 * length
+    return stuffable + (stuffable - 1) // 4 + 13
 
 
-class Tcp(ByteCarrier):
-    """A server on the loopback interface, for one client at a time; the next one ends the last one's connection."""
+def groups_of(sizes: list[int]) -> list[list[int]]:
+    """Bytes of the channels in each frame of a sample: each group as long as it fits."""
+    groups: list[list[int]] = [[]]
+    for size in sizes:
+        if sum(groups[-1]) + size > ROOM:
+            groups.append([])
+        groups[-1].append(size)
+    return groups
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-        self.target = f"tcp:127.0.0.1:{self._server.getsockname()[1]}"
 
-    def _descriptor(self) -> int:
-        return -1 if self._client is None else self._client.fileno()
+class CanCarrier(Carrier):
+    """Node 1 on a classic bus, chapter 16; the port's bytes are CAN_RECORDs."""
 
-    def wait(self, seconds: float) -> None:
-        if self._client is None:
-            select.select([self._server], [], [], seconds)
+    assembler = Reassembler
+    for_everybody: tuple[int, ...] = (Type.HELLO,)
+    """Types of what is answered at node 0."""
+
+    def __init__(self, port: Port) -> None:
+        super().__init__(port)
+        self._counters = CanCounters()
+        self._assemblers: dict[int, Reassembler] = {}
+        self._encoder = TransferEncoder(fd=False, extended=False)
+        self._next_slot = defaultdict[bool, int](int)
+        self._boot_id = -1
+        self._overheard = b""
+
+    @property
+    def bad(self) -> int:
+        """Damaged transfers."""
+        return self._counters.bad
+
+    def receive(self) -> list[tuple[Message, int]]:
+        """The messages that have come, with the number of the host; a STOP frame is a message of type 0."""
+        overheard, self._overheard = self._overheard, b""
+        frames = RECORD.iter_unpack(overheard + self._received())
+        return [found for number, n, *_, data in frames if (found := self._receive(number, data[:n])) is not None]
+
+    def _receive(self, number: int, data: bytes) -> tuple[Message, int] | None:
+        found = parse_id(number, extended=False)
+        if found is None or found.node not in (0, NODE):
+            return None
+        kind, node, slot = found
+        if kind == CanClass.STOP:
+            return Message(0, 0, 0, node, b""), 0
+        if kind not in (CanClass.STATUS, CanClass.TO_DEVICE):
+            return None
+        body = self._assemblers.setdefault(number, self.assembler(node, self._counters)).feed(data)
+        message = None if body is None else parse_frame(body)
+        if message is None or (kind == CanClass.STATUS) != (message.type in (Type.ALIVE, Type.SETPOINT)):
+            return None
+        if kind == CanClass.STATUS and slot != STATUS_SLOTS[message.type]:
+            return None
+        if kind == CanClass.TO_DEVICE and node == 0 and message.type not in self.for_everybody:
+            return None
+        return message, slot if kind == CanClass.TO_DEVICE else 0
+
+    def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
+        """See `ByteCarrier`."""
+        reply = message.flags & REPLY
+        kind, slot = (CanClass.TO_HOST, host) if reply else (CanClass.STATUS, STATUS_SLOTS[message.type])
+        return self._put(sent or self._encoder.encode(CanId(kind, message.node, slot), message.pack()))
+
+    def _put(self, records: bytes) -> bytes:
+        self._waiting += records
+        self._push()
+        return records
+
+    def foreign(self, number: int, data: bytes) -> None:
+        """A frame of somebody else on the bus: this device and the host get it."""
+        self._overheard += self._put(pack_record(number, data, fd=False))
+
+    # -- streams ------------------------------------------------------------------------------------------------
+
+    def plan(self, stream: Stream, others: list[Stream], pwm_hz: float, boot_id: int) -> None:
+        """See `ByteCarrier`."""
+        if boot_id != self._boot_id:
+            self._boot_id = boot_id
+            self._next_slot.update({True: boot_id % EDGE_SLOTS, False: boot_id % SAMPLE_SLOTS})
+        groups = [[8]] if stream.edges else groups_of(stream.sizes)
+        if len(groups) > MOST_GROUPS:
+            raise Refusal(Code.DOES_NOT_FIT, 0)
+        taken, asked = sum(other.load for other in others), stream.decimation
+        for stream.decimation in range(asked, 65536):
+            stream.block = 1 if stream.edges or len(groups) > 1 else stream.most_in(ROOM, pwm_hz)
+            stream.load = self._load(stream, groups, pwm_hz)
+            if taken + stream.load <= MOST_LOAD:
+                break
         else:
-            super().wait(seconds)
-        with suppress(BlockingIOError):
-            client, _ = self._server.accept()
-            self._lost()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._client = client
+            raise Refusal(Code.DOES_NOT_FIT, 0)
+        if stream.decimation != asked:
+            raise Refusal(Code.DOES_NOT_FIT, 0 if stream.edges else stream.decimation)
+        circle = EDGE_SLOTS if stream.edges else SAMPLE_SLOTS
+        in_use = {
+            (other.slot + n) % circle
+            for other in others
+            if other.edges == stream.edges
+            for n in range(1 if other.edges else len(groups_of(other.sizes)))
+        }
+        for step in range(circle):
+            slot = (self._next_slot[stream.edges] + step) % circle
+            if not in_use & {(slot + n) % circle for n in range(len(groups))}:
+                stream.slot = slot
+                self._next_slot[stream.edges] = (slot + len(groups)) % circle
+                return
+        raise Refusal(Code.DOES_NOT_FIT, 0)
 
-    def _read(self) -> bytes:
-        data = super()._read()
-        if not data:
-            self._lost()
-        return data
+    def _load(self, stream: Stream, groups: list[list[int]], pwm_hz: float) -> float:
+        if stream.edges:
+            return EDGES_PER_SECOND * frame_bits(8) / CLASSIC.bitrate
+        bits = sum(frame_bits(2 + stream.block * sum(group)) for group in groups)
+        return pwm_hz / stream.decimation / stream.block * bits / CLASSIC.bitrate
 
-    def _lost(self) -> None:
-        self._begin()
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+    def emit(self, stream: Stream, records: list[Record], node: int) -> int:
+        """See `ByteCarrier`."""
+        index, _, first = records[0]
+        frames: Iterable[tuple[CanId, bytes]]
+        if stream.edges:
+            frames = [(CanId(CanClass.EDGES, node, stream.slot), first[:5] + bytes([index & 0xFF]) + first[6:])]
+        else:
+            counter = (index // stream.decimation & 0xFFFF).to_bytes(2, "little")
+            rest, parts = b"".join(data for _, _, data in records), []
+            for group in (groups := groups_of(stream.sizes)):
+                size = sum(group) if len(groups) > 1 else len(rest)
+                parts.append(counter + rest[:size])
+                rest = rest[size:]
+            slots = [(stream.slot + n) % SAMPLE_SLOTS for n in range(len(parts))]
+            ids = [CanId(CanClass.SAMPLES + slot // 16, node, slot % 16) for slot in slots]
+            frames = zip(ids, parts, strict=True)
+        wire = b"".join(pack_record(number.pack(extended=False), data, fd=False) for number, data in frames)
+        if len(self._waiting) >= 8 * MOST_WAITING:
+            return len(wire) // RECORD.size
+        self._put(wire)
+        return 0
 
-    def close(self) -> None:
-        self._lost()
-        self._server.close()
+
+class VirtualBusPort:
+    """python-can's bus inside this process; each device has one of its own."""
+
+    numbers = itertools.count()
+
+    def __init__(self) -> None:
+        channel = f"test-device-{next(self.numbers)}"
+        self._bus = can.Bus(interface="virtual", channel=channel)
+        self.target = f"can:virtual/{channel}"
+
+    def read_fds(self) -> list[int]:
+        return []
+
+    def read(self) -> bytes:
+        return b"".join(to_record(message, 0.0) for message in iter(partial(self._bus.recv, 0.0), None))
+
+    def write(self, data: bytes) -> int:
+        for message in to_messages(data):
+            self._bus.send(message)
+        return len(data)
+
+    def unplug(self) -> None:
+        self._bus.shutdown()
+
+
+IN_REAL_TIME = {
+    "pty": lambda: ByteCarrier(PtyPort()),
+    "tcp": lambda: ByteCarrier(TcpPort("127.0.0.1", 0)),
+    "slcan": lambda: CanCarrier(SlcanPort(None, CLASSIC)),
+    "virtual": lambda: CanCarrier(VirtualBusPort()),  # type: ignore[arg-type]
+}

@@ -18,8 +18,7 @@ from zlib import crc32
 
 import numpy as np
 
-from tests.devices.can_carriers import CanCarrier
-from tests.devices.carriers import ByteCarrier
+from tests.devices.carriers import ByteCarrier, CanCarrier
 from tests.devices.motor import U_DC, Motor, Samples, edges_between, hall_code
 from tests.devices.spec import (
     ERROR,
@@ -68,8 +67,8 @@ class Peer:
         self.number = number
         self.nonce = -1
         self.rx_max = 128
-        self.kept: deque[tuple[Message, Message, int]] = deque(maxlen=4)
-        """Request, its reply, and the transfer id with which that went (on CAN)."""
+        self.kept: deque[tuple[Message, Message, bytes]] = deque(maxlen=4)
+        """Request, its reply, and how that went: on CAN with the same transfer id again."""
 
 
 class Device:
@@ -180,9 +179,9 @@ class Device:
         try:
             self.admit(message)
             keeps = _kept(message)
-            for request, reply, transfer in peer.kept if keeps else ():
+            for request, reply, sent in peer.kept if keeps else ():
                 if request == message:
-                    self.answer_again(message, reply, peer, transfer)
+                    self.answer_again(message, reply, peer, sent)
                     return
             payload = self.execute(message, peer)
         except Refusal as refusal:
@@ -197,13 +196,13 @@ class Device:
 
     def answer(self, request: Message, answer: Message, peer: Peer, keeps: bool) -> None:
         """Send and perhaps keep a reply or a refusal."""
-        transfer = self.carrier.send(answer, peer.number)
+        sent = self.carrier.send(answer, peer.number)
         if keeps:
-            peer.kept.append((request, answer, transfer))
+            peer.kept.append((request, answer, sent))
 
-    def answer_again(self, request: Message, reply: Message, peer: Peer, transfer: int) -> None:
+    def answer_again(self, request: Message, reply: Message, peer: Peer, sent: bytes) -> None:
         """Send a kept reply."""
-        self.carrier.send(reply, peer.number, transfer)
+        self.carrier.send(reply, peer.number, sent)
 
     def admit(self, message: Message) -> None:
         """What is checked before a repeated request is answered again. Raises Refusal."""
@@ -452,7 +451,7 @@ class Device:
     def stream_stop(self, message: Message, peer: Peer) -> bytes:
         for number in sorted(_bits(message), key=lambda n: n in self.streams and not self.streams[n].edges):
             if number in self.streams:
-                self.flush(self.streams[number], everything=True)
+                self.flush(self.streams[number], True)
                 del self.streams[number]
         return b""
 
@@ -488,7 +487,7 @@ class Device:
         due = self.tick() // self._ticks + 1
         if due - self._periods > MOST_LATE * self.pwm_hz:  # this process stood still: what nobody sampled is gone
             for stream in self.streams.values():
-                self.flush(stream, everything=True)
+                self.flush(stream, True)
                 stream.jumped = True
             self._periods = due - 1
         while self._periods < due:

@@ -7,15 +7,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from tests.devices.can_carriers import Slcan, Virtual
-from tests.devices.carriers import Pty, Tcp
+from tests.devices.carriers import IN_REAL_TIME
 from tests.devices.device import Device
 from tests.devices.faults import build
-from tests.devices.virtual import Bytes, Can, VirtualLink, turn
+from tests.devices.virtual import VirtualLink, turn
 from tests.devices.vocabulary import VOCABULARIES, Vocabulary
 
-CARRIERS = {"pty": Pty, "tcp": Tcp, "slcan": Slcan, "virtual": Virtual}
-IN_VIRTUAL_TIME = {"bytes": Bytes, "CAN": Can}
 PWM_HZ = {"slcan": 500, "virtual": 250, "CAN": 500}
 """Where it is not the usual 1000: each frame of a CAN bus costs both ends their time."""
 STEP = 0.01  # s, at most, between two looks
@@ -39,15 +36,15 @@ def serving(
     """
     words = VOCABULARIES[vocabulary] if isinstance(vocabulary, str) else vocabulary
     given: dict[str, Any] = {"pwm_hz": PWM_HZ.get(carrier, 1000)} | options
-    if carrier in IN_VIRTUAL_TIME:
-        link = VirtualLink(IN_VIRTUAL_TIME[carrier]())
+    if carrier not in IN_REAL_TIME:
+        link = VirtualLink(can={"bytes": False, "CAN": True}[carrier])
         device = link.device = build(words, faults, clock=link.clock, **given)
         device.link = link
         device.attach(link.carrier)
         yield device
         return
     device = build(words, faults, **given)
-    device.attach(CARRIERS[carrier]())
+    device.attach(IN_REAL_TIME[carrier]())
     stop, failures = threading.Event(), []
 
     def serve() -> None:

@@ -1,145 +1,30 @@
-"""The numbers of protocol/SPEC.md, copied by hand from its tables; nothing here comes from `protocol`."""
+"""The numbers of protocol/SPEC.md under the names of this device, and what a refusal is.
+
+The numbers themselves are held by the vectors and by the tables of SPEC.md; what a device does with them is not taken
+from `protocol`.
+"""
 
 from __future__ import annotations
 
-from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from protocol.codes import Command, Fault, Feature, Role
+from protocol.codes import DriveState as State
+from protocol.codes import ErrorCode as Code
+from protocol.codes import EventCode as Event
+from protocol.codes import MessageType as Type
+from protocol.codes import SetpointMode as Mode
+from protocol.codes import StreamEvent as Source
+from protocol.framing import ERROR, MAJOR, MAX_PAYLOAD, REPLY
+from protocol.framing import Frame as Message
+from protocol.signals import Flag, Unit
+from protocol.signals import RawType as Raw
 
-REPLY, ERROR = 0x10, 0x20
-MAJOR = 1
-MAX_PAYLOAD = 1024
-
-
-class Type(IntEnum):
-    HELLO = 0x01
-    TIME_SYNC = 0x02
-    HEARTBEAT = 0x04
-    ALIVE = 0x05
-    BLOB_READ = 0x10
-    PARAM_GET = 0x11
-    PARAM_SET = 0x12
-    PARAM_COMMIT = 0x13
-    STATE_CMD = 0x20
-    SETPOINT = 0x21
-    STREAM_SET = 0x30
-    STREAM_START = 0x31
-    STREAM_STOP = 0x32
-    STREAM_GET = 0x33
-    DATA = 0x40
-    EDGES = 0x41
-    EVENT = 0x42
-    LOG = 0x43
-
-
-class State(IntEnum):
-    BOOT = 0
-    IDLE = 1
-    ARMED = 2
-    RUNNING = 3
-    FAULT = 4
-
-
-class Command(IntEnum):
-    ARM = 1
-    START = 2
-    STOP = 3
-    FAULT_CLEAR = 4
-
-
-class Mode(IntEnum):
-    SPEED = 1
-    CURRENT = 2
-    TORQUE = 3
-
-
-class Code(IntEnum):
-    """Codes of refusals."""
-
-    UNKNOWN_TYPE = 1
-    BAD_LENGTH = 2
-    BAD_VALUE = 3
-    OUT_OF_RANGE = 4
-    WRONG_STATE = 5
-    BAD_TOKEN = 6
-    UNKNOWN_ID = 7
-    READ_ONLY = 8
-    DOES_NOT_FIT = 9
-    FAULTS_CHANGED = 10
-    BUSY = 12
-    BAD_VERSION = 13
-    UNKNOWN_NODE = 14
-    NOT_SUPPORTED = 15
-
-
-class Event(IntEnum):
-    STATE_CHANGED = 1
-    FAULT = 2
-    SETPOINT_REJECTED = 3
-    ARM_LAPSED = 4
-
-
-class Fault(IntFlag):
-    WATCHDOG = 1
-
-
-class Feature(IntFlag):
-    NONE = 0
-    EDGES = 1
-
-
-class Role(IntEnum):
-    DRIVE = 1
-
-
-class Raw(IntEnum):
-    U8 = 1
-    I16 = 4
-    F32 = 7
-
-
-DTYPE = {Raw.U8: "u1", Raw.I16: "<i2", Raw.F32: "<f4"}
-
-
-class Unit(IntEnum):
-    NONE = 0
-    RAD = 1
-    RAD_PER_S = 2
-    A = 3
-    V = 4
-    S = 6
-    OHM = 8
-    H = 9
-    VS = 10
-    RAD_PER_S2 = 14
-
-
-class Flag(IntFlag):
-    NONE = 0
-    CHANNEL = 1
-    PARAMETER = 2
-    ESTIMATE = 8
-    REFERENCE = 16
-    WRAPS = 32
-    READ_ONLY = 64
-    IDLE_ONLY = 128
-    WHOLE = 256
-
-
-PWM, EDGE_STREAM = 0, 2
-"""Events of STREAM_SET."""
+__all__ = [
+    "ERROR", "HALL_CODES", "MAJOR", "MAX_PAYLOAD", "REPLY", "Code", "Command", "Event", "Fault", "Feature", "Flag",
+    "Message", "Mode", "Raw", "Refusal", "Role", "Source", "State", "Type", "Unit",
+]  # fmt: skip
 
 HALL_CODES = (1, 3, 2, 6, 4, 5)
 """By sector of the electrical angle."""
-
-
-class Message(NamedTuple):
-    """A frame without its wrapping: what byte links and CAN have in common."""
-
-    type: int
-    flags: int
-    tid: int
-    node: int
-    payload: bytes
 
 
 class Refusal(Exception):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.devices.motor import Edge, Samples
-from tests.devices.spec import DTYPE, EDGE_STREAM, PWM, Code, Feature, Refusal, Type
+from tests.devices.spec import Code, Feature, Refusal, Source, Type
 from tests.devices.vocabulary import Channel, Vocabulary
 
 HEADER = struct.Struct("<BBHHHII")
@@ -47,9 +47,11 @@ class Stream:
     ) -> Stream:
         """Checked as far as that needs no link; raises Refusal."""
         by_id = {channel.id: channel for channel in vocabulary.channels}
-        if event not in (PWM, EDGE_STREAM) or (event == EDGE_STREAM and not vocabulary.features & Feature.EDGES):
+        if event not in (Source.PWM, Source.EDGES) or (
+            event == Source.EDGES and not vocabulary.features & Feature.EDGES
+        ):
             raise Refusal(Code.NOT_SUPPORTED, event)
-        if event == EDGE_STREAM:
+        if event == Source.EDGES:
             if ids:
                 raise Refusal(Code.BAD_VALUE, len(ids))
             return cls(number, event, 1, latency_ms, ())
@@ -64,12 +66,12 @@ class Stream:
 
     @property
     def edges(self) -> bool:
-        return self.event == EDGE_STREAM
+        return self.event == Source.EDGES
 
     @property
     def sizes(self) -> list[int]:
         """Bytes of each channel."""
-        return [np.dtype(DTYPE[channel.raw]).itemsize for channel in self.channels]
+        return [np.dtype(channel.raw.dtype).itemsize for channel in self.channels]
 
     @property
     def sample_bytes(self) -> int:
@@ -93,7 +95,7 @@ class Stream:
         chosen = self.taken(samples.index)
         if not chosen.any():
             return
-        rows = np.empty(len(samples.index), [(f"c{n}", DTYPE[channel.raw]) for n, channel in enumerate(self.channels)])
+        rows = np.empty(len(samples.index), [(f"c{n}", channel.raw.dtype) for n, channel in enumerate(self.channels)])
         for n, channel in enumerate(self.channels):
             rows[f"c{n}"] = channel.sampled(samples)
         packed, size = rows[chosen].tobytes(), rows.itemsize

@@ -10,10 +10,11 @@ from math import pi
 import numpy as np
 
 from tests.devices.motor import Samples, phases
-from tests.devices.spec import DTYPE, Feature, Flag, Mode, Raw, Unit
+from tests.devices.spec import Feature, Flag, Mode, Raw, Unit
 
 Values = Callable[[Samples], np.ndarray]
 ANGLE = pi / 32768
+NO_FLAGS, NO_FEATURES = Flag(0), Feature(0)
 RECORD = struct.Struct("<HBBHHff16s")
 
 
@@ -36,12 +37,12 @@ class Channel:
         """Raw values, in the type of the descriptor; angles wrap, all others are clipped."""
         raw = self.values(samples) / self.scale
         if self.raw == Raw.F32:
-            return raw.astype(DTYPE[self.raw])
-        limits = np.iinfo(DTYPE[self.raw])
+            return raw.astype(self.raw.dtype)
+        limits = np.iinfo(self.raw.dtype)
         whole = np.rint(np.nan_to_num(raw))
         if self.flags & Flag.WRAPS:
             whole = (whole - limits.min) % (limits.max - limits.min + 1) + limits.min
-        return np.clip(whole, limits.min, limits.max).astype(DTYPE[self.raw])
+        return np.clip(whole, limits.min, limits.max).astype(self.raw.dtype)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Parameter:
     lo: float
     hi: float
     unit: Unit = Unit.NONE
-    flags: Flag = Flag.NONE
+    flags: Flag = NO_FLAGS
 
     def record(self) -> bytes:
         return _record(self.id, Raw.F32, self.unit, Flag.PARAMETER | self.flags, 1.0, self.name)
@@ -68,7 +69,7 @@ class Vocabulary:
     firmware: str | bytes
     channels: tuple[Channel, ...]
     parameters: tuple[Parameter, ...]
-    features: Feature = Feature.NONE
+    features: Feature = NO_FEATURES
     modes: tuple[Mode, ...] = (Mode.SPEED,)
     pole_pairs: int = 4
     """Of the motor itself; what a parameter `n_p` says of it is another matter."""
@@ -97,7 +98,7 @@ def encoded(text: str | bytes) -> bytes:
 
 
 def _full_channels() -> tuple[Channel, ...]:
-    none, estimate, reference, wraps = Flag.NONE, Flag.ESTIMATE, Flag.REFERENCE, Flag.WRAPS
+    none, estimate, reference, wraps = NO_FLAGS, Flag.ESTIMATE, Flag.REFERENCE, Flag.WRAPS
     rows: tuple[tuple[str, Raw, Unit, Flag, float, Values], ...] = (
         ("hall", Raw.U8, Unit.NONE, none, 1, lambda s: s.hall),
         ("status", Raw.U8, Unit.NONE, none, 1, lambda s: s.status),
@@ -146,12 +147,12 @@ OWN = Vocabulary(
     name="gate-drv 7",
     firmware="r42",
     channels=(
-        Channel(3, "v_bus", Raw.F32, Unit.V, Flag.NONE, 1.0, lambda s: s.u_dc),
-        Channel(8, "w_target", Raw.F32, Unit.RAD_PER_S, Flag.NONE, 1.0, lambda s: s.omega_ref),
+        Channel(3, "v_bus", Raw.F32, Unit.V, NO_FLAGS, 1.0, lambda s: s.u_dc),
+        Channel(8, "w_target", Raw.F32, Unit.RAD_PER_S, NO_FLAGS, 1.0, lambda s: s.omega_ref),
         Channel(5, "w_meas", Raw.F32, Unit.RAD_PER_S, Flag.ESTIMATE, 1.0, lambda s: s.omega),
         Channel(20, "pos_e", Raw.I16, Unit.RAD, Flag.ESTIMATE | Flag.WRAPS, ANGLE, lambda s: s.estimate),
-        Channel(11, "temp_fet", Raw.I16, Unit.NONE, Flag.NONE, 0.125, lambda s: 41.0 + 0.01 * np.abs(s.omega)),
-        Channel(1, "duty", Raw.U8, Unit.NONE, Flag.NONE, 1 / 255, lambda s: np.abs(s.voltage) / s.u_dc),
+        Channel(11, "temp_fet", Raw.I16, Unit.NONE, NO_FLAGS, 0.125, lambda s: 41.0 + 0.01 * np.abs(s.omega)),
+        Channel(1, "duty", Raw.U8, Unit.NONE, NO_FLAGS, 1 / 255, lambda s: np.abs(s.voltage) / s.u_dc),
     ),
     parameters=(
         Parameter(1, "kp_w", 0.25, 0, 16),

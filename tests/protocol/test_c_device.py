@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import subprocess
 from pathlib import Path
@@ -10,9 +9,10 @@ from pathlib import Path
 import can_rows
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_drive import TICKS, SmallDrive, edges_at, frames_in, identity, samples, small_link_in_c, wire_of
+from test_vectors import each
 
 from protocol.canmap.compiled import CompiledCan
 from protocol.canmap.device import CanDevice
@@ -44,26 +44,21 @@ from protocol.messages import (
     StreamStop,
     TimeSync,
 )
+from tests.choice import examples
 from tests.tools import needs
 
-VECTORS = Path(__file__).resolve().parents[2] / "protocol" / "vectors"
 BOOT = 0xB0071D
 pytestmark = needs("C compiler")
 
 
-def cases(name: str) -> list:
-    loaded = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))
-    return [pytest.param(case, id=case["name"]) for case in loaded]
+HERE = Path(__file__).parent / "c"
 
 
-PRELUDE = """
-#include "hbp.h"
-void power_stage(int on); uint8_t power_stage_is_on(void); void use_speed(float omega_m); uint32_t random_number(void);
-size_t uart_received(const uint8_t **bytes); size_t uart_send(const uint8_t *bytes, size_t n); uint64_t ticks(void);
-uint32_t timer(void); void measure_and_control(void *sample); uint32_t captured(void); uint8_t code_before(void);
-uint8_t code_after(void); uint16_t encoder(void); void pwm_interrupt(void); void capture_interrupt(void);
-#define FIRST_TICK 8500
-"""
+def must_run(folder: Path, *sources: Path | str) -> None:
+    """A program of these sources, which says nothing and ends with 0."""
+    subprocess.run([*compiler(), "-I", SOURCE, *sources, "-o", folder / "program"], check=True)
+    done = subprocess.run([folder / "program"], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("", 0)
 
 
 def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
@@ -72,22 +67,12 @@ def test_the_usage_in_the_header_compiles(tmp_path: Path) -> None:
     code = [line.removeprefix(" *     ").split("  //")[0] for line in usage.splitlines() if line.startswith(" *     ")]
     assert len(code) > 50
     file = tmp_path / "usage.c"
-    file.write_text(PRELUDE + "\n".join(code) + "\n")
-    flags = [
-        "-std=c99",
-        "-pedantic",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        f"-I{SOURCE}",
-        "-c",
-        "-o",
-        str(tmp_path / "usage.o"),
-    ]
-    subprocess.run([*compiler(), *flags, str(file)], check=True)
+    file.write_text((HERE / "usage.h").read_text() + "\n".join(code) + "\n")
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-c"]
+    subprocess.run([*compiler(), *flags, f"-I{SOURCE}", "-o", tmp_path / "usage.o", file], check=True)
 
 
-@pytest.mark.parametrize("case", cases("framing"))
+@each("framing")
 def test_frames_are_found_or_counted_however_they_come(case: dict) -> None:
     wire = bytes.fromhex(case["wire_hex"])
     good = case["verdict"] == "ok"
@@ -195,7 +180,7 @@ def same(ours: list[tuple], theirs: list[tuple]) -> bool:
     return list(map(loose, ours)) == list(map(loose, theirs))
 
 
-@settings(max_examples=300, deadline=None)
+@examples(75, 300, campaign="c")
 @given(st.lists(STEP, max_size=40), st.booleans())
 def test_same_answers_as_in_python(steps: list, two_nodes: bool) -> None:
     python, c = DeviceLink(TxQueue(1 << 22)), CompiledLink(1 << 20)
@@ -292,7 +277,7 @@ def by_identifier(records: bytes) -> tuple[dict[int, list], list[tuple]]:
     return found, sorted(messages, key=lambda frame: frame[0] == MessageType.HEARTBEAT)
 
 
-@settings(max_examples=300, deadline=None)
+@examples(75, 300, campaign="c")
 @given(
     st.lists(st.one_of(can_steps(), can_steps(), st.integers(1, 400), st.just("again")), max_size=30),
     st.sampled_from([CLASSIC, FD]),
@@ -354,54 +339,12 @@ def test_after_a_bus_that_was_away_comes_nothing_old(kind: type, away: float, ra
 
 def test_a_fault_raised_any_number_of_times_is_seen(tmp_path: Path) -> None:
     """Between two polls the interrupt may raise faults over and over; none is lost, whatever the count."""
-    (tmp_path / "raise.c").write_text("""
-#include "hbp.h"
-static struct hbp h;
-int main(void)
-{
-    for (unsigned n = 1; n < 1100; n++) {
-        h.raised = h.seen = n << 24 | 5u; /* the same faults, seen before */
-        for (unsigned k = 0; k < n; k++) hbp_raise(&h, k % 2 ? 4u : 1u);
-        if (h.raised == h.seen || (h.raised & 0xFFFFFFu) != (n > 1 ? 5u : 1u)) return 1;
-    }
-    return 0;
-}
-""")
-    program = tmp_path / "raise"
-    subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "raise.c", SOURCE / "hbp.c", "-o", program], check=True)
-    subprocess.run([program], check=True)
+    must_run(tmp_path, HERE / "raise.c", SOURCE / "hbp.c")
 
 
 def test_its_own_divisions_are_right(tmp_path: Path) -> None:
     """Against the compiler's, for indices and ticks of any size."""
-    (tmp_path / "divide.c").write_text("""
-#include "hbp.c"
-static uint64_t state = 1;
-static uint64_t draw(void)
-{
-    state = state * 6364136223846793005u + 1442695040888963407u;
-    return (state >> 33 | state << 31) >> (state >> 58);
-}
-int main(void)
-{
-    struct hbp_config config = {0};
-    struct hbp h = {0};
-    h.config = &config;
-    for (unsigned k = 0; k < 200000; k++) {
-        uint64_t n = draw();
-        uint32_t d = (uint32_t)draw() | 1u, rest, quotient = divide(n, d, &rest), ms = (uint32_t)draw() & 0xFFFFu;
-        uint16_t decimation = (uint16_t)((uint16_t)draw() | (k & 1u ? 1u : 0x8000u));
-        config.tick_hz = (uint32_t)draw();
-        if (quotient != (uint32_t)(n / d) || rest != n % d) return 1;
-        if (n < 1ull << 63 && rounded_up(n, decimation) != (uint32_t)((n + decimation - 1) / decimation)) return 2;
-        if (ticks_of(&h, ms) != (uint32_t)((uint64_t)ms * config.tick_hz / 1000u)) return 3;
-    }
-    return 0;
-}
-""")
-    program = tmp_path / "divide"
-    subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "divide.c", "-o", program], check=True)
-    subprocess.run([program], check=True)
+    must_run(tmp_path, HERE / "divide.c")
 
 
 @pytest.mark.parametrize("rate", [5760, 11520, 92160])
@@ -424,89 +367,13 @@ def test_streams_do_not_keep_a_reply_waiting_on_a_slow_link(rate: int) -> None:
     assert 0 < before < 0.25 * rate
 
 
-WRONG = {
-    "c.node = 0": "HBP_WRONG_NODE",
-    "c.role = 0": "HBP_WRONG_NODE",
-    "c.pwm_hz = 3": "HBP_WRONG_RATE",
-    "c.enter = NULL": "HBP_WRONG_FUNCTION",
-    "c.outputs_on = NULL": "HBP_WRONG_FUNCTION",
-    'c.name = ""': "HBP_WRONG_TEXT",
-    'c.serial = "0123456789012345678901234"': "HBP_WRONG_TEXT",
-    "c.n_channels = HBP_CHANNELS + 1": "HBP_WRONG_COUNT",
-    'channels[1].name = "a name of 17 char"': "HBP_WRONG_CHANNEL_NAME | 1",
-    "channels[1].type = 0": "HBP_WRONG_CHANNEL_TYPE | 1",
-    "channels[2].scale = 0": "HBP_WRONG_CHANNEL_SCALE | 2",
-    "channels[2].type = HBP_RAW_I32": "HBP_WRONG_CHANNEL_PLACE | 2",
-    "channels[2].id = 1": "HBP_WRONG_CHANNEL_TWICE | 2",
-    'channels[1].name = "x"': "HBP_WRONG_CHANNEL_TWICE | 1",
-    "parameters[0].name = NULL": "HBP_WRONG_PARAMETER_NAME",
-    "parameters[1].initial = 3": "HBP_WRONG_PARAMETER_RANGE | 1",
-    "parameters[1].value = NULL": "HBP_WRONG_PARAMETER_VALUE | 1",
-    "parameters[1].id = 1": "HBP_WRONG_PARAMETER_TWICE | 1",
-    "": "0",
-}
-
-
 def test_what_is_wrong_with_a_configuration_is_named(tmp_path: Path) -> None:
     """hbp_add tells which channel or parameter is wrong, and how; one byte beyond the sample is seen."""
-    cases = "".join(
-        f"    fill();\n    {what};\n    if (hbp_add(&l, &h, &c, 1) != ({code})) return puts({json.dumps(what)}), 1;\n"
-        "    l.base.first = NULL;\n"
-        for what, code in WRONG.items()
-    )
-    (tmp_path / "wrong.c").write_text(f"""
-#include <stdio.h>
-#include "hbp.h"
-struct sample {{ uint16_t a, b; uint8_t c; }};
-static struct hbp_channel channels[HBP_CHANNELS + 1];
-static struct hbp_parameter parameters[2];
-static float value = 1;
-static uint16_t enter(void *u, uint8_t s, float *d) {{ return (void)u, (void)s, (void)d, 0; }}
-static uint16_t setpoint(void *u, uint8_t m, float v, float w, float *d)
-{{ return (void)u, (void)m, (void)v, (void)w, (void)d, 0; }}
-static uint8_t outputs_on(void *u) {{ return (void)u, 0; }}
-static struct hbp_config c;
-static struct hbp_link l;
-static struct hbp h;
-static void fill(void)
-{{
-    const struct hbp_channel some[3] = {{
-        {{1, HBP_RAW_U16, 0, 0, offsetof(struct sample, a), 1, 0, "x"}},
-        {{2, HBP_RAW_U16, 0, 0, offsetof(struct sample, b), 1, 0, "y"}},
-        {{3, HBP_RAW_U8, 0, 0, offsetof(struct sample, c), 1, 0, "z"}},
-    }};
-    const struct hbp_parameter two[2] = {{{{1, 0, 0, 0, 2, 1, &value, "p"}}, {{2, 0, 0, 0, 2, 1, &value, "q"}}}};
-    const struct hbp_config whole = {{
-        .node = 1, .role = HBP_ROLE_DRIVE, .tick_hz = 1000, .pwm_hz = 100, .name = "drive", .channels = channels,
-        .n_channels = 3, .sample_bytes = sizeof(struct sample), .parameters = parameters, .n_parameters = 2,
-        .enter = enter, .setpoint = setpoint, .outputs_on = outputs_on,
-    }};
-    for (unsigned k = 0; k < 3; k++) channels[k] = some[k];
-    for (unsigned k = 0; k < 2; k++) parameters[k] = two[k];
-    c = whole;
-}}
-int main(void)
-{{
-    hbp_link_init(&l, 0);
-{cases}    return 0;
-}}
-""")
-    program = tmp_path / "wrong"
-    subprocess.run([*compiler(), "-I", SOURCE, tmp_path / "wrong.c", SOURCE / "hbp.c", "-o", program], check=True)
-    done = subprocess.run([program], capture_output=True, text=True)
-    assert (done.stdout, done.returncode) == ("", 0)
+    must_run(tmp_path, HERE / "wrong.c", SOURCE / "hbp.c")
 
 
 def test_other_options_in_another_file_are_told(tmp_path: Path) -> None:
-    (tmp_path / "other.c").write_text("""
-#include "hbp.h"
-static struct hbp_config c;
-static struct hbp_link l;
-static struct hbp h;
-int main(void) { return hbp_link_init(&l, 0), hbp_add(&l, &h, &c, 1) != HBP_WRONG_OPTIONS; }
-""")
     for options in ("-DHBP_TX_BYTES=4096", "-DHBP_CHANNELS=40", "-DHBP_EDGES=64"):
         own = [*compiler(), "-I", SOURCE]
-        subprocess.run([*own, options, "-c", tmp_path / "other.c", "-o", tmp_path / "other.o"], check=True)
-        subprocess.run([*own, tmp_path / "other.o", SOURCE / "hbp.c", "-o", tmp_path / "other"], check=True)
-        subprocess.run([tmp_path / "other"], check=True)
+        subprocess.run([*own, options, "-c", HERE / "other.c", "-o", tmp_path / "other.o"], check=True)
+        must_run(tmp_path, tmp_path / "other.o", SOURCE / "hbp.c")

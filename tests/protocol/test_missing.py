@@ -12,15 +12,7 @@ from test_streams import BLOCK, DESCRIPTOR, config, data_frame, run_of_frames
 from protocol.descriptor import sample_dtype
 from protocol.framing import Frame
 from protocol.messages import MessageType, StreamEvent
-from protocol.streams import (
-    EDGE_RECORD,
-    STREAM_HEADER,
-    Beat,
-    EdgeDecoder,
-    SampleDecoder,
-    StreamConfig,
-    TickReference,
-)
+from protocol.streams import EDGE_RECORD, STREAM_HEADER, Beat, EdgeDecoder, SampleDecoder, StreamConfig, TickReference
 
 WRAP = 1 << 32
 

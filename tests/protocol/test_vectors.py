@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -34,8 +35,25 @@ def load(name: str) -> list[dict]:
     return json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def cases(name: str) -> list:
-    return [pytest.param(case, id=case["name"]) for case in load(name)]
+def each(*names: str, where: Callable[[dict], bool] = lambda case: True) -> Callable:
+    """A test of a `case` becomes one of all cases of these files; the first that fails is named."""
+
+    def decorate(test: Callable[..., None]) -> Callable[..., None]:
+        def run(**given: object) -> None:
+            for name in names:
+                for case in filter(where, load(name)):
+                    try:
+                        test(case=case, **given)
+                    except BaseException as error:
+                        error.add_note(f"in {name}.json: {case['name']}")
+                        raise
+
+        signature = inspect.signature(test)
+        others = [parameter for name, parameter in signature.parameters.items() if name != "case"]
+        run.__signature__ = signature.replace(parameters=others)  # type: ignore[attr-defined]
+        return run
+
+    return decorate
 
 
 @pytest.fixture(params=["at once", "one by one"])
@@ -65,7 +83,7 @@ def test_files_are_what_the_independent_implementation_makes(name: str) -> None:
     assert (VECTORS / f"{name}.json").read_text(encoding="utf-8") == make_vectors.text(name)
 
 
-@pytest.mark.parametrize("case", cases("framing") + cases("messages"))
+@each("framing", "messages")
 def test_frame_is_found_or_counted_however_it_comes(case: dict) -> None:
     wire, verdict = bytes.fromhex(case["wire_hex"]), case["verdict"]
     good = [bytes.fromhex(case["body_hex"])] if verdict == "ok" else []
@@ -86,7 +104,7 @@ def test_frame_is_found_or_counted_however_it_comes(case: dict) -> None:
     assert parse_frame(Deframer().feed(wire + encode_frame(follower) + wire[:5])[-1]) == follower
 
 
-@pytest.mark.parametrize("case", [c for c in cases("framing") if c.values[0]["verdict"] == "ok"])
+@each("framing", where=lambda case: case["verdict"] == "ok")
 def test_good_frames_encode_to_the_same_bytes(case: dict) -> None:
     body = bytes.fromhex(case["body_hex"])
     frame = parse_frame(body)
@@ -96,7 +114,7 @@ def test_good_frames_encode_to_the_same_bytes(case: dict) -> None:
         assert encode_frame(frame).hex() == case["wire_hex"]
 
 
-@pytest.mark.parametrize("case", cases("messages"))
+@each("messages")
 def test_messages_pack_and_unpack(case: dict) -> None:
     kind = getattr(messages, case["name"])
     values = dict(case["fields"])
@@ -117,8 +135,8 @@ def test_every_message_has_a_vector() -> None:
     assert {case["name"] for case in load("messages")} == {kind.__name__ for kind in KINDS}
 
 
-@pytest.mark.parametrize("case", cases("exchanges"))
 @pytest.mark.parametrize("fault", [False, True])
+@each("exchanges")
 def test_refusals(case: dict, fault: bool, make: Callable[..., tuple]) -> None:
     link, session, app = make()
     if fault:
@@ -131,7 +149,7 @@ def test_refusals(case: dict, fault: bool, make: Callable[..., tuple]) -> None:
     assert (app.values, app.states) == before
 
 
-@pytest.mark.parametrize("case", cases("sequences"))
+@each("sequences")
 def test_sequences(case: dict, make: Callable[..., tuple]) -> None:
     link, _, app = make(features=Feature(case["features"]))
     link.data_to_send()
@@ -164,7 +182,7 @@ SAMPLE = (
 )
 
 
-@pytest.mark.parametrize("case", cases("streams"))
+@each("streams")
 def test_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
     edges = case["kind"] == "edges"
     channels = tuple(SAMPLE[number - 1] for number in case["config"]["ids"])
@@ -196,7 +214,7 @@ def can_frames(case: dict) -> list[bytes]:
     return [can_rows.frame(number, bytes.fromhex(data)) for number, data in case["frames"]]
 
 
-@pytest.mark.parametrize("case", cases("can_messages"))
+@each("can_messages")
 def test_can_messages(case: dict, batches: Callable[[Sequence], list]) -> None:
     wire = can_wire(case, extended=case["extended"], host=case["host"])
     bodies = [item.hex() for part in batches(can_frames(case)) for item in wire.feed(b"".join(part), 0.0)]
@@ -204,7 +222,7 @@ def test_can_messages(case: dict, batches: Callable[[Sequence], list]) -> None:
     check_counts(wire.counters, case["counts"], "bad_crc bad_length aborted orphans duplicates foreign")
 
 
-@pytest.mark.parametrize("case", [c for c in cases("can_messages") if not c.values[0]["counts"]])
+@each("can_messages", where=lambda case: not case["counts"])
 def test_can_messages_are_sent_as_the_same_frames(case: dict) -> None:
     """Those without errors, with the transfer ids that they have."""
     encoder = TransferEncoder(case["fd"], case["extended"])
@@ -221,7 +239,7 @@ def test_can_messages_are_sent_as_the_same_frames(case: dict) -> None:
     assert sent == got
 
 
-@pytest.mark.parametrize("case", cases("can_streams"))
+@each("can_streams")
 def test_can_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
     c = case["config"]
     edges = not c["types"]

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from building import HERE, LARGE, SMALL, SOURCE, STRICT, compiler, options, run
 
+pytestmark = pytest.mark.slow
+
 CORTEX_M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-Os")
 
 

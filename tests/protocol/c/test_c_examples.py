@@ -25,6 +25,7 @@ EXAMPLES = SOURCE / "examples"
 MPS2 = EXAMPLES / "mps2-an386"
 SETTLED = ("--viewer", "none", "--json", "-")
 PR_SET_PDEATHSIG = 1
+QEMU = pytest.mark.campaign("qemu")
 _libc = ctypes.CDLL(None)
 
 
@@ -68,7 +69,7 @@ def in_qemu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return elf
 
 
-@pytest.fixture(params=["posix", "mps2-an386"])
+@pytest.fixture(params=["posix", pytest.param("mps2-an386", marks=QEMU)])
 def target(request: pytest.FixtureRequest) -> Iterator[str]:
     """A drive that runs; killed at the end of the test, and when the tests are."""
     if request.param == "posix":
@@ -97,6 +98,7 @@ def health(start: Callable[..., Program], target: str) -> dict:
     return node["health"]
 
 
+@pytest.mark.long("4 s of a motor that turns, up to three times")
 def test_a_drive_is_known_turns_loses_nothing_and_stops(start: Callable[..., Program], target: str) -> None:
     (node,) = told(start("info", target, "--json", "-"))["nodes"]
     assert node["identity"]["features"] == ["edges", "simulated"]
@@ -129,6 +131,7 @@ def test_the_watchdog_turns_off_what_a_killed_host_left(start: Callable[..., Pro
 
 
 @pytest.mark.slow
+@pytest.mark.long("a check in real time")
 def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: Path) -> None:
     with subprocess.Popen([on_a_pty], stdout=subprocess.PIPE, text=True, preexec_fn=ends_with_this) as drive:
         assert drive.stdout is not None
@@ -140,6 +143,7 @@ def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: P
     assert any(line.startswith("HEALTHY") for line in check.out)
 
 
+@QEMU
 def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
     script = (
         "import ctypes, subprocess, sys\n"
@@ -157,7 +161,7 @@ def test_a_drive_in_qemu_ends_with_who_started_it(in_qemu: Path) -> None:
             os.close(ended)
 
 
-@pytest.mark.parametrize("target", ["mps2-an386"], indirect=True)
+@pytest.mark.parametrize("target", [pytest.param("mps2-an386", marks=QEMU)], indirect=True)
 def test_it_conforms(start: Callable[..., Program], target: str) -> None:
     for _ in range(3):  # as above
         program = start("conform", target, "--level", "3", "--json", "-")

@@ -13,6 +13,8 @@ from building import LIMIT, ROOT, SOURCE, compiler, run
 
 from tests.tools import require
 
+pytestmark = pytest.mark.slow
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 VERSION = PROJECT["project"]["version"]
 C_FILES = {"hbp.c", "hbp_can.c"}

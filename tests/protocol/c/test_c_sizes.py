@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from building import ROOT
 
 from tests.protocol.c import sizes
@@ -12,9 +13,10 @@ from tests.tools import needs
 CODE, RAM = 12 << 10, 4 << 10  # of a byte link, and of classic CAN
 INTERRUPT = 400  # instructions of hbp_tick with 8 channels, the first one of a stream included
 
-pytestmark = needs("arm-none-eabi-gcc")
+pytestmark = [pytest.mark.slow, needs("arm-none-eabi-gcc")]
 
 
+@pytest.mark.long("compiles it in every shape")
 def test_code_and_memory_have_a_ceiling() -> None:
     for cost in sizes.costs():
         assert cost.code <= CODE, cost.what

@@ -80,38 +80,12 @@ def test_frames_that_slcan_cannot_write(frame: Records, names: str) -> None:
 
 
 DAMAGED = [
-    b"t1002AA5",  # half a byte
-    b"t1002AA55AA",  # a byte too many
-    b"t1002AA",  # a byte too few
-    b"t1002AA5G",
-    b"t1G02AA55",
-    b"t1002 A55",
-    b"t1002AA5\x00",
-    b"t1002AA5\xff",
-    b"t10",
-    b"t100",
-    b"t",
-    b"t8000",  # 12 bits
-    b"tFFF0",
-    b"t1009" + b"00" * 8,  # classic DLC above 8
-    b"t100900" + b"00" * 8,
-    b"tt1002AA55",
-    b"r1009",
-    b"r1001AA",  # remote frames have no data
-    b"T200000000",  # 30 bits
-    b"T0000012",
-    b"R0000010",
-    b"d1239" + b"00" * 9,  # DLC 9 is 12 bytes
-    b"b123F" + b"00" * 63,
-    b"b123F" + b"00" * 65,
-    b"b123F" + b"00" * 67,
+    *b"t1002AA5 t1002AA55AA t1002AA t1002AA5G t1G02AA55 t10 t100 t tt1002AA55 x1002AA55 zz".split(),
+    *(b"t1002 A55", b"t1002AA5\x00", b"t1002AA5\xff", b"z\x00", b"\x80\x81", b"\n", b"V\x00"),
+    *b"t8000 tFFF0 T200000000 T0000012 R0000010".split(),  # 12 bits, 30 bits, too few digits
+    *(b"t1009" + b"00" * 8, b"t100900" + b"00" * 8, b"r1009", b"r1001AA"),  # classic DLC above 8, a remote frame's data
+    *(b"d1239" + b"00" * 9, b"b123F" + b"00" * 63, b"b123F" + b"00" * 65, b"b123F" + b"00" * 67),  # lengths of CAN FD
     b"B000001230" + b"0" * 400,
-    b"x1002AA55",
-    b"zz",
-    b"z\x00",
-    b"\x80\x81",
-    b"\n",
-    b"V\x00",
 ]
 
 

@@ -113,26 +113,20 @@ def test_a_hello_goes_out_with_the_numbers_of_node_and_host(query: str, number: 
 
 
 # include/uapi/linux/can/error.h: class in the identifier, controller's state in data[1]
+ERROR_FRAMES = {
+    "protocol": [(0x008, 0), (0x080, 0), (0x088, 0)],
+    "no ack": [(0x020, 0)],
+    "controller warning": [(0x004, 0x04), (0x004, 0x08)],
+    "controller passive": [(0x004, 0x10), (0x204, 0x20)],
+    "overflow": [(0x004, 0x01), (0x004, 0x02)],
+    "bus-off": [(0x040, 0), (0x044, 0x20)],
+    "restarted": [(0x100, 0)],
+    "other": [(0x001, 0), (0x002, 0), (0x004, 0x40)],
+}
+
+
 @pytest.mark.parametrize(
-    ("number", "detail", "kind"),
-    [
-        (0x008, 0, "protocol"),
-        (0x080, 0, "protocol"),
-        (0x020, 0, "no ack"),
-        (0x004, 0x04, "controller warning"),
-        (0x004, 0x08, "controller warning"),
-        (0x004, 0x10, "controller passive"),
-        (0x204, 0x20, "controller passive"),
-        (0x004, 0x01, "overflow"),
-        (0x004, 0x02, "overflow"),
-        (0x004, 0x40, "other"),
-        (0x040, 0, "bus-off"),
-        (0x100, 0, "restarted"),
-        (0x002, 0, "other"),
-        (0x001, 0, "other"),
-        (0x088, 0, "protocol"),
-        (0x044, 0x20, "bus-off"),
-    ],
+    ("number", "detail", "kind"), [(*frame, kind) for kind, frames in ERROR_FRAMES.items() for frame in frames]
 )
 def test_error_frames_are_records_counted_by_kind(ends: Ends, number: int, detail: int, kind: str) -> None:
     data = bytes([0, detail, 0, 0, 0, 0, 0, 0])

@@ -3,17 +3,16 @@ import pytest
 
 from sim.control import dead_time
 
-T_S = 1 / 16_000
 NOTHING = dead_time.Left(0.0, 0.0)
 U = (1.0, 0.0)  # V
 
 
+VALUES = {"dead_time_hat": 1e-6, "dead_time_comp": 1.0, "dead_time_learn": 0.0, "R_s_hat": 0.158}
+VALUES |= {"L_s_hat": 0.176e-3, "omega_on": 20.0}
+
+
 def made(**other):
-    given = {"dead_time_hat": 1e-6, "dead_time_comp": 1.0, "dead_time_learn": 0.0, "R_s_hat": 0.158} | {
-        "L_s_hat": 0.176e-3,
-        "omega_on": 20.0,
-    }
-    return dead_time.make_params(1 / T_S, **{**given, **other})
+    return dead_time.make_params(16_000, **VALUES | other)
 
 
 PARAMS = made()
@@ -61,9 +60,12 @@ def test_it_fades_where_the_ripple_does():
 def learned(omegas, *, amps=4.0, error=0.2, at=0.3, **other):
     """What is left after periods at these speeds, of a motor whose legs lose `error` V beyond a current of `at` A.
 
-    The voltage is the motor's equation, written down, less what has been learned and is given back; in us.
+    The voltage is the motor's equation, written down, less what has been learned and is given back; as shares of a
+    period. A quarter of the PWM frequency and four times the inductance: the ripple is as before, and there is less to
+    go through.
     """
-    params = made(dead_time_learn=1.0, **other)
+    params = dead_time.make_params(4000.0, **VALUES | {"dead_time_learn": 1.0, "L_s_hat": 0.704e-3} | other)
+    T_S, L = 1 / 4000, 0.704e-3
     theta = np.concatenate([[0.0], np.cumsum(omegas) * T_S])
     i = 1j * amps * np.exp(1j * theta)
     turn = np.exp(2j * np.pi / 3)
@@ -75,62 +77,62 @@ def learned(omegas, *, amps=4.0, error=0.2, at=0.3, **other):
 
     def ripple(volts):
         """A, the current at which the loss of a leg fades, fitted to a switched inverter."""
-        return 0.18 * volts * T_S / 0.176e-3
+        return 0.18 * volts * T_S / L
 
     full = fading(0.3)
     emf = 1j * omegas * 6.55e-3 * np.exp(0.5j * (theta[1:] + theta[:-1]))
-    u = 0.158 * mean + 0.176e-3 * np.diff(i) / T_S + emf + error * fading(ripple(0.7) if at is None else at)
+    u = 0.158 * mean + L * np.diff(i) / T_S + emf + error * fading(ripple(0.7) if at is None else at)
     state = dead_time.begun(dead_time.init(), i[0].real, i[0].imag)
     near = fading(ripple(np.abs(u))) - full
     for k, omega in enumerate(omegas):
         now = u[k] - 24.0 / T_S * (state.left.full * full[k] + state.left.near * near[k])
         state = dead_time.learnt(params, state, 24.0, now.real, now.imag, i[k + 1].real, i[k + 1].imag, omega)
-    return 1e6 * state.left.full, 1e6 * state.left.near
+    return state.left.full / T_S, state.left.near / T_S
 
 
-STEADY = np.full(64_000, 80.0)
+STEADY = np.full(16_000, 80.0)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_what_is_left_is_learned(way):
-    """0.2 V of 24 V, in periods of 62.5 us, are 0.52 us."""
+    """0.2 V of 24 V."""
     full, near = learned(way * STEADY)
-    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.05)
-    assert abs(near) < 0.04
+    assert full == pytest.approx(0.2 / 24, rel=0.05)
+    assert abs(near) < 6e-4
 
 
 def test_a_compensation_that_gives_too_much_is_taken_back():
-    assert learned(STEADY, error=-0.1)[0] == pytest.approx(-0.1 / 24 * 62.5, rel=0.05)
+    assert learned(STEADY, error=-0.1)[0] == pytest.approx(-0.1 / 24, rel=0.05)
 
 
 def test_an_error_that_is_there_near_zero_current_has_its_own_shape():
     """Saturated where the switching ripple is, at the motor's voltage here."""
     full, near = learned(STEADY, at=None, amps=1.0)
-    assert full == pytest.approx(0.2 / 24 * 62.5, rel=0.15)
-    assert near == pytest.approx(0.2 / 24 * 62.5, rel=0.15)
+    assert full == pytest.approx(0.2 / 24, rel=0.15)
+    assert near == pytest.approx(0.2 / 24, rel=0.15)
 
 
 @pytest.mark.parametrize("amps", [1.0, 4.0, 8.0])
 def test_what_was_learned_at_one_current_holds_at_another(amps):
-    assert learned(STEADY, amps=amps) == pytest.approx((0.2 / 24 * 62.5, 0.0), abs=0.03)
+    assert learned(STEADY, amps=amps) == pytest.approx((0.2 / 24, 0.0), abs=5e-4)
 
 
-@pytest.mark.parametrize("wrong", [{"R_s_hat": 0.25}, {"L_s_hat": 0.21e-3}])
+@pytest.mark.parametrize("wrong", [{"R_s_hat": 0.25}, {"L_s_hat": 0.84e-3}])
 def test_wrong_parameters_turn_with_the_rotor_and_are_not_taken_for_it(wrong):
-    assert learned(STEADY, **wrong)[0] == pytest.approx(0.2 / 24 * 62.5, rel=0.1)
+    assert learned(STEADY, **wrong)[0] == pytest.approx(0.2 / 24, rel=0.1)
 
 
 def test_a_speed_that_changes_teaches_nothing():
-    swing = 80.0 + 25.0 * np.sin(np.arange(64_000) * T_S * 9.0)
+    swing = 80.0 + 25.0 * np.sin(np.arange(16_000) / 4000 * 9.0)
     full, near = learned(swing)
-    assert abs(full) < 0.05
-    assert abs(near) < 0.05
+    assert abs(full) < 8e-4
+    assert abs(near) < 8e-4
 
 
 def test_a_motor_without_the_error_learns_none():
     full, near = learned(STEADY, error=0.0)
-    assert abs(full) < 1e-3
-    assert abs(near) < 1e-3
+    assert abs(full) < 2e-5
+    assert abs(near) < 2e-5
 
 
 def test_what_was_learned_is_given_back():

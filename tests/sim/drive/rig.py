@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from protocol.messages import DriveState, SetpointMode
 from protocol.signals import DRIVE_CHANNELS
 from sim.config.params import load_params
 from sim.drive.machine import Recorded, SimulatedBench
+from sim.native import Cells
+from sim.observers import sample
+from sim.observers.entry import chosen
 
 PWM_HZ = 16_000
 RPM = 2 * np.pi / 60  # mechanical rad/s
+MEASURED = ("u_alpha", "u_beta", "i_a", "i_b", "i_c")
 SCALE = {channel.name: channel.scale for channel in DRIVE_CHANNELS}
 
 
@@ -67,6 +73,27 @@ def column(recorded: Recorded, name: str) -> np.ndarray:
 def physical(recorded: Recorded, name: str) -> np.ndarray:
     """A channel in its unit."""
     return recorded.samples[name] * SCALE[name]
+
+
+def measured_of(bench: SimulatedBench, parts: Sequence[Recorded]) -> np.ndarray:
+    """What the observers' front end takes of what was recorded, (n,), edges aside."""
+    seen = {name: np.concatenate([physical(part, name) for part in parts]) for name in (*MEASURED, "i_q_ref", "i_q")}
+    measured = Cells(sample.Measured, len(seen["i_q"])).array
+    ticks = bench.params.clock.period_ticks
+    measured["tick"] = np.concatenate([part.tick + np.arange(len(part)) * ticks for part in parts])
+    measured["hall"] = np.concatenate([part.samples["hall"] for part in parts])
+    for name in MEASURED:
+        measured[name] = seen[name]
+    measured["i_q_err"] = seen["i_q_ref"] - np.r_[0.0, seen["i_q"][:-1]]
+    return measured
+
+
+def front_end(bench: SimulatedBench, parts: Sequence[Recorded], reset: np.ndarray) -> np.ndarray:
+    """Its samples, (n,); `reset` (n,)."""
+    front = sample.FrontEnd(sample.make_params(bench.params.clock.tick_hz, chosen(sample.Settings, bench.parameters)))
+    return front.run(measured_of(bench, parts), np.concatenate([part.captured for part in parts]), reset).view(
+        np.recarray
+    )
 
 
 def error_deg(recorded: Recorded, name: str) -> np.ndarray:

@@ -36,9 +36,11 @@ def start() -> Iterator[Callable[..., Sim]]:
         each.close()
 
 
-def test_tcp_first_line_is_the_target_and_sigterm_ends_it_cleanly(start: Callable[..., Sim]) -> None:
-    sim = start(*TCP, "--seed", "1")
-    assert re.fullmatch(r"tcp:127\.0\.0\.1:\d+", sim.target)
+def test_tcp_first_line_is_the_target_other_machines_are_warned_of_and_sigterm_ends_it(
+    start: Callable[..., Sim],
+) -> None:
+    sim = start("--tcp", "0.0.0.0:0", "--seed", "1")
+    assert re.fullmatch(r"tcp:0\.0\.0\.0:\d+", sim.target)
     host = SmallHost(open_link(sim.target))
     host.stream()
     host.run(0.3)
@@ -49,8 +51,11 @@ def test_tcp_first_line_is_the_target_and_sigterm_ends_it_cleanly(start: Callabl
     assert re.fullmatch(r"stopped after \d+ periods: \d+ frames sent, 0 dropped, .*late.*", sim.out[-1])
     with pytest.raises(LinkClosed):
         host.run(1.0)
+    (line,) = sim.err
+    assert line.startswith(f"warning: {sim.target} is open to other machines, and HBP has no authentication: ")
 
 
+@pytest.mark.campaign("processes")
 def test_a_busy_host_does_not_upset_the_pace(start: Callable[..., Sim]) -> None:
     host = SmallHost(open_link(start(*TCP).target))
     host.connect()
@@ -79,6 +84,7 @@ def test_a_child_ends_with_its_input_and_loads_no_more_than_a_drive_needs(tmp_pa
     assert not loaded & {"can", "jinja2", "matplotlib", "pyarrow", "pytest", "rerun", "rich"}
 
 
+@pytest.mark.campaign("processes")
 def test_a_child_that_compiles_ends_with_its_input(tmp_path: Path) -> None:
     cold = ENVIRONMENT | {"NUMBA_CACHE_DIR": str(tmp_path)}
     with subprocess.Popen(CHILD, stdin=PIPE, stdout=PIPE, stderr=DEVNULL, text=True, env=cold) as child:
@@ -103,11 +109,3 @@ def test_cable_pulled_and_put_back_by_signals(start: Callable[..., Sim], tmp_pat
     sim.send(signal.SIGINT)
     assert sim.end() == 0
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_port_that_other_machines_reach_is_warned_of(start: Callable[..., Sim]) -> None:
-    sim = start("--tcp", "0.0.0.0:0")
-    sim.send(signal.SIGTERM)
-    sim.end()
-    (line,) = sim.err
-    assert line.startswith(f"warning: {sim.target} is open to other machines, and HBP has no authentication: ")

@@ -11,14 +11,7 @@ import can
 import pytest
 from can_rows import frame
 
-from protocol.canmap.frame import (
-    BRS,
-    ERROR,
-    ERROR_CONTROLLER,
-    ERROR_PROTOCOL,
-    FDF,
-    BusRates,
-)
+from protocol.canmap.frame import BRS, ERROR, ERROR_CONTROLLER, ERROR_PROTOCOL, FDF, BusRates
 from sim.ports.slcan_port import MAX_ANSWERS, SlcanPort
 
 CLASSIC = BusRates(1_000_000)
@@ -72,47 +65,17 @@ def fd() -> Iterator[Host]:
     host.close()
 
 
-@pytest.mark.parametrize(
-    ("typed", "answer"),
-    [
-        (b"V\r", b"V1013\r"),
-        (b"v\r", b"v1013\r"),
-        (b"N\r", b"NSIM1\r"),
-        (b"\r", b"\r"),
-        (b"C\r", b"\r"),
-        (b"S0\r", b"\r"),
-        (b"S\r", b"\a"),
-        (b"S10\r", b"\a"),
-        (b"s031C\r", b"\r"),
-        (b"s03\r", b"\a"),
-        (b"Y5\r", b"\r"),
-        (b"Y3\r", b"\a"),
-        (b"Z0\r", b"\r"),
-        (b"Z2\r", b"\a"),
-        (b"W0\r", b"\r"),
-        (b"M00000000\r", b"\r"),
-        (b"M0000\r", b"\a"),
-        (b"mFFFFFFFF\r", b"\r"),
-        (b"m00000000\r", b"\a"),
-        (b"X1\r", b"\r"),
-        (b"X0\r", b"\a"),
-        (b"F\r", b"\a"),  # only while open
-        (b"O\rF\r", b"\rF00\r"),
-        (b"O\rO\r", b"\r\a"),
-        (b"O\rS8\r", b"\r\a"),
-        (b"O\rC\rS8\r", b"\r\r\r"),
-        (b"t1230\r", b"\a"),  # closed
-        (b"O\rC\rt1230\r", b"\r\r\a"),
-        (b"O\rt1230\rT000001230\r", b"\rz\rZ\r"),
-        (b"O\rr1234\rR000001234\r", b"\rz\rZ\r"),
-        (b"L\rt1230\r", b"\r\a"),
-        (b"O\rt12\r", b"\r\a"),
-        (b"O\rd1230\rb1230\r", b"\r\a\a"),  # no CAN FD on this bus
-        (b"?\r", b"\a"),
-        (b"z\r", b"\a"),
-    ],
-)
-def test_answers(classic: Host, typed: bytes, answer: bytes) -> None:
+# What is typed and what comes back, "." a carriage return, "!" a bell
+ANSWERS = """
+    V.>V1013. v.>v1013. N.>NSIM1. .>. C.>. S0.>. S.>! S10.>! s031C.>. s03.>! Y5.>. Y3.>! Z0.>. Z2.>! W0.>. X1.>. X0.>!
+    M00000000.>. M0000.>! mFFFFFFFF.>. m00000000.>! F.>! O.F.>.F00. O.O.>.! O.S8.>.! O.C.S8.>... t1230.>! ?.>! z.>!
+    O.C.t1230.>..! O.t1230.T000001230.>.z.Z. O.r1234.R000001234.>.z.Z. L.t1230.>.! O.t12.>.! O.d1230.b1230.>.!!
+"""
+
+
+@pytest.mark.parametrize("pair", ANSWERS.split())
+def test_answers(classic: Host, pair: str) -> None:
+    typed, answer = (text.replace(".", "\r").replace("!", "\a").encode() for text in pair.split(">"))
     frames = classic.types(typed)
     classic.must_see(answer)  # and no frame of its own
     assert len(frames) == 80 * answer.lower().count(b"z")

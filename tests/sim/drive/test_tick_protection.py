@@ -1,5 +1,7 @@
 """The firmware's watch over its Hall sensors: what trips it, how soon, and all that must not."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from rig import RPM, Rig
@@ -7,6 +9,7 @@ from rig import RPM, Rig
 from protocol.messages import DriveState, Fault, SetpointMode
 from sim.config.params import load_params
 from sim.drive import tick_protection as protection
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -105,9 +108,10 @@ def loaded(rpm, torque, observer=2):
     return bench
 
 
-@pytest.mark.parametrize("wires", [1, 2, 4])
-@pytest.mark.parametrize("rpm", [50, 100, -100, 500, 1500])
-@pytest.mark.parametrize("observer", [0, 1, 2])
+BROKEN = product((0, 1, 2), (50, 100, -100, 500, 1500), (1, 2, 4))
+
+
+@pytest.mark.parametrize(("observer", "rpm", "wires"), sampled("broken", BROKEN, 15, campaign="protection"))
 def test_a_broken_wire_trips_within_a_second(observer, rpm, wires):
     for bench in (forced(rpm, observer), loaded(rpm, 0.05 if rpm == 50 else 0.2, observer)):
         bench.set_load_param("hall_open", wires)
@@ -146,9 +150,10 @@ def test_a_burst_of_twenty_false_pulses_in_twenty_milliseconds_trips_nothing(rpm
     assert bursts >= 10
 
 
-@pytest.mark.parametrize("swap", [1, 2, 3])
-@pytest.mark.parametrize("rpm", [100, -300, 1000])
-@pytest.mark.parametrize("observer", [1, 2])
+EXCHANGED = product((1, 2), (100, -300, 1000), (1, 2, 3))
+
+
+@pytest.mark.parametrize(("observer", "rpm", "swap"), sampled("exchanged", EXCHANGED, 6, campaign="protection"))
 def test_exchanged_wires_on_a_shaft_turned_from_outside_trip_within_a_second(observer, rpm, swap):
     bench = forced(rpm, observer)
     bench.set_load_param("hall_swap", swap)
@@ -184,14 +189,16 @@ def watched(bench, periods):
     doubt, opposed = 0.0, 0.0
     for _ in range(periods // 80):
         bench.advance(80)
-        state = bench._state.first.firmware.protection
-        doubt, opposed = max(doubt, state.doubt), max(opposed, state.opposed)
+        state = bench._state.array[0]["firmware"]["protection"]
+        doubt, opposed = max(doubt, state["doubt"]), max(opposed, state["opposed"])
     assert bench.faults == 0
     return doubt, opposed
 
 
-@pytest.mark.parametrize("observer", [0, 1, 2])
-@pytest.mark.parametrize("error", [0.8, 1.0, 1.2])
+WRONG = product((0, 1, 2), (0.8, 1.0, 1.2))
+
+
+@pytest.mark.parametrize(("observer", "error"), sampled("wrong", WRONG, 3, campaign="protection"))
 def test_normal_running_raises_no_doubt(observer, error):
     """Random speeds, reversals, load steps and coasting, with the firmware's R, L and psi wrong by up to 20 %."""
     bench = drive(
@@ -227,6 +234,6 @@ def test_jitter_at_an_edge_raises_no_doubt_at_standstill():
     for k in range(100):
         bench.load_setpoint(SetpointMode.SPEED, (-1) ** k * 1.0)
         edges += len(bench.advance(80).edges)
-        assert bench._state.first.firmware.protection.doubt == 0.0
+        assert bench._state.array[0]["firmware"]["protection"]["doubt"] == 0.0
     assert edges > 50
     assert bench.faults == 0

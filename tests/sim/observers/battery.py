@@ -5,7 +5,7 @@ The encoder is in the loop, so that all observers see the same run. Sensors as i
 dead time's error uncompensated: the defaults of the simulated bench. Unless a scenario begins at standstill, a lap of
 2.4 s at 1000 r/min and 1 A, both ways, comes first: an observer that learns has learned then.
 
-`python tests/sim/observers/battery.py` prints the table, means over five seeds.
+`python tests/sim/observers/battery.py` prints the table, means over five seeds; tests/data/battery.txt is such a table.
 """
 
 from __future__ import annotations
@@ -19,11 +19,8 @@ from ideal_motor import N_P, PSI_F, PWM_HZ, TABLE_I, TICK_HZ, error_deg, table
 
 from protocol.signals import AngleSource
 from sim.drive.machine import Recorded
-from sim.native import Cells
-from sim.observers import sample
 from sim.observers.catalogue import CATALOGUE
-from sim.observers.entry import chosen
-from tests.sim.drive.rig import Rig, column, physical
+from tests.sim.drive.rig import Rig, column, front_end
 
 TORQUE = 1.5 * N_P * PSI_F  # N m/A
 HALF_HYSTERESIS = 0.25  # deg
@@ -95,27 +92,21 @@ class Tape:
     def recording(self) -> Recording:
         assert not self.bench.faults
 
-        def joined(read, name):
-            return np.concatenate([read(part, name) for part in self._parts])
+        def joined(name):
+            return np.concatenate([column(part, name) for part in self._parts])
 
         edges = np.concatenate([part.captured for part in self._parts])
         tick = np.concatenate([part.tick + np.arange(len(part)) * (TICK_HZ // PWM_HZ) for part in self._parts])
         reset = np.concatenate(self._resets)
-        measured = Cells(sample.Measured, len(tick)).array
-        measured["tick"], measured["hall"] = tick, joined(column, "hall")
-        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
-            measured[name] = joined(physical, name)
-        measured["i_q_err"] = joined(physical, "i_q_ref") - np.r_[0.0, joined(physical, "i_q")[:-1]]
-        front = sample.FrontEnd(sample.make_params(TICK_HZ, chosen(sample.Settings, self.bench.parameters)))
         return Recording(
-            front.run(measured, edges, reset).view(np.recarray),
+            front_end(self.bench, self._parts, reset),
             reset,
             np.concatenate(self._scored),
-            joined(column, "theta_e"),
-            joined(column, "omega_e"),
+            joined("theta_e"),
+            joined("omega_e"),
             np.searchsorted(tick, edges["tick"]),
             dict(self.bench.parameters),
-            joined(column, "theta_vt"),
+            joined("theta_vt"),
         )
 
 

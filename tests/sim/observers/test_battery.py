@@ -1,5 +1,7 @@
 """Every observer of the catalogue in the same scenarios, within limits on both sides: better than known is news too."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from battery import HALF_HYSTERESIS, INSIDE, MISPLACED, SCENARIOS, STANDSTILL, Tape, limits
@@ -8,29 +10,7 @@ from ideal_motor import N_P, PWM_HZ, TABLE_I, error_deg
 from sim.observers.catalogue import CATALOGUE
 from tests.sim.drive.rig import RPM
 
-LIMITS = limits("""
-                   avg        vt        la        sc       lut        hv       hvd       plf       q15        ek
-steady 50     7.3/17.3   3.0/6.2   3.0/6.0 17.8/36.9   0.1/0.3 13.6/31.9 13.6/31.9   4.3/9.2   3.0/6.2   0.1/0.2
-steady 200    7.3/17.3   1.2/2.8   1.2/3.3 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.9   1.2/2.8   0.0/0.1
-steady 500    7.3/17.3   2.3/4.6   2.3/5.1 17.8/36.8   0.1/0.4   1.9/4.3   1.4/2.7   2.0/4.1   2.3/4.6   0.0/0.1
-steady 1000   7.3/17.3   3.4/7.2   3.4/7.7 17.8/35.0   0.1/0.4   1.0/2.6   0.8/1.9   1.1/2.3   3.4/7.2   0.0/0.1
-steady 3000   7.3/17.0   3.6/8.1   3.6/8.6 17.9/36.4   0.1/0.4   0.5/1.8   0.5/1.6   0.4/1.3   3.6/8.1   0.0/0.1
-steady -500   6.9/15.0   2.1/4.3   2.1/4.0 17.7/36.5   0.1/0.3   1.9/5.8   1.4/4.1   1.8/3.6   2.1/4.3   0.0/0.1
-start 400     7.5/37.1   2.0/7.1   2.0/7.0 17.8/37.0  2.2/38.5  3.0/17.1  2.8/19.2  4.2/36.6   2.0/7.1   0.2/1.2
-start -400    7.1/37.2   1.9/7.5   1.9/7.5 17.8/37.5  2.2/38.4  3.0/17.5  2.9/20.8  4.3/35.4   1.9/7.5   0.2/1.4
-reversal      8.0/44.5  3.9/42.5  4.1/44.5 18.1/37.4  4.7/51.1  3.3/22.9   1.9/6.7  6.5/32.1  3.9/42.5   0.2/1.0
-speed step    7.3/17.3   3.3/7.6   3.3/7.7 17.8/36.9   0.3/2.6   1.1/3.8   0.8/2.7   1.6/6.4   3.3/7.6   0.1/0.3
-load step     7.3/19.5   2.2/5.6   2.2/5.6 17.8/36.8   0.5/4.4  7.1/32.2  5.8/30.1   2.4/8.8   2.2/5.6   0.1/2.3
-braking       7.3/24.6   1.3/8.0   1.3/6.8 17.8/36.9  1.7/12.2  4.7/13.9   3.2/7.0  5.3/17.8   1.3/8.0   0.1/0.9
-sudden stop  16.6/60.0 21.0/89.0 21.0/88.8 16.6/30.0 17.1/59.0 130.5/90.8 130.3/90.7 16.6/90.7 21.0/89.0  9.7/70.5
-glitches      7.0/16.0   2.2/4.4   2.2/5.0 17.3/33.0   0.1/0.2   1.9/4.2   1.4/2.5   1.9/3.9   2.2/4.4   0.0/0.1
-gaps          7.3/17.3   2.3/4.6   2.3/4.6 17.8/36.8   0.1/0.3   2.3/8.9   2.0/9.5   2.0/4.0   2.3/4.6   0.0/0.1
-50 mA offset  7.3/17.3   1.5/4.0   1.5/3.7 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.0   1.5/4.0   0.1/0.2
-R_s +30 %     7.3/17.3   1.4/3.1   1.4/3.7 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.9   1.4/3.1   0.0/0.1
-L_s +20 %     7.3/17.3   1.2/3.7   1.2/3.2 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/5.8   1.2/3.7   0.0/0.5
-psi_f -10 %   7.3/17.3   1.2/2.8   1.2/3.3 17.8/36.9   0.1/0.3  4.6/10.8   3.2/6.0   3.4/6.9   1.2/2.8   0.0/0.1
-broken wire          -         -         -         -         -         -         -         -         -   0.0/0.1
-""")
+LIMITS = limits((Path(__file__).parents[2] / "data" / "battery.txt").read_text())
 """What was measured, means over five seeds: std and largest size of the error, deg; of the sudden stop the time, ms, in
 which it is seen, and the largest error. `python tests/sim/observers/battery.py` prints such a table. The lap taught
 `ek` where the edges lie, which it does not know before a start or after a gap; `lut` is told. "-": nothing claimed."""

@@ -186,6 +186,7 @@ def harmonics(emf, theta, omega):
     return omega / SCALE.omega_b * (a * np.exp(-6j * theta) + b * np.exp(6j * theta))
 
 
+@pytest.mark.campaign("kalman")
 def test_the_legs_loss_and_the_back_emfs_harmonics_are_told_apart():
     """Each learned at some speeds and currents, and right at others."""
     full, near, emf = 0.1, -0.25, (0.0, 0.06, -0.03, 0.01)

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
 from functools import cache
@@ -32,11 +33,13 @@ from sim.observers.catalogue import CATALOGUE
 from sim.observers.entry import DEFAULTS, names
 from sim.observers.hall_edges import EDGES
 from sim.observers.sample import FrontEnd, Sample
+from tests.choice import also_in, chosen
 
 MODULES = [name for name in CATALOGUE if name != "average_speed"]  # which is the front end's
 OBSERVERS = [import_module(f"sim.observers.{name}") for name in MODULES]
 EACH = pytest.mark.parametrize("observer", OBSERVERS, ids=MODULES)
 OPTIONAL = {*EDGES, "inject", "inject_amplitude", "inject_hz", "learn_edges", "edge_sd", "i_range"}
+WINDOW = 100  # samples
 TOLD = {"k_ic": 11.0, **table()}
 
 
@@ -111,22 +114,30 @@ def run_whole(observer, make):
     return run(observer, observer.make_params(PWM_HZ, own(observer, **TOLD)), *heard(make))
 
 
-def digests():
-    """Of every run."""
-    return [bits(*reversed(run_whole(observer, make))) for observer in OBSERVERS for make in (busy, learning)]
+def digests(windows):
+    """Of observers by name, each from a state on over samples and resets."""
+    found = []
+    for name, state, seen, reset in windows:
+        observer = OBSERVERS[MODULES.index(name)]
+        found.append(
+            bits(*reversed(run(observer, observer.make_params(PWM_HZ, own(observer, **TOLD)), seen, reset, state)))
+        )
+    return found
 
 
 @EACH
 def test_step_and_run_agree_bit_for_bit(observer):
-    seen, reset = heard(busy)
-    params, state = observer.make_params(PWM_HZ, own(observer, **TOLD)), observer.init()
+    """From a reset on, over another one and over a missing Hall code."""
+    seen, reset = (of[2400:4200] for of in heard(busy))
+    params = observer.make_params(PWM_HZ, own(observer, **TOLD))
+    last, out = run(observer, params, seen, reset, state := observer.init())
     estimates = []
     for k in range(reset.size):
         if reset[k]:
             state = observer.init()
         state, estimate = observer.step(params, state, value(Sample, seen[k]))
         estimates.append(estimate)
-    last, out = run_whole(observer, busy)
+    assert reset.sum() == 3
     assert bits(estimates, state) == bits(out, last)
 
 
@@ -154,12 +165,22 @@ def test_the_front_end_gives_the_same_bits_in_portions_with_edges_to_come(seed):
     assert np.array_equal(np.concatenate(parts), samples(s, reset))
 
 
+@also_in(campaign="kernels")
 def test_the_uncompiled_kernels_agree_bit_for_bit():
-    code = "import test_kernels as t; print(*t.digests())"
-    here = Path(__file__).parent
-    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join([str(here), *sys.path])}
-    plain = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
-    assert plain.stdout.split() == digests()
+    """Over some hundreds of samples, from the state on in which the compiled ones are by then."""
+    every = [(make, start) for make in (busy, learning) for start in range(0, len(heard(make)[0]), WINDOW)]
+    windows = []
+    for observer, name in zip(OBSERVERS, MODULES, strict=True):
+        params = observer.make_params(PWM_HZ, own(observer, **TOLD))
+        for make, start in chosen(f"uncompiled {name}", every, 4):
+            seen, reset = heard(make)
+            state = run(observer, params, seen[:start], reset[:start])[0] if start else observer.init()
+            windows.append((name, state, seen[start : start + WINDOW], reset[start : start + WINDOW]))
+    here = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    code = "import pickle, sys, test_kernels as t; print(*t.digests(pickle.load(sys.stdin.buffer)))"
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": here}
+    plain = subprocess.run([sys.executable, "-c", code], env=env, input=pickle.dumps(windows), capture_output=True)
+    assert plain.stdout.decode().split() == digests(windows), plain.stderr
 
 
 def test_what_can_be_learned_is_learned_where_the_bits_are_compared():

@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 import q15_harness
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ideal_motor import (
     PAPER_EDGES,
@@ -28,6 +28,7 @@ from sim.native import value
 from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 from sim.observers.sample import Sample
+from tests.choice import examples
 from tests.tools import needs
 
 pytestmark = pytest.mark.slow
@@ -41,10 +42,7 @@ def both(s, hall_factor=1.0):
     seen, reset = samples(s), np.zeros(s.tick.size, np.bool_)
     seen = changed(seen, hall__omega=hall_factor * seen.hall.omega)
     params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
-    return (
-        run(q15, PARAMS, seen, reset)[1],
-        run(vector_tracking, params, seen, reset)[1],
-    )
+    return (run(q15, PARAMS, seen, reset)[1], run(vector_tracking, params, seen, reset)[1])
 
 
 def traced(constants, state, rows):
@@ -161,7 +159,7 @@ inputs = st.tuples(
 
 
 @needs_compiler
-@settings(max_examples=150, deadline=None)
+@examples(40, 150, campaign="c")
 @given(constants(), states, st.lists(inputs, min_size=1, max_size=40), st.integers(0, 99))
 def test_c_and_kernel_agree_at_the_limits_of_every_type(program, constants, state, some, seed):
     """Nothing overflows (the C file is trapped), and what is stored stays within what the header says."""

@@ -6,13 +6,19 @@ integrated in steps, and nothing is averaged. Upper and lower switch of a leg co
 leg's current flows through a diode, up to where it is zero: then the leg floats until a switch turns on or the floating
 voltage reaches a rail.
 
-A PI controller of the currents in the rotor's frame, with one period of delay and the true angle, closes the loop. It
-drives this inverter or a model of one, so that both are compared within the same loop.
+A PI controller of the currents in the rotor's frame, with one period of delay and the true angle, closes the loop.
+
+    python -m tests.sim.plant.switched
+
+writes what it makes of three motors, three dead times and 24 working points to tests/data/switched.npz: compiling
+takes its time, and what is compared with it needs only some periods of the steady state.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -20,6 +26,14 @@ import numpy as np
 LOW, HIGH, DEAD = 0, 1, 2
 SIGMA = 2.0 * math.pi / 3.0
 BANDWIDTH = 2.0 * math.pi * 500.0  # of the current loop, rad/s
+PERIOD = 1.0 / 16000.0  # s
+U_DC, U_DIODE = 24.0, 0.8  # V
+MOTORS = (((0.158, 176e-6, 6.55e-3), 6), ((0.35, 600e-6, 10.5e-3), 4), ((0.12, 90e-6, 4.2e-3), 7))
+"""R_s in ohm, L_s in H, psi_f in V s; pole pairs."""
+DEAD_TIMES = (0.5e-6, 1e-6, 2e-6)  # s
+POINTS = tuple(itertools.product((20, 100, 500, 1000, 2000, 3000), (0.5, 1.0, 4.0, 8.0)))  # r/min, A
+KEPT = 41  # periods of a point: at as many angles, in one turn or six
+FILE = Path(__file__).parents[2] / "data" / "switched.npz"
 
 
 @numba.njit(error_model="numpy")
@@ -134,25 +148,16 @@ def switching(i, t0, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean):
 
 
 @numba.njit(error_model="numpy")
-def advance(i, mean, t0, T, w, R, L, psi):
-    """The currents `i` after a period of the legs' mean voltages."""
-    star = np.sum(mean) / 3.0
-    for k in range(3):
-        a, b = w * psi * math.sin(k * SIGMA), -w * psi * math.cos(k * SIGMA)
-        i[k] = _current(i[k], mean[k] - star, a, b, w, R, L, t0, t0 + T)
-
-
-@numba.njit(error_model="numpy")
-def run(lost_by, n, motor, inverter, w, i_q, lost, where, currents):
+def run(n, motor, inverter, w, i_q, lost, where, currents, duties):
     """n periods under current control at the electrical speed w (rad/s), from rest, at i_d = 0.
 
     Args:
-        lost_by: what makes a period: `switching`, or a model with its arguments.
         motor: R, L, psi in ohm, H, V s.
         inverter: u_dc, dead time, a diode's drop, PWM period in V and s.
         lost: room for the legs' voltages lost, V, shape (n, 3), what they have in common taken off.
         where: for the angle in the middle of each period, rad, (n,).
         currents: at its beginning, A, (n, 3).
+        duties: in force in it, (n, 3).
     """
     R, L, psi = motor
     u_dc, dead_time, u_diode, T = inverter
@@ -170,7 +175,8 @@ def run(lost_by, n, motor, inverter, w, i_q, lost, where, currents):
         middle = 0.5 * (max(wanted) + min(wanted))
         for k in range(3):
             duty[k] = 0.5 + (wanted[k] - middle) / u_dc
-        lost_by(i, t, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean)
+        duties[m] = duty
+        switching(i, t, T, duty, w, R, L, psi, u_dc, dead_time, u_diode, mean)
         error = mean - duty * u_dc
         lost[m] = error - np.sum(error) / 3.0
         where[m] = w * (t + 0.5 * T)
@@ -189,3 +195,43 @@ def harmonics(values: np.ndarray, theta: np.ndarray, orders: tuple[int, ...]) ->
     columns = [f(k * theta) for k in orders for f in (np.cos, np.sin)]
     found, *_ = np.linalg.lstsq(np.stack([*columns, np.ones(len(theta))], axis=1), values, rcond=None)
     return {k: complex(found[2 * j], -found[2 * j + 1]) for j, k in enumerate(orders)}
+
+
+def steady(motor, dead, rpm, i_q, u_diode=U_DIODE):
+    """A turn, or six, in steady state.
+
+    Returns:
+        The lost voltages (V) and the angles in the middle of the periods, their currents (A) and duties, by phase.
+    """
+    constants, n_p = motor
+    w = rpm * math.tau / 60.0 * n_p
+    settled = round(0.1 / PERIOD)
+    n = settled + round((1 if rpm < 100 else 6) * math.tau / w / PERIOD)
+    lost, where, currents, duties = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty((n, 3))
+    run(n, constants, (U_DC, dead, u_diode, PERIOD), w, i_q, lost, where, currents, duties)
+    return lost[settled:], where[settled:], currents[settled:], duties[settled:]
+
+
+def kept():
+    """What stands in the file, a row for each period that is kept.
+
+    Returns:
+        Number of the motor, dead time (s), r/min, A asked for; angle in the middle of the period, currents of phases a
+        and b at its beginning, duties, voltages that phases a and b lost. Points that the link's voltage does not do
+        are left out.
+    """
+    rows = []
+    for (number, motor), dead, (rpm, i_q) in itertools.product(enumerate(MOTORS), DEAD_TIMES, POINTS):
+        lost, where, currents, duties = steady(motor, dead, rpm, i_q)
+        w = rpm * math.tau / 60.0 * motor[1]
+        amplitude = abs(harmonics(currents[:, 0], where - 0.5 * w * PERIOD, (1, 5, 7))[1])
+        if abs(amplitude - i_q) <= 0.02 * i_q:
+            some = np.arange(KEPT) * len(where) // KEPT
+            head = np.broadcast_to((number, dead, rpm, i_q), (KEPT, 4))
+            found = (where[some] % math.tau, currents[some, :2], duties[some], lost[some, :2])
+            rows.append(np.column_stack((head, *found)))
+    return np.concatenate(rows)
+
+
+if __name__ == "__main__":
+    np.savez_compressed(FILE, periods=kept().astype(np.float32))

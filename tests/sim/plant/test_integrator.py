@@ -1,6 +1,7 @@
 """The plant against scipy's solve_ivp at rtol 1e-10, and its friction, load machine and floating phases."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from sim.config.params import load_params
 from sim.plant import integrator, inverter, mechanics, pmsm
+from tests.choice import sampled
 
 T_S = 1.0 / 16000.0
 NO_LOAD = mechanics.Load(mechanics.OFF, 0.0, 0.0)
@@ -149,9 +151,10 @@ class Uneven:
         return [flux.real, flux.imag, tau / self.shaft.J, self.m.n_p * omega]
 
 
-@pytest.mark.parametrize("i_sat", [0.0, 8.0])
-@pytest.mark.parametrize("L_q", [176e-6, 300e-6])
-@pytest.mark.parametrize("omega_m", [10.0, 150.0, 300.0])
+UNEVEN = product((10.0, 150.0, 300.0), (176e-6, 300e-6), (0.0, 8.0))
+
+
+@pytest.mark.parametrize(("omega_m", "L_q", "i_sat"), sampled("uneven", UNEVEN, 4, campaign="oracles"))
 def test_harmonics_cogging_and_saturation_agree_with_solve_ivp(omega_m, L_q, i_sat):
     p = load_params(None, {"motor.L_q": L_q})
     m, shaft, emf, cogging = p.motor, p.mechanics, (0.05, -0.03, 0.01, 0.008), (0.004, -0.002)
