@@ -14,6 +14,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
 
+import pytest
+from _pytest.mark.structures import ParameterSet
+
 GIVEN = "HALLBENCH_TESTS_CHOICE"
 CAMPAIGN = "HALLBENCH_TESTS_CAMPAIGN"  # set by `pytest --campaign`
 T = TypeVar("T")
@@ -42,3 +45,15 @@ def chosen(what: str, items: Iterable[T], count: int) -> list[T]:
         return every
     picked = random.Random(f"{commit()} {what}").sample(range(len(every)), count)
     return [every[k] for k in sorted(picked)]
+
+
+def sampled(what: str, items: Iterable[object], count: int, *, campaign: str) -> list[ParameterSet]:
+    """The items for `parametrize`, a tuple for several arguments: `count` in the suite, the others in that campaign.
+
+    A campaign has them all. Items of `pytest.param` keep their marks and ids.
+    """
+    every = [item if isinstance(item, ParameterSet) else pytest.param(*item if isinstance(item, tuple) else (item,))
+             for item in items]  # fmt: skip
+    here = () if os.environ.get(CAMPAIGN) else chosen(what, range(len(every)), count)
+    late = pytest.mark.campaign(campaign)
+    return [item if k in here else item._replace(marks=(*item.marks, late)) for k, item in enumerate(every)]
