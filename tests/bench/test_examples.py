@@ -22,6 +22,7 @@ PARAMS = load_params(None, {})
 LARGEST = 60_000  # bytes of a figure on a page
 
 
+pytestmark = pytest.mark.long("a script that records and draws")
 HERE = chosen("examples", sorted(file.stem for file in EXAMPLES.glob("*.py")), 2)
 
 

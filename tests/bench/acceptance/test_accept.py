@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from accepting import Accepting, Run, SpoiltLink, plain_pytest
 from processes import ENVIRONMENT
+from shared import table
 from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
 
@@ -235,55 +236,20 @@ def test_error(drive, broken): pass
         ]
 
 
-def test_a_test_that_skips_half_way_has_not_passed(accepting: Accepting) -> None:
-    text = """
-@limit("y", hi=1)
-@limit("x", hi=1)
-def test_half(measure):
-    measure("x", {})
-    pytest.skip("no more")
-"""
-    run = accepting(text.format(0))
-    assert run.tests == {"half": "SKIPPED"}
-    assert {name: str(m.verdict) for name, m in run.measured.items()} == {"half.x": "PASS", "half.y": "SKIPPED"}
-    assert (run.code, accepting(text.format(2)).tests) == (6, {"half": "FAIL"})
-
-
-def test_a_mark_for_failure_does_not_better_a_drive(accepting: Accepting) -> None:
-    text = """
-@pytest.mark.xfail(reason="weak magnets")
-@limit("x", hi=1)
-def test_out(measure): measure("x", 2)
-@pytest.mark.xfail(run=False, reason="it hangs")
-@limit("x", hi=1)
-def test_not_run(measure): measure("x", 2)
-@pytest.mark.xfail(strict=True, reason="weak magnets")
-@limit("x", hi=1)
-def test_strict(measure): measure("x", 0)
-@pytest.mark.xfail(strict=False, reason="weak magnets")
-@limit("x", hi=1)
-def test_passes(measure): measure("x", 0)
-"""
-    run = accepting(text)
-    assert run.tests == {"out": "FAIL", "not_run": "SKIPPED", "strict": "ERROR", "passes": "PASS"}
-    assert run["out"].why == "expected to fail (weak magnets), and did: 1 of 1 measurements did not pass"
-    assert run["not_run"].why == "expected to fail: [NOTRUN] it hangs"
-    assert (run["strict"].why, run.code) == ("[XPASS(strict)] weak magnets", 1)
-
-
-# -- figures and recordings -------------------------------------------------------------------------------------
+PROGRAMS = table("accept")
 
 
 @pytest.mark.parametrize("report", [None, Path("report")])
-def test_two_figures_of_one_name_in_a_test_are_refused(accepting: Accepting, report: Path | None) -> None:
-    text = """
-from matplotlib.figure import Figure
-def test_fig(figure):
-    figure("pic", "one", Figure)
-    figure("pic", "two", Figure)
-"""
-    run = accepting(text, report=report)
-    assert (run["fig"].verdict, run["fig"].why) == ("ERROR", "fig draws 'pic' twice: rename one of them")
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_what_comes_of_a_test_of_ones_own(accepting: Accepting, name: str, report: Path | None) -> None:
+    program = PROGRAMS[name]
+    run = accepting(program["text"], report=report)
+    assert (run.tests, run.code) == (program["tests"], program["code"])
+    assert {test: run[test].why for test in program.get("why", {})} == program.get("why", {})
+    assert {measured: str(m.verdict) for measured, m in run.measured.items()} == program.get("measured", {})
+
+
+# -- figures and recordings -------------------------------------------------------------------------------------
 
 
 def test_a_recording_of_an_earlier_run_is_not_taken_for_one_of_this(accepting: Accepting) -> None:
@@ -352,6 +318,7 @@ def test_plain(): pass
 """
 
 
+@pytest.mark.campaign("accept")
 def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(accepting, start) -> None:
     file = accepting.write(SLOW)
     run = start("accept", "sim", "--tests", str(file), "--jobs", "2", "--json", "a.json")

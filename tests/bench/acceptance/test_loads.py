@@ -414,6 +414,7 @@ def test_braked(drive, load, record):
 """
 
 
+@pytest.mark.campaign("terminal")
 def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(accepting, start_sim) -> None:
     Path("bench.toml").write_text('[rig]\nload = "person"\nperson = true\n')
     sim = start_sim("--pty", "--set", "firmware.watchdog=0.8")  # other programs may want the machine
