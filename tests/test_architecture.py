@@ -134,6 +134,8 @@ def test_the_map_names_every_folder_and_nothing_that_is_not_there() -> None:
     assert folders <= named
     assert not [name for name in named if not (ROOT / name).exists()]
     assert all(name.endswith("/") == (ROOT / name).is_dir() for name in named)
+
+
 def test_what_counts_as_a_line_of_code(tmp_path: Path) -> None:
     file = tmp_path / "x.py"
     file.write_text('"""Doc\n\nmore."""\n\nimport os  # x\nfrom a import (\n    b,\n)\n\n\n# no\nx = """\n\n"""\n'

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from unittest.mock import patch
 
+from shared import table
 from virtual_run import RecordingScreen
 
 from bench.conforming import run as conforming
@@ -41,68 +42,7 @@ RICH = replace(
 """With a parameter of each kind, and a short watchdog."""
 
 
-TO_STREAMS = {
-    "answers-damaged": "link.crc-damage-is-silent",
-    "rx-bad-zero": "link.damage-is-counted",
-    "length-before-type": "link.order-of-checks",
-    "retry-executed": "link.retry-not-executed",
-    "reply-kept-once": "link.retry-four-kept",
-    "wrong-detail": "identity.other-blobs",
-    "blob-past-end": "identity.blob-past-end",
-    "descriptor-crc": "identity.schema-crc",
-    "bad-utf8": "identity.texts",
-    "nodes-zero": "identity.hello-fields",
-    "last-tid-of-refused": "identity.last-tid",
-    "heartbeats-slow": "identity.heartbeat-rate",
-    "state-9": "identity.heartbeat-fields",
-    "tick-back": "identity.tick-goes-on",
-    "read-only-set": "parameter.read-only",
-    "parameter-clipped": "parameter.beyond-range",
-    "busy-ignored": "stream.busy",
-    "get-stale": "stream.get",
-    "cfg-id-stale": "stream.cfg-id-in-frames",
-    "index-odd": "stream.index-divisible",
-    "sample-tick-back": "stream.tick-of-index",
-    "samples-of-the-past": "stream.tick-is-now",
-    "samples-of-the-future": "stream.tick-is-now",
-    "channels-sorted": "stream.channel-order",
-    "stop-drops": "stream.stop-sends",
-    "drop-uncounted": "stream.tx-dropped",
-    "seq-of-sent": "stream.seq-counts-dropped",
-    "overrun-missing": "stream.overrun-flag",
-}
-"""By fault, the check that is meant for it, at levels 0 to 2."""
-
-TO_STATES = {
-    "stop-confirmed-only": "state.stop-obeyed",
-    "stop-outputs-stay": "state.stop-obeyed",
-    "stop-once": "state.stop-each-time",
-    "stop-refused-in-fault": "state.stop-in-fault",
-    "state-before-token": "state.arguments-first",
-    "start-without-arm": "state.start-needs-arm",
-    "outputs-told-off": "state.outputs-as-told",
-    "fault-clear-any": "state.fault-clear",
-    "armed-for-ever": "state.arm-lapses",
-    "watchdog-dead": "watchdog.trips",
-    "watchdog-early": "watchdog.not-early",
-    "watchdog-late": "watchdog.not-late",
-    "watchdog-fed-by-requests": "watchdog.not-fed-by-requests",
-    "watchdog-fed-by-rejected": "watchdog.not-fed-by-rejected",
-    "rejections-uncounted": "setpoint.rejected-counted",
-}
-TO_MOTION = {
-    "backwards": "motion.direction",
-    "edges-uncounted": "motion.edges-counted",
-    "edges-after-samples": "motion.edges-before-samples",
-    "setpoint-clipped": "motion.never-clipped",
-}
-ON_CAN = {
-    "can-repeated-executed": "can.repeated-frame",
-    "can-toggle-unchecked": "can.toggle",
-    "can-node-0-answered": "can.node-0-others",
-    "can-stop-frame-ignored": "can.stop-frame",
-}
-
+TO_STREAMS, TO_STATES, TO_MOTION, ON_CAN = table("conform_faults").values()
 MEANT_FOR = TO_STREAMS | TO_STATES | TO_MOTION | ON_CAN
 """By fault, the one check that must fail."""
 

@@ -9,6 +9,10 @@ from pathlib import Path
 import pytest
 from processes import Program, Sim
 from recorded import record_drive
+from shared import once
+from virtual_run import RecordingScreen
+
+from bench.acceptance.accept import AcceptOptions, accept
 
 
 @pytest.fixture
@@ -26,8 +30,17 @@ def start_sim() -> Iterator[Callable[..., Sim]]:
 
 
 @pytest.fixture(scope="session")
+def suite_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped suite on the untouched simulated drive: `a.json`, `code`, `report/`. Not to be changed."""
+
+    def make(folder: Path) -> None:
+        options = AcceptOptions(target="sim", report=folder / "report", json=folder / "a.json")
+        (folder / "code").write_text(str(accept(options, RecordingScreen())[1]))
+
+    return once(tmp_path_factory, "suite", make)
+
+
+@pytest.fixture(scope="session")
 def drive_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of the simulated drive: start-up, speed step, load step, reversal. Not to be changed."""
-    path = tmp_path_factory.mktemp("drive") / "run.run"
-    record_drive(path)
-    return path
+    return once(tmp_path_factory, "drive", lambda folder: record_drive(folder / "run.run")) / "run.run"

@@ -87,9 +87,15 @@ def _damage(file: Path, dice: random.Random) -> str:
         file.write_bytes(data[:at])
         return f"cut at byte {at} of {len(data)}"
     bit = dice.randrange(8)
+    flip(file, at, bit)
+    return f"bit {bit} of byte {at} of {len(data)} flipped"
+
+
+def flip(file: Path, at: int, bit: int = 2) -> None:
+    """Flip a bit of a byte; `at` counts from the end where it is negative."""
+    data = bytearray(file.read_bytes())
     data[at] ^= 1 << bit
     file.write_bytes(data)
-    return f"bit {bit} of byte {at} of {len(data)} flipped"
 
 
 def _said(run: Run) -> list[str]:

@@ -70,8 +70,7 @@ def capture(motor: Motor) -> Capture:
     theta = np.concatenate([[0.0], np.cumsum(omega)[:-1]]) / PWM_HZ + math.radians(30.0)
     ticks = np.arange(len(theta), dtype=np.int64) * PERIOD
     edge_tick, codes = _edges(motor, theta, omega)
-    at = np.searchsorted(edge_tick, ticks, side="right")
-    hall = codes[at]
+    hall = codes[np.searchsorted(edge_tick, ticks, side="right")]
     channels = tuple(c for c in DRIVE_CHANNELS if c.name not in motor.without and not c.flags & Flag.TRUTH)
     config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, channels, 32, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     values = _values(motor, ticks / TICK_HZ, theta, omega, hall)
@@ -79,8 +78,7 @@ def capture(motor: Motor) -> Capture:
     for channel in channels:
         if channel.name in values:
             raw[channel.name] = np.round(values[channel.name] / channel.scale)
-    index = np.arange(len(theta), dtype=np.int64)
-    samples = SampleChunk(config, index, ticks, raw, ())
+    samples = SampleChunk(config, np.arange(len(theta), dtype=np.int64), ticks, raw, ())
     edges = StreamConfig(1, 1, 2, StreamEvent.EDGES, 1, (), 32, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
     n = len(edge_tick)
     chunk = EdgeChunk(
@@ -111,6 +109,7 @@ def _values(
         "hall": hall.astype(float),
         "status": np.full(len(t), float(RUNNING if on else IDLE)),
         "theta_enc": np.clip(_wrapped(motor.encoder(theta - motor.late * omega)), -math.pi, math.pi - 1e-4),
+        "omega_enc": omega,
         "i_a": i.real,
         "i_b": (-i.real + math.sqrt(3.0) * i.imag) / 2.0,
         "i_d": 0.0 * i_q,

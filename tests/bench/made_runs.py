@@ -47,9 +47,10 @@ def make(
     parameters: Mapping[str, float] = PARAMETERS,
     decimation: int = 1,
     units: Mapping[str, Unit] | None = None,
+    channels: Sequence[Channel] | None = None,
 ) -> Path:
-    """A run of these columns (n,) in SI units, from PWM period `start` on."""
-    channels = tuple(channel(name, (units or {}).get(name)) for name in columns)
+    """A run of these columns (n,) in SI units, from PWM period `start` on; `channels` that the vocabulary lacks."""
+    channels = tuple(channels or (channel(name, (units or {}).get(name)) for name in columns))
     info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=channels, parameters=parameters, identity={"name": "made"})
     clock = {"tick_hz": TICK_HZ, "pwm_hz": PWM_HZ}
     config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, channels, 25, **clock)

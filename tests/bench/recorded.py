@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from collect import Bench
+from made_runs import N_P, PWM_HZ, RPM, make
 from virtual_run import WatchedLink, simulated
 
 from bench.analysis.verdict import Verdict
-from bench.recording.info import RunInfo
 from bench.recording.sink import RunSink
 from protocol.descriptor import Channel
-from protocol.messages import StreamEvent
 from protocol.signals import Flag, RawType, Unit
-from protocol.streams import SampleChunk, StreamConfig, sample_dtype
 
-TICK_HZ, PWM_HZ, N_P = 20_000_000, 16_000, 6
-RPM = 2 * math.pi / 60
+__all__ = ["N_P", "PWM_HZ", "record_drive", "record_made_up"]
 
 
 def record_drive(path: Path) -> None:
@@ -64,27 +60,15 @@ def record_made_up(
     Of the speeds only the largest that the drive permits is there without `omega_told`: that of the first estimate.
     Angles are telemetered as float32, so that formulas hold to 1e-6 rad.
     """
-    flags = Flag.CHANNEL | Flag.WRAPS
-    channels = [Channel(1, "theta_enc", Unit.RAD, RawType.F32, 1.0, flags | (Flag.REFERENCE if reference else Flag(0)))]
-    columns = [theta]
-    parameters: dict[str, float] = {"n_p": N_P}
-    for k, (short, (angle, speed)) in enumerate(estimates.items()):
-        channels.append(Channel(10 + 2 * k, f"theta_{short}", Unit.RAD, RawType.F32, 1.0, flags | Flag.ESTIMATE))
-        columns.append(angle)
-        if not omega_told:
-            parameters.setdefault("omega_m_max", float(np.abs(speed).max()) / N_P)
-            continue
-        channels.append(
-            Channel(11 + 2 * k, f"omega_{short}", Unit.RAD_PER_S, RawType.F32, 1.0, Flag.CHANNEL | Flag.ESTIMATE)
-        )
-        columns.append(speed)
-    raw = np.empty(len(theta), sample_dtype(channels))
-    for channel, column in zip(channels, columns, strict=True):
-        wraps = channel.flags & Flag.WRAPS
-        raw[channel.name] = np.mod(column + np.pi, 2 * np.pi) - np.pi if wraps else column
-    info = RunInfo(tick_hz=TICK_HZ, pwm_hz=PWM_HZ, channels=tuple(channels), parameters=parameters)
-    config = StreamConfig(1, 0, 1, StreamEvent.PWM, decimation, tuple(channels), 25, tick_hz=TICK_HZ, pwm_hz=PWM_HZ)
-    index = np.arange(len(theta), dtype=np.int64) * decimation
-    sink = RunSink(path, info, wait=True)
-    sink.samples(SampleChunk(config, index, index * (TICK_HZ // PWM_HZ), raw, ()))
-    sink.close()
+    angle, speed = Flag.CHANNEL | Flag.WRAPS, Flag.CHANNEL | Flag.ESTIMATE
+    columns, parameters = {"theta_enc": theta}, {"n_p": N_P}
+    channels = [Channel(1, "theta_enc", Unit.RAD, RawType.F32, 1.0, angle | (Flag.REFERENCE if reference else Flag(0)))]
+    for k, (short, (its_angle, its_speed)) in enumerate(estimates.items()):
+        channels.append(Channel(10 + 2 * k, f"theta_{short}", Unit.RAD, RawType.F32, 1.0, angle | Flag.ESTIMATE))
+        columns[f"theta_{short}"] = its_angle
+        if omega_told:
+            channels.append(Channel(11 + 2 * k, f"omega_{short}", Unit.RAD_PER_S, RawType.F32, 1.0, speed))
+            columns[f"omega_{short}"] = its_speed
+        else:
+            parameters.setdefault("omega_m_max", float(np.abs(its_speed).max()) / N_P)
+    make(path, columns, channels=channels, parameters=parameters, decimation=decimation)

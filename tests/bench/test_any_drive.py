@@ -18,6 +18,7 @@ from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
 from bench.recording.reader import Run
 from protocol.framing import encode_frame
+from tests.choice import sampled
 from tests.devices import FULL, OWN, build, serving
 from tests.devices.carriers import ByteCarrier
 from tests.devices.device import Device
@@ -115,15 +116,14 @@ def test_a_healthy_drive(link: str, capsys: pytest.CaptureFixture[str]) -> None:
         assert ran.code == 0, ran.text
         assert re.search("result +ok", ran.text)
         assert re.search("lost by index +0 samples, 0 edges", ran.text)
-        assert device.motor.fastest == pytest.approx(300 * tau / 60, rel=0.05)
-        assert device.state == State.IDLE
+        assert (device.motor.fastest, device.state) == (pytest.approx(300 * tau / 60, rel=0.05), State.IDLE)
         ran = bench(INFO, device, capsys)
         assert ran.code == 0
         assert "serial 33FFD8054D48383611571943 build 9f2c61e-dirty" in ran.text
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("link", ["pty", "tcp", "slcan", "virtual"])
+@pytest.mark.parametrize("link", sampled("real link", ("pty", "tcp", "slcan", "virtual"), 1, campaign="links"))
 def test_a_healthy_drive_on_a_real_link(link: str, capsys: pytest.CaptureFixture[str]) -> None:
     test_a_healthy_drive(link, capsys)
 
@@ -175,8 +175,7 @@ def test_accept_skips_what_a_drive_of_its_own_names_cannot_show(more: str, capsy
     with own("bytes") as device:
         ran = bench("accept TARGET --yes" + more, device, capsys)
     assert ran.code == 6, ran.text
-    skipped = re.findall(r"^SKIPPED +\S+: *\S+", ran.err, re.M)
-    assert len(skipped) > 30
+    assert len(re.findall(r"^SKIPPED +\S+: *\S+", ran.err, re.M)) > 30
     assert not re.search(r"\b(ERROR|FAIL|INVALID)\b", ran.text), ran.text
     assert "INCOMPLETE" in ran.text
     assert "nothing was tested" in ran.text

@@ -58,8 +58,7 @@ def test_the_same_run_over_a_byte_link(in_python: Collector) -> None:
     edges, others = in_c.all_edges(), in_python.all_edges()
     assert (edges.tick[:100] == others.tick[:100]).all()
     assert (np.diff(edges.index) == 1).all()
-    assert in_c.lost == (0, 0)
-    assert {event.code for _, event in in_c.events} == {EventCode.STATE_CHANGED}
+    assert (in_c.lost, {event.code for _, event in in_c.events}) == ((0, 0), {EventCode.STATE_CHANGED})
 
 
 @needs("C compiler")

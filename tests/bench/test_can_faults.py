@@ -43,7 +43,8 @@ class Rig:
         self.first: list[int] = []  # index of the first of them
         drive.push_samples = kept_of(drive.push_samples, self.samples, self.first)  # type: ignore[method-assign]
         drive.push_edges = kept_of(drive.push_edges, self.edges)  # type: ignore[method-assign]
-        self.link = SteppedLink(self.device, step)
+        self.link = WatchedLink(self.device)
+        self.link._step = max(1, round(step * self.device.pwm_hz))  # small, so that bus and drive keep together
         self.bench = Bench(self.link)
         self.client = self.bench.client
 
@@ -51,13 +52,15 @@ class Rig:
         self.bench.stream(NAMES)
         self.bench.turn(omega_m)
 
-    def end(self) -> None:
-        """Without faults again: the streams' account comes up to date, and is checked."""
+    def end(self, after: float = 0.0):
+        """Without faults again, `after` s with them: the streams' account comes up to date, and is checked."""
+        self.client.run_for(after)
         self.bus.corrupt = None
         self.bus.faults.drop = self.bus.faults.duplicate = 0.0
         self.bus.faults.delay = None
         self.client.run_for(0.4)
         self.check()
+        return self.client.losses(1)
 
     def check(self) -> None:
         """Every sample is the drive's own of that index, every edge too, and what is missing is counted."""
@@ -81,14 +84,6 @@ class Rig:
         assert losses.edges.samples + losses.edges.lost_by_index == numbers[-1] + 1
 
 
-class SteppedLink(WatchedLink):
-    """Moves the simulation on in small steps, so that bus and drive keep together."""
-
-    def __init__(self, device: SimulatedDevice, step: float) -> None:
-        super().__init__(device)
-        self._step = max(1, round(step * device.pwm_hz))
-
-
 def kept_of(push: Callable[..., None], kept: list[np.ndarray], begun: list[int] | None = None) -> Callable[..., None]:
     """`push`, whose last argument is kept too; `begun` gets its first one, once."""
 
@@ -108,9 +103,7 @@ def rig(request: pytest.FixtureRequest) -> Rig:
 
 def test_without_faults_nothing_is_lost(rig: Rig) -> None:
     rig.go()
-    rig.client.run_for(1.0)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=1.0)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == losses.edges.late == 0
     assert rig.client.session.counters.framing.bad == 0
 
@@ -119,9 +112,7 @@ def test_dropped_frames_are_counted(rig: Rig) -> None:
     rig.go()
     rig.client.run_for(0.3)
     rig.bus.faults.drop = 0.05
-    rig.client.run_for(1.0)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=1.0)
     assert losses.samples.lost_by_seq > 10
     assert losses.samples.lost_by_index >= losses.samples.lost_by_seq / 3
     assert losses.edges.lost_by_index > 0
@@ -134,9 +125,7 @@ def test_dropped_frames_are_counted(rig: Rig) -> None:
 def test_doubled_frames_are_counted(rig: Rig) -> None:
     rig.go()
     rig.bus.faults.duplicate = 0.2
-    rig.client.run_for(1.0)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=1.0)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert losses.samples.out_of_order > 50
     assert losses.edges.out_of_order > 10
@@ -153,9 +142,7 @@ def test_identifiers_that_overtake_each_other(rig: Rig) -> None:
     assert rig.client.losses(1).edges.late > 20
     rng = np.random.default_rng(1)
     rig.bus.faults.delay = lambda can_id: float(rng.uniform(0.0, 0.02))
-    rig.client.run_for(0.5)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=0.5)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert rig.device.drive.state is DriveState.RUNNING
 
@@ -164,9 +151,7 @@ def test_error_frames_cost_time_only(rig: Rig) -> None:
     rng = np.random.default_rng(2)
     rig.go()
     rig.bus.corrupt = lambda record, time: bool(rng.random() < 0.05)
-    rig.client.run_for(1.0)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=1.0)
     assert losses.samples.lost_by_index == losses.edges.lost_by_index == 0
     assert rig.bus.error_frames > 50
     assert rig.client.session.counters.framing.error_frames > 50
@@ -192,9 +177,7 @@ def test_the_drive_goes_bus_off_and_comes_back(rig: Rig) -> None:
     assert controller.name == "simulated drive"
     go_bus_off(rig, controller, of_node(1))
     assert rig.client.wait(lambda: controller.state is State.ACTIVE, 1.0)
-    rig.client.run_for(0.5)
-    rig.end()
-    losses = rig.client.losses(1)
+    losses = rig.end(after=0.5)
     assert 0 < losses.samples.lost_by_seq + losses.edges.lost_by_seq <= rig.bus.abandoned  # the rest were no stream's
     assert rig.client.session.counters.framing.error_frames >= 32  # 256 / 8 errors to bus-off
 
@@ -277,8 +260,7 @@ def test_foreign_frames_are_counted(rig: Rig) -> None:
     if remote is not None:
         rig.bus.detach(remote)
     rig.end()
-    foreign = rig.client.session.counters.framing.foreign
-    assert 0 < foreign < rig.bus.frames - before
+    assert 0 < rig.client.session.counters.framing.foreign < rig.bus.frames - before
     assert rig.client.losses(1).samples.lost_by_index == 0
 
 
@@ -289,9 +271,7 @@ def test_an_overloaded_bus_loses_streams_not_control(rig: Rig) -> None:
     rig.bus.babble(0x3FF, 0.7)
     rig.client.run_for(2.0)
     rig.bench.drive.speed(60.0)
-    rig.client.run_for(0.5)
-    rig.end()
+    losses, heartbeat = rig.end(after=0.5), rig.client.heartbeats[1]
     assert rig.device.drive.state is DriveState.RUNNING
-    losses, heartbeat = rig.client.losses(1), rig.client.heartbeats[1]
     assert heartbeat.tx_dropped > 0
     assert losses.samples.lost_by_seq + losses.edges.lost_by_seq <= heartbeat.tx_dropped

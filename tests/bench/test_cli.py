@@ -82,8 +82,7 @@ def test_info_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert parameters["i_max"]["lo"] <= parameters["i_max"]["value"] == 8.0 <= parameters["i_max"]["hi"]
     assert drive["health"]["state"] == "IDLE"
     assert drive["health"]["outputs_on"] is False
-    assert drive["health"]["faults"] == []
-    assert err == ""
+    assert (drive["health"]["faults"], err) == ([], "")
 
 
 def test_info_for_people_is_plain_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,13 +115,10 @@ def test_live_as_json_is_all_that_goes_to_standard_output(capsys: pytest.Capture
             "--json", "-", "--host-observers",
         )  # fmt: skip
     summary = json.loads(out)
-    assert summary["result"] == "ok"
-    assert summary["duration_s"] == pytest.approx(2.0, abs=0.3)
-    assert summary["identity"]["name"] == "simulated drive"
-    assert set(summary["lost"].values()) == {0}
+    assert (summary["result"], summary["duration_s"]) == ("ok", pytest.approx(2.0, abs=0.3))
+    assert (summary["identity"]["name"], set(summary["lost"].values())) == ("simulated drive", {0})
     errors = summary["position_error_deg"]["500 r/min, 1 A"]
-    assert set(errors) == {"theta_avg", "theta_vt"}
-    assert set(errors["theta_vt"]) == {"n", "mean", "std", "max"}
+    assert (set(errors), set(errors["theta_vt"])) == ({"theta_avg", "theta_vt"}, {"n", "mean", "std", "max"})
     assert 0 <= errors["theta_vt"]["std"] < 60
     assert "\x1b" not in out + err
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from damage import flip
 from made_runs import N_P, PWM_HZ, RPM, TICK_HZ, make, tick, turning
 from rerun.chunk import RrdReader
 from scipy.signal import lfilter
@@ -150,8 +151,7 @@ def test_a_tenth_of_an_ampere_is_seen_in_noise_of_a_fifth_and_is_not_in_noise_of
     told = verdicts(found)
     assert told["i_q"] == "differs"
     assert told["i_d"] == told["omega_enc"] == "same within noise"
-    assert told["theta_vt error, mean"] == "differs"
-    assert told["theta_vt error, std"] == "same within noise"
+    assert (told["theta_vt error, mean"], told["theta_vt error, std"]) == ("differs", "same within noise")
     loud = [noisy(tmp_path / f"loud{k}.run", k * 0.1, 20.0, k) for k in (0, 1)]
     assert verdicts(compared(*loud))["i_q"] == "same within noise"
 
@@ -168,28 +168,21 @@ def shifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     signal = np.random.default_rng(5).normal(size=2 * N)
     late = SHIFT / PWM_HZ
     fault = DeviceEvent(tick(0.9), EventCode.FAULT, 1, float(Fault.HALL))
-    a = make(
-        folder / "a.run",
-        {"i_q": signal[SHIFT:], "u_dc": np.ones(2 * N - SHIFT)},
-        start=1000,
-        parameters={"n_p": 6, "k": 1},
-        events=[
-            changed(DriveState.ARMED, 0.3),
-            changed(DriveState.RUNNING, 0.5),
-            fault,
-            changed(DriveState.FAULT, 0.9),
-        ],
-        marks=[Mark("load step", tick(0.6), tick(0.7), MarkVerdict.PASS)],
-    )
-    idle = [changed(DriveState.IDLE, 1.0), changed(DriveState.IDLE, 1.2)]
-    b = make(
-        folder / "b.run",
-        {"i_q": signal, "u_alpha": np.ones(2 * N)},
-        start=1000,
-        parameters={"n_p": 6, "k": 2},
-        events=[changed(DriveState.RUNNING, 0.1, node=2), changed(DriveState.RUNNING, 0.5 + late), *idle],
-        marks=[Mark("load step", tick(0.6 + late), tick(1.7), MarkVerdict.PASS)],
-    )
+    states = zip((DriveState.ARMED, DriveState.RUNNING, DriveState.FAULT), (0.3, 0.5, 0.9), strict=True)
+    armed, running, tripped = (changed(*state) for state in states)
+    events = {
+        "a": [armed, running, fault, tripped],
+        "b": [changed(DriveState.RUNNING, 0.1, node=2), changed(DriveState.RUNNING, 0.5 + late),
+              changed(DriveState.IDLE, 1.0), changed(DriveState.IDLE, 1.2)],
+    }  # fmt: skip
+    columns = {"a": {"i_q": signal[SHIFT:], "u_dc": np.ones(2 * N - SHIFT)},
+               "b": {"i_q": signal, "u_alpha": np.ones(2 * N)}}  # fmt: skip
+    marks = {"a": (tick(0.6), tick(0.7)), "b": (tick(0.6 + late), tick(1.7))}
+    a, b = (
+        make(folder / f"{name}.run", columns[name], start=1000, parameters={"n_p": 6, "k": k}, events=events[name],
+             marks=[Mark("load step", *marks[name], MarkVerdict.PASS)])
+        for k, name in enumerate("ab", 1)
+    )  # fmt: skip
     return a, b
 
 
@@ -212,8 +205,7 @@ def test_runs_are_aligned_to_a_sample(shifted: tuple[Path, Path], to: str) -> No
 def test_aligned_at_their_begin_they_are_not_alike(shifted: tuple[Path, Path]) -> None:
     a, b = aligned(Run(shifted[0]), Run(shifted[1]), "begin", None, None)
     assert a.zero == b.zero == 1000 * TICK_HZ // PWM_HZ
-    found = compare(a, b)
-    assert found.rows[0].difference.error > 0
+    assert compare(a, b).rows[0].difference.error > 0
 
 
 def test_a_name_that_is_not_there_or_there_twice_is_refused_with_what_there_is(shifted: tuple[Path, Path]) -> None:
@@ -235,8 +227,7 @@ def test_a_name_that_is_not_there_or_there_twice_is_refused_with_what_there_is(s
 def test_events_and_parameters_that_differ(shifted: tuple[Path, Path]) -> None:
     found = compare(*aligned(Run(shifted[0]), Run(shifted[1]), "START", None, None))
     told = {pair.words: (pair.a, pair.b) for pair in found.events}
-    assert told["FAULT HALL"] == (pytest.approx(0.4), None)
-    assert told["ARMED"] == (pytest.approx(-0.2), None)
+    assert (told["FAULT HALL"], told["ARMED"]) == ((pytest.approx(0.4), None), (pytest.approx(-0.2), None))
     assert "RUNNING" not in told
     assert [(pair.name, pair.a, pair.b) for pair in found.parameters] == [("k", 1.0, 2.0)]
     assert found.left_out == ("u_dc (only in A)", "u_alpha (only in B)")
@@ -296,12 +287,10 @@ def test_long_runs_are_shown_as_extremes(tmp_path: Path) -> None:
     rrd = tmp_path / "both.rrd"
     assert run_compare(tmp_path / "a.run", tmp_path / "b.run", "--save", rrd).exit_code == 0
     t_a, a = shown(rrd, "a/samples", schema.value_component("i_q"))
-    assert len(a) == 2 * 70 / 0.05
-    assert a[:2] == pytest.approx([values[:50].min(), values[:50].max()], rel=1e-6)
+    assert (len(a), a[:2]) == (2 * 70 / 0.05, pytest.approx([values[:50].min(), values[:50].max()], rel=1e-6))
     t_b, b = shown(rrd, "b/samples", schema.value_component("i_q"))
     assert abs(len(b) - len(a)) <= 20  # a bin that is in two row groups is shown twice
-    assert t_b[0] == 0
-    assert t_a[0] == 0
+    assert (t_b[0], t_a[0]) == (0, 0)
 
 
 def test_the_command_prints_and_writes_the_same(tmp_path: Path) -> None:
@@ -334,10 +323,7 @@ def test_kept_runs_by_plain_numpy_and_damage_is_told(tmp_path: Path) -> None:
         assert value == pytest.approx(samples.physical("i_q")[where].mean(), abs=2e-3)
     path = tmp_path / "a.run"
     shutil.copytree(DATA / "steady.run", path)
-    file = path / "edges-000001.parquet"
-    data = bytearray(file.read_bytes())
-    data[100] ^= 1
-    file.write_bytes(data)
+    flip(path / "edges-000001.parquet", 100)
     result = run_compare(path, DATA / "steady.run", "--save", tmp_path / "a.rrd")
     assert result.exit_code == 0, result.output
     assert f"warning: {path}: edges-000001.parquet is damaged" in result.stderr

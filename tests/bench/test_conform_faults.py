@@ -23,9 +23,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("fault", "check", "level", "carrier"), CASES, ids=[case[0] for case in CASES])
-def test_a_fault_fails_the_check_that_is_meant_for_it_and_no_other(
-    fault: str, check: str, level: int, carrier: str
-) -> None:
+def test_a_fault_fails_the_check_that_is_meant_for_it_and_no_other(fault: str, check: str, level: int, carrier: str):
     run, _ = on_device(level, [fault], carrier=carrier, without=left_out(check))
     failed = [f"{result.check.id}: {result.evidence}" for result in run.results if result.verdict is Verdict.FAILED]
     assert ended(run, Verdict.FAILED) == [check], failed

@@ -112,15 +112,12 @@ def test_scale_and_offset_are_exact() -> None:
         assert (got["t"], got["x"], got["n"]) == (raw * scale + offset, raw * tiny, 7)
 
 
-@pytest.mark.parametrize(
-    ("rates", "extended", "number", "stated"),
-    [
-        (CLASSIC, False, 0x51F, []),
-        (CLASSIC, True, 0x242151F, [(str(1 << 31 | 0x242151F), "1")]),
-        (FD, False, 0x51F, [(str(0x51F), "14")]),
-        (FD, True, 0x242151F, [(str(1 << 31 | 0x242151F), "15")]),
-    ],
-)
+@pytest.mark.parametrize(("rates", "extended", "number", "stated"), [
+    (CLASSIC, False, 0x51F, []),
+    (CLASSIC, True, 0x242151F, [(str(1 << 31 | 0x242151F), "1")]),
+    (FD, False, 0x51F, [(str(0x51F), "14")]),
+    (FD, True, 0x242151F, [(str(1 << 31 | 0x242151F), "15")]),
+])  # fmt: skip
 def test_frame_format_survives(rates: BusRates, extended: bool, number: int, stated: list[tuple[str, str]]) -> None:
     text = dbc_text([samples(SIX[:2], slot=15)], rates, extended)
     (message,) = load(load(text).as_dbc_string()).messages
@@ -140,8 +137,7 @@ def test_cycle_time_is_that_of_frames_where_it_is_whole(decimation: int, block: 
 def test_every_unit_can_be_written() -> None:
     units = list(Unit)
     channels = tuple(channel(f"c{unit}", unit=unit) for unit in units)
-    text = dbc_text([samples(channels)], FD, False)
-    (message,) = load(text).messages
+    (message,) = load(dbc_text([samples(channels)], FD, False)).messages
     assert [s.unit or "" for s in message.signals[1:]] == ["Ohm" if u is Unit.OHM else u.symbol for u in units]
 
 
@@ -181,7 +177,6 @@ def test_names_are_identifiers(rates: BusRates) -> None:
 def test_comments_say_how_to_get_index_and_tick() -> None:
     streams = [samples(SIX, decimation=16, tick0=99), samples(SIX[:2], stream=2, slot=8, decimation=4, block=3)]
     first, _, third = load(dbc_text(streams, CLASSIC, False)).messages
-    assert first.comment is not None
     assert third.comment is not None
     assert "stream 0 of node 1, part 1 of 2: 1000 samples/s, decimation 16." in first.comment.lower()
     assert (
@@ -270,8 +265,7 @@ def test_written_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         main(["protocol", "dbc", "can:virtual/x?fd=1", "-o", str(path), "--overwrite"])
     database = cantools.database.load_file(path)  # as cp1252, by its default
     assert isinstance(database, Load)
-    assert database.messages[0].signals[1].unit == "N·m"
-    assert capsys.readouterr().out == ""
+    assert (database.messages[0].signals[1].unit, capsys.readouterr().out) == ("N·m", "")
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -285,14 +279,11 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is not a CAN bus"),
-        (("serial:/dev/ttyACM0",), "can:socketcan/can0"),
-        ((), "Missing argument 'TARGET'"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "says"), [
+    (("tcp:127.0.0.1:7000",), "tcp:127.0.0.1:7000 is not a CAN bus"),
+    (("serial:/dev/ttyACM0",), "can:socketcan/can0"),
+    ((), "Missing argument 'TARGET'"),
+])  # fmt: skip
 def test_refusals(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], says: str) -> None:
     assert says in refusal(capsys, *arguments)
 

@@ -16,15 +16,11 @@ from protocol.links import open_link
 from protocol.messages import DriveState
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (f"x = {'[' * 100_000}", "is nested too deeply"),
-        ("[motor]\nR_s = -1", r"R_s must be > 0 ohm, got -1 \(motor.R_s in bad.toml\)"),
-        ("é = 1".encode("latin-1"), "is not valid TOML"),
-    ],
-    ids=["nested", "out of range", "Latin-1"],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    (f"x = {'[' * 100_000}", "is nested too deeply"),
+    ("[motor]\nR_s = -1", r"R_s must be > 0 ohm, got -1 \(motor.R_s in bad.toml\)"),
+    ("é = 1".encode("latin-1"), "is not valid TOML"),
+], ids=["nested", "out of range", "Latin-1"])  # fmt: skip
 def test_a_configuration_that_it_cannot_have_is_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(text.encode() if isinstance(text, str) else text)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from processes import LIMIT, Program, Sim
+from shared import table
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
@@ -22,6 +23,7 @@ from protocol.messages import DriveState, Role
 pytestmark = pytest.mark.slow
 
 Fail = Callable[..., str]
+WRONG = table("errors")
 
 
 @pytest.fixture
@@ -49,22 +51,14 @@ def one_error(err: str) -> str:
 # -- targets ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("target", "says"),
-    [
-        ("serial:/dev/ttyNOWHERE", r"no port /dev/ttyNOWHERE"),
-        ("tcp:a..b:7000", r"'a\.\.b' is not a host name"),
-        ("tcp:127.0.0.1:1", r"nothing listens on port 1 of 127\.0\.0\.1"),
-        ("/dev/ttyACM0", r"write serial:/dev/ttyACM0"),
-        ("serial:/dev/ttyACM0?boud=9600", r"unknown key 'boud' \(the known one is baud\)"),
-    ],
-)
+@pytest.mark.parametrize(("target", "says"), WRONG["target"])
 @pytest.mark.parametrize("command", ["live", "info"])
 def test_a_target_that_is_not_there(fail: Fail, command: str, target: str, says: str) -> None:
     assert re.search(says, fail(command, target))
 
 
 @pytest.mark.real_time
+@pytest.mark.long("waits 3 s for an answer")
 def test_a_wrong_baud_rate(start_sim: Callable[..., Sim], fail: Fail) -> None:
     sim = start_sim("--pty", "--baud", "3000000")
     assert sim.target.endswith("?baud=3000000")
@@ -73,14 +67,10 @@ def test_a_wrong_baud_rate(start_sim: Callable[..., Sim], fail: Fail) -> None:
     assert not any("outputs on" in line for line in sim.out)
 
 
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        (b"", r"within 3 s \(0 bytes heard.*check power, cable, target and"),
-        (random.Random(1).randbytes(20_000), r"\(20000 bytes heard, 0 good frames, [1-9]\d* damaged\)"),
-    ],
-    ids=["silent", "not HBP"],
-)
+@pytest.mark.parametrize(("said", "words"), [
+    (b"", r"within 3 s \(0 bytes heard.*check power, cable, target and"),
+    (random.Random(1).randbytes(20_000), r"\(20000 bytes heard, 0 good frames, [1-9]\d* damaged\)"),
+], ids=["silent", "not HBP"])  # fmt: skip
 @pytest.mark.parametrize("command", ["live", "info"])
 def test_something_else_at_the_other_end(fail: Fail, command: str, said: bytes, words: str) -> None:
     class SomethingElse(WatchedLink):
@@ -121,48 +111,12 @@ def test_a_device_that_is_no_drive(fail: Fail) -> None:
 SPIN = ("live", "serial:x", "--viewer", "none", "--duration", "0.2", "--speed", "100")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--speed", "99999"), r"speed 99999 r/min is beyond the drive's limit of 3151 r/min .*omega_m_max"),
-        (("--speed", "-99999"), r"speed 99999 r/min is beyond"),
-        (("--speed", "nan"), r"--speed.*'nan' is not a finite number"),
-        (("--speed", "inf"), r"--speed.*not a finite number"),
-        (("--load", "99"), r"load 99 A is beyond the drive's limit of 8 A"),
-        (("--load", "nan"), r"--load.*not a finite number"),
-        (("--channels", "nonsense"), r"no channel 'nonsense'"),
-        (("--channels", "theta_ecn"), r"did you mean theta_enc\?"),
-        (("--channels", ","), r"--channels"),
-        (("--rate", "3000"), r"--rate 3000 Hz is not the PWM rate over a whole number; the nearest is 3200 Hz"),
-        (("--rate", "64000"), r"--rate 64000.*nearest is 16000"),
-        (("--rate", "nan"), r"--rate"),
-        (("--rate", "0.1"), r"--rate"),
-        (("--duration", "nan"), r"--duration"),
-        (("--duration", "0"), r"--duration"),
-        (("--host-observers", "--channels", "i_a"), r"--host-observers has nothing to compare: add an estimate"),
-        (
-            ("--host-observers", "--channels", "theta_vt"),
-            r"--host-observers needs every PWM period and the channels hall, status, u_alpha, u_beta, i_a, i_b, i_c$",
-        ),
-        (("--save", "new", "--json", "new"), r"--save and --json name the same file"),
-        (("--estimate", "vector-trackin"), r"no observer 'vector-trackin' \(did you mean vector_tracking\?\)"),
-        (("--estimate", "vt", "--rate", "8000"), r"--estimate needs every PWM period"),
-        (("--estimate", "vt", "--channels", "hall,i_a"), r"--estimate needs every PWM period and the channels status"),
-        (("--host-observers", "--channels", "theta_la"), r"and the channels hall, .*, i_q_ref, i_q$"),
-        (("--config", "there.toml"), r"--config is for the simulated drive, not for serial:x"),
-        (("--observer", "sliding-mode"), r"'sliding-mode' is not one of 'encoder', 'average-speed', 'vector-tracking'"),
-        (("--viewer", "ascii"), r"'ascii' is not one of"),
-        (("--bogus",), r"--bogus.*bench live --help"),
-        (("--web-port", "70000"), r"--web-port"),
-    ],
-)  # fmt: skip
-def test_an_option_that_cannot_be(
-    fail: Fail, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: str
-) -> None:
+@pytest.mark.parametrize(("arguments", "says"), WRONG["live"])
+def test_an_option_that_cannot_be(fail: Fail, tmp_path, monkeypatch, arguments: str, says: str) -> None:
     monkeypatch.chdir(tmp_path)
     Path("there.toml").touch()
     link = WatchedLink(simulated())
-    assert re.search(says, fail(*SPIN, *arguments, link=link))
+    assert re.search(says, fail(*SPIN, *arguments.split(), link=link))
     assert not {DriveState.ARMED, DriveState.RUNNING} & set(link.states)
     assert [path.name for path in tmp_path.iterdir()] == ["there.toml"]
 
@@ -190,31 +144,9 @@ def test_a_configuration_with_a_negative_resistance(fail: Fail, tmp_path: Path, 
     assert fail(*command, "--config", str(config)) == "error: R_s must be > 0 ohm, got -1 (motor.R_s in bad.toml)"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--config", "/nowhere.toml"), r"/nowhere\.toml"),
-        (("--set", "motor.Rs=1"), r"unknown key motor\.Rs.*R_s"),
-        (("--set", "motor.R_s"), r"section\.name=value"),
-        (("--pty", "--tcp", "127.0.0.1:0"), r"give only one of --tcp, --pty"),
-        (("--tcp", "127.0.0.1"), r"HOST:PORT"),
-        (("--tcp", "127.0.0.1:99999"), r"from 0 to 65535"),
-        (("--tcp", "127.0.0.1:0", "--baud", "9600"), r"--baud needs a pty"),
-        (("--slcan", "--baud", "9600"), r"for a CAN bus use --bitrate"),
-        (("--slcan", "--data-bitrate", "5000000"), r"--data-bitrate needs CAN FD: add --fd"),
-        (("--slcan", "--bitrate", "5"), r"bitrate must be between 5000 and 1000000 bit/s, got 5"),
-        (("--slcan", "--fd", "--data-bitrate", "9"), r"data bitrate must be between the bitrate, 1000000"),
-        (("--fd",), r"--fd needs a CAN bus: add --slcan"),
-        (("--pty", "--bitrate", "500000"), r"--bitrate needs a CAN bus"),
-        (("--slcan", "--bitrate", "600000"), r"bitrate 600000 is not an slcan rate: 10000"),
-        (("--slcan", "--fd", "--data-bitrate", "3000000"), r"data bitrate 3000000 is not an slcan rate"),
-        (("--tcp", "127.0.0.1:0", "--link", "x"), r"--link needs a pty"),
-        (("--link", "/nowhere/tty"), r"cannot make the link /nowhere/tty: No such file"),
-        (("--baud", "0"), r"baud must be between"),
-    ],
-)
-def test_a_simulated_drive_that_cannot_be(fail: Fail, arguments: tuple[str, ...], says: str) -> None:
-    assert re.search(says, fail("sim", *arguments))
+@pytest.mark.parametrize(("arguments", "says"), WRONG["sim"])
+def test_a_simulated_drive_that_cannot_be(fail: Fail, arguments: str, says: str) -> None:
+    assert re.search(says, fail("sim", *arguments.split()))
 
 
 def test_a_taken_tcp_port(fail: Fail) -> None:

@@ -164,8 +164,7 @@ def test_a_gap_makes_the_estimates_invalid_until_the_next_reset(kind: str) -> No
         observers.edges(replace(part(edges, covered + 2, len(edges)), gaps=(Gap(0, 2, 1, False),)))
         after = part(samples, gap, len(samples))
     compared, differ = observers.compare(after)
-    assert compared == len(samples) - resets[1]
-    assert differ == 0
+    assert (compared, differ) == (len(samples) - resets[1], 0)
 
 
 def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
@@ -179,8 +178,7 @@ def test_a_gap_within_a_chunk_counts_from_its_position() -> None:
     observers = host_observers(bench)
     observers.edges(edges)
     assert observers.compare(holed) == (gap - reset, 0)
-    later = part(samples, len(samples) - 10, len(samples))
-    assert observers.compare(later) == (0, 0)
+    assert observers.compare(part(samples, len(samples) - 10, len(samples))) == (0, 0)
 
 
 def test_a_loss_before_the_clock_starts_anew_is_forgotten(drive_run: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import subprocess
 import sys
@@ -14,10 +15,19 @@ import pytest
 from processes import ENVIRONMENT, LIMIT
 
 from sim.config.params import load_params
+from tests.choice import CAMPAIGN, chosen
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 PARAMS = load_params(None, {})
 LARGEST = 60_000  # bytes of a figure on a page
+
+
+pytestmark = pytest.mark.long("a script that records and draws")
+HERE = chosen("examples", sorted(file.stem for file in EXAMPLES.glob("*.py")), 2)
+
+
+def late(name: str) -> pytest.MarkDecorator:
+    return pytest.mark.slow if name in HERE and not os.environ.get(CAMPAIGN) else pytest.mark.campaign("examples")
 
 
 @pytest.fixture
@@ -43,7 +53,7 @@ def test_every_example_is_tested_and_has_its_figure() -> None:
     assert all(len(file.read_text().splitlines()) <= 55 for file in EXAMPLES.glob("*.py"))
 
 
-@pytest.mark.slow
+@late("step_response")
 def test_step_response(numbers: dict[str, list[float]]) -> None:
     for source in ("encoder", "vector-tracking"):
         last, rise, over = numbers[source]
@@ -53,17 +63,16 @@ def test_step_response(numbers: dict[str, list[float]]) -> None:
     assert numbers["average-speed"][0] == pytest.approx(800, abs=15)
 
 
-@pytest.mark.slow
+@late("load_step")
 def test_load_step(numbers: dict[str, list[float]]) -> None:
     motor = PARAMS.motor
     dip, rise, torque, constant = numbers["dip"]
-    assert torque == 0.15
-    assert constant == pytest.approx(1.5 * motor.n_p * motor.psi_f, abs=1e-4)
+    assert (torque, constant) == (0.15, pytest.approx(1.5 * motor.n_p * motor.psi_f, abs=1e-4))
     assert rise == pytest.approx(torque / (1.5 * motor.n_p * motor.psi_f), rel=0.01)
     assert 50 < dip < 150
 
 
-@pytest.mark.slow
+@late("error_by_angle")
 def test_error_by_angle(numbers: dict[str, list[float]]) -> None:
     """The sector's centre stays in the middle of an ideal sector from one real edge to the next."""
     late = -np.array(PARAMS.hall.delta_deg) + PARAMS.hall.hysteresis_deg / 2
@@ -76,7 +85,7 @@ def test_error_by_angle(numbers: dict[str, list[float]]) -> None:
     assert each == sorted(each, reverse=True)
 
 
-@pytest.mark.slow
+@late("gains")
 def test_gains(numbers: dict[str, list[float]]) -> None:
     gain, by_drive, by_host, best = numbers["drive's"][:4]
     assert gain == 1268  # docs/simulated-drive.md
@@ -84,7 +93,7 @@ def test_gains(numbers: dict[str, list[float]]) -> None:
     assert 0 < best < by_drive
 
 
-@pytest.mark.slow
+@late("spectrum")
 def test_spectrum(numbers: dict[str, list[float]]) -> None:
     for source, within in (("average-speed", 0.02), ("vector-tracking", 1e-3)):
         f, first, thd, rms = numbers[source]
@@ -94,7 +103,7 @@ def test_spectrum(numbers: dict[str, list[float]]) -> None:
     assert numbers["vector-tracking"][1] > 0.2 / (1.5 * motor.n_p * motor.psi_f)  # and friction
 
 
-@pytest.mark.slow
+@late("hall_edges")
 def test_hall_edges(numbers: dict[str, list[float]]) -> None:
     assert numbers["late"] == pytest.approx([-delta for delta in PARAMS.hall.delta_deg], abs=0.1)
     hysteresis, edges = numbers["hysteresis"]

@@ -1,4 +1,4 @@
-"""Exports opened again by pandas, DuckDB, asammdf, scipy, numpy, pyarrow and rerun: all values, units and times equal.
+"""Exports opened again by pandas, asammdf, scipy, numpy, pyarrow and rerun: all values, units and times equal.
 
 The oracle is the stored Parquet, read by pyarrow and multiplied here.
 """
@@ -20,23 +20,25 @@ from pathlib import Path
 from typing import Any
 
 import asammdf
-import duckdb
 import exported
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from processes import ENVIRONMENT, LIMIT, Program
+from damage import flip
+from processes import ENVIRONMENT, LIMIT
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.exports import memory, to_mat
+from bench.exports import memory, to_csv, to_mat
+from bench.exports.content import Content
 from bench.exports.export import export
 from bench.recording import layout
 from bench.recording.reader import Run
 from bench.recording.writer import RunWriter
+from tests.choice import sampled
 
 KEPT = Path(__file__).parents[1] / "data" / "steady.run"
 STREAMS = {"made": ("samples", "edges", "node2-stream0"), "kept": ("samples", "edges")}
@@ -79,27 +81,12 @@ def by_pandas_csv(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | N
     return {split(header)[0]: (frame[header].to_numpy(), split(header)[1]) for header in frame}
 
 
-def by_duckdb_csv(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
-    found = duckdb.read_csv(str(table_file(out, stream))).fetchnumpy()
-    return {split(header)[0]: (np.asarray(values), split(header)[1]) for header, values in found.items()}
-
-
 def by_pyarrow(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
     table = pq.read_table(table_file(out, stream))
     return {
         field.name: (column.to_numpy(), field.metadata[b"unit"].decode())
         for field, column in zip(table.schema, table.columns, strict=True)
     }
-
-
-def by_pandas_parquet(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
-    frame = pd.read_parquet(table_file(out, stream))
-    return {name: (frame[name].to_numpy(), None) for name in frame}
-
-
-def by_duckdb_parquet(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
-    found = duckdb.read_parquet(str(table_file(out, stream))).fetchnumpy()
-    return {name: (np.asarray(values), None) for name, values in found.items()}
 
 
 def by_asammdf(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]:
@@ -133,10 +120,7 @@ def by_numpy(out: Path, stream: str) -> dict[str, tuple[np.ndarray, str | None]]
 
 READERS: dict[str, tuple[str, Read]] = {
     "pandas-csv": (".csv", by_pandas_csv),
-    "duckdb-csv": (".csv", by_duckdb_csv),
     "pyarrow": (".parquet", by_pyarrow),
-    "pandas-parquet": (".parquet", by_pandas_parquet),
-    "duckdb-parquet": (".parquet", by_duckdb_parquet),
     "asammdf": (".mf4", by_asammdf),
     "scipy": (".mat", by_scipy),
     "numpy": (".npz", by_numpy),
@@ -163,20 +147,6 @@ def test_every_value_unit_and_time_is_equal(run: Path, reader: str, tmp_path: Pa
             assert same(found[name][0], values), (stream, name)
             assert found[name][1] in (unit, None), (stream, name)
         assert np.rint(found["time"][0] * exported.TICK_HZ).astype(np.int64).tolist() == wanted["tick"][0].tolist()
-
-
-def test_the_oracle_has_what_makes_it_one(made: Path) -> None:
-    """Gaps, an outage, values that are no numbers, offsets, more than one file and row group."""
-    samples = exported.expected(made, "samples")
-    rows = np.flatnonzero(samples["gap"][0])
-    assert [(samples[name][0][rows].tolist()) for name in ("gap", "lost", "lost_frames")] == [[3, 1], [3, 100], [1, 0]]
-    assert np.isnan(samples["temperature"][0]).any()
-    assert np.isinf(samples["i.a"][0]).any()
-    assert samples["u_dc"][0].min() > 1.6
-    assert samples["u_dc"][1] == "V"
-    assert len(samples["tick"][0]) == 74 * 100 - 3
-    assert len(list(made.glob("samples-*.parquet"))) == 2
-    assert pq.ParquetFile(made / "samples-000001.parquet").num_row_groups > 3
 
 
 def test_rerun_has_the_samples_and_the_edges(tmp_path: Path) -> None:
@@ -371,8 +341,7 @@ def test_a_run_of_edges_alone(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "a.run", exported.info())
     writer.edges(exported.edges(np.arange(10, dtype=np.int64)))
     writer.close()
-    done = export(Run(tmp_path / "a.run"), tmp_path / "x.csv")
-    assert done.files["edges"] == tmp_path / "x.csv"
+    assert export(Run(tmp_path / "a.run"), tmp_path / "x.csv").files["edges"] == tmp_path / "x.csv"
     wanted = exported.expected(tmp_path / "a.run", "edges")
     assert same(pd.read_csv(tmp_path / "x.csv")["hall_new"].to_numpy(), wanted["hall_new"][0])
 
@@ -382,6 +351,24 @@ def test_more_than_a_minute_in_rerun_is_told_to_be_minima_and_maxima(made: Path,
     assert any("minima and maxima" in words for words in done.notes)
     assert not export(Run(made), tmp_path / "y.rrd", None, 1002, 1005).notes
     assert (tmp_path / "x.rrd").stat().st_size > 10_000
+
+
+def test_a_csv_file_is_plain_text_with_units_in_its_header(made: Path, tmp_path: Path) -> None:
+    content = Content(Run(made))
+    files = to_csv.files(content, tmp_path / "x.csv")
+    assert {what: file.name for what, file in files.items()} == {
+        "samples": "x.csv", "edges": "x-edges.csv", "node2-stream0": "x-node2-stream0.csv", "marks": "x-marks.csv",
+        "run": "x-run.json",
+    }  # fmt: skip
+    to_csv.write(content, files)
+    header, first, *_ = files["edges"].read_text("utf-8").splitlines()
+    wanted = exported.expected(made, "edges")
+    assert header.replace('"', "").split(",") == [
+        f"{name} [{unit}]" if unit else name for name, (_, unit) in wanted.items()
+    ]
+    assert [float(cell) for cell in first.split(",")] == [
+        float(values[0]) for values, _ in wanted.values()
+    ]  # no "true"
 
 
 def test_names_that_matlab_does_not_take_stay_apart() -> None:
@@ -410,13 +397,9 @@ def failing(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_damage_is_told_and_the_rest_exported(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = tmp_path / "a.run"
     shutil.copytree(made, copy)
-    file = copy / "samples-000001.parquet"
-    data = bytearray(file.read_bytes())
-    data[2000] ^= 1
-    file.write_bytes(data)
+    flip(copy / "samples-000001.parquet", 2000)
     main(["export", str(copy), "-o", str(tmp_path / "x.parquet")])
-    told = capsys.readouterr().err
-    assert "warning: samples-000001.parquet is damaged: " in told
+    assert "warning: samples-000001.parquet is damaged: " in capsys.readouterr().err
     found, wanted = by_pyarrow(tmp_path / "x.parquet", "samples"), exported.expected(made, "samples")
     rows = np.isin(wanted["tick"][0], found["tick"][0])
     assert 0 < rows.sum() < len(rows)
@@ -462,9 +445,7 @@ def test_what_cannot_be_exported_is_named(made: Path, tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("there", ["x.csv", "x-edges.csv", "x-run.json"])
-def test_files_that_exist_are_left_alone(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], there: str
-) -> None:
+def test_files_that_exist_are_left_alone(made: Path, tmp_path, capsys, there: str) -> None:
     (tmp_path / there).write_text("precious")
     told = failing(capsys, made, "-o", tmp_path / "x.csv")
     assert f"{there} exists: choose another name, or --overwrite" in told
@@ -491,9 +472,7 @@ def test_a_full_disk_leaves_nothing(made: Path, tmp_path: Path, ending: str) -> 
     assert not list(tmp_path.iterdir())
 
 
-def test_without_asammdf_it_says_what_to_install(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_asammdf_it_says_what_to_install(made: Path, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     assert "pip install 'hallbench[export]'" in failing(capsys, made, "-o", tmp_path / "x.mf4")
     assert not list(tmp_path.iterdir())
@@ -505,7 +484,6 @@ def long_run(path: Path, rows: int) -> Path:
     lines = (path / layout.LOG).read_text().splitlines()
     for k, line in enumerate(lines):
         record = layout.record_of(line)
-        assert record is not None
         if record["kind"] == "segment":
             for file in record["files"]:
                 file["groups"][-1][2] = rows
@@ -515,8 +493,7 @@ def long_run(path: Path, rows: int) -> Path:
 
 
 def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = long_run(tmp_path / "a.run", 22_500_000)
-    told = failing(capsys, run, "-o", tmp_path / "x.mat")
+    told = failing(capsys, long_run(tmp_path / "a.run", 22_500_000), "-o", tmp_path / "x.mat")
     assert "samples would take 2.18 GB, and a variable in a .mat file at" in told
     assert "at most 2.15 GB: export less with --from, --to or --channels" in told
     assert not (tmp_path / "x.mat").exists()
@@ -535,8 +512,7 @@ def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_what_memory_does_not_hold_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = long_run(tmp_path / "a.run", 10**12)
-    told = failing(capsys, run, "-o", tmp_path / "x.npz")
+    told = failing(capsys, long_run(tmp_path / "a.run", 10**12), "-o", tmp_path / "x.npz")
     assert "e+05 GB where" in told
     assert "--format mdf4 or parquet" in told
     free = memory.available()
@@ -563,9 +539,7 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("ending", [".csv", ".mf4"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_whoever_ends_it_finds_nothing_half_done(
-    minute: Path, tmp_path: Path, start: Callable[..., Program], number: signal.Signals, ending: str
-) -> None:
+def test_whoever_ends_it_finds_nothing_half_done(minute, tmp_path, start, number, ending) -> None:
     program = start("export", str(minute), "-o", str(tmp_path / f"x{ending}"))
     until = time.monotonic() + LIMIT
     while not any(path.stat().st_size for path in tmp_path.iterdir()):
@@ -576,8 +550,9 @@ def test_whoever_ends_it_finds_nothing_half_done(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long("three minutes of samples")
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", [".csv", ".mf4", ".parquet"])
+@pytest.mark.parametrize("ending", sampled("memory", (".csv", ".mf4", ".parquet"), 1, campaign="memory"))
 def test_a_long_run_takes_no_more_memory_than_a_short_one(tmp_path: Path, ending: str) -> None:
     peaks = []
     for seconds in (30, 180):

@@ -116,7 +116,6 @@ def harmless(text: str) -> bool:
 
 OWN_TEST = """
 from bench.acceptance import energises, limit
-
 @limit("n_p", lo=1)
 @energises(rpm=100, current=4)
 def test_it(drive, record, measure):
@@ -141,9 +140,7 @@ def test_info_and_devices(on_terminal: Callable[..., tuple[int, str]]) -> None:
         assert shown in text
 
 
-def test_a_usb_device_that_names_itself_so(
-    on_terminal: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_usb_device_that_names_itself_so(on_terminal: Callable[..., tuple[int, str]], monkeypatch) -> None:
     class Port(SimpleNamespace):
         def __lt__(self, other: object) -> bool:
             return False
@@ -174,17 +171,12 @@ def test_live_and_what_it_records(on_terminal: Callable[..., tuple[int, str]]) -
     assert harmless("".join(note for _, note in run.notes))
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("live", "serial:x", "--speed", "100", "--viewer", "none"),
-        ("hall", "check", "serial:x"),
-        ("accept", "serial:x", "--tests", "own_question.py"),
-    ],
-)
-def test_the_question_whether_the_shaft_is_clear(
-    on_terminal: Callable[..., tuple[int, str]], arguments: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("arguments", [
+    ("live", "serial:x", "--speed", "100", "--viewer", "none"),
+    ("hall", "check", "serial:x"),
+    ("accept", "serial:x", "--tests", "own_question.py"),
+])  # fmt: skip
+def test_the_question_whether_the_shaft_is_clear(on_terminal, arguments) -> None:
     Path("own_question.py").write_text(OWN_TEST)
     code, text = on_terminal(hostile(simulates=False), *arguments, reply=b"n\n")
     assert code == 2

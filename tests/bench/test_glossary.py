@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +11,7 @@ from typing import NamedTuple
 import click
 import pytest
 
+from bench.acceptance.results import run_from_json
 from bench.cli import cli
 from bench.figures.plot import NAMES
 from protocol.codes import ErrorCode, Fault
@@ -78,8 +77,7 @@ def tree(command: click.Command, path: str) -> Iterator[tuple[str, click.Command
 def help_texts() -> Iterator[tuple[str, str]]:
     """Every text of `--help`, by where it stands: also those that only the group's own help has."""
     for path, command in tree(cli, "bench"):
-        context = click.Context(command, info_name=path)
-        yield f"{path} --help", command.get_help(context)
+        yield f"{path} --help", command.get_help(click.Context(command, info_name=path))
         for what, text in (("help", command.help), ("short help", command.short_help), ("epilog", command.epilog)):
             if text:
                 yield f"{path}: {what}", text
@@ -114,18 +112,15 @@ def test_the_tables_are_read() -> None:
     assert not {one.word for one in forbidden()} & set(terms)
 
 
-@pytest.mark.parametrize(
-    ("text", "faults"),
-    [
-        ("Write the plots", 0),
-        ("Write all Figures", 2),  # it is neither a plot nor a statistic
-        ("Folder for the plots [default: RUN.figures]", 0),
-        ("[default: RUN.figures] of the figures", 2),
-        ("turn it both\n  ways", 1),
-        ("an estimator's lag", 1),
-        ("bounded memory, reconfigured", 0),
-    ],
-)
+@pytest.mark.parametrize(("text", "faults"), [
+    ("Write the plots", 0),
+    ("Write all Figures", 2),  # it is neither a plot nor a statistic
+    ("Folder for the plots [default: RUN.figures]", 0),
+    ("[default: RUN.figures] of the figures", 2),
+    ("turn it both\n  ways", 1),
+    ("an estimator's lag", 1),
+    ("bounded memory, reconfigured", 0),
+])  # fmt: skip
 def test_forbidden_words_are_found_as_whole_words(text: str, faults: int) -> None:
     assert len(faults_of(text)) == faults
 
@@ -136,26 +131,18 @@ def test_help_texts_use_the_words_of_the_glossary() -> None:
     assert broken(iter(texts)) == []
 
 
-def test_a_forbidden_word_in_the_help_of_an_option_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    command = cli.get_command(click.Context(cli), "plot")
-    assert command is not None
-    (option,) = (one for one in command.params if "--svg" in one.opts)
-    monkeypatch.setattr(option, "help", "Write the figures as SVG.")
-    assert any(fault.startswith("bench plot --svg: 'figures'") for fault in broken(help_texts()))
-
-
 def test_descriptions_use_the_words_of_the_glossary() -> None:
     texts = list(described())
     assert len(texts) > 150
     assert broken(iter(texts)) == []
 
 
-def test_limits_use_the_words_of_the_glossary() -> None:
-    listed = [sys.executable, "-m", "bench", "accept", "sim", "--list", "--json"]
-    limits = json.loads(subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout)
+@pytest.mark.slow
+@pytest.mark.long("the whole suite")
+def test_limits_use_the_words_of_the_glossary(suite_run: Path) -> None:
+    limits = [m.limits for m in run_from_json(json.loads((suite_run / "a.json").read_text())).measurements]
     assert len(limits) > 300
-    texts = {(limit["name"], limit["about"]) for limit in limits}
-    assert sorted(broken(iter(texts))) == []
+    assert sorted(broken(iter({(limit.name, limit.about) for limit in limits}))) == []
 
 
 def test_every_term_is_used() -> None:

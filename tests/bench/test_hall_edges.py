@@ -32,8 +32,7 @@ def test_edges_lie_where_they_were_put_with_half_the_hysteresis_on_either_side()
     # c falls where I opens and rises where IV does, b rises at II and falls at V, a falls at III and rises at VI
     at = [60.0 * s - TABLE_I[s] for s in range(6)]
     duty = [(at[2] - at[5]) % 360 / 360, (at[4] - at[1]) % 360 / 360, (at[0] - at[3]) % 360 / 360]
-    assert found.duty == pytest.approx(duty, abs=1e-4)
-    assert found.outliers == 0
+    assert (found.duty, found.outliers) == (pytest.approx(duty, abs=1e-4), 0)
 
 
 def test_an_edge_is_measured_whatever_input_its_sensor_is_on():
@@ -77,9 +76,7 @@ def test_what_was_not_met_is_nan_and_counts_none():
     up = measure(trace(capture(Motor(turns=((60.0, 2.0),)))).edges)
     assert all(edge.up.n > 10 and edge.down.n == 0 for edge in up.edges)
     assert all(math.isnan(edge.down.angle) and math.isnan(edge.hysteresis) for edge in up.edges)
-    assert up.least() == 0
-    assert up.widest() == math.inf
-    assert deltas(up)[:, 0] == pytest.approx([0.0] * 6, abs=0.02)
+    assert (up.least(), up.widest(), deltas(up)[:, 0]) == (0, math.inf, pytest.approx([0.0] * 6, abs=0.02))
 
 
 # -- traces -----------------------------------------------------------------------------------------------------
@@ -89,8 +86,7 @@ def test_false_pulses_are_taken_out_of_the_edges_and_kept():
     clean = trace(capture(Motor()))
     when = [(0.1 + 0.0317 * k, k % 3) for k in range(60)]
     disturbed = trace(capture(Motor(pulses=when)))
-    assert len(disturbed.pulses.input) == 60
-    assert np.bincount(disturbed.pulses.input).tolist() == [20, 20, 20]
+    assert (len(disturbed.pulses.input), np.bincount(disturbed.pulses.input).tolist()) == (60, [20, 20, 20])
     assert disturbed.pulses.width == pytest.approx(3e-6)
     assert np.array_equal(disturbed.edges.tick, clean.edges.tick)
     assert np.array_equal(disturbed.edges.new, clean.edges.new)
@@ -98,8 +94,7 @@ def test_false_pulses_are_taken_out_of_the_edges_and_kept():
 
 
 def test_an_edge_that_the_shaft_undoes_is_no_pulse():
-    there_and_back = Motor(turns=((40.0, 0.0145), (-40.0, 0.01), (40.0, 0.5)), running=False)
-    made = trace(capture(there_and_back))
+    made = trace(capture(Motor(turns=((40.0, 0.0145), (-40.0, 0.01), (40.0, 0.5)), running=False)))
     assert len(made.pulses.input) == 0
     ticks = made.edges.tick
     assert len(ticks) == 0 or np.diff(ticks).min() > PULSE * 20e6

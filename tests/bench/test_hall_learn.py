@@ -36,6 +36,22 @@ def learn(device: SimulatedDevice, *arguments: str) -> None:
         main(["hall", "learn", TARGET, *arguments])
 
 
+def refused(capsys: pytest.CaptureFixture[str], device: SimulatedDevice | None, *arguments: str) -> str:
+    """What `bench hall learn`, on a drive or as these arguments say, writes as it ends with 2."""
+    with pytest.raises(SystemExit) as ended:
+        learn(device, *arguments) if device else main(["hall", "learn", *arguments])
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def learnable(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that `bench hall learn` has made of the simulated drive."""
+    run = tmp_path_factory.mktemp("learnable") / "run.run"
+    main(["hall", "learn", "sim", "--save", str(run)])
+    return run
+
+
 def stored(device: SimulatedDevice) -> list[float]:
     return [device.bench.parameters[name] for name in NAMES]
 
@@ -62,10 +78,7 @@ def test_without_write_nothing_is_written(capsys: pytest.CaptureFixture[str]) ->
 
 def test_a_fault_is_told_and_nothing_is_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     device = simulated(wiring__hall_swap=1)
-    with pytest.raises(SystemExit) as ended:
-        learn(device, "--yes", "--write", "--out", str(tmp_path / "edges.toml"))
-    assert ended.value.code == 2
-    err = capsys.readouterr().err
+    err = refused(capsys, device, "--yes", "--write", "--out", str(tmp_path / "edges.toml"))
     assert "error: no edges learned: sensors a and b exchanged; connect each sensor to the input of its name; " in err
     assert stored(device) == [0.0] * 12
     assert not (tmp_path / "edges.toml").exists()
@@ -123,8 +136,7 @@ def test_a_toml_file_is_a_configuration_of_the_simulated_drive(tmp_path: Path) -
     save(tmp_path / "edges.toml", SOME)
     firmware = load_params(tmp_path / "edges.toml").firmware
     edges = firmware.hall_edges
-    assert (edges.edge_sd, firmware.psi_f_hat) == (0.02, 0.007)
-    assert edges.edge_up == pytest.approx(SOME.edge_up)
+    assert ((edges.edge_sd, firmware.psi_f_hat), edges.edge_up) == ((0.02, 0.007), pytest.approx(SOME.edge_up))
     assert edges.edge_down == pytest.approx(SOME.edge_down)
 
 
@@ -135,10 +147,9 @@ def test_a_json_file_has_the_same_numbers_with_their_unit(tmp_path: Path) -> Non
     assert data == {**edges, "psi_f_hat": 0.007}
 
 
-def test_a_recording_is_learnt_into_a_file(tmp_path: Path) -> None:
-    run, out = tmp_path / "run.run", tmp_path / "edges.json"
-    main(["hall", "learn", "sim", "--save", str(run)])
-    main(["hall", "learn", str(run), "--out", str(out)])
+def test_a_recording_is_learnt_into_a_file(learnable: Path, tmp_path: Path) -> None:
+    out = tmp_path / "edges.json"
+    main(["hall", "learn", str(learnable), "--out", str(out)])
     up = json.loads(out.read_text())["edge_up"]
     assert [math.degrees(value) for value in up] == pytest.approx(np.array(TABLE_I) - 0.25, abs=0.06)
 
@@ -159,10 +170,9 @@ def test_the_hosts_filter_learns_them_without_an_encoder(capsys: pytest.CaptureF
     assert "the host's filter, on the recorded data" in out
 
 
-def test_a_recording_is_learnt_by_the_filter_and_its_lessons_are_in_the_json(tmp_path: Path) -> None:
-    run, out = tmp_path / "run.run", tmp_path / "lessons.json"
-    main(["hall", "learn", "sim", "--save", str(run)])
-    main(["hall", "learn", str(run), "--by", "filter", "--json", str(out)])
+def test_a_recording_is_learnt_by_the_filter_and_its_lessons_are_in_the_json(learnable: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lessons.json"
+    main(["hall", "learn", str(learnable), "--by", "filter", "--json", str(out)])
     data = json.loads(out.read_text())
     assert data["outcome"] == "healthy"
     up = [math.degrees(data["lessons"][name]["value"]) for name in NAMES[:6]]
@@ -196,9 +206,7 @@ def running(observer: int = 10, **settings: float) -> SimulatedDevice:
     return device
 
 
-def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(capsys, tmp_path) -> None:
     """Nothing is energised for it; a new drive begins with it."""
     store = tmp_path / "parameters.json"
     device = running()
@@ -221,56 +229,33 @@ def test_what_the_drives_own_filter_has_learned_is_read_written_and_kept(
 
 
 @pytest.mark.parametrize("by", ["drive", "filter"])
-def test_a_filter_that_has_learned_little_says_how_little_and_nothing_is_written(
-    by: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_filter_that_has_learned_little_says_how_little_and_nothing_is_written(by: str, capsys) -> None:
     device = simulated(firmware__hall_edges__learn_edges=0)
-    with pytest.raises(SystemExit) as ended:
-        learn(device, "--yes", "--by", by, "--write")
-    assert ended.value.code == 2
-    assert re.search(r"no edges learned: the .* filter.* knows them to 6\.0 deg \(st", capsys.readouterr().err)
+    err = refused(capsys, device, "--yes", "--by", by, "--write")
+    assert re.search(r"no edges learned: the .* filter.* knows them to 6\.0 deg \(st", err)
     assert stored(device) == [0.0] * 12
 
 
 def test_a_sensor_that_the_filter_does_not_believe_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     device = running(wiring__hall_open=2, **BLIND)
-    with pytest.raises(SystemExit) as ended:
-        learn(device, "--by", "drive", "--write")
-    assert ended.value.code == 2
-    assert "distrusts sensor b: run bench hall check" in capsys.readouterr().err
+    assert "distrusts sensor b: run bench hall check" in refused(capsys, device, "--by", "drive", "--write")
 
 
 def test_a_drive_without_a_store_is_told_so_before_anything_turns(capsys: pytest.CaptureFixture[str]) -> None:
     device = simulated()
-    with pytest.raises(SystemExit) as ended:
-        learn(device, "--yes", "--store")
-    assert ended.value.code == 2
-    assert "bench hall learn --store needs the feature COMMIT; node 1 (simulated drive)" in capsys.readouterr().err
+    err = refused(capsys, device, "--yes", "--store")
+    assert "bench hall learn --store needs the feature COMMIT; node 1 (simulated drive)" in err
     assert device.bench.n < 16_000
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--motor"], "the encoder does not measure motor parameters"),
-        (["--by", "filter", "--passive"], "the filter needs voltages"),
-    ],
-)
-def test_what_does_not_go_together_is_said_at_once(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        learn(simulated(), "--yes", *arguments)
-    assert ended.value.code == 2
-    assert words in capsys.readouterr().err
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--motor"], "the encoder does not measure motor parameters"),
+    (["--by", "filter", "--passive"], "the filter needs voltages"),
+])  # fmt: skip
+def test_what_does_not_go_together_is_said_at_once(arguments: list[str], words: str, capsys) -> None:
+    assert words in refused(capsys, simulated(), "--yes", *arguments)
 
 
-def test_a_recording_without_what_the_drive_has_learned_says_how_to_record_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    run = tmp_path / "run.run"
-    main(["hall", "learn", "sim", "--save", str(run)])
-    with pytest.raises(SystemExit) as ended:
-        main(["hall", "learn", str(run), "--by", "drive"])
-    assert ended.value.code == 2
-    assert "bench live --channels +lesson_ek,+lesson_value_ek,+lesson_sigma_ek,+sensors_ek" in capsys.readouterr().err
+def test_a_recording_without_what_the_drive_has_learned_says_how_to_record_it(capsys, learnable: Path) -> None:
+    needed = "bench live --channels +lesson_ek,+lesson_value_ek,+lesson_sigma_ek,+sensors_ek"
+    assert needed in refused(capsys, None, str(learnable), "--by", "drive")

@@ -15,10 +15,8 @@ from bench.rig.settings import Settings
 
 OWN_TEST = """
 from bench.acceptance import limit
-
 @limit("x", hi=1.0)
-def test_it(drive, measure):
-    measure("x", 0.0)
+def test_it(drive, measure): measure("x", 0.0)
 """
 
 

@@ -35,15 +35,12 @@ pytestmark = pytest.mark.slow
 PAGE = (Path(__file__).parents[2] / "docs" / "notebook.md").read_text()
 
 
-def test_the_page_as_it_is_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_as_it_is_printed(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("BENCH_TARGET", raising=False)
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     fences = re.findall(r"^```(\w+)$", PAGE, re.MULTILINE)
-    assert set(fences) == {"sh", "python", "pyi"}
-    assert len(blocks) == fences.count("python")
+    assert (set(fences), len(blocks)) == ({"sh", "python", "pyi"}, fences.count("python"))
     cells: dict[str, Any] = {}
     link = WatchedLink(physical())
     with (

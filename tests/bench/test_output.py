@@ -14,6 +14,7 @@ from typing import TextIO
 
 import pytest
 from processes import ENVIRONMENT, LIMIT
+from shared import table
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
@@ -44,26 +45,7 @@ def bench(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
 
 # -- files: places that cannot be written --------------------------------------------------------------------------
 
-OUTPUTS = {
-    "live --save": (("live", "serial:x", "--viewer", "none", "--save", "{}.run"), 3),
-    "live --json": (("live", "serial:x", "--viewer", "none", "--json", "{}"), 2),
-    "accept --report": (("accept", "sim", "--report", "{}"), 2),
-    "accept --json": (("accept", "sim", "--json", "{}"), 2),
-    "accept --junit": (("accept", "sim", "--junit", "{}"), 2),
-    "accept --list": (("accept", "sim", "--list", "--json", "{}"), 2),
-    "hall check --save": (("hall", "check", "sim", "--save", "{}"), 3),
-    "hall check --json": (("hall", "check", "run.run", "--json", "{}"), 2),
-    "hall learn --out": (("hall", "learn", "sim", "--out", "{}.toml"), 2),
-    "replay --out": (("replay", "run.run", "--out", "{}"), 3),
-    "replay --json": (("replay", "run.run", "--json", "{}"), 2),
-    "score --html": (("score", "run.run", "--html", "{}"), 2),
-    "score --json": (("score", "run.run", "--json", "{}"), 2),
-    "score --csv": (("score", "run.run", "--csv", "{}"), 2),
-    "score --write-expect": (("score", "run.run", "--write-expect", "{}"), 2),
-    "info --json": (("info", "serial:x", "--json", "{}"), 2),
-    "devices --json": (("devices", "--json", "{}"), 2),
-    "dbc -o": (("protocol", "dbc", "can:virtual/x", "-o", "{}"), 2),
-}
+OUTPUTS = {row["name"]: (row["line"].split(), row["code"]) for row in table("outputs")["outputs"]}
 BAD_PLACES = {
     "missing/x": "there is no directory",
     "run.run/x": "Not a directory",
@@ -91,9 +73,7 @@ def places(here: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("place", BAD_PLACES)
-def test_a_place_that_cannot_be_written_is_told_before_the_run(
-    bench: Callable[..., Ran], places: Path, place: str
-) -> None:
+def test_a_place_that_cannot_be_written_is_told_before_the_run(bench: Callable[..., Ran], places: Path, place: str):
     if place.startswith("closed") and os.geteuid() == 0:
         pytest.skip("root may write anywhere")
     before = sorted(path.name for path in places.iterdir())
@@ -112,7 +92,7 @@ def test_what_is_there_is_neither_replaced_nor_cut_without_overwrite(bench: Call
         if name == "accept --report":
             path = Path("a_report/report.html")
             path.parent.mkdir()
-            arguments = (*arguments[:-1], "a_report")
+            arguments = [*arguments[:-1], "a_report"]
         path.write_text("precious")
         code, out, err = bench(*(text.format("there") for text in arguments))
         assert (code, out, len(err.splitlines())) == (2, "", 1), f"{name}: {code} {out} {err}"
@@ -192,9 +172,7 @@ def with_json(run: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def test_json_goes_to_standard_output_alone_or_to_a_file(
-    bench: Callable[..., Ran], drive_run: Path, here: Path
-) -> None:
+def test_json_goes_to_standard_output_alone_or_to_a_file(bench: Callable[..., Ran], drive_run: Path, here: Path):
     for name, arguments in with_json(drive_run).items():
         code, out, _ = bench(*arguments, "--json")
         assert isinstance(json.loads(out), dict | list), name
@@ -274,9 +252,7 @@ def test_standard_output_on_a_full_device_is_told_and_a_reader_that_has_gone_end
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_a_terminal_without_the_characters_gets_others(
-    bench: Callable[..., Ran], drive_run: Path, here: Path, encoding: str
-) -> None:
+def test_a_terminal_without_the_characters_gets_others(bench, drive_run, here, encoding) -> None:
     shown = ""
     for arguments in printing(drive_run):
         expected, utf8, _ = bench(*arguments)
@@ -292,9 +268,7 @@ def test_a_terminal_without_the_characters_gets_others(
     assert "<= " in shown
 
 
-def test_standard_error_that_cannot_be_written_ends_nothing(
-    bench: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_standard_error_that_cannot_be_written_ends_nothing(bench: Callable[..., Ran], monkeypatch) -> None:
     with open("/dev/full", "w") as full:
         monkeypatch.setattr(sys, "stderr", full)
         code, out, _ = bench("live", "serial:x", "--viewer", "none", "--duration", "0.1")
@@ -308,31 +282,25 @@ def test_control_characters_are_shown_and_not_obeyed(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out == "one\\x1b[2J\ntwo\\r\\u202e\n"
 
 
-@pytest.mark.parametrize(
-    ("shell", "code", "err"),
-    [
-        ("replay --list >&-", 141, ""),
-        ("replay --list >&- 2>&- <&-", 141, ""),
-        ("replay --list 2>&- <&-", 0, ""),
-        ("replay --list > /dev/full", 2, "error: standard output cannot be written: No space left on device\n"),
-        ("replay --list | true; exit ${PIPESTATUS[0]}", 141, ""),
-    ],
-)
+@pytest.mark.parametrize(("shell", "code", "err"), [
+    ("replay --list >&-", 141, ""),
+    ("replay --list >&- 2>&- <&-", 141, ""),
+    ("replay --list 2>&- <&-", 0, ""),
+    ("replay --list > /dev/full", 2, "error: standard output cannot be written: No space left on device\n"),
+    ("replay --list | true; exit ${PIPESTATUS[0]}", 141, ""),
+])  # fmt: skip
 def test_streams_of_a_real_process(shell: str, code: int, err: str) -> None:
     done = subprocess.run(
         ["bash", "-c", f"{sys.executable} -m bench {shell}"],
         env=ENVIRONMENT, capture_output=True, text=True, timeout=LIMIT, check=False,
     )  # fmt: skip
-    assert (done.returncode, done.stderr) == (code, err)
-    assert bool(done.stdout) == (code == 0)
+    assert ((done.returncode, done.stderr), bool(done.stdout)) == ((code, err), code == 0)
 
 
 # -- what nobody foresaw -------------------------------------------------------------------------------------------
 
 
-def test_an_error_that_is_not_foreseen_is_one_line_and_no_verdict_on_the_drive(
-    bench: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_that_is_not_foreseen_is_one_line_and_no_verdict_on_the_drive(bench: Callable[..., Ran], monkeypatch):
     def broken(target: str) -> None:
         raise KeyError("n_p\x1b[2J")
 

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from damage import flip
 from hall_motor import Motor, capture
 from long_run import KEPT, repeated
 
@@ -32,6 +33,7 @@ from bench.recording import writer
 from bench.recording.reader import Run
 from bench.recording.writer import RunWriter
 from bench.scoring.board import score
+from tests.choice import sampled
 
 STEADY, REVERSAL = KEPT / "steady.run", KEPT / "reversal.run"
 SECOND = 20_000_000  # ticks
@@ -85,7 +87,7 @@ def test_a_part_and_some_channels_are_what_is_stored(in_groups: Path) -> None:
 
 def test_only_what_is_asked_for_is_read(in_groups: Path) -> None:
     """Row groups beside the part are not looked at: damage there is not found."""
-    damage(in_groups / "samples-000001.parquet", 1000)
+    flip(in_groups / "samples-000001.parquet", 1000)
     whole = Run(in_groups)
     list(whole.pieces("samples"))
     assert len(whole.damage) == 1
@@ -115,12 +117,6 @@ def test_pieces_are_the_whole(in_groups: Path) -> None:
     ]  # fmt: skip
 
 
-def damage(file: Path, at: int) -> None:
-    data = bytearray(file.read_bytes())
-    data[at] ^= 4
-    file.write_bytes(data)
-
-
 @pytest.mark.parametrize("stream", ["samples", "edges"])
 @pytest.mark.parametrize("end", [0, -1])
 def test_what_is_damaged_at_an_end_is_lost(in_groups: Path, stream: str, end: int) -> None:
@@ -128,7 +124,7 @@ def test_what_is_damaged_at_an_end_is_lost(in_groups: Path, stream: str, end: in
     file = sorted(in_groups.glob(f"{stream}-*.parquet"))[end]
     table = pq.ParquetFile(file).metadata
     group = table.row_group(0 if end == 0 else table.num_row_groups - 1)
-    damage(file, group.column(0).data_page_offset + 2)
+    flip(file, group.column(0).data_page_offset + 2)
     before = bench.read(REVERSAL)
     read = bench.read(in_groups)
     noun = "samples" if stream == "samples" else "Hall edges"
@@ -148,8 +144,7 @@ def test_what_never_came_at_the_end_is_lost(tmp_path: Path) -> None:
     out.close()
     (lost,) = bench.read(tmp_path / "a.run").dropped
     assert lost[2].startswith("40 samples and 2 Hall edges did not come")
-    assert lost[0] == run.samples.tick[-1]
-    assert bench.read(tmp_path / "a.run", end=0.5).dropped == ()
+    assert (lost[0], bench.read(tmp_path / "a.run", end=0.5).dropped) == (run.samples.tick[-1], ())
 
 
 def test_the_journal_is_read_by_part_and_channel_too(tmp_path: Path) -> None:
@@ -191,6 +186,7 @@ print(len(bench.read(path, 30.0, 31.0)))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a limit of the address space")
+@pytest.mark.long("a run that does not fit")
 def test_more_than_fits_into_memory_is_refused_and_read_in_pieces(tmp_path: Path) -> None:
     """A process that may take 100 MB more, and a run of 124 MB."""
     path = repeated(tmp_path / "long.run", 150)
@@ -237,10 +233,9 @@ def peak(run: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("what", ["score", "check"])
-def test_memory_does_not_grow_with_the_run(
-    tmp_path: Path, small_groups: None, monkeypatch: pytest.MonkeyPatch, what: str
-) -> None:
+@pytest.mark.parametrize("what", sampled("memory", ("score", "check"), 1, campaign="memory"))
+@pytest.mark.long("a run that does not fit")
+def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeypatch, what: str) -> None:
     monkeypatch.setattr(windows, "PIECE", 4000)
     for name in ("MOST", "MOST_EDGES"):
         monkeypatch.setattr(tracing, name, 2000)

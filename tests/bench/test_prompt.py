@@ -23,6 +23,7 @@ from virtual_run import physical
 from protocol.messages import DriveState
 from sim.ports.byte_ports import PtyPort
 from sim.ports.device import SimulatedDevice
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +92,9 @@ def answer(drive: PhysicalDrive, reply: bytes) -> tuple[int, str]:
     return on_terminal(["live", drive.port.target, *options], b"[y/N]", reply)
 
 
-@pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\n", 2), (b"\x03", 130)])
+@pytest.mark.parametrize(
+    ("reply", "code"), sampled("refusal", [(b"n\n", 2), (b"\n", 2), (b"\x03", 130)], 1, campaign="terminal")
+)
 def test_anything_but_yes_leaves_the_drive_alone(drive: PhysicalDrive, reply: bytes, code: int) -> None:
     ended, text = answer(drive, reply)
     assert re.search(r"Spin simulated drive \(boot [0-9a-f]{8}\) on serial:\S+: up to 300 r/min, .*up to 8 A\. "

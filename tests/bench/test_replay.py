@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from damage import flip
 
 import bench
 from bench.analysis.chunks import part
@@ -65,15 +66,12 @@ def test_all_that_was_recorded_is_still_there(run: Run, replayed: Run) -> None:
     for name in ("index", "tick", "hall_old", "hall_new", "illegal", "encoder"):
         assert np.array_equal(getattr(run.edges, name), getattr(replayed.edges, name))
     assert len(run.events) >= 4
-    assert replayed.events == run.events
-    assert replayed.marks == run.marks
-    assert len(run.marks) == 1
+    assert (replayed.events, replayed.marks, len(run.marks)) == (run.events, run.marks, 1)
     assert sorted(zip(replayed.notes, replayed.levels, strict=True)) == sorted(zip(run.notes, run.levels, strict=True))
     assert "WARN" in run.levels
     assert replayed.summary.startswith("# The run\n")
     assert "# Replay" in replayed.summary
-    assert replayed.info.parameters == run.info.parameters
-    assert replayed.info.started == run.info.started
+    assert (replayed.info.parameters, replayed.info.started) == (run.info.parameters, run.info.started)
     assert replayed.info.recording_id != run.info.recording_id
 
 
@@ -113,22 +111,17 @@ def test_after_a_gap_the_observers_begin_anew(run: Run, lost: str, tmp_path: Pat
     assert np.array_equal(samples.raw["theta_vt"][same], samples.raw["theta_vt_host"][same])
 
 
-@pytest.mark.parametrize(
-    ("settings", "observers", "words"),
-    [
-        ({"k_p": 1e9}, (), "k_p: must be 0..100000, got 1e+09"),
-        ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
-        ({"nonsense": 1.0}, (), "nonsense: it is no parameter; available: "),
-        ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
-        ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_timeout"),
-        ({}, ("nobody",), "no observer 'nobody'; available: average_speed (avg), vector_tracking (vt)"),
-        ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
-        ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is already set"),
-    ],
-)
-def test_settings_and_names_are_checked(
-    drive_run: Path, tmp_path: Path, settings: dict[str, float], observers: tuple[str, ...], words: str
-) -> None:
+@pytest.mark.parametrize(("settings", "observers", "words"), [
+    ({"k_p": 1e9}, (), "k_p: must be 0..100000, got 1e+09"),
+    ({"literal_sgn": 0.5}, (), "literal_sgn: must be a whole number"),
+    ({"nonsense": 1.0}, (), "nonsense: it is no parameter; available: "),
+    ({"i_max": 1.0}, (), "i_max: it changes nothing in average_speed"),
+    ({"k_p": 1.0}, ("average_speed",), "k_p: it changes nothing in average_speed; available: hall_timeout"),
+    ({}, ("nobody",), "no observer 'nobody'; available: average_speed (avg), vector_tracking (vt)"),
+    ({}, ("load-angel",), "no observer 'load-angel' (did you mean load_angle?)"),
+    ({"k_p": 1.0, "k_p_vt": 2.0}, ("vector-tracking",), "k_p_vt: k_p_vt is already set"),
+])  # fmt: skip
+def test_settings_and_names_are_checked(drive_run, tmp_path, settings, observers, words) -> None:
     with pytest.raises(BenchError) as raised:
         replay(drive_run, observers, settings, tmp_path / "out.run")
     assert words in str(raised.value)
@@ -174,9 +167,7 @@ def test_the_command_writes_once(drive_run: Path, tmp_path: Path) -> None:
     assert "3 is no" in CliRunner().invoke(cli, ["replay", str(link), "--set", "3 is no"]).output.replace("'", "")
 
 
-def test_a_replay_that_fails_leaves_the_earlier_one(
-    drive_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_replay_that_fails_leaves_the_earlier_one(drive_run: Path, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.run"
     replay(drive_run, ("vt",), out=out)
     earlier = (out / "run.jsonl").read_bytes()
@@ -188,8 +179,7 @@ def test_a_replay_that_fails_leaves_the_earlier_one(
         patch.setattr(SegmentFile, "finish", interrupted)
         with pytest.raises(KeyboardInterrupt):
             replay(drive_run, ("la",), out=out, overwrite=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["out.run"]
-    assert (out / "run.jsonl").read_bytes() == earlier
+    assert ([path.name for path in tmp_path.iterdir()], (out / "run.jsonl").read_bytes()) == (["out.run"], earlier)
     replay(drive_run, ("la",), out=out, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out.run"]
     names = Run(out).samples.raw.dtype.names
@@ -201,9 +191,7 @@ def test_damage_is_named_by_whatever_reads_the_run(drive_run: Path, tmp_path: Pa
     path = tmp_path / "a.run"
     shutil.copytree(drive_run, path)
     file = path / "samples-000001.parquet"
-    data = bytearray(file.read_bytes())
-    data[len(data) // 3] ^= 4
-    file.write_bytes(data)
+    flip(file, file.stat().st_size // 3)
     words = r"(holds|has) no samples.*samples-000001\.parquet is damaged: \d+ rows from 0\.\d+ s to 3\.\d+ s are lost"
     for reads in (bench.read, lambda run: score([run]), replay):
         with pytest.raises(BenchError, match=words):

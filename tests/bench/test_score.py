@@ -89,8 +89,7 @@ def test_the_best_stands_first(made_up_board: Scoreboard) -> None:
         f"{made_up_board.tracks[0].path}: no observer can run on it: "
         "it has no channel hall, u_alpha, u_beta, i_a, i_b, i_c"
     ]
-    lines = as_text(made_up_board)
-    assert lines[-len(LEGEND) - 1 :] == [f"note: {made_up_board.notes[-1]}", *LEGEND]
+    assert as_text(made_up_board)[-len(LEGEND) - 1 :] == [f"note: {made_up_board.notes[-1]}", *LEGEND]
 
 
 def test_known_errors_are_told(made_up_board: Scoreboard) -> None:
@@ -112,8 +111,7 @@ def test_known_errors_are_told(made_up_board: Scoreboard) -> None:
     assert slow == pytest.approx(math.degrees(300 / TO_RPM * DELAY), abs=2e-3)
     assert fast == pytest.approx(math.degrees(600 / TO_RPM * DELAY), abs=2e-3)
     lags = [figures["lag"]["angle_us"] for figures in (late, exact, biased)]
-    assert lags == pytest.approx([50.0, 0.0, 0.0], abs=0.5)
-    assert exact["lag"]["speed_us"] == pytest.approx(0.0, abs=1.0)
+    assert (lags, exact["lag"]["speed_us"]) == (pytest.approx([50.0, 0.0, 0.0], abs=0.5), pytest.approx(0.0, abs=1.0))
 
 
 def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
@@ -128,8 +126,7 @@ def test_errors_by_sector_stand_in_their_sector(tmp_path: Path) -> None:
 
 
 def test_observers_run_again_score_as_the_drives_own(drive_board: Scoreboard) -> None:
-    names = set(drive_board.pooled)
-    assert names == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt")}
+    assert set(drive_board.pooled) == set(CATALOGUE) | {f"drive_{short}" for short in ("avg", "vt")}
     for name, short in (("average_speed", "avg"), ("vector_tracking", "vt")):
         host, drive = drive_board.pooled[name], drive_board.pooled[f"drive_{short}"]
         assert host["start_up"]["events"] == 1
@@ -161,8 +158,7 @@ def test_recordings_are_pooled_by_samples(made_up: Path, tmp_path: Path) -> None
     board = score([made_up, tmp_path / "b.run"], ["drive_exact"])
     first, second = (board.by_file[str(path)]["drive_exact"]["moving"] for path in (made_up, tmp_path / "b.run"))
     pooled = board.pooled["drive_exact"]["moving"]
-    assert second["bias"] == pytest.approx(-1.0, abs=1e-3)
-    assert pooled["n"] == first["n"] + second["n"]
+    assert (second["bias"], pooled["n"]) == (pytest.approx(-1.0, abs=1e-3), first["n"] + second["n"])
     assert pooled["bias"] == pytest.approx(-second["n"] / pooled["n"], abs=1e-3)
     text = "\n".join(as_text(board))
     assert text.startswith("2 recordings pooled\n")
@@ -200,9 +196,7 @@ def test_mixed_rates_are_noted(made_up: Path, tmp_path: Path) -> None:
     ("speed", "omega_told", "refused"),
     [(1800.0, True, True), (1500.0, True, False), (1800.0, False, True), (1500.0, False, False)],
 )
-def test_an_angle_that_turns_too_far_between_samples_is_refused(
-    speed: float, omega_told: bool, refused: bool, tmp_path: Path
-) -> None:
+def test_an_angle_that_turns_too_far_between_samples_is_refused(speed, omega_told, refused, tmp_path) -> None:
     path = tmp_path / "a.run"
     t = np.arange(0.0, 4.0, 1 / 500)  # half a turn is 500 pi = 1571 rad/s
     theta = speed * t
@@ -248,13 +242,11 @@ def test_a_gap_parts_the_recording_and_what_is_too_short_is_counted(made_up: Pat
     sink.close()
     board = score([tmp_path / "gaps.run"])
     (track,) = board.tracks
-    assert (track.lost, track.dropped) == (140, 500)
-    assert [stretch.n for stretch in track.stretches] == [6000, n - 6640]
+    assert ((track.lost, track.dropped), [stretch.n for stretch in track.stretches]) == ((140, 500), [6000, n - 6640])
     assert any("140 samples lost" in note for note in board.notes)
     assert any("500 samples in stretches too short to score" in note for note in board.notes)
     late = board.pooled["drive_late"]
-    assert late["moving"]["n"] == 6000 + n - 6640
-    assert late["lag"]["angle_us"] == pytest.approx(50.0, abs=0.5)
+    assert (late["moving"]["n"], late["lag"]["angle_us"]) == (6000 + n - 6640, pytest.approx(50.0, abs=0.5))
     assert late["lag"]["speed_us"] == pytest.approx(50.0, abs=1.0)
 
 
@@ -281,11 +273,9 @@ def test_the_table_fits_100_columns(drive_board: Scoreboard) -> None:
     lines = as_text(drive_board)
     assert max(map(len, lines)) <= 100
     table = lines[: 1 + len(drive_board.pooled)]
-    assert len({len(line) for line in table}) == 1
-    assert table[0].split() == list(HEADERS)
+    assert (len({len(line) for line in table}), table[0].split()) == (1, list(HEADERS))
     longest = {"hall_vector_decoupled": next(iter(drive_board.pooled.values()))}
-    wide = as_text(Scoreboard(drive_board.tracks, longest, {"": longest}))
-    assert max(map(len, wide)) <= 100
+    assert max(map(len, as_text(Scoreboard(drive_board.tracks, longest, {"": longest})))) <= 100
 
 
 def test_the_command_writes_all_its_files(drive_run: Path, tmp_path: Path) -> None:
@@ -335,19 +325,16 @@ def test_what_cannot_be_told_is_outside(made_up_board: Scoreboard) -> None:
     assert str(outside) == "drive_exact.start_up.max is undefined, expected 0 … 40"
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("a.toml", "x.y = 3", "x.y must be [lo, hi] with lo <= hi, got 3"),
-        ("a.toml", "x.y = [2, 1]", "got [2, 1]"),
-        ("a.toml", "x.y = [true, 1]", "got [True, 1]"),
-        ("a.toml", "x.y = [nan, 1]", "got [nan, 1]"),
-        ("a.toml", "x.y = [1, 2", "a.toml: "),
-        ("a.toml", "", "has no limits"),
-        ("a.json", "[1, 2]", "must be a table"),
-        ("a.json", '{"x": {"y": ["1", 2]}}', "x.y must be [lo, hi]"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "words"), [
+    ("a.toml", "x.y = 3", "x.y must be [lo, hi] with lo <= hi, got 3"),
+    ("a.toml", "x.y = [2, 1]", "got [2, 1]"),
+    ("a.toml", "x.y = [true, 1]", "got [True, 1]"),
+    ("a.toml", "x.y = [nan, 1]", "got [nan, 1]"),
+    ("a.toml", "x.y = [1, 2", "a.toml: "),
+    ("a.toml", "", "has no limits"),
+    ("a.json", "[1, 2]", "must be a table"),
+    ("a.json", '{"x": {"y": ["1", 2]}}', "x.y must be [lo, hi]"),
+])  # fmt: skip
 def test_bad_bounds_are_errors(name: str, text: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text(text)

@@ -38,10 +38,8 @@ def lag_in_time(*stretches: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float 
 
 
 def test_a_sawtooth_has_its_figures() -> None:
-    error = np.linspace(-30.0, 30.0, 100_001)
-    figures = error_figures(error + 2.0)
-    assert figures["n"] == 100_001
-    assert figures["bias"] == pytest.approx(2.0, abs=1e-9)
+    figures = error_figures(np.linspace(-30.0, 30.0, 100_001) + 2.0)
+    assert (figures["n"], figures["bias"]) == (100_001, pytest.approx(2.0, abs=1e-9))
     assert figures["std"] == pytest.approx(30.0 / math.sqrt(3.0), rel=1e-4)
     assert figures["rms"] == pytest.approx(math.hypot(2.0, 30.0 / math.sqrt(3.0)), rel=1e-4)
     assert figures["max"] == pytest.approx(32.0)
@@ -77,8 +75,7 @@ def test_percentiles_of_any_number_are_those_of_numpy(n: int, cuts: int) -> None
         if k == 2:
             merged.merge(Sizes())
     for sizes in (whole, merged):
-        assert sizes.n == n
-        assert sizes.at(99.0) == pytest.approx(np.percentile(values, 99.0), rel=1e-12)
+        assert (sizes.n, sizes.at(99.0)) == (n, pytest.approx(np.percentile(values, 99.0), rel=1e-12))
         assert sizes.at(99.9) == pytest.approx(np.percentile(values, 99.9), rel=1e-12)
         for percent in (1.0, 50.0, 90.0):
             exact = np.percentile(values, percent)
@@ -143,8 +140,7 @@ def test_a_delay_told_from_parts_is_that_of_all_samples(tau: float) -> None:
         changes = Changes(actual[part], own[part], RATE)
         lag.add(changes, changes.against(estimate[part]))
     expected = by_interpolation(actual, estimate, where)
-    assert expected == pytest.approx(tau, abs=1e-4)
-    assert lag.lag() == pytest.approx(expected, abs=1e-10)
+    assert (expected, lag.lag()) == (pytest.approx(tau, abs=1e-4), pytest.approx(expected, abs=1e-10))
     assert lag_in_time((actual, estimate, where)) == pytest.approx(expected, abs=1e-10)
 
 
@@ -163,8 +159,7 @@ def test_a_delay_is_found_between_samples(tau: float) -> None:
     ]
     found = lag_in_time(*halves)
     assert found == pytest.approx(tau, abs=25e-6)  # four times what the noise makes of it
-    exact = lag_in_time((speed(t), speed(t - tau), changing))
-    assert exact == pytest.approx(tau, abs=0.2e-6)
+    assert lag_in_time((speed(t), speed(t - tau), changing)) == pytest.approx(tau, abs=0.2e-6)
 
 
 def test_no_delay_is_told_without_a_change_or_beyond_reason() -> None:

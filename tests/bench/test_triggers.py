@@ -23,8 +23,7 @@ def chunk(i_q: np.ndarray, level: np.ndarray, first: int = 0, node: int = 1) -> 
     raw = np.zeros(len(i_q), CONFIG.dtype)
     raw["i_q"], raw["level"] = np.rint(i_q * 1000), level
     index = first + np.arange(len(i_q), dtype=np.int64)
-    config = replace(CONFIG, node=node)
-    return SampleChunk(config, index, index * 1000, raw, ())
+    return SampleChunk(replace(CONFIG, node=node), index, index * 1000, raw, ())
 
 
 def hits(text: str, *chunks: SampleChunk) -> list[tuple[int, float]]:
@@ -35,15 +34,12 @@ def hits(text: str, *chunks: SampleChunk) -> list[tuple[int, float]]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("text", "of"),
-    [
-        ("i_q>8", ("i_q", False, ">", 8.0)),
-        (" abs(i_q) >= 8.5 ", ("i_q", True, ">=", 8.5)),
-        ("theta_vt<-1e-3", ("theta_vt", False, "<", -0.001)),
-        ("u_dc<=+18", ("u_dc", False, "<=", 18.0)),
-    ],
-)
+@pytest.mark.parametrize(("text", "of"), [
+    ("i_q>8", ("i_q", False, ">", 8.0)),
+    (" abs(i_q) >= 8.5 ", ("i_q", True, ">=", 8.5)),
+    ("theta_vt<-1e-3", ("theta_vt", False, "<", -0.001)),
+    ("u_dc<=+18", ("u_dc", False, "<=", 18.0)),
+])  # fmt: skip
 def test_words_of_a_trigger(text: str, of: tuple[str, bool, str, float]) -> None:
     condition = Condition.parse(text)
     assert (condition.channel, condition.absolute, condition.comparison, condition.value) == of
@@ -69,7 +65,9 @@ def test_it_triggers_where_it_begins_to_hold_and_then_not_for_a_second(pieces: i
     i_q = np.zeros(32_000)
     for begin, end in ((1600, 1700), (8000, 9000), (19_200, 32_000)):
         i_q[begin:end] = -9.0
-    parts = np.array_split(np.arange(len(i_q)), len(i_q) // pieces)
+    singly = (k for at in (1600, 8000, 19_200) for k in range(at - 10, at + 10))
+    cuts = [*singly] if pieces == 1 else range(pieces, len(i_q), pieces)
+    parts = np.split(np.arange(len(i_q)), cuts)
     chunks = [chunk(i_q[part], np.zeros(len(part)), int(part[0])) for part in parts]
     assert hits("abs(i_q)>8", *chunks) == [(1600, -9.0), (19_200, -9.0)]
     assert hits("i_q>8", *chunks) == []

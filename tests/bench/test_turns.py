@@ -46,12 +46,9 @@ def found(motor: Motor, late: float, lost: range = range(0), chunk: int = CHUNK,
 @pytest.mark.parametrize(
     "turns", [RAMP + STEADY, STEADY, RAMP[:5] + STEADY, SLOW], ids=["ramp", "steady", "half", "slow"]
 )
-def test_edges_that_come_late_are_counted_where_they_belong(
-    turns: tuple[tuple[float, float], ...], late: float
-) -> None:
+def test_edges_that_come_late_are_counted_where_they_belong(turns: tuple[tuple[float, float], ...], late: float):
     for sign in (1.0, -1.0):
-        motor = MOTOR.but(turns=[(sign * omega, seconds) for omega, seconds in turns])
-        judged = found(motor, late)
+        judged = found(MOTOR.but(turns=[(sign * omega, seconds) for omega, seconds in turns]), late)
         assert judged.compared
         assert judged.finding() == ""
 
@@ -74,14 +71,12 @@ def test_edges_that_come_after_all_waiting_leave_it_open(late: float) -> None:
 
 
 def test_dead_hall_sensors_are_named() -> None:
-    motor = MOTOR.but(turns=STEADY)
-    assert "the Hall sensors 0.0 in that direction" in found(motor, 10.0).finding()
+    assert "the Hall sensors 0.0 in that direction" in found(MOTOR.but(turns=STEADY), 10.0).finding()
 
 
 def test_lost_edges_are_no_wrong_pole_pairs() -> None:
     """A block with a gap is left out: of 360 edges in 2 s 60 in a row are missing, more than a block has."""
-    motor = MOTOR.but(turns=((60.0 * math.pi, 2.0),))
-    judged = found(motor, 0.02, range(100, 160))
+    judged = found(MOTOR.but(turns=((60.0 * math.pi, 2.0),)), 0.02, range(100, 160))
     assert judged.compared
     assert judged.finding() == ""
 

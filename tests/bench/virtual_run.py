@@ -48,7 +48,7 @@ def physical(seed: int = 1) -> SimulatedDevice:
 
 @dataclass
 class RecordingScreen:
-    """Keeps what a person would have seen."""
+    """Keeps what a person would have seen; it is never in a person's way."""
 
     notes: list[str] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
@@ -58,6 +58,13 @@ class RecordingScreen:
 
     def progress(self, text: str) -> None:
         self.lines.append(text)
+
+    def listed(self, name: str, limits: object) -> None:
+        self.notes.append(f"{name}: {limits}")
+
+    def pause(self) -> None: ...
+
+    def resume(self) -> None: ...
 
 
 class WatchedLink(VirtualLink):

@@ -16,7 +16,6 @@ from virtual_run import RecordingScreen, WatchedLink, at_rest
 
 from bench.acceptance.accept import AcceptOptions, accept
 from bench.acceptance.results import Measurement, RunResult, TestResult
-from bench.analysis.limits import Limits
 from bench.device.node import DRIVE, SAMPLES
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link
@@ -26,33 +25,18 @@ from sim.ports.device import SimulatedDevice
 HEAD = """
 import math
 import signal
-
 import numpy as np
 import pytest
-
 from bench.acceptance import RPM, energises, limit, limits, needs, Limits
-
 def turn(drive, record, rpm=300):
     drive.start("vector-tracking")
     drive.speed(rpm=rpm)
     record.wait(0.1)
-
 def trip(record):
     rig = record.rig
     rig.client.feed(1, on=False)
     rig.client.run_for(0.5)
 """
-
-
-class Screen(RecordingScreen):
-    """Also what would have been listed; it is never in a person's way."""
-
-    def listed(self, name: str, limits: Limits) -> None:
-        self.notes.append(f"{name}: {limits}")
-
-    def pause(self) -> None: ...
-
-    def resume(self) -> None: ...
 
 
 class SpoiltLink(WatchedLink):
@@ -119,7 +103,7 @@ class Run:
 
     found: RunResult | None
     code: int
-    screen: Screen
+    screen: RecordingScreen
 
     @property
     def result(self) -> RunResult:
@@ -144,7 +128,7 @@ class Accepting:
     """Writes test files to `directory` and runs them."""
 
     directory: Path
-    screen: Screen = field(default_factory=Screen)
+    screen: RecordingScreen = field(default_factory=RecordingScreen)
     numbers: Iterator[int] = field(default_factory=itertools.count)
 
     def write(self, text: str, name: str = "") -> Path:

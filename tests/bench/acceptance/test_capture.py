@@ -52,13 +52,14 @@ def judged(capture: Capture) -> tuple[Verdict, str]:
 def test_a_stretch_is_as_long_as_it_was_asked_for_and_whole(clean: Capture) -> None:
     assert len(clean) == pytest.approx(0.2 * RATE, abs=1)
     assert (np.diff(clean.samples.tick) == PERIOD).all()
-    assert clean.measured_rate == pytest.approx(RATE)
-    assert clean.span[1] - clean.span[0] == pytest.approx(0.2, abs=2 / RATE)
+    assert (clean.measured_rate, clean.span[1] - clean.span[0]) == (
+        pytest.approx(RATE),
+        pytest.approx(0.2, abs=2 / RATE),
+    )
     assert len(clean.edges) == pytest.approx(0.2 * 500 / 60 * 36, abs=2)  # six pole pairs
     ticks = clean.edges.tick
     assert ((ticks >= clean.samples.tick[0] - PERIOD) & (ticks <= clean.samples.tick[-1] + PERIOD)).all()
-    assert clean.flaws() == ()
-    assert judged(clean) == (Verdict.PASS, "")
+    assert (clean.flaws(), judged(clean)) == ((), (Verdict.PASS, ""))
 
 
 def without_edges(capture: Capture, after: int) -> Capture:
@@ -92,8 +93,7 @@ def test_a_raw_value_at_its_end_is_saturated(clean: Capture, value: int) -> None
     assert clean.samples.raw["i_b"].dtype == np.int16
     bad = tampered(clean, "i_b", slice(100, 103), value)
     why = f"i_b was at the end of its range in 3 samples, first at {clean.t[100]:.4f} s"
-    assert judged(bad) == (Verdict.INVALID, why)
-    assert judged(bad.between(bad.t[103], bad.t[-1])) == (Verdict.PASS, "")
+    assert (judged(bad), judged(bad.between(bad.t[103], bad.t[-1]))) == ((Verdict.INVALID, why), (Verdict.PASS, ""))
     assert judged(bad.between(bad.t[0], bad.t[99])) == (Verdict.PASS, "")
 
 
@@ -128,8 +128,7 @@ def test_angles_that_wrap_and_codes_are_never_saturated(clean: Capture) -> None:
     wrapping = [channel.name for channel in clean.samples.config.channels if channel.flags & Flag.WRAPS]
     assert "theta_enc" in wrapping
     for name in (*wrapping, "hall"):
-        most = np.iinfo(clean.samples.raw[name].dtype).max
-        assert tampered(clean, name, 5, most).flaws() == (), name
+        assert tampered(clean, name, 5, np.iinfo(clean.samples.raw[name].dtype).max).flaws() == (), name
 
 
 @pytest.mark.parametrize("jump_ms", [0.05, -0.04, 3600e3])

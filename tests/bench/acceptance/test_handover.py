@@ -56,8 +56,7 @@ def test_the_subject_is_what_was_tested_where_by_whom_and_with_what(tmp_path: Pa
         motor="BLY172S, no. 17",
     )
     page = Page(write_report(run, tmp_path))
-    assert page.subject["Drive"] == "BLDC-24"
-    assert page.subject["Serial number"] == "33FF-0817"
+    assert (page.subject["Drive"], page.subject["Serial number"]) == ("BLDC-24", "33FF-0817")
     assert page.subject["Firmware"] == "foc, build 1.4.2"
     assert page.subject["Motor"] == (
         "BLY172S, no. 17 by the drive's parameters: pole pairs 4, resistance 0.8 Ω, inductance 0.176 mH, "
@@ -113,19 +112,16 @@ def test_what_was_not_tested_is_there_by_reason_before_any_count(tmp_path: Path)
     assert "The run was ended early: 1 of 5 tests passed." in page.text
 
 
-@pytest.mark.parametrize(
-    ("verdict", "tests", "words"),
-    [
-        ("PASS", "PP", "All measurements are within their limits."),
-        ("PASS", "PS", "All that was tested is within its limits: 1 of 2 tests passed, 1 was skipped."),
-        ("FAIL", "PFF", "The drive did not pass: 2 of 3 tests failed."),
-        ("FAIL", "FEI", "The drive did not pass: 1 of 3 tests failed, 2 could not be judged."),
-        ("INCOMPLETE", "PSS", "Not everything was tested: 1 of 3 tests passed, 2 were skipped."),
-        ("INCOMPLETE", "SS", "Nothing was tested."),
-        ("INVALID", "PI", "The data are insufficient for a verdict."),
-        ("ERROR", "PE", "The bench is at fault: there is no verdict on the drive."),
-    ],
-)
+@pytest.mark.parametrize(("verdict", "tests", "words"), [
+    ("PASS", "PP", "All measurements are within their limits."),
+    ("PASS", "PS", "All that was tested is within its limits: 1 of 2 tests passed, 1 was skipped."),
+    ("FAIL", "PFF", "The drive did not pass: 2 of 3 tests failed."),
+    ("FAIL", "FEI", "The drive did not pass: 1 of 3 tests failed, 2 could not be judged."),
+    ("INCOMPLETE", "PSS", "Not everything was tested: 1 of 3 tests passed, 2 were skipped."),
+    ("INCOMPLETE", "SS", "Nothing was tested."),
+    ("INVALID", "PI", "The data are insufficient for a verdict."),
+    ("ERROR", "PE", "The bench is at fault: there is no verdict on the drive."),
+])  # fmt: skip
 def test_a_verdict_is_said_in_a_sentence(tmp_path: Path, verdict: str, tests: str, words: str) -> None:
     letters = {v.value[0]: v for v in (Verdict.PASS, Verdict.SKIPPED, Verdict.FAIL, Verdict.INVALID, Verdict.ERROR)}
     made = [a_test(f"t{k}", letters[letter]) for k, letter in enumerate(tests)]
@@ -134,7 +130,6 @@ def test_a_verdict_is_said_in_a_sentence(tmp_path: Path, verdict: str, tests: st
 
 ANSWERS = """
 from bench.acceptance import yes
-
 @yes("named", about="the fault has a name")
 @yes("alone")
 @limit("count", lo=1, hi=1)
@@ -174,17 +169,13 @@ def test_an_answer_is_no_number(accepting: Accepting) -> None:
 
 NAMES = """
 from bench.acceptance import called
-
 @pytest.mark.parametrize("factor", [2, pytest.param(3, id="three")])
 def test_low_speed_20_rpm(factor, drive): pass
-
 @pytest.mark.parametrize("case", [pytest.param(object(), id="over-current")])
 def test_trip(case, drive): pass
-
 @called("Hall wires {pair[0]} and {pair[1]} exchanged")
 @pytest.mark.parametrize("pair", ["ab"])
 def test_swap(pair, drive): pass
-
 @called("Observer: {id}")
 @pytest.mark.parametrize("case", [pytest.param(3, id="edge-kalman")])
 def test_observer(case, drive): pass
@@ -211,20 +202,17 @@ def test_a_name_with_braces_for_nothing_is_refused_before_anything_runs(acceptin
         accepting(NAMES.replace("Hall wires {pair[0]} and {pair[1]} exchanged", name))
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("error_std.fast.forwards", "Error standard deviation, fast, forward"),
-        ("thd.proposed.load25.speed8", "THD, proposed, load 25, speed 8"),
-        ("R_s_hat_low_shift_off", "R_s_hat low shift off"),
-        ("i_q_light", "i_q light"),
-        ("u_dc", "u_dc"),
-        ("ripple_d_ratio", "Ripple d ratio"),
-        ("open_a", "Open a"),
-        ("low_speed_20_rpm[2]", "Low speed 20 r/min, 2"),
-        ("", ""),
-    ],
-)
+@pytest.mark.parametrize(("name", "words"), [
+    ("error_std.fast.forwards", "Error standard deviation, fast, forward"),
+    ("thd.proposed.load25.speed8", "THD, proposed, load 25, speed 8"),
+    ("R_s_hat_low_shift_off", "R_s_hat low shift off"),
+    ("i_q_light", "i_q light"),
+    ("u_dc", "u_dc"),
+    ("ripple_d_ratio", "Ripple d ratio"),
+    ("open_a", "Open a"),
+    ("low_speed_20_rpm[2]", "Low speed 20 r/min, 2"),
+    ("", ""),
+])  # fmt: skip
 def test_names_in_words(name: str, words: str) -> None:
     assert in_words(name) == words
 
@@ -239,8 +227,7 @@ def test_a_string_in_a_style_sheet_ends_nothing(text: str) -> None:
 
 def test_the_style_sheet_stays_whole_whatever_a_drive_is_called(tmp_path: Path) -> None:
     run = a_run(identity={"name": '</style><script>"}', "serial": "*/ } body { display: none"})
-    page = Page(write_report(run, tmp_path))
-    assert "script" not in page.tags
+    assert "script" not in Page(write_report(run, tmp_path)).tags
     sheet = (tmp_path / "report.html").read_text().partition("<style>")[2].partition("</style>")[0]
     assert "script" not in sheet.replace("\\", "")[sheet.index("@page :first") :]
     assert sheet.count("{") == sheet.count("}")

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
 from accepting import Accepting, SpoiltLink, never_armed
-from processes import Sim
 from test_prompt import on_terminal
 from virtual_run import at_rest, physical, simulated
 
@@ -35,68 +34,38 @@ from sim.config.params import load_params
 
 pytestmark = pytest.mark.slow
 
-BRAKE = '''
-from __future__ import annotations
-from dataclasses import dataclass, field
+BRAKE = """
 from pathlib import Path
-
-@dataclass
 class Brake:
-    """Keeps what it was told, and a speed it cannot make."""
-    told: list[str] = field(default_factory=list)
-
-    def __post_init__(self):
-        self._tell("made")
-
-    def close(self):
-        self._tell("close")
-
-    def torque(self, tau):
-        self._tell(f"torque {tau:g}")
-
-    def off(self):
-        self._tell("off")
-
+    def __init__(self): self._tell("made")
+    def close(self): self._tell("close")
+    def torque(self, tau): self._tell(f"torque {tau:g}")
+    def off(self): self._tell("off")
     def _tell(self, text):
         with Path("told.txt").open("a") as file:
             print(text, file=file)
-
 class Both(Brake):
-    def speed(self, omega_m):
-        self._tell(f"speed {omega_m:g}")
-
+    def speed(self, omega_m): self._tell(f"speed {omega_m:g}")
 class Shy(Both):
     abilities = ("torque",)
-
-class Burnt(Brake):
-    def torque(self, tau):
-        raise OSError("VI_ERROR_TMO")
-
-class Stuck(Brake):
-    def off(self):
-        raise OSError("VI_ERROR_TMO")
-
-class Jammed(Brake):
-    def close(self):
-        raise OSError("VI_ERROR_CLOSING")
-
 class NoOff:
     def torque(self, tau): ...
-
-class Absent(Brake):
-    def __init__(self):
-        raise OSError("no such instrument")
-'''
+def failing(error):
+    def fail(self, *_): raise OSError(error)
+    return fail
+class Burnt(Brake): torque = failing("VI_ERROR_TMO")
+class Stuck(Brake): off = failing("VI_ERROR_TMO")
+class Jammed(Brake): close = failing("VI_ERROR_CLOSING")
+class Absent(Brake): __init__ = failing("no such instrument")
+"""
 BRAKES = """
 @limit("x", hi=1)
 def test_brakes(drive, load, record, measure):
     turn(drive, record)
     load.torque(0.25)
     measure("x", 0)
-
 @needs("load.speed")
-def test_forces(drive, load):
-    load.speed(rad_s=1.0)
+def test_forces(drive, load): load.speed(rad_s=1.0)
 """
 
 
@@ -158,9 +127,7 @@ def with_load(kind: str) -> None:
     [partial(rig_with, "node"), load_on_a_link_of_its_own],
     ids=("on the drive's link", "on a link of its own"),
 )
-def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a_speed(
-    connected: Callable[[SpoiltLink], AbstractContextManager[Rig]], link: SpoiltLink
-) -> None:
+def test_a_node_brakes_with_the_torque_that_it_is_given_and_lets_go_and_forces_a_speed(connected, link) -> None:
     """In the plant: friction and load are what the current's torque holds against."""
     _, before = link.left()
     with connected(link) as rig:
@@ -240,12 +207,9 @@ def test_no_load_turns_faster_than_the_test_announced(brake: Accepting, kind: st
 
 FASTER = """
 @energises(rpm=100, current=1)
-def test_faster(load):
-    load.speed(rpm=-101)
-
+def test_faster(load): load.speed(rpm=-101)
 @energises(rpm=101, current=1)
-def test_as_fast(load):
-    load.speed(rpm=-101)
+def test_as_fast(load): load.speed(rpm=-101)
 """
 
 
@@ -304,10 +268,8 @@ def test_a_person_who_cannot_be_asked_is_told_at_once(accepting: Accepting) -> N
 def test_without_a_load_a_test_that_needs_one_is_skipped(accepting: Accepting) -> None:
     with_load("none")
     run = accepting(BRAKES)
-    assert run.tests == {"brakes": "SKIPPED", "forces": "SKIPPED"}
-    assert run["brakes"].why == "needs a load"
-    assert run["forces"].why == "needs a load that forces a speed"
-    assert run.code == 6
+    assert (run.tests, run["brakes"].why) == ({"brakes": "SKIPPED", "forces": "SKIPPED"}, "needs a load")
+    assert (run["forces"].why, run.code) == ("needs a load that forces a speed", 6)
 
 
 def somebody(asked: list[str], answered: Callable[[str], bool] = lambda words: True) -> Ask:
@@ -350,8 +312,7 @@ def test_the_bench_goes_on_while_a_person_is_asked(link: SpoiltLink) -> None:
         with rig.recording() as stretch:
             rig.load.torque(0.1)
         assert rig.drive.state == DriveState.RUNNING
-        assert link.device.bench.truth.omega_m == pytest.approx(300 * RPM, rel=0.05)
-        assert stretch.capture.flaws() == ()
+        assert (link.device.bench.truth.omega_m, stretch.capture.flaws()) == (pytest.approx(300 * RPM, rel=0.05), ())
         assert len(stretch.capture) == pytest.approx(16000, rel=0.1)
 
 
@@ -384,9 +345,7 @@ def test_a_signal_ends_the_question(which: str, link: SpoiltLink) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         brake()
-    assert asked[-1] == which
-    assert link.left() == (True, before)
-    assert link.device.drive.machine.faults == Fault(0)
+    assert (asked[-1], link.left(), link.device.drive.machine.faults) == (which, (True, before), Fault(0))
 
 
 def test_a_person_who_has_gone_keeps_nothing_on(link: SpoiltLink) -> None:
@@ -455,9 +414,8 @@ def test_braked(drive, load, record):
 """
 
 
-def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(
-    accepting: Accepting, start_sim: Callable[..., Sim]
-) -> None:
+@pytest.mark.campaign("terminal")
+def test_on_a_real_terminal_a_person_takes_longer_than_the_watchdog(accepting, start_sim) -> None:
     Path("bench.toml").write_text('[rig]\nload = "person"\nperson = true\n')
     sim = start_sim("--pty", "--set", "firmware.watchdog=0.8")  # other programs may want the machine
     tests = accepting.write(BRAKED)
@@ -490,33 +448,22 @@ def test_a_class_of_ones_own_is_told_what_the_test_wants_and_forces_a_speed_if_i
     assert run.result.rig["load"] == f"brake.py:{kind}: {can}"
 
 
-def test_its_errors_become_one_line_and_the_drive_is_stopped(brake: Accepting, link: SpoiltLink) -> None:
-    with_load("brake.py:Burnt")
-    run = brake(BRAKES, link)
-    assert run["brakes"].why == "load brake.py:Burnt: torque() raised OSError: VI_ERROR_TMO"
-    assert (run["brakes"].verdict, run.code) == ("ERROR", 2)
-    assert Path("told.txt").read_text().split() == ["made", "off", "off", "close"]
-    assert at_rest(link.device)
-
-
-def test_one_that_does_not_go_off_is_told_and_the_drive_is_stopped_all_the_same(brake: Accepting) -> None:
-    with_load("brake.py:Stuck")
-    link = SpoiltLink(simulated())
+@pytest.mark.parametrize(
+    ("kind", "verdict", "why", "told"),
+    [("Burnt", "ERROR", "{}: torque() raised OSError: VI_ERROR_TMO", "made off close"),
+     ("Stuck", "ERROR", "the bench could not be restored: {}: off() raised OSError: VI_ERROR_TMO",
+      "made torque 0.25 close"),
+     ("Jammed", "PASS", "{}: close() raised OSError: VI_ERROR_CLOSING", "made torque 0.25 off")],
+)  # fmt: skip
+def test_its_errors_become_one_line_and_the_drive_is_stopped(brake, link, kind, verdict, why, told) -> None:
+    with_load(f"brake.py:{kind}")
     _, before = link.left()
     run = brake(BRAKES, link, keyword="test_brakes")
-    assert run["brakes"].why == (
-        "the bench could not be restored: load brake.py:Stuck: off() raised OSError: VI_ERROR_TMO"
-    )
-    assert (run["brakes"].verdict, run.measured["brakes.x"].verdict) == ("ERROR", "PASS")
+    assert (run["brakes"].verdict, run.code) == (verdict, 2)
+    # one that does not close is the run's error
+    assert (run["brakes"].why or run.result.error) == why.format(f"load brake.py:{kind}")
+    assert Path("told.txt").read_text().split("\n") == [*re.findall(r"torque \S+|\w+", told), ""]
     assert link.left() == (True, before)
-
-
-def test_one_that_does_not_close_is_the_runs_error(brake: Accepting) -> None:
-    with_load("brake.py:Jammed")
-    run = brake(BRAKES, keyword="test_brakes")
-    assert run.tests == {"brakes": "PASS"}
-    assert run.result.error == "load brake.py:Jammed: close() raised OSError: VI_ERROR_CLOSING"
-    assert run.code == 2
 
 
 @pytest.mark.parametrize(
@@ -595,9 +542,7 @@ def test_a_load_machine_on_a_link_of_its_own_is_refused_with_the_simulated_drive
         accepting(BRAKES)
 
 
-def test_a_lock_that_somebody_replaced_by_a_link_is_not_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_that_somebody_replaced_by_a_link_is_not_followed(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with alone_on("tcp:drive:7000"):
         (lock,) = tmp_path.iterdir()

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -32,8 +33,9 @@ from sim.config.params import load_params
 from sim.drive import tick_protection as protection
 from sim.drive.machine import Recorded, SimulatedBench
 from sim.ports.device import SimulatedDevice
+from tests.choice import sampled
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long("a good part of the suite for each sabotage")]
 
 SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
 BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
@@ -147,7 +149,7 @@ def assert_noticed(sabotage: Mapping[str, Any], run: Run, verdict: Verdict) -> N
     assert set(noticed.values()) == {verdict}
 
 
-@pytest.mark.parametrize("name", BROKEN_CONFIGS)
+@pytest.mark.parametrize("name", sampled("config", BROKEN_CONFIGS, 1, campaign="sabotage"))
 def test_a_broken_drive_fails_where_it_should(name: str, workshop: Workshop) -> None:
     run = workshop.run(SABOTAGES[name]["config"], keyword=concerned(SABOTAGES[name]))
     assert_noticed(SABOTAGES[name], run, Verdict.FAIL)
@@ -163,8 +165,7 @@ DEAD = {
 }
 
 
-@pytest.mark.parametrize("motor", MOTORS)
-@pytest.mark.parametrize("trip", DEAD)
+@pytest.mark.parametrize(("trip", "motor"), sampled("dead", product(DEAD, MOTORS), 2, campaign="sabotage"))
 def test_a_protection_that_is_dead_fails_in_its_own_test(trip: str, motor: str, workshop: Workshop) -> None:
     make_params = protection.make_params
 
@@ -190,56 +191,40 @@ def test_a_threshold_that_nothing_reaches_is_none(workshop: Workshop) -> None:
 BACKWARDS = "+ (0.0873 if {} < 0.0 else 0.0)"  # 5 deg
 WRONG = {
     "vector-tracking": (
-        (
-            "vector_tracking",
-            "Estimate(theta, omega_lpf,",
-            f"Estimate(theta {BACKWARDS.format('omega_h')}, omega_lpf,",
-            {},
-        ),
+        ("vector_tracking", "Estimate(theta, omega_lpf,", f"Estimate(theta {BACKWARDS.format('omega_h')}, omega_lpf,"),
         ["error_mean.slow.backwards", "error_mean.fast.backwards"],
     ),
     "sector-centre": (
-        (
-            "sector_centre",
-            "Estimate(theta, hall.omega)",
-            f"Estimate(theta {BACKWARDS.format('hall.omega')}, hall.omega)",
-            {},
-        ),
+        ("sector_centre", "Estimate(theta, hall", f"Estimate(theta {BACKWARDS.format('hall.omega')}, hall"),
         ["error_mean.slow.backwards", "error_mean.fast.backwards"],
     ),
     "hall-vector-decoupled": (
-        (
-            "hall_vector_decoupled",
-            "return math.sin(sixfold)",
-            "return -math.sin(sixfold)",
-            {"module": "hall_vector", "decouple": True},
-        ),
-        ["ratio.slow"],
+        ("hall_vector_decoupled", "return math.sin(sixfold)", "return -math.sin(sixfold)"), ["ratio.slow"],
     ),
     "lookup-table": (
-        ("lookup_table", "omega = hall.omega * (passed / SECTOR_WIDTH)", "omega = hall.omega", {}),
+        ("lookup_table", "omega = hall.omega * (passed / SECTOR_WIDTH)", "omega = hall.omega"),
         ["error_std.slow.forwards", "error_std.fast.backwards"],
     ),
     "edge-kalman": (
-        (
-            "edge_kalman",
-            "Estimate(theta, omega_lpf, belief.sensors",
-            "Estimate(theta + 0.08, omega_lpf, belief.sensors",
-            {},
-        ),
+        ("edge_kalman", "Estimate(theta, omega_lpf, bel", "Estimate(theta + 0.08, omega_lpf, bel"),
         ["error_mean.fast.forwards", "error_mean.fast.backwards"],
     ),
-}
+}  # fmt: skip
 """By test: what is wrong in one line of the observer, and the measurements that must notice."""
+MORE = {"hall-vector-decoupled": {"module": "hall_vector", "decouple": True}}
 
 
-@pytest.mark.parametrize("motor", MOTORS)
-@pytest.mark.parametrize("name", WRONG)
-def test_an_observer_that_is_wrong_in_one_line_fails_in_its_own_test(
-    name: str, motor: str, workshop: Workshop, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    (observer, old, new, more), must = WRONG[name]
-    with mutant(observer, old, new, tmp_path_factory.getbasetemp(), **more):
+QUICK = [*product(("sector-centre", "lookup-table", "hall-vector-decoupled"), MOTORS)]
+COMPILED = [*product(("vector-tracking", "edge-kalman"), MOTORS)]
+
+
+@pytest.mark.parametrize(
+    ("name", "motor"),
+    [*sampled("quick", QUICK, 2, campaign="sabotage"), *sampled("compiled", COMPILED, 0, campaign="sabotage")],
+)
+def test_an_observer_that_is_wrong_in_one_line_fails_in_its_own_test(name, motor, workshop, tmp_path_factory) -> None:
+    change, must = WRONG[name]
+    with mutant(*change, tmp_path_factory.getbasetemp(), **MORE.get(name, {})):
         run = workshop.run(keyword=f"observer and {name} or observer and average", motor=motor)
     failed = {name for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
     assert failed >= {f"observer[{name}].{measurement}" for measurement in must}
@@ -254,8 +239,7 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("motor", MOTORS)
-@pytest.mark.parametrize("wrong", NAMED)
+@pytest.mark.parametrize(("wrong", "motor"), sampled("named", product(NAMED, MOTORS), 2, campaign="sabotage"))
 def test_what_is_described_wrongly_is_named(wrong: str, motor: str, workshop: Workshop) -> None:
     config, measurement = NAMED[wrong]
     run = workshop.run(config, keyword="back_emf_and_encoder or hall_edges and not table1", motor=motor)
@@ -263,9 +247,7 @@ def test_what_is_described_wrongly_is_named(wrong: str, motor: str, workshop: Wo
     workshop.require_safe()
 
 
-def test_a_watchdog_that_does_not_trip_fails_in_its_own_test_and_the_drive_ends_idle_all_the_same(
-    workshop: Workshop,
-) -> None:
+def test_a_watchdog_that_does_not_trip_fails_in_its_own_test_and_the_drive_ends_idle_all_the_same(workshop: Workshop):
     sabotage = SABOTAGES["watchdog_does_not_trip"]
     with patch.object(StateMachine, "_watchdog_ticks", lambda machine: 1 << 60):
         run = workshop.run(keyword=concerned(sabotage))
@@ -274,6 +256,7 @@ def test_a_watchdog_that_does_not_trip_fails_in_its_own_test_and_the_drive_ends_
     workshop.require_safe()
 
 
+@pytest.mark.campaign("sabotage")
 def test_samples_that_are_lost_make_invalid_what_was_made_from_them(workshop: Workshop) -> None:
     sabotage = SABOTAGES["dropped_samples"]
     undisturbed = workshop.run(keyword=" or ".join(sabotage["at"]))
@@ -284,8 +267,7 @@ def test_samples_that_are_lost_make_invalid_what_was_made_from_them(workshop: Wo
         moments[test] = sum(span) / 2.0
     run = workshop.run(lose_at=moments, keyword=concerned(sabotage))
     assert_noticed(sabotage, run, Verdict.INVALID)
-    assert run.code == 2
-    assert {test for test in run.tests if run[test].quality.lost_samples} == moments.keys()
+    assert (run.code, {test for test in run.tests if run[test].quality.lost_samples}) == (2, moments.keys())
     workshop.require_safe()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from accepting import Accepting, SpoiltLink
+from shared import table
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
@@ -22,50 +23,25 @@ def test_measures(measure):
     measure("spread", 2.5)
     measure("other", 0)
 """
-SPREAD = "limits.'measures.spread' in bench.toml must"
-WRONG = {
-    "target = ": "cannot read bench.toml: Invalid value",
-    f"target = {'[' * 100_000}": "cannot read bench.toml: it is nested too deeply",
-    "target = 5": "target in bench.toml must be text, got 5",
-    "targte = 'sim'": r"unknown key targte in bench.toml: did you mean target\?",
-    "xyz = 1": "unknown key xyz in bench.toml: there are target, station, operator, motor, config, rig, rated, limits",
-    "rated = 5": "rated in bench.toml must be a table, got 5",
-    "[rated]\nspeed = 5": r"unknown key rated.speed in bench.toml: did you mean rated.speed_rpm\?",
-    "[rated]\ncurrent = '8'": "rated.current in bench.toml must be a number, got '8'",
-    "[rated]\ncurrent = true": "rated.current in bench.toml must be a number, got True",
-    "[rated]\ncurrent = -1": "rated.current in bench.toml must be more than 0, got -1",
-    "[rated]\ncurrent = 9": r"\[rated\] current = 9 in bench.toml is beyond the drive.s limit of 8 ",
-    "[rated]\nspeed_rpm = 4e3": r"\[rated\] speed_rpm = 4000 in bench.toml is beyond the drive.s limit of 3151",
-    "rig = 'node'": "rig in bench.toml must be a table, got 'node'",
-    "[rig]\nperson = 'yes'": "rig.person in bench.toml must be true or false, got 'yes'",
-    "[rig]\nlaod = 'node'": r"unknown key rig.laod in bench.toml: did you mean rig.load\?",
-    "[rig]\nload = 'nodee'": "rig.load in bench.toml must be node, none, person, FILE.py:Class or a target: "
-    "unknown target 'nodee'",
-    "[limits]\n'measures.spread' = 3": SPREAD + r" look like \{ lo = 0.0, hi = 1.0 \}, got 3",
-    "[limits]\n'measures.spread' = {}": SPREAD + " look like",
-    "[limits]\n'measures.spread' = { max = 3 }": SPREAD + " look like",
-    "[limits]\n'measures.spread' = { hi = '3' }": SPREAD + " be finite numbers, got '3'",
-    "[limits]\n'measures.spread' = { hi = nan }": SPREAD + " be finite numbers, got nan",
-    "[limits]\n'measures.spread' = { hi = true }": SPREAD + " be finite numbers, got True",
-    "[limits]\n'measures.spread' = { lo = 3 }": r"\[limits\] in bench.toml: spread: the lower limit 3 is above the "
-    "upper one, 2",
-    "[limits]\n'measures.spraed' = { hi = 3 }": r"\[limits\] in bench.toml names 'measures.spraed', which no test "
-    r"measures: did you mean measures.spread\?",
-    "[limits]\n'zzz' = { hi = 3 }": r"\[limits\] in bench.toml names 'zzz', which no test measures: bench accept",
-    "config = 'nowhere.toml'": "nowhere.toml",
-    "config = 'bench.toml'": "unknown key config",
-}  # fmt: skip
+WRONG = table("settings")
+READ = [*WRONG["read"], [f"target = {'[' * 100_000}", "cannot read bench.toml: it is nested too deeply"]]
 
 
-@pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:60])
-def test_what_is_wrong_is_one_line_and_nothing_runs(
-    accepting: Accepting, capfd: pytest.CaptureFixture[str], text: str
-) -> None:
+@pytest.mark.parametrize(("text", "says"), READ, ids=lambda text: text[:60])
+def test_what_is_wrong_is_one_line(text: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text(text)
-    with pytest.raises(BenchError, match=WRONG[text]) as refused:
+    with pytest.raises(BenchError, match=says) as refused:
+        read_settings(None)
+    assert ("\n" in str(refused.value), refused.value.exit_code) == (False, 2)
+
+
+@pytest.mark.parametrize(("text", "says"), [*READ[:1], *WRONG["run"]], ids=lambda text: text[:60])
+def test_what_is_wrong_is_told_before_anything_runs(accepting: Accepting, capfd, text: str, says: str) -> None:
+    Path("bench.toml").write_text(text)
+    with pytest.raises(BenchError, match=says) as refused:
         accepting(TESTS)
-    assert "\n" not in str(refused.value)
-    assert refused.value.exit_code == 2
+    assert ("\n" in str(refused.value), refused.value.exit_code) == (False, 2)
     assert not any("measures" in note for note in accepting.screen.notes)
     assert capfd.readouterr().err == ""
 
@@ -108,9 +84,7 @@ def test_a_limit_for_a_test_of_another_run_is_told_and_no_error(accepting: Accep
      ("steady_5.error_max", None),
      ("staedy_50.error_max", r": did you mean steady_50.error_max\?")],
 )  # fmt: skip
-def test_a_limit_is_refused_only_if_it_is_misspelt_and_told_if_it_is_of_another_run(
-    name: str, meant: str | None
-) -> None:
+def test_a_limit_is_refused_only_if_it_is_misspelt_and_told_if_it_is_of_another_run(name: str, meant: str | None):
     """None: of another run; empty: of this one; else what is said."""
     settings = Settings(path=Path("bench.toml"), limits={name: {"hi": 1.0}})
     tests = {"fig08": ["a.b"], "fig08.a": ["c"], "measures": ["spread"], "steady_50": ["error_max"]}
@@ -121,9 +95,7 @@ def test_a_limit_is_refused_only_if_it_is_misspelt_and_told_if_it_is_of_another_
         assert settings.check_names(tests) == ([name] if meant is None else [])
 
 
-def test_the_name_with_the_file_holds_whatever_else_is_run_or_selected_from_elsewhere(
-    accepting: Accepting, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_name_with_the_file_holds_whatever_else_is_run_or_selected_from_elsewhere(accepting, monkeypatch) -> None:
     text = '@limit("err", hi=5)\ndef test_same(measure): measure("err", 1)\n'
     one, other = accepting.write(text, "one"), accepting.write(text, "other")
     Path("here").mkdir()
@@ -132,11 +104,9 @@ def test_the_name_with_the_file_holds_whatever_else_is_run_or_selected_from_else
     both = accepting(text, tests=(one, other))
     assert both.tests == {f"{one.stem}.same": "FAIL", f"{other.stem}.same": "PASS"}
     assert [both[name].node_id for name in both.tests] == [f"{one.name}::test_same", f"{other.name}::test_same"]
-    selected = accepting(text, tests=(one, other), keyword="own_one_")
-    assert selected.tests == {f"{one.stem}.same": "FAIL"}
+    assert accepting(text, tests=(one, other), keyword="own_one_").tests == {f"{one.stem}.same": "FAIL"}
     alone = accepting(text, tests=(one,))
-    assert alone.tests == {"same": "FAIL"}
-    assert alone.measured["same.err"].limits.hi == 0.1
+    assert (alone.tests, alone.measured["same.err"].limits.hi) == ({"same": "FAIL"}, 0.1)
     Path("bench.toml").write_text(f"[limits]\n'{one.stem}.same.err' = {{ hi = 2 }}\n'same.err' = {{ hi = 3 }}")
     with pytest.raises(BenchError, match=rf"names one measurement twice: {one.stem}\.same\.err and same\.err"):
         accepting(text, tests=(one,))
@@ -149,8 +119,7 @@ def test_a_limit_replaces_the_bounds_that_it_names_and_is_marked(accepting: Acce
     spread, other = run.measured["measures.spread"].limits, run.measured["measures.other"].limits
     assert (spread.lo, spread.hi, spread.unit, spread.overridden) == (1, 3, "deg", True)
     assert (other.lo, other.hi, other.overridden) == (0, None, False)
-    listed = accepting(TESTS, list_only=True)
-    assert "measures.spread: 1 … 3 deg" in listed.screen.notes
+    assert "measures.spread: 1 … 3 deg" in accepting(TESTS, list_only=True).screen.notes
 
 
 def test_config_is_relative_to_the_file(accepting: Accepting) -> None:
@@ -170,18 +139,15 @@ def test_figures_of_the_simulated_drive_are_not_for_another(accepting: Accepting
     with pytest.raises(BenchError, match=r"--config is for the simulated drive, not for serial:"):
         accepting(TESTS, link, config=Path("motor.toml"))
     Path("bench.toml").write_text('config = "motor.toml"\n')  # what the file says for `sim` does no harm
-    assert accepting(TESTS, link).code == 1
-    assert len(link.opened) == 2
+    assert (accepting(TESTS, link).code, len(link.opened)) == (1, 2)
 
 
 def test_the_target_is_that_of_the_option_the_environment_the_file_or_sim(monkeypatch: pytest.MonkeyPatch) -> None:
     file = Settings(target="tcp:file:1")
     monkeypatch.setenv("BENCH_TARGET", "tcp:environment:1")
-    assert target_of("tcp:option:1", file) == "tcp:option:1"
-    assert target_of(None, file) == "tcp:environment:1"
+    assert (target_of("tcp:option:1", file), target_of(None, file)) == ("tcp:option:1", "tcp:environment:1")
     monkeypatch.delenv("BENCH_TARGET")
-    assert target_of(None, file) == "tcp:file:1"
-    assert target_of(None, Settings()) == "sim"
+    assert (target_of(None, file), target_of(None, Settings())) == ("tcp:file:1", "sim")
 
 
 def test_every_key_is_read(tmp_path: Path) -> None:

@@ -54,9 +54,7 @@ def test_the_windows_give_the_codes_of_the_specification() -> None:
 @pytest.mark.parametrize("name", WIRINGS)
 @settings(max_examples=10, deadline=None)
 @given(placement=st.tuples(*[st.floats(-11.9, 11.9)] * 3), backwards=st.booleans())
-def test_each_wiring_is_named_however_the_sensors_are_placed(
-    name: str, placement: tuple[float, float, float], backwards: bool
-) -> None:
+def test_each_wiring_is_named_however_the_sensors_are_placed(name, placement, backwards) -> None:
     theta = turning()[::-1] if backwards else turning()
     found = diagnose(theta, read(theta, WIRINGS[name], np.array(placement)))
     assert (found.best, found.share) == (name, 1.0)
@@ -84,20 +82,16 @@ def test_noise_is_within_the_share_and_more_than_that_is_not() -> None:
         hit = rng.random(len(theta)) < glitches
         hall[hit] ^= 7
         found = diagnose(theta, hall)
-        assert found.best == best
-        assert found.share == pytest.approx(1.0 - glitches, abs=0.01)
+        assert (found.best, found.share) == (best, pytest.approx(1.0 - glitches, abs=0.01))
 
 
-@pytest.mark.parametrize(
-    ("shift_deg", "best"),
-    [
-        (120.0, "sensors rotated (a on b, b on c, c on a)"),
-        (-120.0, "sensors rotated (a on c, b on a, c on b)"),
-        (60.0, "none of the known wirings"),
-        (180.0, "none of the known wirings"),
-        (-60.0, "none of the known wirings"),
-    ],
-)
+@pytest.mark.parametrize(("shift_deg", "best"), [
+    (120.0, "sensors rotated (a on b, b on c, c on a)"),
+    (-120.0, "sensors rotated (a on c, b on a, c on b)"),
+    (60.0, "none of the known wirings"),
+    (180.0, "none of the known wirings"),
+    (-60.0, "none of the known wirings"),
+])  # fmt: skip
 def test_an_encoder_zero_that_is_off_looks_as_the_docstring_says(shift_deg: float, best: str) -> None:
     theta = turning()  # the rotor is `shift_deg` ahead of what the encoder says
     assert diagnose(theta, read(theta + math.radians(shift_deg))).best == best

@@ -21,8 +21,7 @@ def test_a_block_closes_after_its_period_of_device_time() -> None:
         builder.samples(chunk, now=0.0)  # the host's clock stands still
         if block := builder.take(0.0):
             sizes.append(block.n_samples)
-    assert sizes == [960] * 8
-    assert taken(builder).n_samples == 320
+    assert (sizes, taken(builder).n_samples) == ([960] * 8, 320)
     assert builder.take(0.0, everything=True) is None
 
 
@@ -41,8 +40,7 @@ def test_losses_are_counted_by_index_by_sequence_and_by_the_device(made: synthet
     chunks = made.sample_chunks(100)
     builder.samples(chunks[0], 0.0)
     builder.samples(replace(chunks[2], gaps=(Gap(0, 100, 7, False),)), 0.0)
-    edges = made.edge_chunk(4, 8)
-    builder.edges(replace(edges, gaps=(Gap(2, 3, 1, False),)), 0.0)
+    builder.edges(replace(made.edge_chunk(4, 8), gaps=(Gap(2, 3, 1, False),)), 0.0)
     builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=2), 0.0)
     builder.heartbeat(2, synthetic.heartbeat(0, tx_dropped=3), 0.0)
     builder.heartbeat(1, synthetic.heartbeat(0, tx_dropped=4), 0.0)

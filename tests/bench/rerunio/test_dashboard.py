@@ -60,6 +60,7 @@ def test_a_quantity_keeps_its_colour_from_plot_to_plot() -> None:
 
 
 @needs("Vulkan driver")
+@pytest.mark.long("rerun's viewer draws in software")
 def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Path) -> None:
     with headless("--window-size", "1600x900") as viewer:
         viewer.client.open(str(synthetic.viewed(recording)))
@@ -68,27 +69,22 @@ def test_a_saved_run_opens_with_every_view_healthy(recording: Path, tmp_path: Pa
         viewer.client.save_screenshot(str(picture))
         state = viewer.client.get_state()
     counts = {kind: sum(view.view_class == kind for view in state.views) for kind in VIEWS}
-    assert counts == VIEWS
-    assert len(state.views) == sum(VIEWS.values())
+    assert (counts, len(state.views)) == (VIEWS, sum(VIEWS.values()))
     assert [(view.name, view.reports) for view in state.views if view.reports] == []
     assert all(view.visible for view in state.views)
     (timeline,) = state.recordings[0].timelines
-    assert (timeline.name, timeline.time_type) == (schema.TIMELINE, "duration")
-    assert timeline.start == 100_000_000_000
+    assert ((timeline.name, timeline.time_type), timeline.start) == ((schema.TIMELINE, "duration"), 100_000_000_000)
     assert picture.stat().st_size > 50_000
 
 
 @needs("Vulkan driver")
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("i_a", "i_b", "i_c"),
-        ("theta_enc", "theta_vt"),
-        ("hall",),
-        ("u_dc", "status", "omega_ref"),
-        ("u_dc", "i_d", "tau_e_true"),  # under names of their own
-    ],
-)
+@pytest.mark.parametrize("names", [
+    ("i_a", "i_b", "i_c"),
+    ("theta_enc", "theta_vt"),
+    ("hall",),
+    ("u_dc", "status", "omega_ref"),
+    ("u_dc", "i_d", "tau_e_true"),  # under names of their own
+])  # fmt: skip
 def test_a_run_of_few_channels_has_no_empty_or_failing_view(names: tuple[str, ...], tmp_path: Path) -> None:
     channels = synthetic.named(*names)
     foreign = "tau_e_true" in names

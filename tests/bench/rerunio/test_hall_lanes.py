@@ -53,8 +53,7 @@ def test_the_present_code_is_shown_from_the_first_sample_on(tmp_path: Path, rpm:
     found = record(tmp_path / "a.run", made, edges)
     samples = made.tick / synthetic.TICK_HZ
     moments = samples[:: 163 if edges else 1]
-    assert shown_at(found, moments) == truth(made, moments)
-    assert found["t"][0] == pytest.approx(samples[0])
+    assert (shown_at(found, moments), found["t"][0]) == (truth(made, moments), pytest.approx(samples[0]))
     assert len(found["t"]) <= len(made.edge_tick) + 2.0 / 0.05 + 1
 
 
@@ -91,9 +90,7 @@ def test_while_it_turns_the_rows_are_the_edges_to_the_tick(tmp_path: Path) -> No
     assert len(Run(tmp_path / "a.run").edges) == len(made.edge_tick)
 
 
-def test_a_viewer_that_draws_between_two_messages_finds_the_present_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_viewer_that_draws_between_two_messages_finds_the_present_code(tmp_path, monkeypatch) -> None:
     made = synthetic.SyntheticRun(1.0, 1000.0)  # an edge every 1.7 ms, a window of 25 ms
     builder = BlockBuilder(0.055, synthetic.TICK_HZ)
     stream = new_stream(synthetic.run_info())

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
 import pytest
 import synthetic
+from hall_motor import Motor, capture
 
 from bench.rerunio import schema
 from bench.rerunio.last_second import LastSecond
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import SampleChunk
 
 CHANNELS = synthetic.named(
     "theta_enc", "theta_vt", "omega_enc", "i_a", "i_b", "i_c", "i_d", "i_q", "u_dc", "u_alpha", "u_beta"
@@ -23,7 +25,7 @@ LATE = np.array([1.5, -3.0, 7.0, -3.5, 0.5, -2.5])  # deg, of the edges that ope
 
 def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, object]:
     """What the last second shows of a shaft that turns at `omega` electrical rad/s, by entity: bars, or text."""
-    theta = 0.3 + omega * T
+    theta = math.radians(30.0) + omega * T
     phase = theta[:, None] - 2 * np.pi / 3 * np.arange(3)
     currents = 4.0 * np.cos(phase) + 0.4 * np.cos(5 * phase) + 0.2 * np.cos(7 * phase)
     values = dict(zip(("i_a", "i_b", "i_c"), currents.T, strict=True))
@@ -34,7 +36,8 @@ def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, o
     tick = np.arange(N, dtype=np.int64) * synthetic.TICKS
     shown = LastSecond(synthetic.run_info(channels=CHANNELS))
     if edges:
-        shown.edges(passed(theta, omega, tick))
+        # late in the direction of travel
+        shown.edges(capture(Motor(((omega, 1.0),), delta_deg=-math.copysign(1.0, omega) * LATE)).edges)
     shown.samples(
         SampleChunk(CONFIG, np.arange(N, dtype=np.int64), tick, np.zeros(N, CONFIG.dtype), ()), values, errors
     )
@@ -49,31 +52,6 @@ def made(omega: float, edges: bool = True, **changed: np.ndarray) -> dict[str, o
             elif name == "TextDocument:text":
                 found[entity] = batch.as_arrow_array()[0].as_py()
     return found
-
-
-def passed(theta: np.ndarray, omega: float, tick: np.ndarray) -> EdgeChunk:
-    """Edges as a shaft passes them, each by LATE after its place in the direction of travel."""
-    rows = []
-    way = 1 if omega > 0 else -1
-    for sector in range(6):
-        place = np.radians(60.0 * sector + way * LATE[sector])
-        turns = np.arange(-400, 400)
-        at = (place + 2 * np.pi * turns - theta[0]) / omega
-        rows += [(t, sector) for t in at if 0 <= t <= T[-1]]
-    rows.sort()
-    sectors = np.array([sector for _, sector in rows])
-    into, out = (sectors, sectors - 1) if way > 0 else (sectors - 1, sectors)
-    n = len(rows)
-    return EdgeChunk(
-        synthetic.EDGE_CONFIG,
-        np.rint(np.array([t for t, _ in rows]) * synthetic.TICK_HZ).astype(np.int64),
-        synthetic.CODES[out % 6],
-        synthetic.CODES[into % 6],
-        np.zeros(n, bool),
-        np.zeros(n, np.uint16),
-        np.arange(n, dtype=np.int64),
-        (),
-    )
 
 
 @pytest.mark.parametrize(("omega", "way"), [(628.0, "forward"), (-628.0, "reverse"), (70.0, "forward")])

@@ -38,8 +38,7 @@ def test_text_that_is_no_unicode_ends_no_recording(tmp_path: Path) -> None:
     sink.summary("of /dev/\udcff")
     sink.close()
     run = Run(tmp_path / "a.run")
-    assert run.notes[0][1] == "no /dev/\udcff\x1b[2J"
-    assert run.summary == "of /dev/\udcff"
+    assert (run.notes[0][1], run.summary) == ("no /dev/\udcff\x1b[2J", "of /dev/\udcff")
     (shown,) = column(tmp_path / "a.run", schema.NOTES, "TextLog:text")
     assert shown[1] == ["no /dev/\\udcff\\x1b[2J"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +48,14 @@ def chunks(begin: float, end: float, offset: float = 0.0, config: StreamConfig =
     return found
 
 
+def fed(path: Path, parts: Iterable[SampleChunk], **options: object) -> RunSink:
+    """A sink that was given these."""
+    file = RunSink(path, synthetic.run_info(channels=CONFIG.channels), wait=True, **options)  # type: ignore[arg-type]
+    for chunk in parts:
+        file.samples(chunk)
+    return file
+
+
 def hashed(index: np.ndarray) -> np.ndarray:
     return index // STEP * 7919 % 30011 - 15000
 
@@ -80,8 +88,7 @@ def test_a_ring_lets_go_of_what_is_old_and_led_to_nothing(seed: int) -> None:
         begin, end = real, real + dice.uniform(20.0, 60.0)
         for _ in range(dice.choice([0, 0, 0, 0, 1, 3])):
             at = dice.uniform(begin, end)
-            length = dice.choice([0.0, 0.0, 30.0])
-            moments.append((at, min(end, at + length)))
+            moments.append((at, min(end, at + dice.choice([0.0, 0.0, 30.0]))))
             ring.moment(round((moments[-1][0] - boot) * HZ), round((moments[-1][1] - boot) * HZ))
         segments.append((begin, end))
         gone |= set(ring.ended(number, round((begin - boot) * HZ), round((end - boot) * HZ)))
@@ -123,7 +130,6 @@ def test_a_ring_on_the_disk_keeps_what_it_should_exactly(tmp_path: Path) -> None
     assert rows == len(run.samples) == 100 * len(there)
     assert not run.damage
     assert run.ended
-    assert run.lost is not None
     assert run.lost["samples"] == 3000  # of the 30 s, although they are gone
 
 
@@ -203,8 +209,7 @@ def test_parts_join_without_a_seam(tmp_path: Path, made: synthetic.SyntheticRun)
     assert len(runs) == -(-len(made.index) // round(0.7 * synthetic.PWM_HZ))
     assert b"".join(run.samples.raw.tobytes() for run in runs) == made.raw.tobytes()
     assert all(run.ended and not run.damage and not run.samples.gaps and not run.edges.gaps for run in runs)
-    edges = np.concatenate([run.edges.tick for run in runs])
-    assert np.array_equal(np.unique(edges), made.edge_tick)
+    assert np.array_equal(np.unique(np.concatenate([run.edges.tick for run in runs])), made.edge_tick)
     for run in runs:  # every edge that its samples cover
         first, last = run.samples.tick[[0, -1]]
         inside = made.edge_tick[(made.edge_tick >= first) & (made.edge_tick <= last)]
@@ -218,13 +223,10 @@ def test_parts_join_without_a_seam(tmp_path: Path, made: synthetic.SyntheticRun)
 
 
 def test_what_is_lost_between_two_parts_is_counted_in_the_second(tmp_path: Path) -> None:
-    file = RunSink(tmp_path / "a.run", synthetic.run_info(channels=CONFIG.channels), wait=True, stored=Stored(split=20))
-    for chunk in [*chunks(0, 20), *chunks(23, 40)]:
-        file.samples(chunk)
+    file = fed(tmp_path / "a.run", [*chunks(0, 20), *chunks(23, 40)], stored=Stored(split=20))
     file.close()
     first, second = (Run(part) for part in file.parts)
-    assert (first.lost or {})["samples"] == 0
-    assert (second.lost or {})["samples"] == 300
+    assert ((first.lost or {})["samples"], (second.lost or {})["samples"]) == (0, 300)
     assert second.samples.gaps == (Gap(0, 300, 0, False),)
 
 
@@ -259,9 +261,7 @@ def wait_for(file: RunSink, samples: int) -> None:
 @pytest.mark.parametrize("stored", [Stored(), Stored(split=10.0)])
 def test_a_mark_from_another_terminal_stands_at_its_moment(tmp_path: Path, stored: Stored) -> None:
     path = tmp_path / "a.run"
-    file = RunSink(path, synthetic.run_info(channels=CONFIG.channels), wait=True, stored=stored)
-    for chunk in chunks(0, 15):
-        file.samples(chunk)
+    file = fed(path, chunks(0, 15), stored=stored)
     wait_for(file, 1500)
     boot = time.monotonic() - 100.0  # when the device's time began, by this clock
     file.host_time = lambda tick: boot + tick / HZ
@@ -283,9 +283,7 @@ def test_a_mark_from_another_terminal_stands_at_its_moment(tmp_path: Path, store
 def test_a_mark_as_one_part_ends_and_the_next_begins_is_in_one_of_them(tmp_path: Path) -> None:
     """The sink is at work on 40 parts while the mark is asked for."""
     path = tmp_path / "a.run"
-    file = RunSink(path, synthetic.run_info(channels=CONFIG.channels), wait=True, stored=Stored(split=10.0))
-    for chunk in chunks(0, 400):
-        file.samples(chunk)
+    file = fed(path, chunks(0, 400), stored=Stored(split=10.0))
     code, words = mark(str(path), "here")
     file.close()
     assert code == 0, words
@@ -295,9 +293,7 @@ def test_a_mark_as_one_part_ends_and_the_next_begins_is_in_one_of_them(tmp_path:
 
 
 def test_a_drive_without_a_clock_is_marked_at_its_newest_sample(tmp_path: Path) -> None:
-    file = RunSink(tmp_path / "a.run", synthetic.run_info(channels=CONFIG.channels), wait=True)
-    for chunk in chunks(0, 3):
-        file.samples(chunk)
+    file = fed(tmp_path / "a.run", chunks(0, 3))
     wait_for(file, 300)
     assert mark(str(tmp_path / "a.run"), "now")[0] == 0
     file.close()
@@ -313,9 +309,7 @@ def test_a_run_that_is_over_is_marked_at_a_time(tmp_path: Path) -> None:
     assert mark(str(path), "x")[1] == f"{path} is not being recorded: mark a device time with --at S"
     assert "no such file" in mark(str(tmp_path / "b.run"), "x")[1]
     assert "TEXT is empty" in mark(str(path), " ")[1]
-    file = RunSink(tmp_path / "c.run", synthetic.run_info(channels=CONFIG.channels), wait=True)
-    for chunk in chunks(0, 3):
-        file.samples(chunk)
+    file = fed(tmp_path / "c.run", chunks(0, 3))
     wait_for(file, 300)
     assert "is being recorded: omit --at" in mark(str(tmp_path / "c.run"), "x", "--at", "1")[1]
     file.close()
@@ -331,9 +325,7 @@ def test_a_recorder_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: py
 # -- the disk -------------------------------------------------------------------------------------------------------
 
 
-def test_a_disk_that_fills_is_told_in_time_and_the_run_ends_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fills_is_told_in_time_and_the_run_ends_whole(tmp_path, monkeypatch) -> None:
     """The disk is as full as the run is large: it has room for some 12 min of it, and then for 90 s."""
     monkeypatch.setattr(sink, "SPACE_PERIOD", 0.0)
     a_minute = 100_000

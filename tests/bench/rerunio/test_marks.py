@@ -57,8 +57,7 @@ def marked(made: synthetic.SyntheticRun, tmp_path_factory: pytest.TempPathFactor
 def test_marks_come_back_and_the_samples_with_them(marked: Path, made: synthetic.SyntheticRun) -> None:
     run = Run(marked)
     assert run.marks == tuple(Mark(name, tick(first), tick(last), verdict) for name, first, last, verdict in MARKED)
-    assert run.samples.raw.tobytes() == made.raw.tobytes()
-    assert len(run.edges) == len(made.edge_tick)
+    assert (run.samples.raw.tobytes(), len(run.edges)) == (made.raw.tobytes(), len(made.edge_tick))
 
 
 def test_a_run_without_marks_has_none_and_no_lane(recording: Path) -> None:
@@ -69,8 +68,7 @@ def test_a_run_without_marks_has_none_and_no_lane(recording: Path) -> None:
 def test_the_log_tells_every_mark_where_it_begins(marked: Path) -> None:
     notes = {text: at for at, (text,) in synthetic.column(marked, schema.NOTES, "TextLog:text")}
     assert notes["FAIL step.overshoot, 101.000 … 102.000 s"] == 101_000_000_000
-    assert notes["INVALID hold.ripple, 102.000 … 102.500 s"] == 102_000_000_000
-    assert len(notes) == len(MARKED) + 1
+    assert (notes["INVALID hold.ripple, 102.000 … 102.500 s"], len(notes)) == (102_000_000_000, len(MARKED) + 1)
 
 
 def test_the_lane_shows_the_worst_of_marks_that_overlap(marked: Path) -> None:
@@ -103,8 +101,7 @@ def test_marks_may_be_set_from_several_threads_while_samples_come(tmp_path: Path
     sink.close()
     run = Run(tmp_path / "a.run")
     assert {mark.name for mark in run.marks} == {f"{n}.{k}" for n in range(4) for k in range(50)}
-    assert len(run.marks) == 200
-    assert run.samples.raw.tobytes() == made.raw.tobytes()
+    assert (len(run.marks), run.samples.raw.tobytes()) == (200, made.raw.tobytes())
 
 
 def test_a_mark_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:

@@ -31,11 +31,9 @@ CHANNELS = st.lists(
 )
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(CHANNELS)
-def test_every_channel_is_in_a_plot_with_its_unit_and_told_apart_or_is_a_word_of_states(
-    channels: list[Channel],
-) -> None:
+def test_every_channel_is_in_a_plot_with_its_unit_and_told_apart_or_is_a_word_of_states(channels: list[Channel]):
     run = synthetic.run_info(channels=tuple(channels))
     shown = plots(run)
     anywhere = {line.channel for plot in shown.values() for line in plot.lines}
@@ -107,15 +105,12 @@ def test_speeds_are_labelled_what_they_are(n_p: float | None, unit: str, factor:
     assert any("n_p" in why for why in left_out(run)) == (n_p is None)
 
 
-@pytest.mark.parametrize(
-    ("names", "title"),
-    [
-        (("theta_vt",), "rotor axes"),
-        (("i_a", "i_b"), ""),
-        (("i_a", "i_b", "i_c", "u_alpha", "u_beta"), "current [A], voltage [V]"),
-        (("e_alpha", "e_beta", "theta_enc"), "rotor axes, back-EMF [V]"),
-    ],
-)
+@pytest.mark.parametrize(("names", "title"), [
+    (("theta_vt",), "rotor axes"),
+    (("i_a", "i_b"), ""),
+    (("i_a", "i_b", "i_c", "u_alpha", "u_beta"), "current [A], voltage [V]"),
+    (("e_alpha", "e_beta", "theta_enc"), "rotor axes, back-EMF [V]"),
+])  # fmt: skip
 def test_the_stator_plane_tells_what_it_shows(names: tuple[str, ...], title: str) -> None:
     assert Plane(synthetic.run_info(channels=named(*names))).contents == title
 

@@ -31,8 +31,7 @@ pytestmark = pytest.mark.slow
 def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
     run = Run(recording)
     samples, edges = run.samples, run.edges
-    assert samples.config == made.config
-    assert samples.raw.tobytes() == made.raw.tobytes()
+    assert (samples.config, samples.raw.tobytes()) == (made.config, made.raw.tobytes())
     assert (samples.tick == made.tick).all()
     assert (samples.index == made.index).all()
     assert samples.gaps == edges.gaps == ()
@@ -45,8 +44,7 @@ def test_every_sample_and_every_edge_comes_back(recording: Path, made: synthetic
 
 def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun) -> None:
     run = Run(recording)
-    assert run.info.parameters == {"n_p": 6.0, "i_max": 8.0}
-    assert run.info.identity["drive"] == "synthetic"
+    assert (run.info.parameters, run.info.identity["drive"]) == ({"n_p": 6.0, "i_max": 8.0}, "synthetic")
     assert run.info.channels == synthetic.CHANNELS
     assert run.events == (DeviceEvent(int(made.tick[0]), EventCode.STATE_CHANGED, 1, 3.0),)
     assert [text for _, text in run.notes] == ["all of it"]
@@ -114,8 +112,7 @@ def test_the_telemetry_lane_shows_a_gap_as_long_as_it_was(tmp_path: Path) -> Non
     path = synthetic.recorded(tmp_path / "a.run", *chunks)
     states = synthetic.column(path, schema.DRIVE, "StateChange:state")
     lanes = {at: row[3] for at, row in states}
-    assert lanes[200_000_000] == "GAP"
-    assert lanes[400_000_000] == "complete"
+    assert (lanes[200_000_000], lanes[400_000_000]) == ("GAP", "complete")
     assert min(at for at, word in lanes.items() if word == "GAP") == 200_000_000
 
 
@@ -124,8 +121,7 @@ def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: s
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
     run = Run(tmp_path / "a.run")
-    assert run.samples.raw.tobytes() == made.raw.tobytes()
-    assert [text for _, text in run.notes] == ["all of it"]
+    assert (run.samples.raw.tobytes(), [text for _, text in run.notes]) == (made.raw.tobytes(), ["all of it"])
 
 
 def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:
@@ -212,15 +208,19 @@ def test_a_journal_cut_short_reads_up_to_the_cut(made: synthetic.SyntheticRun, t
     assert not Run(tmp_path / "a.run").being_written
 
 
-@pytest.mark.parametrize("ended", [True, False])
+@pytest.mark.long("reads a recording for each trial")
+@pytest.mark.parametrize(
+    ("ended", "trials"),
+    [(True, 12), (False, 12), *(pytest.param(e, 200, marks=pytest.mark.campaign("damage")) for e in (True, False))],
+)
 def test_damage_anywhere_is_told_and_what_still_reads_is_what_was_written(
-    recording: Path, tmp_path: Path, ended: bool
-) -> None:
+    recording: Path, tmp_path, ended: bool, trials: int
+):
     """A bit flipped or a file cut, at places drawn at random, of a run that has ended and of one that was killed."""
     whole = Whole(recording if ended else unfinished(Run(recording), tmp_path / "a.run"))
     assert whole.run.ended == ended
     places = random.Random(3)
-    trials = [whole.trial(places, tmp_path) for _ in range(40)]
+    trials = [whole.trial(places, tmp_path) for _ in range(trials)]
     assert not [trial for trial in trials if not (trial.told and trial.same)]
 
 

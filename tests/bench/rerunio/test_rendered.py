@@ -24,10 +24,11 @@ from bench.rerunio.dashboard import SECOND_NAMES
 from bench.rerunio.last_second import WAYS
 from bench.rerunio.plots import BUS, plots
 from bench.rerunio.viewing import write_rrd
+from tests.choice import sampled
 from tests.tools import needs
 from tests.viewers import TIMEOUT, HeadlessViewer, headless
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long("rerun's viewer draws in software")]
 
 SPEEDS = (0, 100, 1000, 3000)  # r/min
 SECONDS = {100: 3.0}
@@ -38,7 +39,7 @@ TEXT = (200, 200, 200)
 FIRST_PAGE = ("error_trend", "speed", "dq", "position", "error", "phases")  # plots that no tab hides
 
 
-@pytest.fixture(scope="module", params=SPEEDS)
+@pytest.fixture(scope="module", params=sampled("speed", SPEEDS, 2, campaign="viewer"))
 def turning(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
     """A recording at this speed."""
     speed: int = request.param

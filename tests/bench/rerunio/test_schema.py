@@ -41,8 +41,7 @@ def test_ticks_are_nanoseconds_without_overflow(tick_hz: int, seconds: float) ->
 
 def test_a_run_and_its_streams_survive_json() -> None:
     run = synthetic.run_info()
-    back = RunInfo.from_json(json.loads(json.dumps(run.to_json())), run.recording_id)
-    assert back == run
+    assert RunInfo.from_json(json.loads(json.dumps(run.to_json())), run.recording_id) == run
     for config in (synthetic.config(), synthetic.EDGE_CONFIG):
         described = json.loads(json.dumps(stream_to_json(config, "fast")))
         assert stream_from_json(described, synthetic.run_info()) == config
@@ -61,32 +60,27 @@ def test_the_range_of_the_currents_is_known_or_it_is_not(i_max: float | None) ->
 
 
 def test_hall_lanes_follow_the_bit_order() -> None:
-    assert SECTOR_OF_CODE == hall_speed.SECTOR_OF_CODE
-    assert states.HALL_WORDS[0b011].as_py() == ["1", "1", "0", "II"]
+    assert (SECTOR_OF_CODE, states.HALL_WORDS[0b011].as_py()) == (hall_speed.SECTOR_OF_CODE, ["1", "1", "0", "II"])
     assert states.HALL_WORDS[0b111].as_py()[3] == states.HALL_WORDS[0].as_py()[3] == "invalid"
 
 
 def test_faults_of_a_later_version_keep_their_number() -> None:
-    assert states.fault_text(0) == "no fault"
-    assert states.fault_text(0x80) == "0x80"
+    assert (states.fault_text(0), states.fault_text(0x80)) == ("no fault", "0x80")
     assert states.fault_text(0x81) == "WATCHDOG 0x80"
 
 
-@pytest.mark.parametrize(
-    ("code", "arg", "detail", "words"),
-    [
-        (EventCode.STATE_CHANGED, 3.0, 0.0, "state RUNNING"),
-        (EventCode.STATE_CHANGED, 9.0, 0.0, "state 9"),
-        (EventCode.STATE_CHANGED, math.nan, 0.0, "state nan"),
-        (EventCode.FAULT, 33.0, 0.0, "FAULT WATCHDOG HALL"),
-        (EventCode.FAULT, 2.0**23, 0.0, "FAULT 0x800000"),
-        (EventCode.FAULT, math.inf, 0.0, "FAULT INTERNAL"),
-        (EventCode.FAULT, -1.0, 0.0, "FAULT INTERNAL"),
-        (EventCode.SETPOINT_REJECTED, 4.0, 300.0, "setpoint rejected: OUT_OF_RANGE (300)"),
-        (EventCode.SETPOINT_REJECTED, 99.0, math.nan, "setpoint rejected: error 99 (nan)"),
-        (EventCode.ARM_LAPSED, 5.0, 0.0, "ARMED lapsed after 5 s without START"),
-        (9, -math.inf, 0.0, "event 9 (-inf)"),
-    ],
-)
+@pytest.mark.parametrize(("code", "arg", "detail", "words"), [
+    (EventCode.STATE_CHANGED, 3.0, 0.0, "state RUNNING"),
+    (EventCode.STATE_CHANGED, 9.0, 0.0, "state 9"),
+    (EventCode.STATE_CHANGED, math.nan, 0.0, "state nan"),
+    (EventCode.FAULT, 33.0, 0.0, "FAULT WATCHDOG HALL"),
+    (EventCode.FAULT, 2.0**23, 0.0, "FAULT 0x800000"),
+    (EventCode.FAULT, math.inf, 0.0, "FAULT INTERNAL"),
+    (EventCode.FAULT, -1.0, 0.0, "FAULT INTERNAL"),
+    (EventCode.SETPOINT_REJECTED, 4.0, 300.0, "setpoint rejected: OUT_OF_RANGE (300)"),
+    (EventCode.SETPOINT_REJECTED, 99.0, math.nan, "setpoint rejected: error 99 (nan)"),
+    (EventCode.ARM_LAPSED, 5.0, 0.0, "ARMED lapsed after 5 s without START"),
+    (9, -math.inf, 0.0, "event 9 (-inf)"),
+])  # fmt: skip
 def test_event_text(code: int, arg: float, detail: float, words: str) -> None:
     assert states.event_text(2, DeviceEvent(1, code, 2, arg, detail)) == f"node 2: {words}"

@@ -37,15 +37,12 @@ def test_without_any_viewer_the_file_is_whole(tmp_path: Path, made: synthetic.Sy
     assert live.error is None
     assert live.logged_samples + live.dropped_samples == len(made.index)
     assert whole(tmp_path / "a.run", made)
-    assert file.logged_samples == len(made.index)
-    assert file.logged_edges == len(made.edge_tick)
+    assert (file.logged_samples, file.logged_edges) == (len(made.index), len(made.edge_tick))
 
 
 @needs("Vulkan driver")
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
-def test_a_stopped_or_killed_viewer_costs_live_frames_only(
-    tmp_path: Path, made: synthetic.SyntheticRun, number: signal.Signals
-) -> None:
+def test_a_stopped_or_killed_viewer_costs_live_frames_only(tmp_path, made, number) -> None:
     live = LiveSink(synthetic.run_info(), any_port())
     file = RunSink(tmp_path / "a.run", live.run, wait=True)
     with headless("--connect", live.url) as viewer:
@@ -70,9 +67,7 @@ class Stuck:
         return lambda *_, **__: self.free.wait()
 
 
-def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(
-    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(tmp_path, made: synthetic.SyntheticRun, monkeypatch):
     stuck = Stuck()
     monkeypatch.setattr(sinks, "_serve", lambda *_: (stuck, "nowhere"))
     monkeypatch.setattr(sinks, "READY_TIMEOUT", 0.05)
@@ -88,9 +83,7 @@ def test_a_view_that_blocks_for_ever_never_holds_up_the_caller(
     stuck.free.set()
 
 
-def test_the_live_view_shows_what_it_dropped_not_as_lost(
-    made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_live_view_shows_what_it_dropped_not_as_lost(made: synthetic.SyntheticRun, monkeypatch) -> None:
     seen: list[dict[str, int]] = []
     gate = threading.Event()
 
@@ -110,9 +103,7 @@ def test_the_live_view_shows_what_it_dropped_not_as_lost(
     assert seen[-1]["lost:live_blocks"] == live.dropped_blocks > 40
 
 
-def test_a_view_that_holds_still_is_drawn_again_where_it_stands(
-    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_view_that_holds_still_is_drawn_again_where_it_stands(tmp_path, made: synthetic.SyntheticRun, monkeypatch):
     """The live stream goes into a file here, so that it can be looked at."""
     run = synthetic.run_info()
     stream = sinks.new_stream(run)
@@ -150,9 +141,7 @@ def test_latency_is_by_the_clock_that_holds_as_samples_come(tmp_path: Path, made
     assert 0.1 <= file.latency.at(100) <= 0.103
 
 
-def test_a_disk_that_takes_no_more_is_told_once_and_what_was_written_reads(
-    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_takes_no_more_is_told_once_and_what_was_written_reads(tmp_path, made, monkeypatch) -> None:
     """From the hundredth chunk on the disk is full."""
     write, written = writer.write_all, []
 
@@ -174,9 +163,7 @@ def test_a_disk_that_takes_no_more_is_told_once_and_what_was_written_reads(
     assert not run.ended
 
 
-def test_a_caller_faster_than_the_disk_is_told(
-    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_caller_faster_than_the_disk_is_told(tmp_path, made: synthetic.SyntheticRun, monkeypatch) -> None:
     monkeypatch.setattr(sink, "BACKLOG_LIMIT", 200_000)
     hold, write = threading.Event(), writer.write_all
     file = RunSink(tmp_path / "a.run", synthetic.run_info())
@@ -189,9 +176,7 @@ def test_a_caller_faster_than_the_disk_is_told(
     assert file.error is not None
 
 
-def test_a_live_view_makes_room_for_legends_before_its_first_sample(
-    tmp_path: Path, made: synthetic.SyntheticRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_live_view_makes_room_for_legends_before_its_first_sample(tmp_path, made, monkeypatch) -> None:
     """The long plots begin so early that three tenths of their width are left to the legend, in short runs too."""
     run = synthetic.run_info()
     stream = sinks.new_stream(run)

@@ -73,8 +73,7 @@ def test_a_viewer_that_is_none_is_refused() -> None:
 def test_the_web_viewer_serves_its_page_on_this_machine_only_and_ends_with_the_run() -> None:
     view = LiveView(synthetic.run_info(), "web", grpc_port=any_port(), web_port=any_port())
     try:
-        query = urllib.parse.parse_qs(urllib.parse.urlparse(view.url).query)
-        assert query["url"] == [view.sink.url]
+        assert urllib.parse.parse_qs(urllib.parse.urlparse(view.url).query)["url"] == [view.sink.url]
         with urllib.request.urlopen(view.url, timeout=10) as page:
             assert b"re_viewer" in page.read()
         group = view.process.group
@@ -112,7 +111,6 @@ print(viewer.group, flush=True)
 input()
 """
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
         group = int(child.stdout.readline())
         assert until(lambda: (HOST, port) in listening(group))
         child.send_signal(signal.SIGKILL)

@@ -53,9 +53,7 @@ def shown(rrd: Path, component: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array([at for at, _ in rows]) / 1e9, np.array([row[0] for _, row in rows])
 
 
-def test_a_long_run_keeps_its_extremes_and_is_whole_around_a_fault(
-    long: tuple[Path, np.ndarray], tmp_path: Path
-) -> None:
+def test_a_long_run_keeps_its_extremes_and_is_whole_around_a_fault(long: tuple[Path, np.ndarray], tmp_path) -> None:
     path, counts = long
     write_rrd(Run(path), tmp_path / "far.rrd")
     t, current = shown(tmp_path / "far.rrd", schema.value_component("i_a"))
@@ -113,7 +111,7 @@ def test_an_overview_is_made_where_none_is_stored(long: tuple[Path, np.ndarray],
 
 def test_a_browser_gets_the_same_samples_in_few_messages(tmp_path: Path) -> None:
     """Without a GPU it reads few messages a frame, and draws a frame in seconds."""
-    made = synthetic.SyntheticRun(9.0, 1000.0)
+    made = synthetic.SyntheticRun(2.5, 1000.0)
     path = synthetic.recorded(tmp_path / "a.run", *made.chunks(), channels=made.config.channels)
     write_rrd(Run(path), tmp_path / "browser.rrd", lot=LOT_BROWSER)
     for name in ("i_a", "theta_enc"):
@@ -123,7 +121,7 @@ def test_a_browser_gets_the_same_samples_in_few_messages(tmp_path: Path) -> None
             assert len(mine) == len(made.index)
     for entity in (schema.FAST, schema.HALL, schema.HALL_LANES):
         messages = RrdReader(tmp_path / "browser.rrd").stream().filter(content=f"/{entity}").to_chunks()
-        assert len(messages) <= 9.0 / LOT_BROWSER + 3  # one of them static
+        assert len(messages) <= 2.5 / LOT_BROWSER + 3  # one of them static
 
 
 def test_the_command_serves_the_dashboard_until_ctrl_c(long: tuple[Path, np.ndarray]) -> None:
@@ -132,8 +130,7 @@ def test_the_command_serves_the_dashboard_until_ctrl_c(long: tuple[Path, np.ndar
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as view:
         try:
             assert view.stderr is not None
-            said = next(line for line in view.stderr if "dashboard" in line)
-            address = said.split()[1]
+            address = next(line for line in view.stderr if "dashboard" in line).split()[1]
             with urllib.request.urlopen(address, timeout=10) as page:
                 assert b"re_viewer" in page.read()
             view.send_signal(signal.SIGINT)
