@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TypeVar
 
-import hypothesis
 import pytest
 from _pytest.mark.structures import ParameterSet
 
@@ -68,5 +67,7 @@ def also_in(*, campaign: str) -> Callable[[Test], Test]:
 
 def examples(here: int, there: int, *, campaign: str) -> Callable[[Test], Test]:
     """A property with `here` examples in the suite, and `there` in that campaign."""
+    import hypothesis  # a plug-in of pytest, which is to import it first
+
     most = there if os.environ.get(CAMPAIGN) else here
     return lambda test: also_in(campaign=campaign)(hypothesis.settings(max_examples=most, deadline=None)(test))
