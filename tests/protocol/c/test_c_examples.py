@@ -20,7 +20,7 @@ from building import LIMIT, SOURCE, compiler, run
 
 from tests.bench.processes import Program
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.long("whole processes in real time, some up to three times")]
 EXAMPLES = SOURCE / "examples"
 MPS2 = EXAMPLES / "mps2-an386"
 SETTLED = ("--viewer", "none", "--json", "-")
@@ -98,7 +98,6 @@ def health(start: Callable[..., Program], target: str) -> dict:
     return node["health"]
 
 
-@pytest.mark.long("4 s of a motor that turns, up to three times")
 def test_a_drive_is_known_turns_loses_nothing_and_stops(start: Callable[..., Program], target: str) -> None:
     (node,) = told(start("info", target, "--json", "-"))["nodes"]
     assert node["identity"]["features"] == ["edges", "simulated"]
@@ -131,7 +130,6 @@ def test_the_watchdog_turns_off_what_a_killed_host_left(start: Callable[..., Pro
 
 
 @pytest.mark.slow
-@pytest.mark.long("a check in real time")
 def test_its_hall_sensors_are_healthy(start: Callable[..., Program], on_a_pty: Path) -> None:
     with subprocess.Popen([on_a_pty], stdout=subprocess.PIPE, text=True, preexec_fn=ends_with_this) as drive:
         assert drive.stdout is not None
