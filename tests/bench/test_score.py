@@ -380,6 +380,7 @@ def test_bounds_on_what_is_not_scored_name_it(made_up: Path) -> None:
         expect.check(board, {"drive_late.errr.std": (0.0, 1.0)})
 
 
+@pytest.mark.long("draws five figures")
 def test_the_page_has_a_trace_of_each_recording_and_leaves_out_what_is_not_known(made_up: Path, tmp_path: Path) -> None:
     another(tmp_path / "b.run", {"late": 0.1})
     text = as_html(score([made_up, tmp_path / "b.run"], ["drive_late", "drive_exact"]))

