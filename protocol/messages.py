@@ -57,15 +57,13 @@ Load = Annotated[float, _load]
 
 
 @dataclass(frozen=True, slots=True)
-class Hello(Request):
+class Hello(Request, type=MessageType.HELLO, layout="IBBH"):
     """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes.
 
     The layout is the same in every major version; a later one may append to it.
     """
 
-    TYPE = MessageType.HELLO
     _GROWS = True
-    _LAYOUT = struct.Struct("<IBBH")
     nonce: int
     major_min: int = 1
     major_max: int = 1
@@ -73,14 +71,12 @@ class Hello(Request):
 
 
 @dataclass(frozen=True, slots=True)
-class HelloReply(Message):
+class HelloReply(Message, type=MessageType.HELLO, layout="IIBBHH2xIIIIBBBB16s16s24s24s"):
     """What the device is. `rx_max`, `tx_max`: payload bytes; `nodes`: the link has nodes 1..nodes.
 
     `serial`: of its electronics; `build`: of its firmware. Both may be empty: not told.
     """
 
-    TYPE = MessageType.HELLO
-    _LAYOUT = struct.Struct("<IIBBHH2xIIIIBBBB16s16s24s24s")
     nonce: int
     boot_id: int
     major: int
@@ -107,28 +103,22 @@ class HelloReply(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSync(Request):
+class TimeSync(Request, type=MessageType.TIME_SYNC):
     """Asks for the device's tick counter."""
-
-    TYPE = MessageType.TIME_SYNC
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSyncReply(Message):
+class TimeSyncReply(Message, type=MessageType.TIME_SYNC, layout="QQ"):
     """Tick when the request had come, tick when the answer went."""
 
-    TYPE = MessageType.TIME_SYNC
-    _LAYOUT = struct.Struct("<QQ")
     rx_tick: Tick
     tx_tick: Tick
 
 
 @dataclass(frozen=True, slots=True)
-class Heartbeat(Message):
+class Heartbeat(Message, type=MessageType.HEARTBEAT, layout="QIIIIIHHHHBB2xI"):
     """Health, 10 Hz. `watchdog_ms` is 0xFFFF when the watchdog is not at work; `tx_dropped` counts frames."""
 
-    TYPE = MessageType.HEARTBEAT
-    _LAYOUT = struct.Struct("<QIIIIIHHHHBB2xI")
     tick: Tick  # below 2**62
     boot_id: int
     faults: Fault
@@ -145,32 +135,25 @@ class Heartbeat(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class Alive(Request):
+class Alive(Request, type=MessageType.ALIVE, layout="I"):
     """Feeds the watchdog; unacknowledged."""
 
-    TYPE = MessageType.ALIVE
-    _LAYOUT = struct.Struct("<I")
     counter: int
 
 
 @dataclass(frozen=True, slots=True)
-class BlobRead(Request):
+class BlobRead(Request, type=MessageType.BLOB_READ, layout="BxHI"):
     """Asks for `length` bytes of a blob from `offset`; blob 0 is the descriptor."""
 
-    TYPE = MessageType.BLOB_READ
-    _LAYOUT = struct.Struct("<BxHI")
     id: int
     length: int
     offset: int
 
 
 @dataclass(frozen=True, slots=True)
-class BlobReply(Message):
+class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
     """A part of a blob whose whole length is `total`; it may be shorter than what was asked for."""
 
-    TYPE = MessageType.BLOB_READ
-    _LAYOUT = struct.Struct("<BxHII")
-    FIXED_BYTES = _LAYOUT.size  # before the data
     id: int
     length: int
     offset: int
@@ -185,27 +168,23 @@ class BlobReply(Message):
     def unpack(cls, payload: bytes) -> Self:
         """Return the message; PayloadError if `length` bytes are not there."""
         values = cls._unpack_fixed(payload)
-        data = payload[cls._LAYOUT.size :]
+        data = payload[cls.FIXED_BYTES :]
         if len(data) != values["length"]:
             raise PayloadError(f"BlobReply with {len(data)} bytes, says {values['length']}", bad_length=True)
         return cls(**values, data=data)
 
 
 @dataclass(frozen=True, slots=True)
-class ParamGet(Request):
+class ParamGet(Request, type=MessageType.PARAM_GET, layout="H2x"):
     """Asks for a parameter."""
 
-    TYPE = MessageType.PARAM_GET
-    _LAYOUT = struct.Struct("<H2x")
     id: int
 
 
 @dataclass(frozen=True, slots=True)
-class ParamReply(Message):
+class ParamReply(Message, type=MessageType.PARAM_GET, layout="H2xffff"):
     """A parameter's value, range and default, all float32 in the parameter's unit."""
 
-    TYPE = MessageType.PARAM_GET
-    _LAYOUT = struct.Struct("<H2xffff")
     id: int
     value: float
     lo: float
@@ -214,57 +193,45 @@ class ParamReply(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class ParamSet(Request):
+class ParamSet(Request, type=MessageType.PARAM_SET, layout="H2xf"):
     """Sets a parameter."""
 
-    TYPE = MessageType.PARAM_SET
-    _LAYOUT = struct.Struct("<H2xf")
     id: int
     value: float
 
 
 @dataclass(frozen=True, slots=True)
-class ParamStored(Message):
+class ParamStored(Message, type=MessageType.PARAM_SET, layout="H2xf"):
     """The value that the device now uses."""
 
-    TYPE = MessageType.PARAM_SET
-    _LAYOUT = struct.Struct("<H2xf")
     id: int
     stored: float
 
 
 @dataclass(frozen=True, slots=True)
-class ParamCommit(Request):
+class ParamCommit(Request, type=MessageType.PARAM_COMMIT):
     """Stores all parameters for the next boot."""
-
-    TYPE = MessageType.PARAM_COMMIT
 
 
 @dataclass(frozen=True, slots=True)
-class StateCommand(Request):
+class StateCommand(Request, type=MessageType.STATE_CMD, layout="B3xI"):
     """Asks for a change of state. `argument`: the boot_id for ARM, the fault bits for FAULT_CLEAR, else 0."""
 
-    TYPE = MessageType.STATE_CMD
-    _LAYOUT = struct.Struct("<B3xI")
     command: Command
     argument: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class StateReply(Message):
+class StateReply(Message, type=MessageType.STATE_CMD, layout="B3x"):
     """The state after the command."""
 
-    TYPE = MessageType.STATE_CMD
-    _LAYOUT = struct.Struct("<B3x")
     state: DriveState
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint(Request):
+class Setpoint(Request, type=MessageType.SETPOINT, layout="BxHff"):
     """What to do while RUNNING; unacknowledged, counted in the heartbeat."""
 
-    TYPE = MessageType.SETPOINT
-    _LAYOUT = struct.Struct("<BxHff")
     mode: SetpointMode
     counter: int
     value: float
@@ -291,19 +258,16 @@ class _WithChannels(Payload):
         """Return the message; PayloadError if the number of channels disagrees with the length."""
         values = cls._unpack_fixed(payload)
         n = values["channels"]
-        ids = payload[cls._LAYOUT.size :][: 2 * n if cls._GROWS else None]
+        ids = payload[cls.FIXED_BYTES :][: 2 * n if cls._GROWS else None]
         if len(ids) != 2 * n:
             raise PayloadError(f"{cls.__name__} with {len(ids)} bytes of ids for {n} channels", bad_length=True)
         return cls(**{**values, "channels": struct.unpack(f"<{n}H", ids)})
 
 
 @dataclass(frozen=True, slots=True)
-class StreamSet(_WithChannels, Request):
+class StreamSet(_WithChannels, Request, type=MessageType.STREAM_SET, layout="BBHHH"):
     """Configures a stopped stream: which channels, how often, how late at most."""
 
-    TYPE = MessageType.STREAM_SET
-    _LAYOUT = struct.Struct("<BBHHH")
-    FIXED_BYTES = _LAYOUT.size  # before the ids
     stream: int
     event: StreamEvent
     decimation: int
@@ -312,14 +276,12 @@ class StreamSet(_WithChannels, Request):
 
 
 @dataclass(frozen=True, slots=True)
-class StreamReply(Message):
+class StreamReply(Message, type=MessageType.STREAM_SET, layout="BxHHHfB3xQ"):
     """The stream as configured. `block`: most samples in a frame; `load`: share of the link, 0 = unknown.
 
     `tick0`: tick of PWM period 0. `slot`: on CAN, the first one of the stream's frames, else 0.
     """
 
-    TYPE = MessageType.STREAM_SET
-    _LAYOUT = struct.Struct("<BxHHHfB3xQ")
     stream: int
     cfg_id: int
     sample_bytes: int
@@ -330,38 +292,30 @@ class StreamReply(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class StreamStart(Request):
+class StreamStart(Request, type=MessageType.STREAM_START, layout="I"):
     """Starts the streams whose bits are set."""
 
-    TYPE = MessageType.STREAM_START
-    _LAYOUT = struct.Struct("<I")
     mask: int
 
 
 @dataclass(frozen=True, slots=True)
-class StreamStop(Request):
+class StreamStop(Request, type=MessageType.STREAM_STOP, layout="I"):
     """Stops the streams whose bits are set and forgets their configuration."""
 
-    TYPE = MessageType.STREAM_STOP
-    _LAYOUT = struct.Struct("<I")
     mask: int = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class StreamGet(Request):
+class StreamGet(Request, type=MessageType.STREAM_GET, layout="B3x"):
     """Asks how a stream is configured."""
 
-    TYPE = MessageType.STREAM_GET
-    _LAYOUT = struct.Struct("<B3x")
     stream: int
 
 
 @dataclass(frozen=True, slots=True)
-class StreamInfo(_WithChannels, Message):
+class StreamInfo(_WithChannels, Message, type=MessageType.STREAM_GET, layout="BBBBHHHHH2xQH"):
     """A configured stream: what STREAM_SET asked for, and what its reply said."""
 
-    TYPE = MessageType.STREAM_GET
-    _LAYOUT = struct.Struct("<BBBBHHHHH2xQH")
     stream: int
     running: bool
     event: StreamEvent
@@ -381,10 +335,9 @@ class Empty(Payload):
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorReply(Payload):
+class ErrorReply(Payload, layout="HBxf"):
     """A refusal of a request of type `request`. An unknown code stays a plain number."""
 
-    _LAYOUT = struct.Struct("<HBxf")
     code: int
     request: int
     detail: float = 0.0
@@ -395,11 +348,9 @@ class ErrorReply(Payload):
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceEvent(Message):
+class DeviceEvent(Message, type=MessageType.EVENT, layout="QHBxff"):
     """Something happened at `tick`; `arg` and `detail` go with the code. An unknown code stays a plain number."""
 
-    TYPE = MessageType.EVENT
-    _LAYOUT = struct.Struct("<QHBxff")
     tick: Tick
     code: int
     node: int
@@ -418,11 +369,9 @@ class DeviceEvent(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class Log(Message):
+class Log(Message, type=MessageType.LOG, layout="B"):
     """A line of text; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug."""
 
-    TYPE = MessageType.LOG
-    _LAYOUT = struct.Struct("<B")
     level: int
     text: str
 
@@ -445,17 +394,11 @@ REQUESTS: dict[int, type[Request]] = {
 }  # fmt: skip
 UNACKNOWLEDGED = frozenset({MessageType.ALIVE, MessageType.SETPOINT})
 
+_ANSWERS = (
+    HelloReply, TimeSyncReply, BlobReply, ParamReply, ParamStored, StateReply, StreamReply, StreamInfo,
+)  # fmt: skip
 REPLIES: dict[int, type[Payload]] = {
-    MessageType.HELLO: HelloReply,
-    MessageType.TIME_SYNC: TimeSyncReply,
-    MessageType.BLOB_READ: BlobReply,
-    MessageType.PARAM_GET: ParamReply,
-    MessageType.PARAM_SET: ParamStored,
-    MessageType.PARAM_COMMIT: Empty,
-    MessageType.STATE_CMD: StateReply,
-    MessageType.STREAM_SET: StreamReply,
-    MessageType.STREAM_START: Empty,
-    MessageType.STREAM_STOP: Empty,
-    MessageType.STREAM_GET: StreamInfo,
+    **{cls.TYPE: cls for cls in _ANSWERS},
+    **dict.fromkeys((MessageType.PARAM_COMMIT, MessageType.STREAM_START, MessageType.STREAM_STOP), Empty),
 }
 UNSOLICITED: dict[int, type[Message]] = {cls.TYPE: cls for cls in (Heartbeat, DeviceEvent, Log)}

@@ -25,14 +25,21 @@ class PayloadError(RemoteProtocolError, ValueError):
 
 
 class Payload:
-    """A payload as a dataclass whose fields stand in the order of `_LAYOUT`.
+    """A payload as a dataclass whose fields stand in the order of its `layout`, little-endian as `struct` has it.
 
     What is made of a number or of text on the wire is the field's annotation; of `Annotated` the function in it.
     """
 
     __slots__ = ()
+    FIXED_BYTES: ClassVar[int] = 0
+    """Bytes of the layout, before a part of any length."""
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
     _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
+
+    def __init_subclass__(cls, layout: str = "") -> None:
+        if layout:  # `dataclass` makes each class twice, without keywords the second time
+            cls._LAYOUT = struct.Struct(f"<{layout}")
+            cls.FIXED_BYTES = cls._LAYOUT.size
 
     def pack(self) -> bytes:
         """Return the payload; LocalProtocolError if a number does not fit its field. Text is cut to what fits."""
@@ -80,10 +87,15 @@ class Payload:
 
 
 class Message(Payload):
-    """A payload that belongs to one type of frame."""
+    """A payload that belongs to one `type` of frame."""
 
     __slots__ = ()
     TYPE: ClassVar[MessageType]
+
+    def __init_subclass__(cls, type: MessageType | None = None, layout: str = "") -> None:
+        super().__init_subclass__(layout)
+        if type is not None:
+            cls.TYPE = type
 
 
 class Request(Message):
