@@ -8,13 +8,9 @@ import numpy as np
 
 from protocol.canmap.frame import BRS, CAN_RECORD, ERROR, FDF, RECORD, REMOTE, BusRates
 from protocol.device.app import DeviceApp, Identity
-from protocol.device.compiled import CompiledSession, library
+from protocol.device.compiled import CompiledSession, library, structure
 
 POOL = 1 << 16  # bytes of samples that may wait in a stream
-
-
-class _Bus(ctypes.Structure):
-    _fields_ = (("bitrate", ctypes.c_uint32), ("data_bitrate", ctypes.c_uint32), ("extended", ctypes.c_uint8))
 
 
 class CompiledCan:
@@ -27,7 +23,7 @@ class CompiledCan:
         self._memory = ctypes.create_string_buffer(self._lib.shim_can_bytes())
         self._at = ctypes.addressof(self._memory)
         self._tick = 0
-        self._bus = _Bus(rates.bitrate, rates.data_bitrate or 0, extended)
+        self._bus = structure("hbp_can_bus")(rates.bitrate, rates.data_bitrate or 0, extended)
         self._flags = FDF | BRS if rates.fd else 0
         self.session = CompiledSession(self._lib, app, identity)
         code = self._lib.shim_can_init(self._at, ctypes.byref(self._bus))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -30,21 +31,11 @@ from protocol.messages import DriveState, Fault, SetpointMode
 
 SOURCE = Path(__file__).parents[1] / "c"
 FILES = ("hbp.c", "hbp_can.c", "host/shim.c")
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
-TX_BYTES = 1 << 13  # of encoded frames; what else waits are samples, in the pools
-OPTIONS = {
-    "HBP_RX_MAX": 1024,
-    "HBP_TX_MAX": 1024,
-    "HBP_TX_BYTES": TX_BYTES,
-    "HBP_CHANNELS": 256,
-    "HBP_POOLS": 4,
-    "HBP_EDGES": 1 << 14,
-    "HBP_HOSTS": 16,
-    "HBP_CRC_TABLE": 256,
-    "HBP_CAN_BYTES": 64,
-    "HBP_CAN_MESSAGES": 1024,
-    "HBP_CAN_TRANSFERS": 34,
-}
+FLAGS = "-std=c99 -O2 -fPIC -shared"
+OPTIONS = """
+    HBP_RX_MAX=1024 HBP_TX_MAX=1024 HBP_TX_BYTES=8192 HBP_CHANNELS=256 HBP_POOLS=4 HBP_EDGES=16384 HBP_HOSTS=16
+    HBP_CRC_TABLE=256 HBP_CAN_BYTES=64 HBP_CAN_MESSAGES=1024 HBP_CAN_TRANSFERS=34
+"""
 MIN_POOL = 1 << 12  # bytes
 
 
@@ -73,8 +64,8 @@ def library(pool: int, frames: int) -> ctypes.CDLL:
     Raises:
         NoCompiler: there is no compiler, or it fails.
     """
-    options = OPTIONS | {"HBP_POOL_BYTES": pool, "HBP_CAN_STREAMED": frames}
-    command = [*compiler(), *FLAGS, *(f"-D{name}={value}" for name, value in options.items())]
+    options = [*OPTIONS.split(), f"HBP_POOL_BYTES={pool}", f"HBP_CAN_STREAMED={frames}"]
+    command = [*compiler(), *FLAGS.split(), *(f"-D{option}" for option in options)]
     digest = hashlib.sha256(repr(command).encode())
     for file in sorted(SOURCE.rglob("*.[ch]")):
         digest.update(file.read_bytes())
@@ -95,75 +86,47 @@ def library(pool: int, frames: int) -> ctypes.CDLL:
     return _declared(ctypes.CDLL(str(target)))
 
 
-_U8, _U16, _U32, _U64 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
-_F32, _SIZE, _ANY, _TEXT = ctypes.c_float, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_char_p
-_DETAIL = ctypes.POINTER(_F32)
-
-_ENTER = ctypes.CFUNCTYPE(_U16, _ANY, _U8, _DETAIL)
-_SETPOINT = ctypes.CFUNCTYPE(_U16, _ANY, _U8, _F32, _F32, _DETAIL)
-_OUTPUTS_ON = ctypes.CFUNCTYPE(_U8, _ANY)
-_CLEAR = ctypes.CFUNCTYPE(_U32, _ANY, _U32)
-_COMMIT = ctypes.CFUNCTYPE(_U16, _ANY, _DETAIL)
-_GET = ctypes.CFUNCTYPE(_F32, _ANY, _U16)
-_SET = ctypes.CFUNCTYPE(_U16, _ANY, _U16, _F32, _DETAIL)
+_PLAIN: dict[str, Any] = {f"uint{bits}_t": getattr(ctypes, f"c_uint{bits}") for bits in (8, 16, 32, 64)}
+_PLAIN |= {"int": ctypes.c_int, "size_t": ctypes.c_size_t, "float": ctypes.c_float, "void": None}
 
 
-class _Channel(ctypes.Structure):
-    _fields_ = (
-        ("id", _U16), ("type", _U8), ("unit", _U8), ("flags", _U16), ("at", _U16),
-        ("scale", _F32), ("offset", _F32), ("name", _TEXT),
-    )  # fmt: skip
+def _ctype(declared: str) -> Any:
+    """What ctypes has for the type in a C declaration; most pointers are plain addresses."""
+    base = declared.replace("const ", "").split()[0]
+    if "*" in declared:
+        return {"char": ctypes.c_char_p, "float": ctypes.POINTER(ctypes.c_float)}.get(base, ctypes.c_void_p)
+    return _PLAIN[base]
 
 
-class _Parameter(ctypes.Structure):
-    _fields_ = (
-        ("id", _U16), ("unit", _U8), ("flags", _U16), ("lo", _F32), ("hi", _F32), ("initial", _F32),
-        ("value", _ANY), ("name", _TEXT),
-    )  # fmt: skip
+@cache
+def _declarations() -> str:
+    """What the headers and the shim declare, without comments."""
+    text = "".join(Path(SOURCE, name).read_text(encoding="utf-8") for name in ("hbp.h", "hbp_can.h", "host/shim.c"))
+    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
 
-class _Config(ctypes.Structure):
-    _fields_ = (
-        ("node", _U8), ("role", _U8), ("features", _U32), ("tick_hz", _U32), ("pwm_hz", _U32), ("tick0", _U64),
-        ("name", _TEXT), ("firmware", _TEXT), ("serial", _TEXT), ("build", _TEXT),
-        ("channels", ctypes.POINTER(_Channel)), ("parameters", ctypes.POINTER(_Parameter)),
-        ("n_channels", _U16), ("n_parameters", _U16), ("sample_bytes", _U16), ("user", _ANY),
-        ("enter", _ENTER), ("setpoint", _SETPOINT), ("outputs_on", _OUTPUTS_ON), ("clear", _CLEAR),
-        ("commit", _COMMIT), ("get", _GET), ("set", _SET),
-    )  # fmt: skip
+@cache
+def structure(name: str) -> Any:
+    """The structure `name` of the headers as ctypes has it. Raises KeyError for a type that is not known here."""
+    (body,) = re.findall(rf"^struct {name} {{(.*?)^}};", _declarations(), re.DOTALL | re.MULTILINE)
+    members: list[tuple[str, Any]] = []
+    for member in map(str.strip, body.split(";")[:-1]):
+        if call := re.fullmatch(r"(\w+) \(\*(\w+)\)\((.*)\)", member):
+            members.append((call[2], ctypes.CFUNCTYPE(_ctype(call[1]), *map(_ctype, call[3].split(",")))))
+        else:
+            ((base, names),) = re.findall(r"((?:const |struct )*\w+) (.*)", member)
+            members += [(each.strip(" *"), _ctype(f"{base} {each}")) for each in names.split(",")]
+    return type(name, (ctypes.Structure,), {"_fields_": members})
 
 
 def _declared(lib: ctypes.CDLL) -> ctypes.CDLL:
-    for name, result, *arguments in (
-        ("shim_link_bytes", _SIZE),
-        ("shim_can_bytes", _SIZE),
-        ("shim_device_bytes", _SIZE),
-        ("shim_ticks", None, _ANY, _U64, _ANY, _SIZE, _SIZE),
-        ("shim_edges", None, _ANY, _ANY, _SIZE),
-        ("shim_running", _U32, _ANY),
-        ("shim_channels", None, _ANY, _ANY),
-        ("shim_dropped", _U32, _ANY),
-        ("shim_faults", _U32, _ANY),
-        ("shim_bad", _U32, _ANY),
-        ("shim_state", _U8, _ANY),
-        ("shim_watchdog_ms", _U16, _ANY),
-        ("shim_can_take", ctypes.c_int, _ANY, ctypes.POINTER(_U32), _ANY),
-        ("shim_link_init", None, _ANY, _F32),
-        ("shim_add", _U32, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
-        ("hbp_rx", None, _ANY, _U64, _TEXT, _SIZE),
-        ("hbp_poll", None, _ANY, _U64),
-        ("hbp_tx_peek", _SIZE, _ANY, ctypes.POINTER(_ANY)),
-        ("hbp_tx_advance", None, _ANY, _SIZE),
-        ("hbp_fault", None, _ANY, _U32),
-        ("hbp_log", None, _ANY, _U8, _TEXT),
-        ("shim_can_init", _U32, _ANY, _ANY),
-        ("shim_can_add", _U32, _ANY, _ANY, ctypes.POINTER(_Config), _U32),
-        ("hbp_can_rx", None, _ANY, _U64, _U32, _TEXT, _SIZE),
-        ("hbp_can_poll", None, _ANY, _U64),
-        ("hbp_can_gave_up", None, _ANY),
-    ):
-        function = getattr(lib, name)
-        function.restype, function.argtypes = result, arguments
+    """Tell ctypes how the functions of the headers and the shim are called."""
+    functions = re.findall(r"^(\w[\w ]*[ *])((?:hbp|shim)_\w+)\(([^()]*)\)", _declarations(), re.MULTILINE)
+    for result, name, arguments in functions:
+        if not result.startswith("static"):
+            function = getattr(lib, name)
+            function.restype = _ctype(result)
+            function.argtypes = [_ctype(each) for each in arguments.split(",") if each != "void"]
     return lib
 
 
@@ -262,17 +225,18 @@ class CompiledSession:
 
     # -- the app as C sees it ---------------------------------------------------------------------------------------
 
-    def _make_config(self) -> _Config:
+    def _make_config(self) -> Any:
         app, identity = self.app, self.identity
         offsets: dict[str, Any] = dict(self._dtype.fields or {})
         channels = [
-            _Channel(s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode())
-            for s in app.channels
+            (s.id, s.raw, s.unit, s.flags, offsets[s.name][1], s.scale, s.offset, s.name.encode()) for s in app.channels
         ]
         parameters = [
-            _Parameter(p.id, p.unit, p.flags, p.lo, p.hi, app.default_param(p.name), None, p.name.encode())
+            (p.id, p.unit, p.flags, p.lo, p.hi, app.default_param(p.name), None, p.name.encode())
             for p in app.parameters
         ]
+        self._channels = (structure("hbp_channel") * max(1, len(channels)))(*channels)
+        self._parameters = (structure("hbp_parameter") * max(1, len(parameters)))(*parameters)
         names = [parameter.name for parameter in app.parameters]
 
         def refusing(call: Callable[..., object]) -> Callable[..., int]:
@@ -301,18 +265,24 @@ class CompiledSession:
 
             return called
 
-        return _Config(
-            identity.node, identity.role, identity.features, identity.tick_hz, identity.pwm_hz, identity.tick0,
-            identity.name.encode(), identity.firmware.encode(), identity.serial.encode(), identity.build.encode(),
-            (_Channel * max(1, len(channels)))(*channels), (_Parameter * max(1, len(parameters)))(*parameters),
-            len(channels), len(parameters), self._dtype.itemsize, None,
-            _ENTER(refusing(lambda state: app.enter_state(DriveState(state)))),
-            _SETPOINT(refusing(lambda mode, value, value2: app.setpoint(SetpointMode(mode), value, value2))),
-            _OUTPUTS_ON(answering(lambda: int(app.outputs_on))),
-            _CLEAR(answering(lambda faults: int(app.clear_faults(Fault(faults))))),
-            _COMMIT(refusing(app.commit)),
-            _GET(answering(lambda k: app.get_param(names[k]))),
-            _SET(refusing(lambda k, value: app.set_param(names[k], value))),
+        calls = {
+            "enter": refusing(lambda state: app.enter_state(DriveState(state))),
+            "setpoint": refusing(lambda mode, value, value2: app.setpoint(SetpointMode(mode), value, value2)),
+            "outputs_on": answering(lambda: int(app.outputs_on)),
+            "clear": answering(lambda faults: int(app.clear_faults(Fault(faults)))),
+            "commit": refusing(app.commit),
+            "get": answering(lambda k: app.get_param(names[k])),
+            "set": refusing(lambda k, value: app.set_param(names[k], value)),
+        }
+        config = structure("hbp_config")
+        types = dict(config._fields_)
+        return config(
+            node=identity.node, role=identity.role, features=identity.features, tick_hz=identity.tick_hz,
+            pwm_hz=identity.pwm_hz, tick0=identity.tick0, name=identity.name.encode(), build=identity.build.encode(),
+            firmware=identity.firmware.encode(), serial=identity.serial.encode(), sample_bytes=self._dtype.itemsize,
+            channels=ctypes.addressof(self._channels), n_channels=len(channels),
+            parameters=ctypes.addressof(self._parameters), n_parameters=len(parameters),
+            **{name: types[name](call) for name, call in calls.items()},
         )  # fmt: skip
 
     @property
