@@ -199,6 +199,10 @@ def _channel(
     return Signal(id, name, unit, raw, scale, Flag.CHANNEL | flags, about)
 
 
+def _on_request(id: int, name: str, unit: Unit, scale: float, about: str, raw: RawType = RawType.I16) -> Signal:
+    return _channel(id, name, unit, scale, about, Flag.ON_REQUEST, raw)
+
+
 def estimate_channels(id: int, short: str, about: str) -> tuple[Signal, Signal]:
     """The angle (channel `id`) and the speed (`id` + 1) of an observer, for those who ask for them."""
     flags = Flag.ESTIMATE | Flag.ON_REQUEST
@@ -207,6 +211,10 @@ def estimate_channels(id: int, short: str, about: str) -> tuple[Signal, Signal]:
         _channel(id + 1, f"omega_{short}", Unit.RAD_PER_S, SPEED, f"speed: {about}", flags),
     )
 
+
+_SENSORS = "Kalman filter: Hall sensors a, b, c distrusted (bits 0-2), moved (bits 3-5)"
+_LESSON = "which parameter lesson_value_ek is for: each in turn (see below)"
+_LESSON_VALUE = "value that the Kalman filter learned for this parameter, in its unit"
 
 DRIVE_CHANNELS: tuple[Signal, ...] = (
     _channel(1, "hall", Unit.NONE, 1.0, "raw Hall code: bit 0 = sensor a, bit 1 = b, bit 2 = c", raw=RawType.U8),
@@ -243,51 +251,17 @@ DRIVE_CHANNELS: tuple[Signal, ...] = (
     *estimate_channels(37, "plf", "rotor flux by the programmable filter [18]"),
     *estimate_channels(39, "q15", "vector tracking in 16-bit integers"),
     *estimate_channels(41, "ek", "Kalman filter on Hall edges and back-EMF"),
-    _channel(
-        43,
-        "sensors_ek",
-        Unit.NONE,
-        1.0,
-        "Kalman filter: Hall sensors a, b, c distrusted (bits 0-2), moved (bits 3-5)",
-        Flag.ON_REQUEST,
-        RawType.U8,
-    ),
-    _channel(
-        44,
-        "sigma_ek",
-        Unit.RAD,
-        ANGLE,
-        "standard deviation of theta_ek, by the filter itself",
-        Flag.ON_REQUEST,
-    ),
-    _channel(45, "dead_time_left", Unit.S, NANO, "dead time learned by dead_time_learn", Flag.ON_REQUEST),
-    _channel(46, "dead_time_near", Unit.S, NANO, "extra dead time learned near zero current", Flag.ON_REQUEST),
-    _channel(
-        47,
-        "lesson_ek",
-        Unit.NONE,
-        1.0,
-        "which parameter lesson_value_ek is for: each in turn (see below)",
-        Flag.ON_REQUEST,
-        RawType.U8,
-    ),
-    _channel(
-        48,
-        "lesson_value_ek",
-        Unit.NONE,
-        1.0,
-        "value that the Kalman filter learned for this parameter, in its unit",
-        Flag.ON_REQUEST,
-        RawType.F32,
-    ),
-    _channel(
-        49, "lesson_sigma_ek", Unit.NONE, 1.0, "standard deviation of lesson_value_ek", Flag.ON_REQUEST, RawType.F32
-    ),
+    _on_request(43, "sensors_ek", Unit.NONE, 1.0, _SENSORS, RawType.U8),
+    _on_request(44, "sigma_ek", Unit.RAD, ANGLE, "standard deviation of theta_ek, by the filter itself"),
+    _on_request(45, "dead_time_left", Unit.S, NANO, "dead time learned by dead_time_learn"),
+    _on_request(46, "dead_time_near", Unit.S, NANO, "extra dead time learned near zero current"),
+    _on_request(47, "lesson_ek", Unit.NONE, 1.0, _LESSON, RawType.U8),
+    _on_request(48, "lesson_value_ek", Unit.NONE, 1.0, _LESSON_VALUE, RawType.F32),
+    _on_request(49, "lesson_sigma_ek", Unit.NONE, 1.0, "standard deviation of lesson_value_ek", RawType.F32),
 )
 
-_SECTORS = range(1, 7)
 LESSONS = (
-    *(f"edge_{way}_{sector}" for way in ("up", "down") for sector in _SECTORS),
+    *(f"edge_{way}_{sector}" for way in ("up", "down") for sector in range(1, 7)),
     *("psi_f_hat", "R_s_hat", "L_s_hat"),
 )
 """Parameters that the Kalman filter on Hall edges learns better values of, by their number in `lesson_ek`."""
