@@ -25,7 +25,7 @@ from protocol.canmap.ids import (
 )
 from protocol.canmap.layout import MAX_GROUPS, StreamLayout, edge_load, sample_layout
 from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
-from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, in_time, packed
+from protocol.device.carrier import EdgeStream, Run, SampleStream, Shape, Stream, in_time, packed
 from protocol.device.session import DeviceApp, DeviceSession, Identity
 from protocol.device.tx import TxQueue
 from protocol.errors import Refused
@@ -37,14 +37,8 @@ MAX_AGE = 0.5  # s that a stream frame may wait
 _HOST_STATUS = (STATUS_SLOTS[MessageType.ALIVE], STATUS_SLOTS[MessageType.SETPOINT])
 
 
-class _Stream:
+class _CanStream(Stream):
     """Common to both kinds: frames go out at once, and nothing less than a frame waits."""
-
-    def __init__(self, slot: int, tx: TxQueue) -> None:
-        self.running = False
-        self.dropped = 0
-        self.slot = slot
-        self._tx = tx
 
     def _put(self, wire: bytes) -> None:
         """Queue CAN_RECORDs, each on its own."""
@@ -52,29 +46,18 @@ class _Stream:
             if not self._tx.put_bulk(wire[at : at + RECORD_BYTES]):
                 self.dropped += 1
 
-    def flush(self) -> None:
-        """See `SampleStream` and `EdgeStream`."""
 
-    def waits_since(self) -> int | None:
-        """See `SampleStream` and `EdgeStream`."""
-        return None
-
-
-class _Samples(_Stream):
+class _Samples(_CanStream, SampleStream):
     """A stream of samples: whole frames only."""
 
     def __init__(self, slot: int, ids: list[int], layout: StreamLayout, runs: list[Run], decimation: int, tx: TxQueue):
-        super().__init__(slot, tx)
+        super().__init__(tx, slot)
         self._ids = ids
         self._layout = layout
         self._runs = runs
         self._decimation = decimation
         self._pending = np.empty((0, layout.groups[-1][1]), np.uint8)
         self._next: int | None = None  # index of the sample after the pending ones
-
-    def fills_block(self, index0: int, n: int) -> bool:
-        """See `SampleStream`: edges never wait."""
-        return False
 
     def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
         """See `SampleStream`."""
@@ -114,11 +97,11 @@ class _Samples(_Stream):
         self._put(records.tobytes())
 
 
-class _Edges(_Stream):
+class _Edges(_CanStream, EdgeStream):
     """A stream of edges: a frame each."""
 
     def __init__(self, slot: int, can_id: int, fd: bool, tx: TxQueue) -> None:
-        super().__init__(slot, tx)
+        super().__init__(tx, slot)
         self._id = can_id
         self._fd = fd
 

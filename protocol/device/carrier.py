@@ -8,6 +8,7 @@ streamed: that is `protocol.device.streams`.
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -28,12 +29,14 @@ TOGETHER = 16  # frames that are encoded at once
 _FULL_HEADER = struct.Struct("<BBHHBBBBHHHII")  # frame header and stream header
 
 
-class Stream(Protocol):
+class Stream:
     """A configured stream. `dropped` counts frames that found no room, `slot` is the first one on CAN."""
 
-    running: bool
-    dropped: int
-    slot: int
+    def __init__(self, tx: TxQueue, slot: int = 0) -> None:
+        self.running = False
+        self.dropped = 0
+        self.slot = slot
+        self._tx = tx
 
     def flush(self) -> None:
         """Send what waits; of samples only if a frame may hold less than a block."""
@@ -43,21 +46,25 @@ class Stream(Protocol):
 
         None if there is none that `flush` would send.
         """
+        return None
 
 
-class SampleStream(Stream, Protocol):
+class SampleStream(Stream, ABC):
     """A stream of samples."""
 
     def fills_block(self, index0: int, n: int) -> bool:
-        """Return whether n more periods complete a frame, or break the row of indices."""
+        """Return whether n more periods complete a frame, or break the row of indices, while edges may wait."""
+        return False
 
+    @abstractmethod
     def push(self, index0: int, tick0: int, rows: NDArray[np.uint8]) -> None:
         """Take n periods: rows[n, bytes of a full sample]."""
 
 
-class EdgeStream(Stream, Protocol):
+class EdgeStream(Stream, ABC):
     """A stream of edges."""
 
+    @abstractmethod
     def push(self, index0: int, data: bytes, tick: int) -> None:
         """Take edges (EDGE_RECORDs) from number `index0` on; `tick` is now."""
 
@@ -96,21 +103,18 @@ class Carrier(Protocol):
         """Stream number `stream` is no more."""
 
 
-class _Stream:
+class _ByteStream(Stream):
     """Common to both kinds: frames with seq, overrun flag and account of drops."""
 
     TYPE: MessageType
-    slot = 0
 
     def __init__(self, node: int, stream: int, cfg_id: int, record_bytes: int, block: int, tx: TxQueue) -> None:
-        self.running = False
-        self.dropped = 0
+        super().__init__(tx)
         self.block = block
         self._node = node
         self._stream = stream
         self._cfg_id = cfg_id
         self._record_bytes = record_bytes
-        self._tx = tx
         self._seq = 0
         self._flags = 0
         self._pending = b""
@@ -148,7 +152,7 @@ class _Stream:
                     break
 
 
-class _ByteSamples(_Stream):
+class _ByteSamples(_ByteStream, SampleStream):
     TYPE = MessageType.DATA
 
     def __init__(
@@ -205,7 +209,7 @@ class _ByteSamples(_Stream):
         return self._first[1] if self._pending else None
 
 
-class _ByteEdges(_Stream):
+class _ByteEdges(_ByteStream, EdgeStream):
     TYPE = MessageType.EDGES
 
     def __init__(self, node: int, stream: int, cfg_id: int, block: int, tx: TxQueue) -> None:

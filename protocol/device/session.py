@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -116,8 +116,8 @@ class DeviceSession:
             StateCommand: lambda asked: StateReply(self.machine.command(asked.command, asked.argument, self._tick)),
             Setpoint: self._setpoint,
             StreamSet: lambda asked: self.streams.configure(asked, self._peer.tx_max),
-            StreamStart: self._stream_start,
-            StreamStop: self._stream_stop,
+            StreamStart: lambda asked: self.streams.start(asked.mask),
+            StreamStop: lambda asked: self.streams.stop(asked.mask),
             StreamGet: lambda asked: self.streams.describe(asked.stream),
         }
 
@@ -228,10 +228,10 @@ class DeviceSession:
             return self.refuse(frame, code, detail)
         except Refused as refusal:
             return self.refuse(frame, ErrorCode(refusal.code), refusal.detail)
-        if reply is None:
+        if kind.TYPE in UNACKNOWLEDGED:
             return b""
         self._last_tid = frame.tid
-        return self._answer(frame, reply, REPLY)
+        return self._answer(frame, reply or Empty(), REPLY)
 
     def _answer(self, frame: Frame, reply: Payload, flags: int) -> bytes:
         wire = self._encode(Frame(frame.type, MAJOR | flags, frame.tid, self.identity.node, reply.pack()))
@@ -252,26 +252,9 @@ class DeviceSession:
         if request.nonce != peer.nonce:  # a new host may use the same tids again
             peer.nonce = request.nonce
             peer.replies.clear()
-        return HelloReply(
-            nonce=request.nonce,
-            boot_id=identity.boot_id,
-            major=MAJOR,
-            minor=MINOR,
-            rx_max=identity.rx_max,
-            tx_max=peer.tx_max,
-            features=identity.features,
-            schema_crc=self.descriptor.crc,
-            tick_hz=identity.tick_hz,
-            pwm_hz=identity.pwm_hz,
-            state=self.state,
-            node=identity.node,
-            role=identity.role,
-            nodes=self.nodes,
-            name=identity.name,
-            firmware=identity.firmware,
-            serial=identity.serial,
-            build=identity.build,
-        )
+        told = asdict(identity) | {"tx_max": peer.tx_max, "nonce": request.nonce, "nodes": self.nodes}
+        del told["tick0"]  # the replies to STREAM_SET have it
+        return HelloReply(major=MAJOR, minor=MINOR, schema_crc=self.descriptor.crc, state=self.state, **told)
 
     def _setpoint(self, request: Setpoint) -> None:
         try:
@@ -326,19 +309,10 @@ class DeviceSession:
         self.app.set_param(parameter.name, value)
         return ParamStored(request.id, self.app.get_param(parameter.name))
 
-    def _param_commit(self, request: ParamCommit) -> Empty:
+    def _param_commit(self, request: ParamCommit) -> None:
         if self.app.outputs_on:
             raise Refused("outputs are on", ErrorCode.WRONG_STATE, self.state)
         self.app.commit()
-        return Empty()
-
-    def _stream_start(self, request: StreamStart) -> Empty:
-        self.streams.start(request.mask)
-        return Empty()
-
-    def _stream_stop(self, request: StreamStop) -> Empty:
-        self.streams.stop(request.mask)
-        return Empty()
 
 
 def _always_executed(frame: Frame) -> bool:

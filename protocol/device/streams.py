@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,7 @@ class StreamTable:
         self._dtype = sample_dtype(channels)
         self._tx = carrier.tx
         self._ticks_per_period = identity.tick_hz // identity.pwm_hz
-        self._samples: dict[int, SampleStream] = {}
-        self._edges: dict[int, EdgeStream] = {}
+        self._streams: dict[int, SampleStream | EdgeStream] = {}
         self._configured: dict[int, tuple[StreamSet, StreamReply]] = {}
         self._cfg_id = identity.boot_id & 0xFFFF
         self._dropped = 0
@@ -48,16 +48,12 @@ class StreamTable:
     @property
     def dropped(self) -> int:
         """Stream frames that were not sent since boot."""
-        return self.expired + self._dropped + sum(stream.dropped for stream in self._all.values())
-
-    @property
-    def _all(self) -> dict[int, SampleStream | EdgeStream]:
-        return {**self._samples, **self._edges}
+        return self.expired + self._dropped + sum(stream.dropped for stream in self._streams.values())
 
     @property
     def running(self) -> frozenset[int]:
         """Numbers of the running streams."""
-        return frozenset(number for number, stream in self._all.items() if stream.running)
+        return frozenset(number for number, stream in self._streams.items() if stream.running)
 
     def configure(self, request: StreamSet, tx_max: int) -> StreamReply:
         """Carry out STREAM_SET; Refused, nothing changed, if it cannot be done."""
@@ -77,14 +73,12 @@ class StreamTable:
         stream: SampleStream | EdgeStream
         if request.event == StreamEvent.EDGES:
             size = EDGE_RECORD.itemsize
-            edges = stream = self._carrier.edges(node, request, cfg_id, shape.block)
-            self._forget(request.stream)
-            self._edges[request.stream] = edges
+            stream = self._carrier.edges(node, request, cfg_id, shape.block)
         else:
             size, runs = sum(widths), self._runs(request.channels)
-            samples = stream = self._carrier.samples(node, request, cfg_id, widths, runs, shape.block, ticks)
-            self._forget(request.stream)
-            self._samples[request.stream] = samples
+            stream = self._carrier.samples(node, request, cfg_id, widths, runs, shape.block, ticks)
+        self._forget(request.stream)
+        self._streams[request.stream] = stream
         self._cfg_id = cfg_id
         self._tx.rates[node, request.stream] = shape.rate
         reply = StreamReply(request.stream, cfg_id, size, shape.block, load, stream.slot, self._identity.tick0)
@@ -98,33 +92,22 @@ class StreamTable:
         if number not in self._configured:
             raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
         request, reply = self._configured[number]
-        return StreamInfo(
-            stream=number,
-            running=self._all[number].running,
-            event=request.event,
-            slot=reply.slot,
-            decimation=request.decimation,
-            max_latency_ms=request.max_latency_ms,
-            cfg_id=reply.cfg_id,
-            sample_bytes=reply.sample_bytes,
-            block=reply.block,
-            tick0=reply.tick0,
-            channels=request.channels,
-        )
+        told = asdict(request) | asdict(reply) | {"running": self._streams[number].running}
+        del told["load"]
+        return StreamInfo(**told)
 
     def start(self, mask: int) -> None:
         """Carry out STREAM_START; Refused, nothing started, if a stream is not configured."""
-        streams = self._all
         chosen = [number for number in range(32) if mask >> number & 1]
         for number in chosen:
-            if number not in streams:
+            if number not in self._streams:
                 raise Refused(f"stream {number} is not configured", ErrorCode.UNKNOWN_ID, number)
         for number in chosen:
-            streams[number].running = True
+            self._streams[number].running = True
 
     def stop(self, mask: int) -> None:
         """Carry out STREAM_STOP: what waits is sent, the configuration is forgotten."""
-        chosen = [number for number in self._all if mask >> number & 1]
+        chosen = [number for number in self._streams if mask >> number & 1]
         self.flush(chosen)
         for number in chosen:
             self._forget(number)
@@ -132,7 +115,7 @@ class StreamTable:
 
     def push_samples(self, index0: int, tick0: int, raw: NDArray[np.void]) -> None:
         """Take samples of all channels: see `DeviceSession.push_samples`."""
-        streams = [stream for stream in self._samples.values() if stream.running]
+        streams = [each for each in self._streams.values() if isinstance(each, SampleStream) and each.running]
         if not streams or not len(raw):
             return
         if raw.dtype != self._dtype:
@@ -148,15 +131,15 @@ class StreamTable:
         if not len(records):
             return
         data = records.tobytes()
-        for stream in self._edges.values():
-            if stream.running:
+        for stream in self._streams.values():
+            if isinstance(stream, EdgeStream) and stream.running:
                 stream.push(self.edges, data, tick)
         self.edges += len(records)
 
     def advance(self, tick: int) -> None:
         """Send what has waited for its stream's max_latency."""
         late = []
-        for number, stream in self._all.items():
+        for number, stream in self._streams.items():
             since = stream.waits_since()
             latency_ms = self._configured[number][0].max_latency_ms
             if since is not None and tick - since >= latency_ms * self._identity.tick_hz // 1000:
@@ -168,15 +151,15 @@ class StreamTable:
         if numbers:
             self._flush_edges()
         for number in numbers:
-            if number in self._samples:
-                self._samples[number].flush()
+            self._streams[number].flush()
 
     def _flush_edges(self) -> None:
-        for stream in self._edges.values():
-            stream.flush()
+        for stream in self._streams.values():
+            if isinstance(stream, EdgeStream):
+                stream.flush()
 
     def _forget(self, number: int) -> None:
-        stream = self._samples.pop(number, None) or self._edges.pop(number, None)
+        stream = self._streams.pop(number, None)
         if stream is not None:
             self._dropped += stream.dropped
             del self._configured[number]
@@ -191,7 +174,7 @@ class StreamTable:
         """Refuse what does not depend on the link: the first of several errors, in the order of SPEC.md."""
         _check_number(request.stream)
         self._check_event(request)
-        stream = self._all.get(request.stream)
+        stream = self._streams.get(request.stream)
         if stream is not None and stream.running:
             raise Refused(f"stream {request.stream} is running", ErrorCode.BUSY, request.stream)
 
