@@ -8,8 +8,9 @@ no link, no session and no transfers.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,9 @@ class _Order:
         self._step = step
 
     def follow(self, numbers: I64) -> tuple[Bools, I64]:
-        """Return which numbers (one at least) pass, and what was expected before each of them."""
+        """Return which numbers pass, and what was expected before each of them."""
+        if not len(numbers):
+            return np.ones(0, bool), numbers
         if self.expected is None:
             self.expected = int(numbers[0])
         reached = np.maximum(np.maximum.accumulate(numbers + self._step), self.expected)
@@ -71,18 +74,36 @@ class _Order:
         return numbers >= before, before
 
 
-class CanSampleDecoder:
+class _CanDecoder:
+    """What both decoders have: `ids` of the frames, and the account of those that are not delivered."""
+
+    def __init__(self, config: StreamConfig, reference: TickReference, ids: Iterable[CanId], extended: bool) -> None:
+        self.config = config
+        self.counters = LossCounters()
+        self.ids = tuple(each.pack(extended) for each in ids)
+        self._reference = reference
+
+    def _keep(self, good: Bools, *columns: NDArray[Any], malformed: bool = False) -> tuple[NDArray[Any], ...]:
+        """Return the good rows of these columns; the others come again, late or too early, or are malformed."""
+        if good.all():
+            return columns
+        bad = int(len(good) - good.sum())
+        if malformed:
+            self.counters.malformed += bad
+        else:
+            self.counters.out_of_order += bad
+        return tuple(column[good] for column in columns)
+
+
+class CanSampleDecoder(_CanDecoder):
     """Decodes the frames of one configured stream of samples."""
 
     def __init__(self, config: StreamConfig, layout: StreamLayout, reference: TickReference, extended: bool) -> None:
-        self.config = config
-        self.counters = LossCounters()
         slots = ((config.slot + n) % STREAM_SLOTS for n in range(len(layout.groups)))
-        self.ids = tuple(stream_id(config.node, slot).pack(extended) for slot in slots)
+        super().__init__(config, reference, (stream_id(config.node, slot) for slot in slots), extended)
         self._layout = layout
         self._ticks_per_sample = config.period_ticks * config.decimation
         self._ahead = max(layout.samples, round(AHEAD * config.tick_hz / self._ticks_per_sample))
-        self._reference = reference
         self._unit = config.decimation if layout.fd else 1  # what frames count, in samples
         self._bits = 8 * layout.counter
         self._orders = [_Order(layout.samples * self._unit) for _ in layout.groups]
@@ -121,14 +142,10 @@ class CanSampleDecoder:
 
     def _sorted(self, frames: NDArray[np.void]) -> list[NDArray[np.void]]:
         """Return the frames of each group, those of a wrong length left out."""
-        parts = []
+        parts: list[NDArray[Any]] = []
         for group, can_id in enumerate(self.ids):
             part = frames if len(self.ids) == 1 else frames[frames["id"] == can_id]
-            fits = part["length"] == self._layout.length(group)
-            if not fits.all():
-                self.counters.malformed += int(len(fits) - fits.sum())
-                part = part[fits]
-            parts.append(part)
+            parts += self._keep(part["length"] == self._layout.length(group), part, malformed=True)
         return parts
 
     def _low(self, frames: NDArray[np.void]) -> I64:
@@ -137,23 +154,15 @@ class CanSampleDecoder:
 
     def _take(self, group: int, frames: NDArray[np.void], near: int) -> None:
         """Add what a group's frames hold to what waits; `near` as frames count."""
-        layout, counters, unit = self._layout, self.counters, self._unit
+        layout, unit = self._layout, self._unit
         numbers = _from(near - (1 << self._bits - 1), self._low(frames), self._bits)
-        even = numbers % unit == 0
-        counters.malformed += int(len(even) - even.sum())
-        believed = even & (numbers <= near + self._ahead * unit)
-        counters.out_of_order += int(even.sum() - believed.sum())
-        frames, numbers = frames[believed], numbers[believed]
-        if not len(frames):
-            return
+        frames, numbers = self._keep(numbers % unit == 0, frames, numbers, malformed=True)
+        frames, numbers = self._keep(numbers <= near + self._ahead * unit, frames, numbers)
         passed, before = self._orders[group].follow(numbers)
-        counters.out_of_order += int(len(passed) - passed.sum())
-        frames, numbers, before = frames[passed], numbers[passed] // unit, before[passed] // unit
-        if not len(frames):
-            return
+        frames, numbers, before = self._keep(passed, frames, numbers // unit, before // unit)
         samples = layout.samples
-        counters.frames += len(frames)
-        counters.lost_by_seq += int((-(-(numbers - before) // samples)).sum())
+        self.counters.frames += len(frames)
+        self.counters.lost_by_seq += int((-(-(numbers - before) // samples)).sum())
         first, last = layout.groups[group]
         data = frames["data"][:, layout.counter : layout.used(group)].reshape(-1, last - first)
         if samples > 1:
@@ -202,14 +211,11 @@ class CanSampleDecoder:
         return numbers, packed
 
 
-class CanEdgeDecoder:
+class CanEdgeDecoder(_CanDecoder):
     """Decodes the frames of one configured stream of edges."""
 
     def __init__(self, config: StreamConfig, reference: TickReference, extended: bool) -> None:
-        self.config = config
-        self.counters = LossCounters()
-        self.ids = (CanId(CanClass.EDGES, config.node, config.slot).pack(extended),)
-        self._reference = reference
+        super().__init__(config, reference, [CanId(CanClass.EDGES, config.node, config.slot)], extended)
         self._order = _Order(1)
         self._last_tick = -1
 
@@ -217,22 +223,16 @@ class CanEdgeDecoder:
         """Return the edges of `frames`, or None if there are none."""
         counters, beat = self.counters, frames.beats[-1]
         fits = frames.records["length"] == EDGE_BYTES
-        counters.malformed += int(len(fits) - fits.sum())
-        records = np.ascontiguousarray(frames.records["data"][fits][:, :EDGE_BYTES]).view(EDGE_RECORD)[:, 0]
+        (data,) = self._keep(fits, frames.records["data"][:, :EDGE_BYTES], malformed=True)
+        records = np.ascontiguousarray(data).view(EDGE_RECORD)[:, 0]
         tick = TickReference(beat.tick).unwrap(records["tick"])
         newest = np.maximum.accumulate(np.concatenate([[self._last_tick], tick]))[:-1]
-        believed = self._counted((tick >= newest) & (tick <= beat.tick + AHEAD * self.config.tick_hz))
-        records, tick = records[believed], tick[believed]
-        if not len(records):
-            return None
+        believed = (tick >= newest) & (tick <= beat.tick + AHEAD * self.config.tick_hz)
+        records, tick = self._keep(believed, records, tick)
         numbers, sure = self._place(records["flags"].astype(np.int64), tick, frames.beats)
-        self._counted(sure)
-        records, tick, numbers = records[sure], tick[sure], numbers[sure]
-        if not len(records):
-            return None
+        records, tick, numbers = self._keep(sure, records, tick, numbers)
         passed, before = self._order.follow(numbers)
-        self._counted(passed)
-        records, tick, numbers, before = records[passed], tick[passed], numbers[passed], before[passed]
+        records, tick, numbers, before = self._keep(passed, records, tick, numbers, before)
         if not len(records):
             return None
         self._last_tick = int(tick[-1])
@@ -272,8 +272,3 @@ class CanEdgeDecoder:
             most = np.where(stale, least + EDGE_RANGE, most)
         numbers = _from(least, low, 8)
         return numbers, sure & (most - least <= EDGE_RANGE) & (numbers < most)
-
-    def _counted(self, keep: Bools) -> Bools:
-        """Count the frames that come again, late, or too early."""
-        self.counters.out_of_order += int(len(keep) - keep.sum())
-        return keep

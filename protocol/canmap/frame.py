@@ -43,7 +43,6 @@ ESI = 2  # bit of `flags`: the sender is error passive
 FDF = 4  # bit of `flags`: CAN FD frame
 
 # What an error frame says, with the bits that Linux uses (include/uapi/linux/can/error.h).
-ERROR_TX_TIMEOUT = 0x001
 ERROR_CONTROLLER = 0x004  # data[1]: ERROR_OVERFLOW or a change to warning or passive
 ERROR_PROTOCOL = 0x008  # bit, stuff, form, CRC error
 ERROR_NO_ACK = 0x020

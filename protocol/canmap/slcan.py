@@ -40,18 +40,8 @@ BELL = b"\a"
 STAMP_PERIOD = 60_000
 """Time stamps count milliseconds from 0 to this less one."""
 
-BITRATES = {
-    10_000: b"S0",
-    20_000: b"S1",
-    50_000: b"S2",
-    100_000: b"S3",
-    125_000: b"S4",
-    250_000: b"S5",
-    500_000: b"S6",
-    750_000: b"S7",
-    1_000_000: b"S8",
-    83_300: b"S9",
-}
+_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 750_000, 1_000_000, 83_300)
+BITRATES = {rate: b"S%d" % n for n, rate in enumerate(_RATES)}
 """The command that sets a bit rate, by that rate in bit/s."""
 
 DATA_BITRATES = {2_000_000: b"Y2", 5_000_000: b"Y5", 8_000_000: b"Y8"}
@@ -89,17 +79,9 @@ class _Form:
 
 
 _FORMS = tuple(
-    _Form(ord(letter), id_bits, flags)
-    for letter, id_bits, flags in (
-        ("t", 0, 0),
-        ("T", EXTENDED, 0),
-        ("r", REMOTE, 0),
-        ("R", EXTENDED | REMOTE, 0),
-        ("d", 0, FDF),
-        ("D", EXTENDED, FDF),
-        ("b", 0, FDF | BRS),
-        ("B", EXTENDED, FDF | BRS),
-    )
+    _Form(ord(letter), id_bits | extended, flags)
+    for letters, id_bits, flags in (("tT", 0, 0), ("rR", REMOTE, 0), ("dD", 0, FDF), ("bB", 0, FDF | BRS))
+    for letter, extended in zip(letters, (0, EXTENDED), strict=True)
 )
 _BY_LETTER: Mapping[int, _Form] = {form.letter: form for form in _FORMS}
 _BY_BITS: Mapping[int, _Form] = {form.id_bits >> 29 << 8 | form.flags: form for form in _FORMS}
@@ -116,13 +98,7 @@ for _digit, _value in zip(b"0123456789ABCDEFabcdef", (*range(16), *range(10, 16)
 _ID_WEIGHTS = (16 ** np.arange(7, -1, -1)).astype(np.uint32)
 
 
-def _lengths_by_digit(form: _Form) -> NDArray[np.int16]:
-    table = np.full(256, -1, np.int16)
-    table[: len(form.lengths)] = form.lengths
-    return table
-
-
-_LENGTHS = {form.letter: _lengths_by_digit(form) for form in _FORMS}
+_LENGTHS = {form.letter: np.array(form.lengths + (-1,) * (256 - len(form.lengths)), np.int16) for form in _FORMS}
 """Data bytes by DLC digit, -1 where there is no such DLC."""
 
 

@@ -31,22 +31,23 @@ from protocol.canmap.frame import (
 )
 
 ERROR_KINDS = (
-    "protocol",
-    "no ack",
-    "controller warning",
-    "controller passive",
-    "bus-off",
-    "restarted",
-    "overflow",
-    "other",
-)
+    "protocol", "no ack", "controller warning", "controller passive", "bus-off", "restarted", "overflow", "other",
+)  # fmt: skip
 """What `error_kind` tells apart."""
 
 WITH_KINDS = frozenset({"socketcan", "socketcand", "virtual"})
 """Interfaces of python-can whose error frames carry Linux's bits."""
 
-_WARNING = 0x0C  # bits of data[1] with ERROR_CONTROLLER
-_PASSIVE = 0x30
+_GRAVEST_FIRST = (
+    ("bus-off", ERROR_BUS_OFF, 0),
+    ("restarted", ERROR_RESTARTED, 0),
+    ("overflow", ERROR_CONTROLLER, ERROR_OVERFLOW),
+    ("controller passive", ERROR_CONTROLLER, 0x30),
+    ("controller warning", ERROR_CONTROLLER, 0x0C),
+    ("no ack", ERROR_NO_ACK, 0),
+    ("protocol", ERROR_PROTOCOL | ERROR_BUS, 0),
+)
+"""Kinds of error frames: bits of the identifier, and of data[1] where those alone do not say it (else 0)."""
 
 
 def to_record(message: can.Message, when: float, with_kinds: bool = True) -> bytes:
@@ -95,18 +96,7 @@ def to_messages(records: bytes) -> Iterator[can.Message]:
 
 def error_kind(number: int, detail: int) -> str:
     """Return which of `ERROR_KINDS` an error frame is, by its `id` and data[1]: the gravest thing that it says."""
-    if number & ERROR_BUS_OFF:
-        return "bus-off"
-    if number & ERROR_RESTARTED:
-        return "restarted"
-    if number & ERROR_CONTROLLER:
-        for kind, bits in (
-            ("overflow", ERROR_OVERFLOW),
-            ("controller passive", _PASSIVE),
-            ("controller warning", _WARNING),
-        ):
-            if detail & bits:
-                return kind
-    if number & ERROR_NO_ACK:
-        return "no ack"
-    return "protocol" if number & (ERROR_PROTOCOL | ERROR_BUS) else "other"
+    for kind, bits, details in _GRAVEST_FIRST:
+        if number & bits and (not details or detail & details):
+            return kind
+    return "other"

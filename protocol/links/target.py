@@ -178,23 +178,14 @@ class CanTarget(Target):
         from protocol.canmap.frame import BusRates  # numpy costs 70 ms: only those who need it pay
 
         given = dict(self.options)
-        bitrate = int(given.get("bitrate", DEFAULT_BITRATE))
-        if given.get("fd", "0") == "0":
-            return BusRates(bitrate)
-        return BusRates(bitrate, int(given.get("data_bitrate", DEFAULT_DATA_BITRATE)))
+        data = int(given.get("data_bitrate", DEFAULT_DATA_BITRATE)) if given.get("fd", "0") != "0" else None
+        return BusRates(int(given.get("bitrate", DEFAULT_BITRATE)), data)
 
     def __str__(self) -> str:
         place = (self.interface or "") + (f"/{self.channel}" if self.channel is not None else "")
-        pairs = list(self.options)
-        if self.node != DEFAULT_NODE:
-            pairs.append(("node", str(self.node)))
-        if self.extended:
-            pairs.append(("ext", "1"))
-        if self.context is not None:
-            pairs.append(("context", self.context))
-        if self.host:
-            pairs.append(("host_number", str(self.host)))
-        query = "&".join(f"{key}={value}" for key, value in pairs)
+        values, usual = (self.node, int(self.extended), self.context, self.host), (DEFAULT_NODE, 0, None, 0)
+        own = ((key, value) for key, value, other in zip(CAN_KEYS, values, usual, strict=True) if value != other)
+        query = "&".join(f"{key}={value}" for key, value in (*self.options, *own))
         return f"can:{place}" + (f"?{query}" if query else "")
 
 
