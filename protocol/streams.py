@@ -143,10 +143,7 @@ class StreamConfig:
 
     @cached_property
     def _by_name(self) -> dict[str, Channel | Signal]:
-        found: dict[str, Channel | Signal] = {}
-        for channel in self.channels:
-            found.setdefault(channel.name, channel)
-        return found
+        return {channel.name: channel for channel in self.channels}
 
 
 @dataclass(frozen=True, slots=True)

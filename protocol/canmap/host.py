@@ -101,23 +101,20 @@ class CanWire:
         node = frame.node or self.node
         if node > MAX_NODE:
             raise LocalProtocolError(f"there is no node {node} on a CAN bus: they are 1 to {MAX_NODE}")
-        return self._sent(self._encode(frame._replace(node=node).pack(), node))
+        return self._encoded(frame, node)
 
     def to_everybody(self, frame: Frame) -> bytes:
         """Return what is written for a HELLO that every device on the bus answers."""
-        return self._sent(self._encode(frame._replace(node=BROADCAST).pack(), BROADCAST))
+        return self._encoded(frame, BROADCAST)
 
-    def _sent(self, wire: bytes) -> bytes:
+    def _encoded(self, frame: Frame, node: int) -> bytes:
+        can_id = CanId(CanClass.TO_DEVICE, node, self.host)
+        if frame.type in STATUS_SLOTS:
+            can_id = CanId(CanClass.STATUS, node, STATUS_SLOTS[frame.type])
+        wire = self._encoder.encode(can_id, frame._replace(node=node).pack())
+        if frame.type == MessageType.STATE_CMD and frame.payload[:1] == bytes((Command.STOP,)):
+            wire = stop_record(node, self.extended, self.rates.fd) + wire
         self.busy_seconds += self.rates.occupied(np.frombuffer(wire, CAN_RECORD))
-        return wire
-
-    def _encode(self, message: bytes, node: int) -> bytes:
-        slot = STATUS_SLOTS.get(message[0])
-        if slot is not None:
-            return self._encoder.encode(CanId(CanClass.STATUS, node, slot), message)
-        wire = self._encoder.encode(CanId(CanClass.TO_DEVICE, node, self.host), message)
-        if message[0] == MessageType.STATE_CMD and message[HEADER_BYTES : HEADER_BYTES + 1] == bytes((Command.STOP,)):
-            return stop_record(node, self.extended, self.rates.fd) + wire
         return wire
 
     def feed(self, data: bytes, now: float) -> list[bytes | StreamFrames]:

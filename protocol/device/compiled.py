@@ -242,18 +242,16 @@ class CompiledSession:
         def refusing(call: Callable[..., object]) -> Callable[..., int]:
             """`call` with the last argument, where to put a refusal's detail, taken off."""
 
-            def called(_: int, *arguments: Any) -> int:
+            def called(*arguments: Any) -> int:
                 *given, detail = arguments
                 try:
                     call(*given)
                 except Refused as refusal:
                     detail[0] = refusal.detail
                     return int(refusal.code)
-                except BaseException as error:
-                    self.raised = error
                 return 0
 
-            return called
+            return answering(called)
 
         def answering(call: Callable[..., Any]) -> Callable[..., Any]:
             def called(_: int, *arguments: Any) -> Any:

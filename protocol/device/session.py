@@ -183,20 +183,7 @@ class DeviceSession:
     def receive(self, raw: bytes, host: int = 0) -> None:
         """Handle a frame (header + payload) that is meant for this node; `host`: number of its sender on the link."""
         self._peer = self._peer_of(host)
-        self._receive(raw, parse_frame(raw))
-
-    def _peer_of(self, host: int) -> _Peer:
-        return self._peers.setdefault(host, _Peer(self.identity.tx_max))
-
-    def stop(self) -> None:
-        """Carry out a STOP that nobody waits for."""
-        self.machine.command(Command.STOP, 0, self._tick)
-
-    def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
-        """Answer a frame with an error; return the answer's bytes."""
-        return self._answer(frame, ErrorReply(code, frame.type, detail), REPLY | ERROR)
-
-    def _receive(self, raw: bytes, frame: Frame) -> None:
+        frame = parse_frame(raw)
         if frame.is_reply or frame.is_error:
             self.ignored += 1
             return
@@ -215,6 +202,17 @@ class DeviceSession:
                     self.tx.put_control(wire)
                     return
             self._peer.replies.append((raw, self._execute(kind, frame)))
+
+    def _peer_of(self, host: int) -> _Peer:
+        return self._peers.setdefault(host, _Peer(self.identity.tx_max))
+
+    def stop(self) -> None:
+        """Carry out a STOP that nobody waits for."""
+        self.machine.command(Command.STOP, 0, self._tick)
+
+    def refuse(self, frame: Frame, code: ErrorCode, detail: float = 0.0) -> bytes:
+        """Answer a frame with an error; return the answer's bytes."""
+        return self._answer(frame, ErrorReply(code, frame.type, detail), REPLY | ERROR)
 
     def _execute(self, kind: type[Request], frame: Frame) -> bytes:
         try:

@@ -6,6 +6,7 @@ told to. A failure is a named error (`protocol.errors`), never silence.
 
 from __future__ import annotations
 
+import os
 import select
 import time
 from abc import ABC, abstractmethod
@@ -76,6 +77,7 @@ class DescriptorLink(ABC):
     def __init__(self, name: str) -> None:
         self.name = name
         """The link as errors show it."""
+        self._heard = False  # whether anything came since it was opened
         self._held: list[bytes] = []  # received, and not returned yet: an exception of a signal may end a read
 
     def clock(self) -> float:
@@ -90,6 +92,7 @@ class DescriptorLink(ABC):
         """See `Link.reopen`."""
         self.close()
         self._held.clear()
+        self._heard = False
         self._open()
 
     @abstractmethod
@@ -99,14 +102,6 @@ class DescriptorLink(ABC):
     @abstractmethod
     def _fileno(self) -> int:
         """The open file descriptor, or -1 when closed."""
-
-    @abstractmethod
-    def _receive(self, limit: int) -> bytes:
-        """Up to `limit` bytes; BlockingIOError when there are none, b"" or another OSError when gone."""
-
-    @abstractmethod
-    def _send(self, data: memoryview) -> int:
-        """Number of bytes taken; BlockingIOError when none."""
 
     @abstractmethod
     def close(self) -> None:
@@ -141,7 +136,7 @@ class DescriptorLink(ABC):
         """Hold what has arrived, up to `MAX_READ` in all; False if no more can be taken now."""
         while (free := MAX_READ - sum(map(len, self._held))) > 0:
             try:
-                part = self._receive(free)
+                part = os.read(self._fileno(), free)
             except BlockingIOError:
                 # Linux hands a pty's bytes over 4 KiB at a time, from another thread: look whether more comes at once
                 if settled and select.select([fd], [], [], REFILL)[0]:
@@ -155,6 +150,7 @@ class DescriptorLink(ABC):
                 if self._held:
                     return False
                 raise self._gone(None)
+            self._heard = True
             self._held.append(part)
         return False
 
@@ -165,7 +161,7 @@ class DescriptorLink(ABC):
         deadline = time.monotonic() + WRITE_TIMEOUT
         while rest:
             try:
-                rest = rest[self._send(rest) :]
+                rest = rest[os.write(self._fileno(), rest) :]
             except BlockingIOError:
                 left = deadline - time.monotonic()
                 if left <= 0.0 or not select.select([], [fd], [], left)[1]:

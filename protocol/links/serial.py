@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import os
 import struct
 import sys
 import termios
@@ -103,12 +102,6 @@ class SerialLink(DescriptorLink):
 
     def _fileno(self) -> int:
         return -1 if self._port is None else int(self._port.fileno())
-
-    def _receive(self, limit: int) -> bytes:
-        return os.read(self._fileno(), limit)
-
-    def _send(self, data: memoryview) -> int:
-        return os.write(self._fileno(), data)
 
     def _gone(self, cause: OSError | None) -> LinkClosed:
         self.close()

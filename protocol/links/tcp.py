@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 
-from protocol.errors import LinkClosed, LinkError, LinkNotFound
+from protocol.errors import LinkClosed, LinkNotFound
 from protocol.links.base import DescriptorLink
 from protocol.links.target import TcpTarget
 
@@ -24,7 +24,6 @@ class TcpLink(DescriptorLink):
         super().__init__(str(target))
         self.target = target
         self._socket: socket.socket | None = None
-        self._heard = False
         self._open()
 
     def _open(self) -> None:
@@ -46,7 +45,6 @@ class TcpLink(DescriptorLink):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
         self._socket = connection
-        self._heard = False
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -57,20 +55,6 @@ class TcpLink(DescriptorLink):
 
     def _fileno(self) -> int:
         return -1 if self._socket is None else self._socket.fileno()
-
-    def _receive(self, limit: int) -> bytes:
-        data = self._opened.recv(limit)
-        self._heard |= bool(data)
-        return data
-
-    def _send(self, data: memoryview) -> int:
-        return self._opened.send(data)
-
-    @property
-    def _opened(self) -> socket.socket:
-        if self._socket is None:
-            raise LinkError(f"{self.name} is closed")
-        return self._socket
 
     def _gone(self, cause: OSError | None) -> LinkClosed:
         self.close()
