@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from typing import Annotated, Self
 
 from protocol.codes import (
@@ -56,7 +56,6 @@ Tick = Annotated[int, _tick]
 Load = Annotated[float, _load]
 
 
-@dataclass(frozen=True, slots=True)
 class Hello(Request, type=MessageType.HELLO, layout="IBBH"):
     """Who is there? Legal in every state, changes none. `rx_max`: largest payload the host takes.
 
@@ -70,7 +69,6 @@ class Hello(Request, type=MessageType.HELLO, layout="IBBH"):
     rx_max: int = 1024
 
 
-@dataclass(frozen=True, slots=True)
 class HelloReply(Message, type=MessageType.HELLO, layout="IIBBHH2xIIIIBBBB16s16s24s24s"):
     """What the device is. `rx_max`, `tx_max`: payload bytes; `nodes`: the link has nodes 1..nodes.
 
@@ -102,12 +100,10 @@ class HelloReply(Message, type=MessageType.HELLO, layout="IIBBHH2xIIIIBBBB16s16s
         return self.tick_hz // self.pwm_hz
 
 
-@dataclass(frozen=True, slots=True)
 class TimeSync(Request, type=MessageType.TIME_SYNC):
     """Asks for the device's tick counter."""
 
 
-@dataclass(frozen=True, slots=True)
 class TimeSyncReply(Message, type=MessageType.TIME_SYNC, layout="QQ"):
     """Tick when the request had come, tick when the answer went."""
 
@@ -115,7 +111,6 @@ class TimeSyncReply(Message, type=MessageType.TIME_SYNC, layout="QQ"):
     tx_tick: Tick
 
 
-@dataclass(frozen=True, slots=True)
 class Heartbeat(Message, type=MessageType.HEARTBEAT, layout="QIIIIIHHHHBB2xI"):
     """Health, 10 Hz. `watchdog_ms` is 0xFFFF when the watchdog is not at work; `tx_dropped` counts frames."""
 
@@ -134,14 +129,12 @@ class Heartbeat(Message, type=MessageType.HEARTBEAT, layout="QIIIIIHHHHBB2xI"):
     edges: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class Alive(Request, type=MessageType.ALIVE, layout="I"):
     """Feeds the watchdog; unacknowledged."""
 
     counter: int
 
 
-@dataclass(frozen=True, slots=True)
 class BlobRead(Request, type=MessageType.BLOB_READ, layout="BxHI"):
     """Asks for `length` bytes of a blob from `offset`; blob 0 is the descriptor."""
 
@@ -150,7 +143,6 @@ class BlobRead(Request, type=MessageType.BLOB_READ, layout="BxHI"):
     offset: int
 
 
-@dataclass(frozen=True, slots=True)
 class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
     """A part of a blob whose whole length is `total`; it may be shorter than what was asked for."""
 
@@ -174,14 +166,12 @@ class BlobReply(Message, type=MessageType.BLOB_READ, layout="BxHII"):
         return cls(**values, data=data)
 
 
-@dataclass(frozen=True, slots=True)
 class ParamGet(Request, type=MessageType.PARAM_GET, layout="H2x"):
     """Asks for a parameter."""
 
     id: int
 
 
-@dataclass(frozen=True, slots=True)
 class ParamReply(Message, type=MessageType.PARAM_GET, layout="H2xffff"):
     """A parameter's value, range and default, all float32 in the parameter's unit."""
 
@@ -192,7 +182,6 @@ class ParamReply(Message, type=MessageType.PARAM_GET, layout="H2xffff"):
     default: float
 
 
-@dataclass(frozen=True, slots=True)
 class ParamSet(Request, type=MessageType.PARAM_SET, layout="H2xf"):
     """Sets a parameter."""
 
@@ -200,7 +189,6 @@ class ParamSet(Request, type=MessageType.PARAM_SET, layout="H2xf"):
     value: float
 
 
-@dataclass(frozen=True, slots=True)
 class ParamStored(Message, type=MessageType.PARAM_SET, layout="H2xf"):
     """The value that the device now uses."""
 
@@ -208,12 +196,10 @@ class ParamStored(Message, type=MessageType.PARAM_SET, layout="H2xf"):
     stored: float
 
 
-@dataclass(frozen=True, slots=True)
 class ParamCommit(Request, type=MessageType.PARAM_COMMIT):
     """Stores all parameters for the next boot."""
 
 
-@dataclass(frozen=True, slots=True)
 class StateCommand(Request, type=MessageType.STATE_CMD, layout="B3xI"):
     """Asks for a change of state. `argument`: the boot_id for ARM, the fault bits for FAULT_CLEAR, else 0."""
 
@@ -221,14 +207,12 @@ class StateCommand(Request, type=MessageType.STATE_CMD, layout="B3xI"):
     argument: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class StateReply(Message, type=MessageType.STATE_CMD, layout="B3x"):
     """The state after the command."""
 
     state: DriveState
 
 
-@dataclass(frozen=True, slots=True)
 class Setpoint(Request, type=MessageType.SETPOINT, layout="BxHff"):
     """What to do while RUNNING; unacknowledged, counted in the heartbeat."""
 
@@ -241,15 +225,12 @@ class Setpoint(Request, type=MessageType.SETPOINT, layout="BxHff"):
 class _WithChannels(Payload):
     """A payload that ends with the ids of channels; its fixed part ends with their number."""
 
-    __slots__ = ()
-    channels: tuple[int, ...]
-
     def pack(self) -> bytes:
         """Return the payload."""
-        n = len(self.channels)
-        fixed = self._pack_fixed([*astuple(self)[:-1], n])  # type: ignore[call-overload]
+        *values, ids = astuple(self)
+        fixed = self._pack_fixed([*values, len(ids)])
         try:
-            return fixed + struct.pack(f"<{n}H", *self.channels)
+            return fixed + struct.pack(f"<{len(ids)}H", *ids)
         except struct.error as error:
             raise LocalProtocolError(f"{self} cannot be sent: {error}") from None
 
@@ -264,7 +245,6 @@ class _WithChannels(Payload):
         return cls(**{**values, "channels": struct.unpack(f"<{n}H", ids)})
 
 
-@dataclass(frozen=True, slots=True)
 class StreamSet(_WithChannels, Request, type=MessageType.STREAM_SET, layout="BBHHH"):
     """Configures a stopped stream: which channels, how often, how late at most."""
 
@@ -275,7 +255,6 @@ class StreamSet(_WithChannels, Request, type=MessageType.STREAM_SET, layout="BBH
     channels: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
 class StreamReply(Message, type=MessageType.STREAM_SET, layout="BxHHHfB3xQ"):
     """The stream as configured. `block`: most samples in a frame; `load`: share of the link, 0 = unknown.
 
@@ -291,28 +270,24 @@ class StreamReply(Message, type=MessageType.STREAM_SET, layout="BxHHHfB3xQ"):
     tick0: Tick = 0
 
 
-@dataclass(frozen=True, slots=True)
 class StreamStart(Request, type=MessageType.STREAM_START, layout="I"):
     """Starts the streams whose bits are set."""
 
     mask: int
 
 
-@dataclass(frozen=True, slots=True)
 class StreamStop(Request, type=MessageType.STREAM_STOP, layout="I"):
     """Stops the streams whose bits are set and forgets their configuration."""
 
     mask: int = 0xFFFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
 class StreamGet(Request, type=MessageType.STREAM_GET, layout="B3x"):
     """Asks how a stream is configured."""
 
     stream: int
 
 
-@dataclass(frozen=True, slots=True)
 class StreamInfo(_WithChannels, Message, type=MessageType.STREAM_GET, layout="BBBBHHHHH2xQH"):
     """A configured stream: what STREAM_SET asked for, and what its reply said."""
 
@@ -329,12 +304,10 @@ class StreamInfo(_WithChannels, Message, type=MessageType.STREAM_GET, layout="BB
     channels: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
 class Empty(Payload):
     """The reply that says no more than "done"."""
 
 
-@dataclass(frozen=True, slots=True)
 class ErrorReply(Payload, layout="HBxf"):
     """A refusal of a request of type `request`. An unknown code stays a plain number."""
 
@@ -347,7 +320,6 @@ class ErrorReply(Payload, layout="HBxf"):
         return f"{ErrorCode(self.code).name} ({self.detail:g})"
 
 
-@dataclass(frozen=True, slots=True)
 class DeviceEvent(Message, type=MessageType.EVENT, layout="QHBxff"):
     """Something happened at `tick`; `arg` and `detail` go with the code. An unknown code stays a plain number."""
 
@@ -368,7 +340,6 @@ class DeviceEvent(Message, type=MessageType.EVENT, layout="QHBxff"):
         return Fault(0) if self.code != EventCode.FAULT else Fault(self.number or Fault.INTERNAL)
 
 
-@dataclass(frozen=True, slots=True)
 class Log(Message, type=MessageType.LOG, layout="B"):
     """A line of text; `level` as syslog: 3 error, 4 warning, 6 information, 7 debug."""
 

@@ -6,9 +6,9 @@ This module knows no message.
 from __future__ import annotations
 
 import struct
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, ClassVar, Self, get_type_hints
+from typing import Any, ClassVar, Self, dataclass_transform, get_type_hints
 
 from protocol.codes import MessageType
 from protocol.errors import LocalProtocolError, RemoteProtocolError
@@ -24,26 +24,28 @@ class PayloadError(RemoteProtocolError, ValueError):
         self.value = value
 
 
+@dataclass_transform(frozen_default=True)
 class Payload:
-    """A payload as a dataclass whose fields stand in the order of its `layout`, little-endian as `struct` has it.
+    """A payload: each subclass is a frozen dataclass whose fields stand in the order of its `layout`.
 
-    What is made of a number or of text on the wire is the field's annotation; of `Annotated` the function in it.
+    That is little-endian, as `struct` has it. What is made of a number or of text on the wire is the field's
+    annotation; of `Annotated` the function in it.
     """
 
-    __slots__ = ()
+    __dataclass_fields__: ClassVar[dict[str, Any]]
     FIXED_BYTES: ClassVar[int] = 0
     """Bytes of the layout, before a part of any length."""
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("")
     _GROWS: ClassVar[bool] = True  # a longer payload is legal: a later minor may append
 
     def __init_subclass__(cls, layout: str = "") -> None:
-        if layout:  # `dataclass` makes each class twice, without keywords the second time
-            cls._LAYOUT = struct.Struct(f"<{layout}")
-            cls.FIXED_BYTES = cls._LAYOUT.size
+        dataclass(frozen=True)(cls)
+        cls._LAYOUT = struct.Struct(f"<{layout}")
+        cls.FIXED_BYTES = cls._LAYOUT.size
 
     def pack(self) -> bytes:
         """Return the payload; LocalProtocolError if a number does not fit its field. Text is cut to what fits."""
-        return self._pack_fixed([getattr(self, field.name) for field in fields(self)])  # type: ignore[arg-type]
+        return self._pack_fixed([getattr(self, field.name) for field in fields(self)])
 
     def _pack_fixed(self, values: list[Any]) -> bytes:
         wire = [text_to_wire(value) if isinstance(value, str) else value for value in values]
@@ -77,7 +79,7 @@ class Payload:
         """Each field's name, and what makes its value of what the wire has; of a tuple that is the length."""
         hints = get_type_hints(cls, include_extras=True)
         others = {str: text_from_wire, tuple[int, ...]: int}
-        kinds = {field.name: hints[field.name] for field in fields(cls)}  # type: ignore[arg-type]
+        kinds = {field.name: hints[field.name] for field in fields(cls)}
         return [(name, getattr(kind, "__metadata__", [others.get(kind, kind)])[0]) for name, kind in kinds.items()]
 
     @classmethod
@@ -89,7 +91,6 @@ class Payload:
 class Message(Payload):
     """A payload that belongs to one `type` of frame."""
 
-    __slots__ = ()
     TYPE: ClassVar[MessageType]
 
     def __init_subclass__(cls, type: MessageType | None = None, layout: str = "") -> None:
@@ -101,7 +102,6 @@ class Message(Payload):
 class Request(Message):
     """A message from the host. Its length is exact: a device must not ignore what it does not know."""
 
-    __slots__ = ()
     _GROWS: ClassVar[bool] = False
 
 
