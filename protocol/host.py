@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocol.errors import DeviceDefect, HbpError, LocalProtocolError
 from protocol.framing import MAJOR, Frame, ReceiverCounters, parse_frame
@@ -41,15 +42,13 @@ _ECHOED = ("nonce", "id", "offset", "stream")  # fields of requests that come ba
 HELLO_INTERVALS = (0.1, 0.2, 0.4, 0.8, 1.0)  # s between HELLOs; the last one goes on
 
 
-@dataclass(frozen=True, slots=True)
-class Connected:
+class Connected(NamedTuple):
     """The device answered `connect`."""
 
     hello: HelloReply
 
 
-@dataclass(frozen=True, slots=True)
-class ReplyReceived:
+class ReplyReceived(NamedTuple):
     """The reply to request `tid`; `round_trip` in s from its last transmission."""
 
     tid: int
@@ -58,8 +57,7 @@ class ReplyReceived:
     round_trip: float
 
 
-@dataclass(frozen=True, slots=True)
-class RequestRefused:
+class RequestRefused(NamedTuple):
     """The device refused request `tid`."""
 
     tid: int
@@ -67,8 +65,7 @@ class RequestRefused:
     error: ErrorReply
 
 
-@dataclass(frozen=True, slots=True)
-class RequestTimedOut:
+class RequestTimedOut(NamedTuple):
     """Request `tid` of type `type` had no reply after `tries` transmissions."""
 
     tid: int
@@ -77,8 +74,7 @@ class RequestTimedOut:
     tries: int
 
 
-@dataclass(frozen=True, slots=True)
-class ReplyUnusable:
+class ReplyUnusable(NamedTuple):
     """Request `tid` was answered with what a host cannot work with. It is not repeated: nothing would change."""
 
     tid: int
@@ -86,32 +82,28 @@ class ReplyUnusable:
     error: HbpError
 
 
-@dataclass(frozen=True, slots=True)
-class HeartbeatReceived:
+class HeartbeatReceived(NamedTuple):
     """A device's health."""
 
     node: int
     heartbeat: Heartbeat
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceEventReceived:
+class DeviceEventReceived(NamedTuple):
     """Something happened at a device."""
 
     node: int
     event: DeviceEvent
 
 
-@dataclass(frozen=True, slots=True)
-class LogReceived:
+class LogReceived(NamedTuple):
     """A device's line of text."""
 
     node: int
     log: Log
 
 
-@dataclass(frozen=True, slots=True)
-class Rebooted:
+class Rebooted(NamedTuple):
     """A device has another boot_id than before: whatever was set up in it is gone."""
 
     node: int
@@ -294,16 +286,15 @@ class HostSession:
             self._unusable(frame, DeviceDefect(f"the reply of node {frame.node} to {name} cannot be read: {error}"))
             return
         other_node = pending.frame.node not in (0, frame.node)
-        if isinstance(message, ErrorReply):
-            if other_node and message.code != ErrorCode.UNKNOWN_NODE:
-                self.counters.unexpected_replies += 1
-                return
-            self._pending = None
-            self._events.append(RequestRefused(frame.tid, frame.node, message))
-            return
+        if isinstance(message, ErrorReply) and message.code == ErrorCode.UNKNOWN_NODE:
+            other_node = False  # the link's first device answers for one that is not there
         echoed = ((getattr(pending.message, name, None), getattr(message, name, None)) for name in _ECHOED)
         if other_node or any(asked != answered and None not in (asked, answered) for asked, answered in echoed):
             self.counters.unexpected_replies += 1  # meant for another host
+            return
+        if isinstance(message, ErrorReply):
+            self._pending = None
+            self._events.append(RequestRefused(frame.tid, frame.node, message))
             return
         try:
             check_reply(message, frame.node)

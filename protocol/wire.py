@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from protocol.framing import CONNECT_PREAMBLE, MAJOR, Deframer, Frame, ReceiverCounters, encode_frame
 from protocol.messages import MessageType, StreamEvent
@@ -26,8 +25,7 @@ from protocol.streams import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class StreamFrames:
+class StreamFrames(NamedTuple):
     """Frames of one stream, DATA or EDGES by `type`, in the order they came: what the stream's decoder takes.
 
     Edges come before the samples that they precede.

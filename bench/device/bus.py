@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from bench.device.client import Client
@@ -24,7 +25,7 @@ class BusMeter:
         health = getattr(self._client.link, "health", None)  # a link in virtual time has no adapter
         adapter = ("dropped", "malformed", "refused")
         return {
-            "bus": {} if self._wire is None else self._wire.counters.as_dict(),
+            "bus": {} if self._wire is None else asdict(self._wire.counters),
             "errors": {} if health is None else dict(health.error_frames),
             "adapter": {} if health is None else {name: getattr(health, name) for name in adapter},
         }

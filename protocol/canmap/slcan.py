@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -56,32 +55,22 @@ _BAD = 0xFF  # no hex digit
 _REPLY = re.compile(rb"(?:[zZ]|[CFLMNOSVWXYZmsv][ -~]*)?")  # an answer of an adapter or a command of a host
 
 
-@dataclass(frozen=True, slots=True)
-class _Form:
+class _Form(NamedTuple):
     """One letter's frames."""
 
     letter: int
     id_bits: int  # EXTENDED and REMOTE bits of a record's `id`
     flags: int
-
-    @property
-    def id_digits(self) -> int:
-        return 8 if self.id_bits & EXTENDED else 3
-
-    @property
-    def id_mask(self) -> int:
-        return EXTENDED_MASK if self.id_bits & EXTENDED else STANDARD_MASK
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        """Lengths by DLC."""
-        return FD_LENGTHS if self.flags & FDF else FD_LENGTHS[:9]
+    id_digits: int
+    id_mask: int
+    lengths: tuple[int, ...]  # by DLC
 
 
+_IDS = ((0, 3, STANDARD_MASK), (EXTENDED, 8, EXTENDED_MASK))  # bit, digits and mask: of small and of capital letters
 _FORMS = tuple(
-    _Form(ord(letter), id_bits | extended, flags)
+    _Form(ord(letter), id_bits | extended, flags, digits, mask, FD_LENGTHS if flags & FDF else FD_LENGTHS[:9])
     for letters, id_bits, flags in (("tT", 0, 0), ("rR", REMOTE, 0), ("dD", 0, FDF), ("bB", 0, FDF | BRS))
-    for letter, extended in zip(letters, (0, EXTENDED), strict=True)
+    for letter, (extended, digits, mask) in zip(letters, _IDS, strict=True)
 )
 _BY_LETTER: Mapping[int, _Form] = {form.letter: form for form in _FORMS}
 _BY_BITS: Mapping[int, _Form] = {form.id_bits >> 29 << 8 | form.flags: form for form in _FORMS}

@@ -9,7 +9,7 @@ the same there and here. This module knows no message and no stream.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from zlib import crc32
 
 from protocol.canmap.frame import BRS, FDF, MAX_DATA, RECORD, padded_length
@@ -56,10 +56,6 @@ class CanCounters:
     def bad(self) -> int:
         """Damaged messages of every kind."""
         return self.bad_crc + self.bad_length + self.aborted
-
-    def as_dict(self) -> dict[str, int]:
-        """All counts by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 class TransferEncoder:

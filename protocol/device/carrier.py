@@ -10,8 +10,7 @@ from __future__ import annotations
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +68,7 @@ class EdgeStream(Stream, ABC):
         """Take edges (EDGE_RECORDs) from number `index0` on; `tick` is now."""
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
+class Shape(NamedTuple):
     """What a stream comes to: records in a frame, and its rate in the units of the queue's `capacity`."""
 
     block: int

@@ -8,7 +8,7 @@ This module never controls a motor: that is the `DeviceApp`'s.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -103,8 +103,8 @@ class DeviceSession:
         self._next_heartbeat = 0
         self._setpoint_counter = 0
         self._last_tid = 0
-        self._peers: dict[int, _Peer] = {}
-        self._peer = self._peer_of(0)
+        self._peers: defaultdict[int, _Peer] = defaultdict(lambda: _Peer(identity.tx_max))
+        self._peer = self._peers[0]
         self._handlers: dict[type[Request], Callable[[Any], Payload | None]] = {
             Hello: self._hello,
             TimeSync: lambda _: TimeSyncReply(self._tick, self._tick),
@@ -182,7 +182,7 @@ class DeviceSession:
 
     def receive(self, raw: bytes, host: int = 0) -> None:
         """Handle a frame (header + payload) that is meant for this node; `host`: number of its sender on the link."""
-        self._peer = self._peer_of(host)
+        self._peer = self._peers[host]
         frame = parse_frame(raw)
         if frame.is_reply or frame.is_error:
             self.ignored += 1
@@ -202,9 +202,6 @@ class DeviceSession:
                     self.tx.put_control(wire)
                     return
             self._peer.replies.append((raw, self._execute(kind, frame)))
-
-    def _peer_of(self, host: int) -> _Peer:
-        return self._peers.setdefault(host, _Peer(self.identity.tx_max))
 
     def stop(self) -> None:
         """Carry out a STOP that nobody waits for."""
