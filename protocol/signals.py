@@ -297,12 +297,8 @@ DRIVE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(110, "k_p_vt", Unit.PER_S, 0.0, 1e5, _P, "vector tracking: proportional gain k_p of (9)"),
     Parameter(111, "k_i_vt", Unit.NONE, 0.0, 1e9, _P, "vector tracking: integral gain k_i of (9), 1/s²"),
     Parameter(112, "tau_max", Unit.S, 0.0, 0.1, _P, "vector tracking: largest tau of the back-EMF filter (6)"),
-    Parameter(
-        113, "omega_on", Unit.RAD_PER_S, 0.0, 1e4, _P, "average speed (electrical) above which correction starts"
-    ),
-    Parameter(
-        114, "omega_off", Unit.RAD_PER_S, 0.0, 1e4, _P, "average speed (electrical) below which correction stops"
-    ),
+    Parameter(113, "omega_on", Unit.RAD_PER_S, 0, 1e4, _P, "average speed (electrical) above which correction starts"),
+    Parameter(114, "omega_off", Unit.RAD_PER_S, 0, 1e4, _P, "average speed (electrical) below which correction stops"),
     Parameter(115, "k_pc", Unit.RAD_PER_A, -10.0, 10.0, _P, "load angle: proportional gain k_pc of (18)"),
     Parameter(116, "k_ic", Unit.RAD_PER_AS, -1e3, 1e3, _P, "load angle: integral gain k_ic of (18)"),
     Parameter(117, "literal_sgn", Unit.NONE, 0, 1, _PW, "1 = sgn() of (9) uses the corrected speed, as printed"),

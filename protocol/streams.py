@@ -379,16 +379,9 @@ def unpack_edges(
 ) -> EdgeChunk:
     """Return wire records (EDGE_RECORD) as a chunk, with their whole ticks and indices."""
     codes = records["codes"]
-    return EdgeChunk(
-        config=config,
-        tick=tick,
-        hall_old=(codes & 7).astype(np.uint8),
-        hall_new=(codes >> 3 & 7).astype(np.uint8),
-        illegal=(codes & EDGE_ILLEGAL) != 0,
-        encoder=records["encoder"].copy(),
-        index=index,
-        gaps=gaps,
-    )
+    old, new = (codes & 7).astype(np.uint8), (codes >> 3 & 7).astype(np.uint8)
+    illegal = (codes & EDGE_ILLEGAL) != 0
+    return EdgeChunk(config, tick, old, new, illegal, records["encoder"].copy(), index, gaps)
 
 
 def _progressions(starts: Sequence[tuple[int, int]], step: int) -> I64:

@@ -15,16 +15,9 @@ from numpy.typing import NDArray
 
 MAX_DATA = 64
 
-CAN_RECORD = np.dtype(
-    [
-        ("id", "<u4"),
-        ("length", "u1"),
-        ("flags", "u1"),
-        ("reserved", "<u2"),
-        ("time", "<f8"),
-        ("data", "u1", (MAX_DATA,)),
-    ]
-)
+CAN_RECORD = np.dtype([
+    ("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("time", "<f8"), ("data", "u1", (MAX_DATA,)),
+])  # fmt: skip
 """`length` in data bytes; `time` in s of the link's clock when the frame had arrived, 0 in frames to be sent."""
 
 RECORD = struct.Struct(f"<IBBHd{MAX_DATA}s")
@@ -86,12 +79,9 @@ class BusRates:
 
     def occupied(self, records: NDArray[np.void]) -> float:
         """Return how long these frames occupied the bus, in s, by the average of stuff bits."""
-        keys, counts = np.unique(
-            (records["id"] >> 31).astype(np.uint32) << 16
-            | (records["flags"] & (FDF | BRS)).astype(np.uint32) << 8
-            | records["length"],
-            return_counts=True,
-        )
+        kinds = (records["id"] >> 31).astype(np.uint32) << 16
+        kinds |= (records["flags"] & (FDF | BRS)).astype(np.uint32) << 8 | records["length"]
+        keys, counts = np.unique(kinds, return_counts=True)
         total = 0.0
         for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
             fd, rate = bool(key >> 8 & FDF), bool(key >> 8 & BRS)

@@ -56,13 +56,8 @@ def parse_id(can_id: int, extended: bool) -> CanId | None:
     return None if kind == CanClass.FREE else CanId(kind, can_id >> 4 & 15, can_id & 15)
 
 
-STATUS_SLOTS: dict[int, int] = {
-    MessageType.HEARTBEAT: 4,
-    MessageType.ALIVE: 5,
-    MessageType.SETPOINT: 1,
-    MessageType.EVENT: 2,
-    MessageType.LOG: 3,
-}
+_STATUS = (MessageType.HEARTBEAT, MessageType.ALIVE, MessageType.SETPOINT, MessageType.EVENT, MessageType.LOG)
+STATUS_SLOTS: dict[int, int] = {kind: kind & 0x0F for kind in _STATUS}
 """Slot of a message in class STATUS: the low half of its type."""
 
 

@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -274,12 +275,12 @@ class CompiledSession:
         }
         config = structure("hbp_config")
         types = dict(config._fields_)
+        told = {key: each.encode() if isinstance(each, str) else each for key, each in asdict(identity).items()}
         return config(
-            node=identity.node, role=identity.role, features=identity.features, tick_hz=identity.tick_hz,
-            pwm_hz=identity.pwm_hz, tick0=identity.tick0, name=identity.name.encode(), build=identity.build.encode(),
-            firmware=identity.firmware.encode(), serial=identity.serial.encode(), sample_bytes=self._dtype.itemsize,
+            sample_bytes=self._dtype.itemsize,
             channels=ctypes.addressof(self._channels), n_channels=len(channels),
             parameters=ctypes.addressof(self._parameters), n_parameters=len(parameters),
+            **{name: told[name] for name in types if name in told},
             **{name: types[name](call) for name, call in calls.items()},
         )  # fmt: skip
 

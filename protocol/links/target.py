@@ -156,15 +156,11 @@ class CanTarget(Target):
         if not _whole(text, options, "fd", 0, 0, 1) and "data_bitrate" in options:
             raise TargetError(f"target '{text}': data_bitrate needs CAN FD: add fd=1")
         _whole(text, options, "data_bitrate", DEFAULT_DATA_BITRATE, bitrate, MAX_DATA_BITRATE)
-        return cls(
-            interface or None,
-            channel or None,
-            tuple((key, value) for key, value in options.items() if key not in CAN_KEYS),
-            _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE),
-            bool(_whole(text, options, "ext", 0, 0, 1)),
-            options.get("context"),
-            _whole(text, options, "host_number", 0, 0, MAX_HOST),
-        )
+        others = tuple((key, value) for key, value in options.items() if key not in CAN_KEYS)
+        node = _whole(text, options, "node", DEFAULT_NODE, 1, MAX_NODE)
+        extended = bool(_whole(text, options, "ext", 0, 0, 1))
+        host = _whole(text, options, "host_number", 0, 0, MAX_HOST)
+        return cls(interface or None, channel or None, others, node, extended, options.get("context"), host)
 
     @staticmethod
     def here() -> list[str]:
