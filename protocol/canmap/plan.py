@@ -8,6 +8,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocol.canmap.frame import BusRates
 from protocol.canmap.layout import edge_load, sample_layout
@@ -15,8 +16,7 @@ from protocol.device.streams import MAX_LOAD
 from protocol.streams import MAX_DECIMATION
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
+class Fit(NamedTuple):
     """A stream that fits: the first `channels` of those asked for, at `rate` in Hz, and the bus's load with edges."""
 
     channels: int

@@ -146,19 +146,12 @@ class CompiledSession:
         self._dtype = sample_dtype(app.channels)
         self._memory = ctypes.create_string_buffer(lib.shim_device_bytes())
         self.at = ctypes.addressof(self._memory)
-        self._config = self._make_config()
+        self.config = ctypes.byref(self._make_config())
+        """A pointer to the app as C sees it, for `hbp_add`."""
+        self.streams = self.machine = self
+        """See `DeviceSession.streams` and `machine`: it is all here."""
 
     # -- what the simulated bench asks ------------------------------------------------------------------------------
-
-    @property
-    def streams(self) -> CompiledSession:
-        """See `DeviceSession.streams`: it is all here."""
-        return self
-
-    @property
-    def machine(self) -> CompiledSession:
-        """See `DeviceSession.machine`: it is all here."""
-        return self
 
     @property
     def running(self) -> frozenset[int]:
@@ -283,11 +276,6 @@ class CompiledSession:
             **{name: told[name] for name in types if name in told},
             **{name: types[name](call) for name, call in calls.items()},
         )  # fmt: skip
-
-    @property
-    def config(self) -> Any:
-        """A pointer to it, for `hbp_add`."""
-        return ctypes.byref(self._config)
 
 
 class CompiledLink:

@@ -11,8 +11,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any
@@ -104,6 +104,15 @@ class SlcanOptions:
             found.append((command, f"the data bit rate {data_bitrate}"))
         found.append((b"L", "to open in order to listen only") if self.listen_only else (b"O", "to open"))
         return found
+
+
+@contextmanager
+def _as_can_errors() -> Iterator[None]:
+    """A ValueError is that of a frame that cannot be sent, or of a port that another thread has closed."""
+    try:
+        yield
+    except (LinkError, OSError, ValueError) as error:
+        raise can.CanOperationError(str(error)) from None
 
 
 class SlcanBus(can.BusABC):
@@ -204,10 +213,8 @@ class SlcanBus(can.BusABC):
             return records
         deadline = time.monotonic() + timeout
         while True:  # answers of the adapter are no frames: wait on
-            try:
+            with _as_can_errors():
                 data = self._port.read(deadline - time.monotonic(), settle)
-            except (LinkError, OSError, ValueError) as error:  # the latter when another thread closed the port
-                raise can.CanOperationError(str(error)) from None
             now = time.monotonic()
             frames = self._parser.feed(data, now)
             self.refused += self._take_replies().count(BELL)
@@ -221,10 +228,8 @@ class SlcanBus(can.BusABC):
             can.CanOperationError: the port is gone or did not take all of it within 0.5 s, or a frame that slcan cannot
                 carry; then nothing was sent.
         """
-        try:
+        with _as_can_errors():
             lines = encode(np.frombuffer(data, CAN_RECORD))
-        except ValueError as error:
-            raise can.CanOperationError(str(error)) from None
         self._write(lines)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -246,21 +251,16 @@ class SlcanBus(can.BusABC):
         """
         if msg.is_fd and self.protocol is not can.CanProtocol.CAN_FD:
             raise can.CanOperationError(f"{self.channel_info}: a CAN FD frame needs a bus opened with fd=True")
-        try:
+        with _as_can_errors():
             record = to_record(msg, 0.0)
-        except ValueError as error:
-            raise can.CanOperationError(str(error)) from None
         self.send_records(record)
 
     def _write(self, lines: bytes) -> None:
-        try:
-            with self._sending:
-                text = END + lines if self._unfinished else lines
-                self._unfinished = True
-                self._port.write(text)
-                self._unfinished = False
-        except (LinkError, OSError, ValueError) as error:
-            raise can.CanOperationError(str(error)) from None
+        with _as_can_errors(), self._sending:
+            text = END + lines if self._unfinished else lines
+            self._unfinished = True
+            self._port.write(text)
+            self._unfinished = False
 
     def shutdown(self) -> None:
         """Close the adapter's channel and the port, also one that has gone. Doing it again does nothing."""
