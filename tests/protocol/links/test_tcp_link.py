@@ -28,7 +28,8 @@ def connect(server: socket.socket) -> tuple[TcpLink, socket.socket]:
 
 def test_it_sends_without_delay(server: socket.socket) -> None:
     link, peer = connect(server)
-    assert link._socket is not None and link._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert link._socket is not None
+    assert link._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     link.close()
     peer.close()
 
