@@ -24,7 +24,6 @@ from protocol.canmap.layout import MAX_GROUPS, sample_layout
 from protocol.codes import Command, DriveState, ErrorCode, Fault, MessageType, StreamEvent
 from protocol.descriptor import Channel, Descriptor
 from protocol.errors import DeviceDefect
-from protocol.framing import Frame
 from protocol.messages import (
     BlobRead,
     BlobReply,
@@ -389,8 +388,3 @@ def ids(channels: Sequence[Channel]) -> tuple[int, ...]:
 def faults_text(faults: int) -> str:
     """A mask in words."""
     return "+".join(fault.name or "" for fault in Fault if fault & faults) or f"0x{faults:x}"
-
-
-def frame_words(frame: Frame) -> str:
-    """A message in words, for evidence."""
-    return f"{MessageType(frame.type).name} with flags 0x{frame.flags:02x}, tid {frame.tid}, {len(frame.payload)} bytes"

@@ -122,14 +122,7 @@ class Content:
 
     def rows_at_most(self, table: Table) -> int:
         """Rows of a stream by the log, some more where the part begins or ends within a block; nothing is read."""
-        total = 0
-        for segment in self.run.segments:
-            if table.name in segment.files:
-                groups = segment.files[table.name][0].groups
-                total += sum(rows for first, last, rows in groups if first <= self.last and last >= self.first)
-            elif not segment.files:
-                total += sum(len(piece) for piece in segment.pieces(table.name, self.first, self.last))
-        return total
+        return self.run.rows(table.name, self.first, self.last)
 
     def bytes_at_most(self, table: Table) -> int:
         """Bytes that a stream's columns take in memory."""

@@ -71,13 +71,9 @@ def export(
 
 def as_json(done: Exported) -> dict[str, Any]:
     """The files, counts and notes as plain data, `from_s` and `to_s` of device time."""
-    return {
-        "files": {name: str(path) for name, path in done.files.items()},
-        "rows": dict(done.rows),
-        "from_s": done.span[0],
-        "to_s": done.span[1],
-        "notes": list(done.notes),
-    }
+    files = {name: str(path) for name, path in done.files.items()}
+    span = {"from_s": done.span[0], "to_s": done.span[1]}
+    return {"files": files, "rows": dict(done.rows), **span, "notes": list(done.notes)}
 
 
 def _write(writer: Any, content: Content, files: Mapping[str, Path], out: Path) -> None:

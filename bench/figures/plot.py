@@ -68,14 +68,16 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
             edges.add(chunk, _edges_with(run, edges, first, int(chunk.tick[-1])))
     if not n:
         why = dict.fromkeys(NAMES, NO_SAMPLES)
-    found = {
-        "spectrum": lambda: _spectrum(run, steady.longest, motion),
-        "error_by_angle": lambda: _by_angle(by_angle, motion),
-        "error_by_speed": lambda: _by_speed(by_speed, motion, "r/min" if run.info.n_p else "electrical r/min"),
-        "current_plane": lambda: _plane(plane),
-        "hall_edges": lambda: _edges(edges),
+    still, unit = motion.why or NOT_STEADY, "r/min" if run.info.n_p else "electrical r/min"
+    found: dict[str, tuple[Any, ...]] = {
+        "error_by_angle": (error_by_angle, by_angle.result(), still),
+        "error_by_speed": (error_by_speed, by_speed.result(), still, (unit,), (by_speed.width,)),
+        "current_plane": (current_plane, plane.result(), "the drive is never RUNNING"),
+        "hall_edges": (hall_edges, edges.result(), "no Hall edge of a turning shaft: it was at rest"),
     }
-    drawn = [Plot(name, why=why[name]) if why[name] else found[name]() for name in NAMES]
+    currents = Plot("spectrum", why=why["spectrum"])
+    drawn = [currents if currents.why else _spectrum(run, steady.longest, motion)]
+    drawn += [Plot(name, why=why[name]) if why[name] else _plot(name, *of) for name, of in found.items()]
     for each in drawn:
         if each.figure is not None:
             _title(each.figure, run, each.over or f"{run.at(first)} … {run.at(last)}")
@@ -137,36 +139,11 @@ def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plo
     )  # fmt: skip
 
 
-def _by_angle(sums: error_by_angle.ErrorByAngle, motion: Motion) -> Plot:
-    name, found = "error_by_angle", sums.result()
+def _plot(name: str, of: Any, found: Any, why: str, how: tuple[Any, ...] = (), by: tuple[Any, ...] = ()) -> Plot:
+    """What was `found`, as its module `of` draws it with `how` and writes it with `by`; `why` there is nothing."""
     if not found:
-        return Plot(name, why=motion.why or NOT_STEADY)
-    of = error_by_angle
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
-
-
-def _by_speed(sums: error_by_speed.ErrorBySpeed, motion: Motion, unit: str) -> Plot:
-    name, found = "error_by_speed", sums.result()
-    if not found:
-        return Plot(name, why=motion.why or NOT_STEADY)
-    of = error_by_speed
-    return Plot(name, of.draw(found, unit), words=of.words(found), numbers=of.as_json(found, sums.width))
-
-
-def _plane(sums: current_plane.CurrentPlane) -> Plot:
-    name, found = "current_plane", sums.result()
-    if found is None:
-        return Plot(name, why="the drive is never RUNNING")
-    of = current_plane
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
-
-
-def _edges(collected: hall_edges.HallEdges) -> Plot:
-    name, found = "hall_edges", collected.result()
-    if found is None:
-        return Plot(name, why="no Hall edge of a turning shaft: it was at rest")
-    of = hall_edges
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
+        return Plot(name, why=why)
+    return Plot(name, of.draw(found, *how), words=of.words(found), numbers=of.as_json(found, *by))
 
 
 def _title(figure: Figure, run: Run, over: str) -> None:

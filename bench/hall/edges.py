@@ -105,20 +105,13 @@ class Measured:
 
     def to_pandas(self) -> pd.DataFrame:
         """A row for each edge and direction: angles in electrical degrees, NaN for what is not known."""
+        names = ("edge", "direction", "ideal", "late", "half_width_95", "jitter", "n")
         rows = [
-            {
-                "edge": edge.name,
-                "direction": way,
-                "ideal": math.degrees(edge.ideal),
-                "late": -math.degrees(edge.delta(passages)),
-                "half_width_95": math.degrees(passages.half_width),
-                "jitter": math.degrees(passages.jitter),
-                "n": passages.n,
-            }
+            (edge.name, way, *map(math.degrees, (edge.ideal, -edge.delta(p), p.half_width, p.jitter)), p.n)
             for edge in self.edges
-            for way, passages in (("forward", edge.up), ("reverse", edge.down))
+            for way, p in (("forward", edge.up), ("reverse", edge.down))
         ]
-        return data_frame(rows)
+        return data_frame(dict(zip(names, zip(*rows, strict=True), strict=True)))
 
     def least(self) -> int:
         """Passages of the edge and direction with the fewest."""

@@ -267,9 +267,9 @@ class Run:
                 last = last if span is None else span[1]
         return None
 
-    def number_of(self, stream: str) -> int:
-        """Number of a stream in the journal."""
-        return self._numbers[stream]
+    def journaled(self, stream: str) -> list[SampleChunk | EdgeChunk]:
+        """What the journal holds of a stream, in order."""
+        return [chunk for number, chunk in self.opened if number == self._numbers[stream]]
 
     def config(self, stream: str) -> StreamConfig:
         """How a stream was configured. KeyError for a name that is not among `names`."""
@@ -472,8 +472,7 @@ class Segment:
     def span_of(self, stream: str) -> tuple[int, int] | None:
         """First and last tick of a stream in it; None if it has none."""
         if self._files is None:
-            number = self._run.number_of(stream)
-            chunks = [chunk for its, chunk in self._run.opened if its == number]
+            chunks = self._run.journaled(stream)
             return (int(chunks[0].tick[0]), int(chunks[-1].tick[-1])) if chunks else None
         if stream not in self._files:
             return None
@@ -484,9 +483,7 @@ class Segment:
         """See `Run.rows`."""
         low, high = _bounds(first, last)
         if self._files is None:
-            number = self._run.number_of(stream)
-            chunks = [chunk for its, chunk in self._run.opened if its == number]
-            groups = [(int(chunk.tick[0]), int(chunk.tick[-1]), len(chunk)) for chunk in chunks]
+            groups = [(int(chunk.tick[0]), int(chunk.tick[-1]), len(chunk)) for chunk in self._run.journaled(stream)]
         else:
             groups = list(self._files[stream][0].groups) if stream in self._files else []
         return sum(n for a, b, n in groups if a <= high and b >= low)
@@ -506,7 +503,7 @@ class Segment:
         whole_config = run.config(stream)
         config = config or whole_config
         if self._files is None:
-            found = [chunk for number, chunk in run.opened if number == run.number_of(stream)]
+            found = self._run.journaled(stream)
             whole: Iterable[SampleChunk | EdgeChunk] = [of_channels(join(found), config)] if found else []
         else:
             columns = None if config is whole_config else layout.column_names(config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import InitVar, dataclass
 
-from bench.analysis.units import RPM
+from bench.analysis.units import RPM, shaft_speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +23,8 @@ class Envelope:
 
     def __post_init__(self, rad_s: float | None) -> None:
         if rad_s is not None:
-            if self.rpm != math.inf:
-                raise TypeError("give a speed either as rpm=… or as rad_s=…, mechanical")
-            object.__setattr__(self, "rpm", rad_s / RPM)
+            rpm = None if self.rpm == math.inf else self.rpm
+            object.__setattr__(self, "rpm", shaft_speed(rpm, rad_s) / RPM)
 
     def join(self, other: Envelope) -> Envelope:
         """What covers both."""

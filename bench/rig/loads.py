@@ -58,13 +58,11 @@ class NoLoad:
 
     abilities: frozenset[str] = frozenset()
 
-    def torque(self, tau: float) -> None:
+    def torque(self, tau: float = 0.0, **speed: float | None) -> None:
         """BenchError."""
         raise BenchError("there is no load: no node 2 answers on the drive's link, or bench.toml has load = none")
 
-    def speed(self, *, rpm: float | None = None, rad_s: float | None = None) -> None:
-        """BenchError."""
-        self.torque(0.0)
+    speed = torque
 
     def off(self) -> None:
         """Nothing."""

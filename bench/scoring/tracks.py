@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -97,14 +97,7 @@ def load(source: Source, names: Sequence[str] | None, begin: float | None = None
     that goes back.
     """
     run = readable(source)
-    track = _track(run, partial(captures, run, *ticks_between(run, begin, end)), names)
-    return replace(
-        track,
-        started=run.info.started,
-        recorded_by=str(run.info.identity.get("hallbench", "")),
-        identity=run.info.identity,
-        notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *track.notes),
-    )
+    return _track(run, partial(captures, run, *ticks_between(run, begin, end)), names)
 
 
 def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
@@ -165,8 +158,11 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
         every=scored.every,
         encoder=scored.encoder,
         over_time=scored.over_time,
+        started=run.info.started,
+        recorded_by=str(run.info.identity.get("hallbench", "")),
         restarts={} if estimators is None else estimators.restarts,
-        notes=tuple(notes),
+        identity=run.info.identity,
+        notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *notes),
     )
 
 
