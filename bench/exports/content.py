@@ -26,6 +26,7 @@ from bench.recording.reader import Run
 from bench.recording.times import ticks_of
 from protocol import __version__
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import did_you_mean
 
 MARKS = "marks"
 Arrays = dict[str, NDArray[Any]]
@@ -184,13 +185,10 @@ def beside(path: Path, name: str, ending: str | None = None) -> Path:
 
 
 def _check_names(run: Run, channels: Sequence[str] | None) -> None:
-    import difflib
-
     known = list(dict.fromkeys(channel.name for name in run.names for channel in run.config(name).channels))
     for name in channels or ():
         if name not in known:
-            near = difflib.get_close_matches(name, known, 3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(known)}"
+            hint = did_you_mean(name, known, f"there are: {', '.join(known)}")
             raise BenchError(f"{run.path} has no channel '{name}'; {hint}")
 
 

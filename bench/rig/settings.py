@@ -22,7 +22,6 @@ Reads and checks the file; it opens no link.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import tomllib
@@ -37,6 +36,7 @@ from bench.device.simulator import configuration
 from bench.errors import BenchError
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
+from protocol.text import did_you_mean
 
 FILE = "bench.toml"
 _TOP = {
@@ -107,11 +107,10 @@ class Settings:
         elsewhere = []
         for name in sorted(self.limits.keys() - known):
             ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
-            near = difflib.get_close_matches(name, known, 3, 0.6 if ours else MUCH_ALIKE)
-            if not ours:
-                near = [other for other in near if _numbers(other) == _numbers(name)]
-            if ours or near:
-                hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all of them"
+            among = known if ours else [other for other in known if _numbers(other) == _numbers(name)]
+            hint = did_you_mean(name, among, cutoff=0.6 if ours else MUCH_ALIKE)
+            if ours or hint:
+                hint = hint or "bench accept --list shows all of them"
                 raise BenchError(f"[limits] in {self.path} names '{name}', which no test measures: {hint}")
             elsewhere.append(name)
         return elsewhere
@@ -166,8 +165,8 @@ def _numbers(name: str) -> list[str]:
 def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, file: Path) -> None:
     for key, value in table.items():
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
-            hint = f"did you mean {prefix}{near[0]}?" if near else f"there are {', '.join(prefix + k for k in known)}"
+            there = f"there are {', '.join(prefix + k for k in known)}"
+            hint = did_you_mean(key, known, there, f"did you mean {prefix}{{}}?")
             raise BenchError(f"unknown key {prefix}{key} in {file}: {hint}")
         if not isinstance(value, known[key]) or (known[key] is Real and isinstance(value, bool)):
             word = {str: "text", bool: "true or false", dict: "a table", Real: "a number"}[known[key]]

@@ -20,13 +20,14 @@ import numpy as np
 from bench.analysis.capture import Capture
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.observers.estimators import did_you_mean, entry_of
+from bench.observers.estimators import entry_of
 from bench.recording.recording import Source
 from bench.scoring import phases
 from bench.scoring.tally import Tally
 from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Track, load
 from protocol import __version__
 from protocol.frames import data_frame
+from protocol.text import did_you_mean
 from sim.observers.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def score(
         tracks = tuple(replace(track, path=f"{track.path} {k}") for k, track in enumerate(tracks, 1))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
     if missing := [name for name in recorded if name not in names]:
-        nearest = did_you_mean(missing[0], names)
+        nearest = did_you_mean(missing[0], names, form=" (did you mean {}?)")
         raise BenchError(f"no recording has the estimate '{missing[0]}'{nearest}; there are {', '.join(names)}")
     if observers:
         names = [name for name in names if name in (*recorded, *again)]
