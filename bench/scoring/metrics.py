@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.percentiles import Sizes
+from bench.analysis.percentiles import Percentiles
 from bench.analysis.position import Moments
 
 F64 = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Errors:
     """Figures of an error in its own unit."""
 
     def __init__(self) -> None:
-        self._moments, self._sizes = Moments(), Sizes()
+        self._moments, self._sizes = Moments(), Percentiles()
 
     def add(self, error: F64) -> None:
         """Add samples of it, (n,)."""
@@ -48,7 +48,7 @@ class Errors:
         return self._moments.n
 
     def size(self, percent: float) -> float:
-        """The magnitude that `percent` of the samples do not exceed, see `Sizes`; NaN of none."""
+        """The magnitude that `percent` of the samples do not exceed, see `Percentiles`; NaN of none."""
         return self._sizes.at(percent)
 
     def figures(self) -> Figures:
