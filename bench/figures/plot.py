@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import between, contiguous, no_edges, part
+from bench.analysis.error_bins import ErrorByAngle, ErrorBySpeed, angle_bins
+from bench.analysis.position import position_error
 from bench.figures import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
-from bench.figures.motion import Motion
+from bench.figures.motion import Motion, Piece
 from bench.recording.layout import EDGES, SAMPLES
 from bench.recording.reader import Run
 from bench.recording.recording import readable
@@ -47,10 +51,8 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
     estimates = run.info.position_estimates if run.info.position_reference else ()
     estimates = tuple(name for name in estimates if name in names)
     motion, steady = Motion(run), spectrum.SteadyStretch()
-    by_angle, by_speed = (
-        error_by_angle.ErrorByAngle(estimates),
-        error_by_speed.ErrorBySpeed(estimates, motion.rate, run.info.n_p or 1),
-    )
+    by_angle = {name: ErrorByAngle() for name in estimates}
+    by_speed = ErrorBySpeed(motion.rate, run.info.n_p or 1)
     plane = current_plane.CurrentPlane(run.info.i_max, run.info.has(*current_plane.REFERENCES))
     edges = hall_edges.HallEdges()
     why = _not_there(run, names)
@@ -60,8 +62,7 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
         n += len(chunk)
         for piece in motion.pieces(chunk):
             steady.add(piece)
-            by_angle.add(piece)
-            by_speed.add(piece)
+            _add_errors(piece, by_angle, by_speed)
             if not why["current_plane"]:
                 plane.add(piece)
         if not why["hall_edges"]:
@@ -137,15 +138,28 @@ def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plo
     )  # fmt: skip
 
 
-def _by_angle(sums: error_by_angle.ErrorByAngle, motion: Motion) -> Plot:
-    name, found = "error_by_angle", sums.result()
+def _add_errors(piece: Piece, by_angle: Mapping[str, ErrorByAngle], by_speed: ErrorBySpeed) -> None:
+    """Add the steady samples of a piece with an encoder."""
+    if piece.theta is None or piece.rpm is None or piece.phases is None:
+        return
+    steady = piece.phases.steady
+    theta, rpm = piece.theta[steady], piece.rpm[steady]
+    bins = angle_bins(np.nan_to_num(theta))
+    for name, sums in by_angle.items():
+        error = np.degrees(position_error(theta, piece.samples.physical(name)[steady]))
+        sums.add(bins, error, rpm < 0)
+        by_speed.add(name, rpm, error)
+
+
+def _by_angle(sums: Mapping[str, ErrorByAngle], motion: Motion) -> Plot:
+    name, found = "error_by_angle", {name: of for name, of in sums.items() if of.n.any()}
     if not found:
         return Plot(name, why=motion.why or NOT_STEADY)
     of = error_by_angle
     return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
 
 
-def _by_speed(sums: error_by_speed.ErrorBySpeed, motion: Motion, unit: str) -> Plot:
+def _by_speed(sums: ErrorBySpeed, motion: Motion, unit: str) -> Plot:
     name, found = "error_by_speed", sums.result()
     if not found:
         return Plot(name, why=motion.why or NOT_STEADY)

@@ -17,6 +17,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from bench.analysis.colours import RGB, TABLE
+from bench.analysis.error_bins import angle_bins
 from bench.analysis.position import wrap
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import Thd, thd_by_angle
@@ -224,7 +225,7 @@ class LastSecond:
         """Mean error in each bin of the angle, a bar for each estimate side by side."""
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        bins = np.floor(np.mod(theta, math.tau) * (BINS / math.tau)).astype(np.int64) % BINS
+        bins = angle_bins(theta, BINS)
         whole = abs(theta[-1] - theta[0]) >= math.tau
         for name in self._estimates:
             error = values[schema.error_component(name)]

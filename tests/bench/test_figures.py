@@ -17,11 +17,10 @@ from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
 
 from bench.analysis.chunks import part
 from bench.analysis.colours import OBSERVERS
+from bench.analysis.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorBySpeed, angle_bins
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.figures.current_plane import CurrentPlane
-from bench.figures.error_by_angle import BINS, ErrorByAngle, angles
-from bench.figures.error_by_speed import MOST, ErrorBySpeed
 from bench.figures.hall_edges import HallEdges
 from bench.figures.looks import looks
 from bench.figures.motion import Motion
@@ -99,7 +98,7 @@ def test_an_error_of_the_sixth_harmonic_is_found_in_each_bin(tmp_path: Path) -> 
     numbers = found.numbers["estimates"]["theta_vt"]
     width = 2 * math.pi / BINS
     share = math.sin(3 * width) / (3 * width)  # of the amplitude, in the mean over a bin
-    shape = share * np.cos(6 * np.radians(angles()))
+    shape = share * np.cos(6 * np.radians(ANGLES))
     assert numbers["forwards"]["mean"] == pytest.approx(3.0 * shape + 1.0, abs=0.06)
     assert numbers["backwards"]["mean"] == pytest.approx(5.0 * shape + 1.0, abs=0.1)
     within = np.sqrt(0.5 - share**2 / 2)  # scatter that the slope within a bin makes, in the rms over the bins
@@ -108,12 +107,12 @@ def test_an_error_of_the_sixth_harmonic_is_found_in_each_bin(tmp_path: Path) -> 
 
 
 def test_what_is_no_number_counts_for_nothing() -> None:
-    sums = ErrorByAngle(["theta_vt"])
-    angle = np.linspace(0, 1, 100)
-    broken = angle.copy()
-    broken[[3, 50]] = np.nan, np.inf
-    sums.add_errors("theta_vt", angle, broken, np.zeros(100, bool))
-    assert sums.result()["theta_vt"].n.sum() == 98
+    sums = ErrorByAngle()
+    error = np.ones(100)
+    error[[3, 50]] = np.nan, np.inf
+    sums.add(angle_bins(np.linspace(0, 1, 100)), error, np.zeros(100, bool))
+    assert sums.n.sum() == 98
+    assert sums.overall == {"mean": 1.0, "std": 0.0, "rms": 1.0}
 
 
 def test_a_bias_that_goes_with_the_speed_is_found_at_each_speed(tmp_path: Path) -> None:
@@ -133,11 +132,11 @@ def test_a_bias_that_goes_with_the_speed_is_found_at_each_speed(tmp_path: Path) 
 
 
 def test_bins_of_the_speed_stay_few_and_lose_nothing() -> None:
-    sums = ErrorBySpeed(["theta_vt"], 1000.0, 1)
+    sums = ErrorBySpeed(1000.0, 1)
     rng = np.random.default_rng(3)
     rpm = rng.uniform(-6000, 6000, 50_000)
     for some in np.split(rpm, 50):
-        sums.add_errors("theta_vt", some, some / 1000.0)
+        sums.add("theta_vt", some, some / 1000.0)
     found = sums.result()["theta_vt"]
     assert len(found.rpm) <= MOST
     assert found.n.sum() == np.count_nonzero(np.abs(np.floor(rpm / sums.width + 0.5)) > 0)  # without the one about 0

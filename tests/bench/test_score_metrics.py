@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from bench.analysis.error_bins import Errors
 from bench.analysis.percentiles import Percentiles
-from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime, reach
+from bench.scoring.metrics import Changes, LagBySpeed, LagInTime, reach
 from bench.scoring.phases import phases_of, speed_bins, speed_of
 
 RATE = 16_000.0
