@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle
+from protocol.codes import DriveState
 from protocol.signals import STATUS_STATE_MASK, Flag, Unit
 from protocol.streams import SampleChunk
 
@@ -49,6 +50,12 @@ def states(chunk: SampleChunk) -> NDArray[np.int64] | None:
         return None
     told: NDArray[np.int64] = chunk.raw["status"].astype(np.int64) & STATUS_STATE_MASK
     return told
+
+
+def running(chunk: SampleChunk) -> NDArray[np.bool_]:
+    """Where the drive is RUNNING, (n,); everywhere, where it does not tell."""
+    told = states(chunk)
+    return np.ones(len(chunk), bool) if told is None else told == DriveState.RUNNING
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.units import RPM, pole_pairs
-from bench.analysis.waveforms.sectors import steps_between
+from bench.analysis.waveforms.sectors import edge_passages, steps_between
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import EDGES_FIRST, edges_ahead
 from bench.conforming.device import PATIENCE, Device, ids, is_off
@@ -32,8 +32,6 @@ TURNS = 1.5  # s for which it turns
 RUN_UP = 0.3  # s of them after which the direction is looked at
 LATENCY_MS = 10
 RATE = 200.0  # Hz of the reference channel
-FORWARDS = {1: 0, 3: 1, 2: 2, 6: 3, 4: 4, 5: 5}
-"""Sector by Hall code."""
 COMMON = 1.05  # a setpoint beyond a limit, over that
 
 
@@ -196,12 +194,9 @@ def stop(device: Device) -> str:
 def direction(device: Device) -> str:
     """A positive speed turns the motor forward, by its edges and by its encoder."""
     turn = turned(device)
-    up = down = 0
-    for _, _, codes in turn.edges:
-        before, after = FORWARDS.get(codes & 7), FORWARDS.get(codes >> 3 & 7)
-        if before is not None and after is not None:
-            up += (after - before) % 6 == 1
-            down += (after - before) % 6 == 5
+    codes = np.array([codes for _, _, codes in turn.edges], np.int64)
+    _, way = edge_passages(codes & 7, codes >> 3 & 7)
+    up, down = np.count_nonzero(way > 0), np.count_nonzero(way < 0)
     words = f"{up} edges forward, {down} in reverse" if turn.edges else "no edges"
     if not math.isnan(turn.travel):
         words += f", {math.degrees(turn.travel):.0f} electrical degrees by the encoder"

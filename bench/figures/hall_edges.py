@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 
 from bench.analysis.capture import Capture
 from bench.analysis.chunks import join, part
+from bench.analysis.trace import Edges
 from bench.hall.edges import NUMERALS, Measured, measure
-from bench.hall.trace import Edges, trace
+from bench.hall.trace import trace
 from bench.reports import style
 from bench.reports.style import FONT_SIZE, GREY, LIGHT, LINE_WIDTH, SERIES
 from protocol.streams import EdgeChunk, SampleChunk

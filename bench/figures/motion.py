@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle, speed_channel
 from bench.analysis.chunks import contiguous, index_step, join, part
-from bench.analysis.position import states
+from bench.analysis.position import running
 from bench.analysis.units import RPM
 from bench.recording.layout import SAMPLES
 from bench.recording.reader import Run
 from bench.scoring.phases import START_UP, Phases, phases_of, speed_of
-from protocol.messages import DriveState
 from protocol.streams import SampleChunk
 
 F64 = NDArray[np.float64]
@@ -79,19 +78,17 @@ class Motion:
         whole = join([held, now]) if held is not None and follows else now
         n = len(whole)
         self._held = part(whole, max(0, n - round(BEFORE * self._rate)), n)
-        running = np.ones(n, bool)
-        if self._watched and (told := states(whole)) is not None:
-            running = told == DriveState.RUNNING
+        runs = running(whole) if self._watched else np.ones(n, bool)
         theta = whole.physical(self._reference) if self._reference else None
         omega = self._omega(whole, theta)
         new = slice(n - len(now), n)
         if omega is None:
-            return Piece(now, running[new], None, None, None if theta is None else theta[new])
-        usable = running if n >= LEAST * self._rate else np.zeros(n, bool)
+            return Piece(now, runs[new], None, None, None if theta is None else theta[new])
+        usable = runs if n >= LEAST * self._rate else np.zeros(n, bool)
         found = phases_of(omega, usable, self._rate, self._n_p)
         masks = ("moving", "steady", "transient", "start_up", "reversal")
         phases = replace(found, **{name: getattr(found, name)[new] for name in masks})
-        return Piece(now, running[new], omega[new] / (RPM * self._n_p), phases, None if theta is None else theta[new])
+        return Piece(now, runs[new], omega[new] / (RPM * self._n_p), phases, None if theta is None else theta[new])
 
     def _omega(self, chunk: SampleChunk, theta: F64 | None) -> F64 | None:
         """Electrical speed, rad/s: that of the encoder's angle, else the drive's own; None where it is not known."""

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.delays import SLOW, Delays, Late, blame
+from bench.analysis.delays import Delays, Late, blame
 from bench.analysis.position import wrap
+from bench.analysis.trace import INPUTS, SLOW, Floats, Trace
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
 from bench.hall.edges import NUMERALS, OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import INPUTS, Floats, Trace
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 STILL = 0.01

@@ -21,8 +21,8 @@ from scipy.special import stdtrit
 
 from bench.analysis.delays import within_groups
 from bench.analysis.position import wrap
+from bench.analysis.trace import INPUTS, Edges, Floats
 from bench.analysis.waveforms.sectors import SECTORS
-from bench.hall.trace import INPUTS, Edges, Floats
 from protocol.frames import data_frame
 from sim.observers.hall_speed import SECTOR_WIDTH
 

@@ -16,7 +16,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from bench.analysis.delays import AGREE, SLOW, Delays
+from bench.analysis.delays import AGREE, Delays, delays_of
+from bench.analysis.trace import SLOW, Trace
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
@@ -24,7 +25,6 @@ from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import Trace
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
@@ -83,7 +83,7 @@ def examine(trace: Trace, further: str = "") -> Health:
         findings += pole_pairs
     else:
         emf = reference.back_emf(trace)
-        delays = delays._replace(back_emf=trace.evidence.delays().back_emf)
+        delays = delays._replace(back_emf=delays_of(trace).back_emf)
         findings += causes.encoder(emf) + causes.late(delays, _fastest(trace))
         # that of the rotor flux, where the back-EMF says that the encoder's is another
         some = trace.some

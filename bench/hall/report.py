@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from bench.analysis.trace import INPUTS, Trace
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED
 from bench.hall.edges import NUMERALS, Edge, Passages, largest
 from bench.hall.health import Health, Outcome
-from bench.hall.trace import INPUTS, Trace
 from bench.hall.turning import Turned
 
 WIDTH = 79

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
-from bench.analysis.position import ErrorTable, Moments, position_errors, states
+from bench.analysis.position import ErrorTable, Moments, position_errors, running
 from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client, Sink
 from bench.device.counters import DeviceCounters
@@ -21,7 +21,7 @@ from bench.live.plausible import Came
 from bench.rerunio import markdown
 from bench.rerunio.schema import label
 from protocol.codes import fault_names
-from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat, HelloReply
+from protocol.messages import DeviceEvent, Fault, Heartbeat, HelloReply
 from protocol.streams import EdgeChunk, SampleChunk
 from protocol.text import counted
 
@@ -59,10 +59,9 @@ class RunStatistics(Sink):
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
-        if errors and (told := states(chunk)) is not None:
-            errors = {name: values[told == DriveState.RUNNING] for name, values in errors.items()}
         if errors:
-            self.errors.add(self.segment, errors)
+            runs = running(chunk)
+            self.errors.add(self.segment, {name: values[runs] for name, values in errors.items()})
         if self._observers is not None:
             compared, differ = self._observers.compare(chunk)
             self.host_compared += compared

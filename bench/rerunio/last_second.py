@@ -22,10 +22,10 @@ from bench.analysis.position import wrap
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import Thd, thd_by_angle
 from bench.analysis.waveforms.harmonics import ORDER, PERIODS
+from bench.analysis.waveforms.sectors import edge_passages
 from bench.recording.info import RunInfo
 from bench.rerunio import markdown, schema
 from bench.rerunio.states import SECTORS
-from protocol.signals import SECTOR_OF_CODE
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
@@ -40,7 +40,6 @@ FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
 X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.4, 1.25)  # of the current plane
 _CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
-_SECTOR_OF_CODE = np.array(SECTOR_OF_CODE)
 
 _CHANGES = {
     batch.component_descriptor() for batch in rr.BarChart.from_fields(values=np.zeros(1)).as_component_batches()
@@ -278,14 +277,12 @@ class LastSecond:
             return [], []
         at, old, new = (np.concatenate(column) for column in zip(*self._edges, strict=True))
         known = (at >= tick[0]) & (at <= tick[-1])
-        at, before, after = at[known], _SECTOR_OF_CODE[old[known] & 7], _SECTOR_OF_CODE[new[known] & 7]
-        step = (after - before) % len(SECTORS)
-        valid = (before >= 0) & (after >= 0)
-        angle = np.interp(at, tick, theta)
+        opened, passed = edge_passages(old[known] & 7, new[known] & 7)
+        angle = np.interp(at[known], tick, theta)
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        for way, opened, sign in ((FORWARD, after, 1.0), (REVERSE, before, -1.0)):
-            met = valid & (step == (1 if sign > 0 else len(SECTORS) - 1))
+        for way, sign in ((FORWARD, 1), (REVERSE, -1)):
+            met = passed == sign
             sector = opened[met]
             late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(SECTORS))))
             seen = np.flatnonzero(np.bincount(sector, minlength=len(SECTORS)))

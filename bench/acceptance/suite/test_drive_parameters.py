@@ -39,7 +39,8 @@ from bench.acceptance.suite.common import (
     whole_turns,
 )
 from bench.acceptance.suite.events import current
-from bench.analysis.delays import STATOR, Late, blame, delays
+from bench.analysis.delays import Late, blame, delays
+from bench.analysis.trace import STATOR
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
 from bench.errors import BenchError
 from bench.rig.loads import Load
