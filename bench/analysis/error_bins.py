@@ -133,6 +133,8 @@ class BySpeed(NamedTuple):
     rms: F64
     percentile: F64
     """Size that 95 % of the errors do not exceed."""
+    width: float
+    """Of a bin, r/min."""
 
 
 class ErrorBySpeed:
@@ -174,5 +176,6 @@ class ErrorBySpeed:
         for name, bins in self._bins.items():
             if keys := sorted(key for key, its in bins.items() if its.n * abs(key) >= turn):
                 rows = [(k * self.width, b.n, b.mean, b.rms, b.size(self.PERCENT)) for k in keys for b in (bins[k],)]
-                found[name] = BySpeed(*np.array(rows).T)
+                rpm, n, mean, rms, percentile = np.array(rows).T
+                found[name] = BySpeed(rpm, n, mean, rms, percentile, self.width)
         return found

@@ -16,7 +16,7 @@ from bench.rerunio.schema import label
 PERCENT = ErrorBySpeed.PERCENT
 
 
-def as_json(found: Mapping[str, BySpeed], width: float) -> dict[str, Any]:
+def as_json(found: Mapping[str, BySpeed]) -> dict[str, Any]:
     """Plain data."""
     rows = {
         name: {
@@ -25,7 +25,7 @@ def as_json(found: Mapping[str, BySpeed], width: float) -> dict[str, Any]:
         }
         for name, of in found.items()
     }  # fmt: skip
-    return {"bin_rpm": width, "estimates": rows}
+    return {"bin_rpm": next(iter(found.values())).width, "estimates": rows}
 
 
 def words(found: Mapping[str, BySpeed]) -> str:

@@ -1,68 +1,32 @@
 """Where the Hall edges lie by the encoder, and how far that is from where they belong, by direction.
 
-Measured as `bench hall` does (`bench.hall.edges`); of a run with very many edges, on a share drawn by chance.
+Measured as `bench hall` does (`bench.hall.edges`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.analysis.capture import Capture
-from bench.analysis.chunks import join, part
-from bench.analysis.trace import Edges
+from bench.analysis.channels import reference_angle
 from bench.hall.edges import NUMERALS, Measured, measure
-from bench.hall.trace import trace
+from bench.hall.trace import trace_of
+from bench.recording.layout import EDGES, SAMPLES
+from bench.recording.reader import Run, captures
 from bench.reports import style
 from bench.reports.style import FONT_SIZE, GREY, LIGHT, LINE_WIDTH, SERIES
-from protocol.streams import EdgeChunk, SampleChunk
-
-MOST = 400_000  # edges that are kept
-BEFORE = 0.05  # s before samples that are looked at with them
 
 
-class HallEdges:
-    """Collects edges with their angles; edges of a shaft that hardly moves, and false pulses, are left out."""
-
-    def __init__(self) -> None:
-        self._kept: list[Edges] = []
-        self._share = 1.0
-        self._held: SampleChunk | None = None
-        self._chance = np.random.default_rng(0)
-
-    def before(self) -> int | None:
-        """The tick from which edges are wanted with the next samples; None where there were none before."""
-        return None if self._held is None else int(self._held.tick[-1]) + 1
-
-    def add(self, samples: SampleChunk, edges: EdgeChunk) -> None:
-        """Add the edges since the last samples that were added up to the last one of `samples`."""
-        whole = samples if self._held is None else join([self._held, samples])
-        found = trace(Capture(whole, edges)).edges
-        self._held = part(samples, max(0, len(samples) - round(BEFORE * samples.config.rate)), len(samples))
-        self._kept.append(_chosen(found, self._chance.random(len(found.tick)) < self._share))
-        if sum(len(each.tick) for each in self._kept) > MOST:
-            self._share /= 2.0
-            whole_edges = _joined(self._kept)
-            self._kept = [_chosen(whole_edges, self._chance.random(len(whole_edges.tick)) < 0.5)]
-
-    def result(self) -> Measured | None:
-        """What was measured; None without a single edge."""
-        edges = _joined(self._kept) if self._kept else None
-        if edges is None or not np.isfinite(edges.theta).any():
-            return None
-        return measure(edges)
-
-
-def _chosen(edges: Edges, which: Any) -> Edges:
-    return Edges(*(getattr(edges, field.name)[which] for field in fields(Edges)))
-
-
-def _joined(parts: list[Edges]) -> Edges:
-    return Edges(*(np.concatenate([getattr(each, field.name) for each in parts]) for field in fields(Edges)))
+def edges_of(run: Run, first: int, last: int) -> Measured | None:
+    """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
+    wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
+    edges = trace_of(
+        captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES))
+    ).edges
+    return measure(edges) if np.isfinite(edges.theta).any() else None
 
 
 def as_json(of: Measured) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bench.analysis.channels import reference_angle
-from bench.analysis.chunks import between, contiguous, no_edges, part
+from bench.analysis.chunks import between, contiguous, part
 from bench.analysis.error_bins import ErrorByAngle, ErrorBySpeed, angle_bins
 from bench.analysis.position import position_error
 from bench.figures import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
@@ -21,11 +21,12 @@ from bench.recording.layout import EDGES, SAMPLES
 from bench.recording.reader import Run
 from bench.recording.recording import readable
 from bench.reports.style import FONT_SIZE, save
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import SampleChunk
 
 NAMES = ("spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges")
 NO_SAMPLES = "no samples"
 NOT_STEADY = "the shaft never turns steadily above 10 r/min"
+AT_REST = "no Hall edge of a turning shaft: it was at rest"
 RECORD = "record all channels (bench live --save)"
 
 
@@ -54,7 +55,6 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
     by_angle = {name: ErrorByAngle() for name in estimates}
     by_speed = ErrorBySpeed(motion.rate, run.info.n_p or 1)
     plane = current_plane.CurrentPlane(run.info.i_max, run.info.has(*current_plane.REFERENCES))
-    edges = hall_edges.HallEdges()
     why = _not_there(run, names)
     n = 0
     for chunk in run.pieces(SAMPLES, first, last):
@@ -65,18 +65,17 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
             _add_errors(piece, by_angle, by_speed)
             if not why["current_plane"]:
                 plane.add(piece)
-        if not why["hall_edges"]:
-            edges.add(chunk, _edges_with(run, edges, first, int(chunk.tick[-1])))
     if not n:
         why = dict.fromkeys(NAMES, NO_SAMPLES)
+    still, unit = motion.why or NOT_STEADY, "r/min" if run.info.n_p else "electrical r/min"
     found = {
         "spectrum": lambda: _spectrum(run, steady.longest, motion),
-        "error_by_angle": lambda: _by_angle(by_angle, motion),
-        "error_by_speed": lambda: _by_speed(by_speed, motion, "r/min" if run.info.n_p else "electrical r/min"),
-        "current_plane": lambda: _plane(plane),
-        "hall_edges": lambda: _edges(edges),
+        "error_by_angle": lambda: _of({name: of for name, of in by_angle.items() if of.n.any()}, still, error_by_angle),
+        "error_by_speed": lambda: _of(by_speed.result(), still, error_by_speed, unit),
+        "current_plane": lambda: _of(plane.result(), "the drive is never RUNNING", current_plane),
+        "hall_edges": lambda: _of(hall_edges.edges_of(run, first, last), AT_REST, hall_edges),
     }
-    drawn = [Plot(name, why=why[name]) if why[name] else found[name]() for name in NAMES]
+    drawn = [replace(Plot("", why=why[name]) if why[name] else found[name](), name=name) for name in NAMES]
     for each in drawn:
         if each.figure is not None:
             _title(each.figure, run, each.over or f"{run.at(first)} … {run.at(last)}")
@@ -114,16 +113,9 @@ def _not_there(run: Run, names: list[str]) -> dict[str, str]:
     return why
 
 
-def _edges_with(run: Run, edges: hall_edges.HallEdges, first: int, last: int) -> EdgeChunk:
-    """The edges that came with samples up to tick `last`."""
-    found = run.chunk(EDGES, edges.before() or first, last)
-    return found if isinstance(found, EdgeChunk) else no_edges(run.config(EDGES))
-
-
 def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plot:
-    name = "spectrum"
     if stretch is None:
-        return Plot(name, why=motion.why or NOT_STEADY)
+        return Plot("", why=motion.why or NOT_STEADY)
     last = min(stretch.last, stretch.first + round(spectrum.LONGEST * run.info.tick_hz))
     samples = run.chunk(SAMPLES, stretch.first, last)
     assert isinstance(samples, SampleChunk)
@@ -131,9 +123,9 @@ def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plo
     try:
         found = spectrum.currents(part(samples, rows.start, rows.stop), stretch.rpm, run.info.n_p or 1)
     except ValueError as error:
-        return Plot(name, why=str(error))
+        return Plot("", why=str(error))
     return Plot(
-        name, spectrum.draw(found), words=spectrum.words(found), over=f"steady {spectrum.stretch(found)}",
+        "", spectrum.draw(found), words=spectrum.words(found), over=f"steady {spectrum.stretch(found)}",
         numbers=spectrum.as_json(found),
     )  # fmt: skip
 
@@ -151,36 +143,11 @@ def _add_errors(piece: Piece, by_angle: Mapping[str, ErrorByAngle], by_speed: Er
         by_speed.add(name, rpm, error)
 
 
-def _by_angle(sums: Mapping[str, ErrorByAngle], motion: Motion) -> Plot:
-    name, found = "error_by_angle", {name: of for name, of in sums.items() if of.n.any()}
+def _of(found: Any, why: str, figure: Any, *more: Any) -> Plot:
+    """The figure of what a module has `found`, or `why` there is nothing; `more`: what its `draw` takes besides."""
     if not found:
-        return Plot(name, why=motion.why or NOT_STEADY)
-    of = error_by_angle
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
-
-
-def _by_speed(sums: ErrorBySpeed, motion: Motion, unit: str) -> Plot:
-    name, found = "error_by_speed", sums.result()
-    if not found:
-        return Plot(name, why=motion.why or NOT_STEADY)
-    of = error_by_speed
-    return Plot(name, of.draw(found, unit), words=of.words(found), numbers=of.as_json(found, sums.width))
-
-
-def _plane(sums: current_plane.CurrentPlane) -> Plot:
-    name, found = "current_plane", sums.result()
-    if found is None:
-        return Plot(name, why="the drive is never RUNNING")
-    of = current_plane
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
-
-
-def _edges(collected: hall_edges.HallEdges) -> Plot:
-    name, found = "hall_edges", collected.result()
-    if found is None:
-        return Plot(name, why="no Hall edge of a turning shaft: it was at rest")
-    of = hall_edges
-    return Plot(name, of.draw(found), words=of.words(found), numbers=of.as_json(found))
+        return Plot("", why=why)
+    return Plot("", figure.draw(found, *more), words=figure.words(found), numbers=figure.as_json(found))
 
 
 def _title(figure: Figure, run: Run, over: str) -> None:

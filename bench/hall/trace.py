@@ -85,11 +85,14 @@ def pieces_of(whole: Capture | Recorded, wanted: Iterable[str]) -> Iterable[Capt
 
 def trace(whole: Capture | Recorded) -> Trace:
     """Make ready what was captured or recorded. BenchError without the channel `hall`."""
-    if isinstance(whole, Recorded):
-        gathered = Gathered(whole.samples, whole.edges)
-    else:
-        gathered = Gathered(len(whole), len(whole.edges))
-    for window in _with_whole_pulses(windows(pieces_of(whole, LOOKED_AT), AROUND)):
+    samples, edges = (whole.samples, whole.edges) if isinstance(whole, Recorded) else (len(whole), len(whole.edges))
+    return trace_of(pieces_of(whole, LOOKED_AT), samples, edges)
+
+
+def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
+    """The same of captures that follow each other; `samples`, `edges`: about how many there are."""
+    gathered = Gathered(samples, edges)
+    for window in _with_whole_pulses(windows(captures, AROUND)):
         if "hall" not in window.capture:
             raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
         gathered.add(window)

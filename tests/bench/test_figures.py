@@ -21,14 +21,13 @@ from bench.analysis.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorByS
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.figures.current_plane import CurrentPlane
-from bench.figures.hall_edges import HallEdges
+from bench.figures.hall_edges import edges_of
 from bench.figures.looks import looks
 from bench.figures.motion import Motion
 from bench.figures.plot import NAMES, Plot, draw_all
 from bench.recording.reader import Run
 from bench.recording.times import ticks_of
 from bench.recording.writer import RunWriter
-from protocol.streams import EdgeChunk
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
@@ -220,20 +219,13 @@ def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
     assert sum(edge[way]["n"] for edge in found for way in ("forwards", "backwards")) >= len(edges[0]) - 12
 
 
-def test_very_many_edges_are_thinned_by_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_very_many_edges_some_evenly_spread_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rpm = np.concatenate([np.full(N, 600.0), np.full(N, -600.0)])
     theta = turning(rpm) + 0.5
     codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
     run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
-    monkeypatch.setattr("bench.figures.hall_edges.MOST", 200)
-    collected = HallEdges()
-    samples = run.samples
-    for k in range(0, len(samples), N // 4):
-        piece = part(samples, k, k + N // 4)
-        its = run.chunk("edges", collected.before(), int(piece.tick[-1]))
-        assert isinstance(its, EdgeChunk)
-        collected.add(piece, its)
-    found = collected.result()
+    monkeypatch.setattr("bench.analysis.trace.MOST_EDGES", 200)
+    found = edges_of(run, *run.span)
     assert found is not None
     kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]
     assert 50 < sum(kept) <= 300
