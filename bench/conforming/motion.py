@@ -14,16 +14,16 @@ from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.waveforms.sectors import edge_passages, steps_between
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import EDGES_FIRST, edges_ahead
-from bench.conforming.device import PATIENCE, Device, ids, is_off
+from bench.conforming.device import PATIENCE, Device, granted, ids, is_off
 from bench.conforming.levels import MOTION
 from bench.conforming.probe import accepted, read, state_name
 from bench.conforming.setpoints import code_name, send
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import says
 from bench.rig.runaway import Runaway
-from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
+from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
 from protocol.descriptor import Channel
-from protocol.messages import Heartbeat, ParamSet, StateReply
+from protocol.messages import Heartbeat, StateReply
 from protocol.signals import Flag, Unit
 
 check = Group("motion", MOTION)
@@ -61,11 +61,7 @@ def spin(device: Device) -> None:
 
 def turned(device: Device) -> Turn:
     """It turns once, for all checks that look at that."""
-    if "turn" not in device.kept:
-        device.kept["turn"] = _turn(device)
-    found = device.kept["turn"]
-    assert isinstance(found, Turn)
-    return found
+    return device.once("turn", lambda: _turn(device))
 
 
 def reference(device: Device) -> Channel | None:
@@ -212,8 +208,7 @@ def direction(device: Device) -> str:
 @check("edges-counted", 5, "Hall edges since boot")
 def edges_counted(device: Device) -> str:
     """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     turn = turned(device)
     beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0][1], beat.tick)]
     if len(beats) < 2:
@@ -235,8 +230,7 @@ def _before(tick: int, other: int) -> bool:
 @check("edges-before-samples", 11, EDGES_FIRST, carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     turn = turned(device)
     if turn.late:
         raise Failed(turn.late)
@@ -271,9 +265,7 @@ def never_clipped(device: Device) -> str:
     before = device.parameter(record).value
     try:
         limit = float(np.float32(device.speed_rpm * RPM))
-        answer = device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, limit).pack())
-        if answer.error is not None:
-            raise Unknown(f"omega_m_max = {limit:g}: {answer}")
+        granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
         return _beyond(device, limit)
     finally:

@@ -61,11 +61,6 @@ class Motion:
         """Samples a second."""
         return self._rate
 
-    @property
-    def from_encoder(self) -> bool:
-        """Whether the speed is that of the encoder's angle."""
-        return bool(self._reference)
-
     def pieces(self, chunk: SampleChunk) -> Iterator[Piece]:
         """The samples `chunk`, which come after those of the last call."""
         for rows in contiguous(chunk):
