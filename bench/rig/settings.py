@@ -39,16 +39,9 @@ from protocol.links.target import parse_target
 from protocol.text import did_you_mean
 
 FILE = "bench.toml"
-_TOP = {
-    "target": str,
-    "station": str,
-    "operator": str,
-    "motor": str,
-    "config": str,
-    "rig": dict,
-    "rated": dict,
-    "limits": dict,
-}
+_TOP = dict.fromkeys(("target", "station", "operator", "motor", "config"), str) | dict.fromkeys(
+    ("rig", "rated", "limits"), dict
+)
 _RIG = {"load": str, "person": bool}
 _RATED = {"speed_rpm": Real, "current": Real}
 LOADS = ("node", "none", "person")

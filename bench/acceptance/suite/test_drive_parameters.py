@@ -31,6 +31,7 @@ from bench.acceptance.suite.common import (
     Measure,
     errors,
     measure_error,
+    offsets_by_encoder,
     rpm,
     run_at,
     settle,
@@ -41,7 +42,7 @@ from bench.acceptance.suite.common import (
 from bench.acceptance.suite.events import current
 from bench.analysis.delays import Late, blame, delays
 from bench.analysis.trace import STATOR
-from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.analysis.waveforms import BACKWARDS, FORWARDS
 from bench.errors import BenchError
 from bench.rig.loads import Load
 
@@ -62,7 +63,7 @@ MISMATCHES = {
 
 @called("Wrong motor parameters")
 @limits(
-    *errors("nominal_", about="with the drive's own parameters"),
+    *errors("nominal_{}", about=", with the drive's own parameters"),
     *(
         measured
         for name, (parameter, factor) in MISMATCHES.items()
@@ -95,10 +96,9 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
         run = whole_turns(record(0.25))
         error = run.position_error("theta_vt")
         if name == "nominal":
-            measure_error(measure, run, prefix="nominal_")
+            measure_error(measure, run, name="nominal_{}")
         else:
-            measure(f"{name}_error_std", np.degrees(error.std()), run)
-            measure(f"{name}_error_max", np.degrees(np.abs(error).max()), run)
+            measure_error(measure, run, name=f"{name}_{{}}", mean=False)
         return run, math.degrees(error.mean())
 
     nominal, mean = run_with("nominal")
@@ -168,14 +168,8 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
 @called("Delays between the angles")
 @limit("encoder", "us", hi=30, about="delay of encoder against back-EMF; it appears in every error")
 @limit("hall", "us", hi=50, about="delay of Hall edges against back-EMF")
-@needs(
-    *TURNS,
-    "encoder",
-    "feature:EDGES",
-    *(f"channel:{name}" for name in STATOR),
-    "parameter:R_s_hat",
-    "parameter:L_s_hat",
-)
+@needs(*TURNS, "encoder", "feature:EDGES", *(f"channel:{name}" for name in STATOR))
+@needs("parameter:R_s_hat", "parameter:L_s_hat")
 @energises(rated_speed=1, rated_current=1)
 def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
     """Encoder, Hall edges and back-EMF at half and all of the speed, both directions, near no load: which is late.
@@ -251,8 +245,7 @@ def _encoder_turns(run: Capture) -> tuple[float, int]:
 
     Positive where both turn the same way.
     """
-    theta = run.theta_at_edges()
-    offsets = edge_offsets(theta, run.edges.hall_old, run.edges.hall_new)
+    theta, offsets = run.theta_at_edges(), offsets_by_encoder([run])
     turns = (len(theta) - 1) // 6
     if turns < 1:
         return math.nan, offsets.dropped

@@ -39,8 +39,8 @@ from bench.acceptance.suite.common import (
     WORDS,
     Figure,
     Measure,
-    error_deg,
     held,
+    measure_error,
     ratio,
     rpm,
     settle,
@@ -413,10 +413,8 @@ def test_fig08_steady(
     drive.stop()  # what follows takes longer than the watchdog
     std = {}
     for observer, capture in steady.items():
-        error, words = error_deg(capture, observer), WORDS[observer]
-        std[observer] = error.std()
-        measure(f"error_std_{words}", error.std(), capture)
-        measure(f"error_max_{words}", np.abs(error).max(), capture)
+        words = WORDS[observer]
+        std[observer] = measure_error(measure, capture, observer, f"{{}}_{words}", mean=False)
         measure(f"thd_{words}", thd_of_current(capture), capture)
         measure(f"i_q_{words}", capture["i_q"].mean(), capture)
         measure(f"speed_{words}", 100.0 * rpm(capture).mean() / speed, capture)
