@@ -47,13 +47,13 @@ def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | N
       bench compare a.run b.run --align "load step" --viewer web
     """
     check_files({"--json": json_file, "--save": save}, given["overwrite"], [a, b])
-    from bench.comparing import alignment
+    from bench.comparing.alignment import aligned
     from bench.comparing.compare import as_json, compare
     from bench.recording.recording import readable
     from bench.rerunio.viewer import chosen
 
     runs = [readable(path) for path in (a, b)]
-    sides = alignment.aligned(runs[0], runs[1], align, given["begin"], given["end"])
+    sides = aligned(runs[0], runs[1], align, given["begin"], given["end"])
     found = compare(*sides, given["channels"] or ())
     viewer = given["viewer"]
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:

@@ -121,20 +121,9 @@ class Content:
         if not self.rows[table.name]:
             yield _arrays(table, _no_rows(table.config), raw)
 
-    def rows_at_most(self, table: Table) -> int:
-        """Rows of a stream by the log, some more where the part begins or ends within a block; nothing is read."""
-        total = 0
-        for segment in self.run.segments:
-            if table.name in segment.files:
-                groups = segment.files[table.name][0].groups
-                total += sum(rows for first, last, rows in groups if first <= self.last and last >= self.first)
-            elif not segment.files:
-                total += sum(len(piece) for piece in segment.pieces(table.name, self.first, self.last))
-        return total
-
     def bytes_at_most(self, table: Table) -> int:
         """Bytes that a stream's columns take in memory."""
-        return self.rows_at_most(table) * sum(column.dtype.itemsize for column in table.columns)
+        return self.run.rows(table.name, self.first, self.last) * sum(column.dtype.itemsize for column in table.columns)
 
     def about(self) -> dict[str, Any]:
         """What the run is, and how its streams came, as plain JSON; `damage` is complete when all has been read.
@@ -222,12 +211,7 @@ def _arrays(table: Table, chunk: SampleChunk | EdgeChunk, raw: bool) -> Arrays:
                 found[column.name] = np.ascontiguousarray(chunk.raw[name]) if as_it_came else chunk.physical(name)
     else:
         found |= {name: getattr(chunk, name) for name in layout.EDGE_FIELDS}
-    gaps: Arrays = {name: np.zeros(len(chunk), kind) for name, kind in layout.GAP_FIELDS.items()}
-    for gap in chunk.gaps:
-        gaps["gap"][gap.position] = layout.HERE | (layout.OVERRUN if gap.overrun else 0)
-        gaps["lost"][gap.position] = gap.lost_samples
-        gaps["lost_frames"][gap.position] = gap.lost_frames
-    return found | gaps
+    return found | layout.gap_columns(chunk)
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

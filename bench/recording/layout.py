@@ -175,18 +175,22 @@ def _encoding(kind: pa.DataType) -> str:
 
 def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
     """A chunk as rows of its stream's columns."""
-    n = len(chunk)
     arrays: dict[str, NDArray[Any]] = {"tick": chunk.tick, "index": chunk.index}
     if isinstance(chunk, SampleChunk):
         arrays |= {column_of(name): np.ascontiguousarray(chunk.raw[name]) for name in chunk.raw.dtype.names or ()}
     else:
         arrays |= {name: getattr(chunk, name) for name in EDGE_FIELDS}
-    gaps = {name: np.zeros(n, dtype) for name, dtype in GAP_FIELDS.items()}
+    return table_of(columns, list((arrays | gap_columns(chunk)).values()))
+
+
+def gap_columns(chunk: SampleChunk | EdgeChunk) -> dict[str, NDArray[Any]]:
+    """What is missing before each record of a chunk, by name as in `GAP_FIELDS`, (n,) each."""
+    gaps = {name: np.zeros(len(chunk), dtype) for name, dtype in GAP_FIELDS.items()}
     for gap in chunk.gaps:
         gaps["gap"][gap.position] = HERE | (OVERRUN if gap.overrun else 0)
         gaps["lost"][gap.position] = gap.lost_samples
         gaps["lost_frames"][gap.position] = gap.lost_frames
-    return table_of(columns, list((arrays | gaps).values()))
+    return gaps
 
 
 def table_of(columns: Columns, arrays: Sequence[NDArray[Any]]) -> pa.Table:
