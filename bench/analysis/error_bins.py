@@ -56,7 +56,7 @@ class Errors:
     @property
     def rms(self) -> float:
         """Root of the mean square; NaN of none."""
-        return math.hypot(self._moments.std, self.mean)
+        return self._moments.rms
 
     def size(self, percent: float) -> float:
         """The magnitude that `percent` of the samples do not exceed, see `Percentiles`; NaN of none."""

@@ -89,6 +89,11 @@ class Moments:
         """Standard deviation of the population; NaN before the first value."""
         return math.sqrt(self.m2 / self.n) if self.n else math.nan
 
+    @property
+    def rms(self) -> float:
+        """Root of the mean square; NaN before the first value."""
+        return math.hypot(self.std, self.mean)
+
 
 @dataclass(slots=True)
 class ErrorTable:

@@ -17,7 +17,8 @@ from bench.hall.trace import trace_of
 from bench.recording.layout import EDGES, SAMPLES
 from bench.recording.reader import Run, captures
 from bench.reports import style
-from bench.reports.style import FONT_SIZE, GREY, LIGHT, LINE_WIDTH, SERIES
+from bench.reports.plots import edge_circle
+from bench.reports.style import FONT_SIZE, GREY, LINE_WIDTH, SERIES
 
 
 def edges_of(run: Run, first: int, last: int) -> Measured | None:
@@ -65,10 +66,7 @@ def draw(of: Measured) -> Figure:
     grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
     circle = figure.add_subplot(grid[0, 0], projection="polar")
     chart = figure.add_subplot(grid[0, 1])
-    ideal = np.array([edge.ideal for edge in of.edges])
-    circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=4.0, label="ideal")
-    for name, angle in zip(NUMERALS, ideal, strict=True):
-        circle.text(angle + math.pi / 6, 0.62, name, ha="center", va="center", fontsize=FONT_SIZE, color=GREY)
+    edge_circle(circle, NUMERALS, GREY, 4.0)
     late_all = []
     for way, mark, hue, shift, inner in (
         ("forward", ">", SERIES[1], -0.1, 0.0),
@@ -87,11 +85,6 @@ def draw(of: Measured) -> Figure:
             np.arange(6)[met] + shift, late, spread, fmt=mark, color=hue, markersize=5, capsize=2.5, linewidth=1.0,
             label=f"{way} ± std, {sum(each.n for each in passages)} edges",
         )  # fmt: skip
-    circle.set_xticks(ideal)
-    circle.set_yticks([])
-    circle.set_ylim(0, 1)
-    circle.grid(False)
-    circle.tick_params(labelsize=FONT_SIZE)
     circle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=FONT_SIZE,
                   handlelength=1.4, columnspacing=1.0)  # fmt: skip
     chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
