@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bench.analysis.channels import reference_angle
-from bench.hall.edges import NUMERALS, Measured, measure
+from bench.analysis.waveforms.sectors import NUMERALS
+from bench.hall.edges import Measured, measure
 from bench.hall.trace import trace_of
 from bench.recording.layout import EDGES, SAMPLES
 from bench.recording.reader import Run, captures

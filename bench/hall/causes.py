@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from bench.analysis.delays import Delays, Late, blame
 from bench.analysis.position import wrap
 from bench.analysis.trace import INPUTS, SLOW, Floats, Trace
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
-from bench.hall.edges import NUMERALS, OPENS, Measured
+from bench.hall.edges import OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
 from sim.observers.hall_speed import SECTOR_WIDTH

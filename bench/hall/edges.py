@@ -35,7 +35,6 @@ LEAST_FAR = math.radians(1.0)  # but at least so far from the median, lies a pas
 
 OPENS = ((2, False), (1, True), (0, False), (2, True), (1, False), (0, True))
 """By sector: the input (0..2) that changes where it opens, and whether it rises, to a shaft that turns up."""
-NUMERALS = ("I", "II", "III", "IV", "V", "VI")
 
 
 @dataclass(frozen=True)

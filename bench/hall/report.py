@@ -9,9 +9,9 @@ from dataclasses import asdict
 from typing import Any
 
 from bench.analysis.trace import INPUTS, Trace
-from bench.analysis.waveforms.sectors import SECTORS
+from bench.analysis.waveforms.sectors import NUMERALS, SECTORS
 from bench.analysis.wiring import AS_SPECIFIED
-from bench.hall.edges import NUMERALS, Edge, Passages, largest
+from bench.hall.edges import Edge, Passages, largest
 from bench.hall.health import Health, Outcome
 from bench.hall.turning import Turned
 

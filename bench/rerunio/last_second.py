@@ -22,10 +22,9 @@ from bench.analysis.position import wrap
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import Thd, thd_by_angle
 from bench.analysis.waveforms.harmonics import ORDER, PERIODS
-from bench.analysis.waveforms.sectors import edge_passages
+from bench.analysis.waveforms.sectors import NUMERALS, edge_passages
 from bench.recording.info import RunInfo
 from bench.rerunio import markdown, schema
-from bench.rerunio.states import SECTORS
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
@@ -155,7 +154,7 @@ class LastSecond:
             yield f"{schema.HARMONICS}/{name}", at, 0.26, self._run.colours[name]
         if schema.LATE in self.views:
             for k, (way, colour) in enumerate(WAYS.items()):
-                yield f"{schema.LATE}/{way}", np.arange(len(SECTORS)) + 1 + 0.4 * (k - 0.5), 0.36, colour
+                yield f"{schema.LATE}/{way}", np.arange(len(NUMERALS)) + 1 + 0.4 * (k - 0.5), 0.36, colour
 
     def pictures(self) -> Iterator[Part]:
         """Yield entity and content of the last second; what is not defined any more is cleared."""
@@ -284,13 +283,13 @@ class LastSecond:
         for way, sign in ((FORWARD, 1), (REVERSE, -1)):
             met = passed == sign
             sector = opened[met]
-            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(SECTORS))))
-            seen = np.flatnonzero(np.bincount(sector, minlength=len(SECTORS)))
+            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(NUMERALS))))
+            seen = np.flatnonzero(np.bincount(sector, minlength=len(NUMERALS)))
             if not len(seen):
                 continue
-            mean = _mean(sector, late, len(SECTORS))
+            mean = _mean(sector, late, len(NUMERALS))
             parts.append((f"{schema.LATE}/{way}", _values(mean)))
-            each = [f"{SECTORS[s]} {mean[s]:+.1f}" for s in seen]
+            each = [f"{NUMERALS[s]} {mean[s]:+.1f}" for s in seen]
             facts += [(f"edges late, {way}, deg", ", ".join(each[at : at + 3])) for at in range(0, len(each), 3)]
         return parts, facts
 

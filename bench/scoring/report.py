@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bench.reports.html import css_string, embedded, page
+from bench.reports.html import embedded, page
 from bench.reports.style import save
 from bench.reports.words import date
 from bench.scoring.board import PHASES, Figures, Scoreboard, partly
@@ -59,7 +59,7 @@ def as_html(board: Scoreboard) -> str:
         return page(
             __package__ or "",
             "report.html.j2",
-            {"css_string": css_string, "figure": _figure},
+            (_figure,),
             board=board,
             headers=HEADERS,
             columns=COLUMNS,

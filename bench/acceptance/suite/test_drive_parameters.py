@@ -21,7 +21,6 @@ from bench.acceptance import (
     needs,
 )
 from bench.acceptance.fixtures import Record
-from bench.acceptance.plots.hall import SECTORS
 from bench.acceptance.suite.common import (
     OVER,
     PROPOSED,
@@ -43,6 +42,7 @@ from bench.acceptance.suite.events import current
 from bench.analysis.delays import Late, blame, delays
 from bench.analysis.trace import STATOR
 from bench.analysis.waveforms import BACKWARDS, FORWARDS
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.errors import BenchError
 from bench.rig.loads import Load
 
@@ -120,7 +120,7 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
 @limits(
     *(
         Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
-        for sector in SECTORS
+        for sector in NUMERALS
     ),
     Limits("hysteresis", "deg", None, 3, "between an edge passed in reverse and forward, mean of the six"),
     Limits("edges_dropped", "", None, 0, "edges between sectors that are not neighbours"),
@@ -135,7 +135,7 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
     """
     turning, offsets = turn_both_ways(drive, rated, record, measure)
     delta = np.degrees(offsets.mean)
-    for s, sector in enumerate(SECTORS):
+    for s, sector in enumerate(NUMERALS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
     measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
     measure("edges_dropped", offsets.dropped, *turning)

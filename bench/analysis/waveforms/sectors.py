@@ -17,6 +17,8 @@ from bench.analysis.waveforms.samples import Floats, checked
 from protocol.signals import SECTOR_OF_CODE
 
 SECTORS = 6
+NUMERALS = ("I", "II", "III", "IV", "V", "VI")
+"""Names of the sectors."""
 SECTOR_WIDTH = math.pi / 3.0  # electrical rad
 _STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
 FORWARDS, BACKWARDS = 0, 1
