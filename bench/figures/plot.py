@@ -18,13 +18,12 @@ from bench.analysis.position import position_error
 from bench.figures import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
 from bench.figures.motion import Motion, Piece
 from bench.recording.layout import EDGES, SAMPLES
-from bench.recording.reader import Run
+from bench.recording.reader import Run, captures
 from bench.recording.recording import readable
 from bench.reports.style import FONT_SIZE, save
 from protocol.streams import SampleChunk
 
 NAMES = ("spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges")
-NO_SAMPLES = "no samples"
 NOT_STEADY = "the shaft never turns steadily above 10 r/min"
 AT_REST = "no Hall edge of a turning shaft: it was at rest"
 RECORD = "record all channels (bench live --save)"
@@ -56,17 +55,11 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
     by_speed = ErrorBySpeed(motion.rate, run.info.n_p or 1)
     plane = current_plane.CurrentPlane(run.info.i_max, run.info.has(*current_plane.REFERENCES))
     why = _not_there(run, names)
-    n = 0
-    for chunk in run.pieces(SAMPLES, first, last):
-        assert isinstance(chunk, SampleChunk)
-        n += len(chunk)
-        for piece in motion.pieces(chunk):
-            steady.add(piece)
-            _add_errors(piece, by_angle, by_speed)
-            if not why["current_plane"]:
-                plane.add(piece)
-    if not n:
-        why = dict.fromkeys(NAMES, NO_SAMPLES)
+    for piece in motion.pieces(captures(run, first, last)):
+        steady.add(piece)
+        _add_errors(piece, by_angle, by_speed)
+        if not why["current_plane"]:
+            plane.add(piece)
     still, unit = motion.why or NOT_STEADY, "r/min" if run.info.n_p else "electrical r/min"
     found = {
         "spectrum": lambda: _spectrum(run, steady.longest, motion),
