@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.position import wrap
-from bench.analysis.trace import SLOW, Edges, Gathered, Trace
+from bench.analysis.trace import SLOW, Edges, Trace
 from bench.analysis.waveforms.sectors import edge_passages
 from bench.analysis.windows import Window
 
@@ -67,9 +67,9 @@ class Late(Enum):
 
 def delays(capture: Capture) -> Delays:
     """Measure them, over all samples and edges of a shaft that turns."""
-    gathered = Gathered(len(capture), len(capture.edges))
-    gathered.add(Window(capture, slice(0, len(capture))))
-    return delays_of(gathered.trace())
+    trace = Trace(len(capture), len(capture.edges))
+    trace.add(Window(capture, slice(0, len(capture))))
+    return delays_of(trace)
 
 
 def delays_of(trace: Trace) -> Delays:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -23,7 +24,6 @@ from bench.analysis.channels import reference_angle
 from bench.analysis.position import running
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.windows import Window
-from bench.errors import BenchError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -85,36 +85,124 @@ class Some:
     """Whether the outputs were on, and had been for eight samples."""
 
 
-@dataclass(frozen=True)
-class Trace:
-    """A stretch of time in which a shaft turned."""
+Arrays = TypeVar("Arrays", Some, Edges, FalsePulses)
 
-    samples: int
-    """How many there are."""
-    codes: Ints
-    """(8,) how many samples had each code; 0 where the channel `hall` was not recorded."""
-    encoder: bool
-    """Whether there is one."""
-    up: float
-    down: float
-    """Electrical turns by the encoder, each way; 0 without one."""
-    some: Some
-    sample_time: float
-    """s from sample to sample."""
-    edges: Edges
-    """Some of them, evenly spread, of whole turns."""
-    changed: Ints
-    """(8, 8) how many edges there are, of all, from each code to each."""
-    pulses: FalsePulses
-    unplaced: int
-    """Edges left out because their angle is not known: beside a gap, or where no samples were recorded."""
-    slow: int
-    """Edges left out because the shaft hardly moved."""
-    parameters: Mapping[str, float]
-    """The drive's, by name."""
-    pwm_hz: int
-    dropped: tuple[tuple[int, int, str], ...]
-    """What was lost, as a `Capture` has it."""
+
+class Trace:
+    """A stretch of time in which a shaft turned, put together window by window.
+
+    `samples`, `edges`: about how many there will be. `some`, `edges` and `pulses` are read when all has been added.
+    """
+
+    def __init__(self, samples: int, edges: int) -> None:
+        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
+        self.samples = 0
+        """How many there are."""
+        self.codes = np.zeros(8, np.int64)
+        """(8,) how many samples had each code; 0 where the channel `hall` was not recorded."""
+        self.encoder = False
+        """Whether there is one."""
+        self.up = self.down = 0.0
+        """Electrical turns by the encoder, each way; 0 without one."""
+        self.sample_time = 0.0
+        """s from sample to sample."""
+        self.changed = np.zeros((8, 8), np.int64)
+        """(8, 8) how many edges there are, of all, from each code to each."""
+        self.unplaced = self.slow = 0
+        """Edges left out: their angle is not known, beside a gap or without samples; the shaft hardly moved."""
+        self.parameters: Mapping[str, float] = {}
+        """The drive's, by name."""
+        self.pwm_hz = 0
+        self.dropped: list[tuple[int, int, str]] = []
+        """What was lost, as a `Capture` has it."""
+        self._some: list[Some] = []
+        self._edges: list[Edges] = []
+        self._pulses: list[FalsePulses] = []
+        self._angle: float | None = None  # the last one, unwrapped
+
+    @cached_property
+    def some(self) -> Some:
+        """Some of the samples, evenly spread."""
+        return _together(Some, self._some)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Some of the edges, evenly spread, of whole turns."""
+        return _together(Edges, self._edges)
+
+    @cached_property
+    def pulses(self) -> FalsePulses:
+        """All false pulses."""
+        return _together(FalsePulses, self._pulses)
+
+    def add(self, window: Window) -> None:
+        """Add a window, which has `SLOPE` on either side of its own samples, or more."""
+        capture, own = window.capture, window.own
+        config, tick = capture.samples.config, capture.samples.tick
+        self.parameters, self.pwm_hz = capture.parameters, config.pwm_hz
+        self.encoder = bool(reference_angle(config.channels))
+        period = float(np.median(np.diff(tick))) if len(capture) > 1 else 1.0
+        self.sample_time = self.sample_time or period / capture.tick_hz
+        self.dropped += capture.dropped
+        hall = np.zeros(len(capture), np.int64)
+        if "hall" in capture:
+            hall = capture.samples.raw["hall"].astype(np.int64)
+            self.codes += np.bincount(np.clip(hall[own], 0, 7), minlength=8)
+        theta = omega = np.full(len(capture), math.nan)
+        if self.encoder:
+            theta = self._unwrapped(capture.theta, own)
+            omega = speed(theta, capture.t)
+            way = omega[own] * self.sample_time / math.tau
+            moving = np.abs(omega[own]) >= SLOW
+            self.up += float(way[moving & (way > 0)].sum())
+            self.down -= float(way[moving & (way < 0)].sum())
+        current = _current(capture)
+        self._add_some(capture, own, hall, theta, omega, current)
+        self._add_edges(capture, theta, omega, current)
+        self.samples += own.stop - own.start
+
+    def _unwrapped(self, theta: Floats, own: slice) -> Floats:
+        """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
+        if self._angle is not None and own.start:
+            theta = theta + math.tau * round((self._angle - theta[own.start - 1]) / math.tau)
+        self._angle = float(theta[own.stop - 1])
+        return theta
+
+    def _add_some(
+        self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats, current: Floats
+    ) -> None:
+        at = np.arange(len(hall))[own][-self.samples % self._every :: self._every]
+        u = i = np.full(len(hall), complex(math.nan, math.nan))
+        if all(name in capture for name in STATOR):
+            u, i = stator(capture)
+        columns = (hall, theta, omega, current, u, i, driven(capture))
+        self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
+
+    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
+        raw = capture.edges
+        tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
+        first = _pulse_starts(tick, old, new, PULSE * capture.tick_hz)
+        free = np.ones(len(tick), bool)
+        free[first] = free[first + 1] = False
+        self._pulses.append(
+            FalsePulses(
+                np.array([int(bits).bit_length() - 1 for bits in old[first] ^ new[first]], np.int64),
+                (tick[first + 1] - tick[first]) / capture.tick_hz,
+                current[np.clip(np.searchsorted(capture.samples.tick, tick[first]), 0, len(current) - 1)],
+            )
+        )
+        tick, old, new, kept = tick[free], old[free], new[free], (raw.index // SECTORS % self._every_turn == 0)[free]
+        angle = rate = np.full(len(tick), math.nan)
+        used = np.ones(len(tick), bool)
+        if self.encoder:
+            angle, rate = (np.interp(tick, capture.samples.tick, values) for values in (theta, omega))
+            known = _known(capture.samples.tick, tick, self.sample_time * capture.tick_hz)
+            used = known & (np.abs(rate) >= SLOW)
+            self.unplaced += int(np.count_nonzero(~known))
+            self.slow += int(np.count_nonzero(known & ~used))
+        np.add.at(self.changed, (old[used], new[used]), 1)
+        kept &= used
+        self._edges.append(Edges(tick[kept], old[kept], new[kept], angle[kept], rate[kept]))
 
     @property
     def seconds(self) -> float:
@@ -143,117 +231,6 @@ class Trace:
         angle = way * some.theta[use] - 0.5 * omega / self.pwm_hz
         still: NDArray[np.complex128] = e * np.exp(-1j * angle) * np.sign(omega) / 1j
         return still
-
-
-Arrays = TypeVar("Arrays", Some, Edges, FalsePulses)
-
-
-class Gathered:
-    """What becomes a trace, window by window. `samples`, `edges`: about how many there are."""
-
-    def __init__(self, samples: int, edges: int) -> None:
-        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
-        self._seen = 0
-        self._codes = np.zeros(8, np.int64)
-        self._changed = np.zeros((8, 8), np.int64)
-        self._some: list[Some] = []
-        self._edges: list[Edges] = []
-        self._pulses: list[FalsePulses] = []
-        self._up = self._down = 0.0
-        self._unplaced = self._slow = 0
-        self._period = 0.0  # ticks from sample to sample
-        self._angle: float | None = None  # the last one, unwrapped
-        self._capture: Capture | None = None  # any one
-        self._dropped: list[tuple[int, int, str]] = []
-
-    def add(self, window: Window) -> None:
-        """Add a window, which has `SLOPE` on either side of its own samples, or more."""
-        capture, own = window.capture, window.own
-        self._capture = capture
-        self._period = self._period or (float(np.median(np.diff(capture.samples.tick))) if len(capture) > 1 else 1.0)
-        self._dropped += capture.dropped
-        hall = np.zeros(len(capture), np.int64)
-        if "hall" in capture:
-            hall = capture.samples.raw["hall"].astype(np.int64)
-            self._codes += np.bincount(np.clip(hall[own], 0, 7), minlength=8)
-        theta = omega = np.full(len(capture), math.nan)
-        if reference_angle(capture.samples.config.channels):
-            theta = self._unwrapped(capture.theta, own)
-            omega = speed(theta, capture.t)
-            way = omega[own] * self._period / capture.tick_hz / math.tau
-            moving = np.abs(omega[own]) >= SLOW
-            self._up += float(way[moving & (way > 0)].sum())
-            self._down -= float(way[moving & (way < 0)].sum())
-        current = _current(capture)
-        self._add_some(capture, own, hall, theta, omega, current)
-        self._add_edges(capture, theta, omega, current)
-        self._seen += own.stop - own.start
-
-    def _unwrapped(self, theta: Floats, own: slice) -> Floats:
-        """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
-        if self._angle is not None and own.start:
-            theta = theta + math.tau * round((self._angle - theta[own.start - 1]) / math.tau)
-        self._angle = float(theta[own.stop - 1])
-        return theta
-
-    def _add_some(
-        self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats, current: Floats
-    ) -> None:
-        at = np.arange(len(hall))[own][-self._seen % self._every :: self._every]
-        u = i = np.full(len(hall), complex(math.nan, math.nan))
-        if all(name in capture for name in STATOR):
-            u, i = stator(capture)
-        columns = (hall, theta, omega, current, u, i, driven(capture))
-        self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
-
-    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
-        raw = capture.edges
-        tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
-        first = _pulse_starts(tick, old, new, PULSE * capture.tick_hz)
-        free = np.ones(len(tick), bool)
-        free[first] = free[first + 1] = False
-        self._pulses.append(
-            FalsePulses(
-                np.array([int(bits).bit_length() - 1 for bits in old[first] ^ new[first]], np.int64),
-                (tick[first + 1] - tick[first]) / capture.tick_hz,
-                current[np.clip(np.searchsorted(capture.samples.tick, tick[first]), 0, len(current) - 1)],
-            )
-        )
-        tick, old, new, kept = tick[free], old[free], new[free], (raw.index // SECTORS % self._every_turn == 0)[free]
-        angle = rate = np.full(len(tick), math.nan)
-        used = np.ones(len(tick), bool)
-        if reference_angle(capture.samples.config.channels):
-            angle, rate = (np.interp(tick, capture.samples.tick, values) for values in (theta, omega))
-            known = _known(capture.samples.tick, tick, self._period)
-            used = known & (np.abs(rate) >= SLOW)
-            self._unplaced += int(np.count_nonzero(~known))
-            self._slow += int(np.count_nonzero(known & ~used))
-        np.add.at(self._changed, (old[used], new[used]), 1)
-        kept &= used
-        self._edges.append(Edges(tick[kept], old[kept], new[kept], angle[kept], rate[kept]))
-
-    def trace(self) -> Trace:
-        """What came of it. BenchError for nothing."""
-        capture = self._capture
-        if capture is None:
-            raise BenchError("nothing was recorded")
-        return Trace(
-            self._seen,
-            self._codes,
-            bool(reference_angle(capture.samples.config.channels)),
-            self._up,
-            self._down,
-            _together(Some, self._some),
-            self._period / capture.tick_hz,
-            _together(Edges, self._edges),
-            self._changed,
-            _together(FalsePulses, self._pulses),
-            self._unplaced,
-            self._slow,
-            capture.parameters,
-            capture.samples.config.pwm_hz,
-            tuple(self._dropped),
-        )
 
 
 def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:

@@ -14,7 +14,7 @@ import numpy as np
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import between, join, part
-from bench.analysis.trace import PULSE, SLOPE, STATOR, Gathered, Trace
+from bench.analysis.trace import PULSE, SLOPE, STATOR, Trace
 from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
 from protocol.streams import EdgeChunk
@@ -91,12 +91,14 @@ def trace(whole: Capture | Recorded) -> Trace:
 
 def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
     """The same of captures that follow each other; `samples`, `edges`: about how many there are."""
-    gathered = Gathered(samples, edges)
+    found = Trace(samples, edges)
     for window in _with_whole_pulses(windows(captures, AROUND)):
         if "hall" not in window.capture:
             raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
-        gathered.add(window)
-    return gathered.trace()
+        found.add(window)
+    if not found.samples:
+        raise BenchError("nothing was recorded")
+    return found
 
 
 def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
