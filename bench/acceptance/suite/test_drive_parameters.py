@@ -51,13 +51,11 @@ REST = 0.01  # electrical rad/s below which the shaft is at rest, by what the dr
 PLACED_WITHIN = 15.0  # deg
 SPEED, LOAD = 1 / 6, 1 / 2  # of the rated speed and current
 
+OFF = {"R_s_hat": 0.3, "L_s_hat": 0.2, "psi_f_hat": 0.1}  # shares
 MISMATCHES = {
-    "R_s_hat_low": ("R_s_hat", 0.7),
-    "R_s_hat_high": ("R_s_hat", 1.3),
-    "L_s_hat_low": ("L_s_hat", 0.8),
-    "L_s_hat_high": ("L_s_hat", 1.2),
-    "psi_f_hat_low": ("psi_f_hat", 0.9),
-    "psi_f_hat_high": ("psi_f_hat", 1.1),
+    f"{name}_{way}": (name, 1.0 + sign * share)
+    for name, share in OFF.items()
+    for way, sign in (("low", -1), ("high", 1))
 }
 
 
