@@ -18,6 +18,7 @@ from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.files import finite
 from bench.live.plausible import Came
+from bench.reports.words import number
 from bench.rerunio import markdown
 from bench.rerunio.schema import label
 from protocol.codes import fault_names
@@ -251,16 +252,12 @@ def asked_rows(summary: Summary) -> list[list[str]]:
         [
             came.title,
             f"{came.speed_asked_rpm:g}",
-            _or_unknown(came.speed_came_rpm, 1),
+            number(came.speed_came_rpm, ".1f", "unknown"),
             f"{came.load_asked_a:g}",
-            _or_unknown(came.i_q_came_a, 2),
+            number(came.i_q_came_a, ".2f", "unknown"),
         ]
         for came in summary.asked
     ]
-
-
-def _or_unknown(value: float, places: int) -> str:
-    return "unknown" if math.isnan(value) else f"{value:.{places}f}"
 
 
 def run_rows(summary: Summary) -> list[list[str]]:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from bench.reports.html import embedded, page
 from bench.reports.style import save
-from bench.reports.words import date
+from bench.reports.words import date, number
 from bench.scoring.board import PHASES, Figures, Scoreboard, partly
 from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time, speeds
 from bench.scoring.table import HEADERS, LEGEND, row
@@ -119,6 +119,4 @@ def _embedded(figure: Figure, picture: Path) -> str:
 
 
 def _figure(value: float | int | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value}" if isinstance(value, int) else f"{value:.3f}".replace("-", "−")
+    return f"{value}" if isinstance(value, int) else number(value, ".3f").replace("-", "−")
