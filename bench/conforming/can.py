@@ -238,13 +238,7 @@ def host_numbers(device: Device) -> str:
 # -- STOP -------------------------------------------------------------------------------------------------------------
 
 
-@bus(
-    "stop-frame",
-    16,
-    "acts as STATE_CMD STOP at once, whatever its slot and data",
-    needs=STATES,
-    critical=True,
-)
+@bus("stop-frame", 16, "acts as STATE_CMD STOP at once, whatever its slot and data", needs=STATES, critical=True)
 def stop_frame(device: Device) -> str:
     """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE."""
     words = []

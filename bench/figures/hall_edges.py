@@ -69,10 +69,7 @@ def draw(of: Measured) -> Figure:
     chart = figure.add_subplot(grid[0, 1])
     edge_circle(circle, NUMERALS, GREY, 4.0)
     late_all = []
-    for way, mark, hue, shift, inner in (
-        ("forward", ">", SERIES[1], -0.1, 0.0),
-        ("reverse", "<", SERIES[0], 0.1, 0.3),
-    ):
+    for way, mark, hue, shift, inner in (("forward", ">", SERIES[1], -0.1, 0.0), ("reverse", "<", SERIES[0], 0.1, 0.3)):
         passages = [edge.up if way == "forward" else edge.down for edge in of.edges]
         met = np.array([each.n > 0 for each in passages])
         if not met.any():

@@ -231,13 +231,7 @@ ERROR_HEADERS = ("position error while running, electrical degrees", "estimate",
 def error_rows(summary: Summary) -> list[list[str]]:
     """Position errors by segment and estimator, as text under ERROR_HEADERS."""
     return [
-        [
-            segment if first else "",
-            label(name),
-            f"{row['mean']:+.2f}",
-            f"{row['std']:.2f}",
-            f"{row['max']:.2f}",
-        ]
+        [segment if first else "", label(name), f"{row['mean']:+.2f}", f"{row['std']:.2f}", f"{row['max']:.2f}"]
         for segment, by_name in summary.position_error_deg.items()
         for first, (name, row) in zip([True] + [False] * len(by_name), by_name.items(), strict=False)
     ]

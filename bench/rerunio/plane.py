@@ -74,10 +74,7 @@ class Plane:
         yield (
             f"{schema.PLANE}/lines",
             rr.LineStrips2D(
-                [circle.tolist(), *rays],
-                colors=[_CIRCLE] + [_RAY] * 6,
-                radii=[-1.2] + [-0.6] * 6,
-                draw_order=-10,
+                [circle.tolist(), *rays], colors=[_CIRCLE] + [_RAY] * 6, radii=[-1.2] + [-0.6] * 6, draw_order=-10
             ),
         )
         names = [(_xy(math.radians(60 * k + 30), 0.86), NUMERALS[k], _FAINT) for k in range(6)]

@@ -108,10 +108,7 @@ class Scoreboard:
 
 
 def score(
-    sources: Sequence[Source],
-    observers: Sequence[str] = (),
-    begin: float | None = None,
-    end: float | None = None,
+    sources: Sequence[Source], observers: Sequence[str] = (), begin: float | None = None, end: float | None = None
 ) -> Scoreboard:
     """Score recordings or captures: all estimates in them and all observers, or those named.
 

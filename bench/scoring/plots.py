@@ -49,10 +49,7 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
         points = slice(first, first + -(-stretch.n // track.every))
         first = points.stop
         t = stretch.t - begin + np.arange(points.stop - points.start) * track.every / track.rate
-        for envelope, hue, words in (
-            (over_time.speed, own, name),
-            (track.encoder, colour("omega_enc"), "encoder"),
-        ):
+        for envelope, hue, words in ((over_time.speed, own, name), (track.encoder, colour("omega_enc"), "encoder")):
             label = "" if k else words
             speed.plot(*_line(t, envelope, points), color=hue, linewidth=LINE_WIDTH, label=label)
         error.plot(*_line(t, over_time.error, points), color=own, linewidth=0.6)

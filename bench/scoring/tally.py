@@ -155,10 +155,7 @@ class Tally:
             "start_up": {"events": starts, **phases["start_up"]},
             "reversal": {"events": reversals, **phases["reversal"]},
             "speed": self._speed.figures(),
-            "lag": {
-                "angle_us": _microseconds(self._angle_lag.lag()),
-                "speed_us": _microseconds(self._speed_lag.lag()),
-            },
+            "lag": {"angle_us": _microseconds(self._angle_lag.lag()), "speed_us": _microseconds(self._speed_lag.lag())},
             "by_speed": {name: self._speeds[name].figures() for name in in_order(self._speeds)},
             "by_sector": {name: errors.figures() for name, errors in self._sectors.items()},
         }
