@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Figures = dict[str, Any]
+OF_TRACK = ("path", "started", "recorded_by", "samples", "pole_pairs", "lost", "dropped", "restarts", "notes")
+"""What stands in JSON of a recording as it is."""
 PHASES = ("moving", "error", "transient", "start_up", "reversal")
 """Keys of the position error's statistics by phase; `error` is that of steady running."""
 
@@ -88,20 +90,8 @@ class Scoreboard:
             },
             "observers": self.pooled,
             "files": [
-                {
-                    "path": track.path,
-                    "started": track.started,
-                    "recorded_by": track.recorded_by,
-                    "samples": track.samples,
-                    "rate_hz": track.rate,
-                    "pole_pairs": track.pole_pairs,
-                    "lost": track.lost,
-                    "dropped": track.dropped,
-                    "restarts": track.restarts,
-                    "front_end_ns": track.front_ns,
-                    "notes": list(track.notes),
-                    "observers": self.by_file[track.path],
-                }
+                {name: getattr(track, name) for name in OF_TRACK}
+                | {"rate_hz": track.rate, "front_end_ns": track.front_ns, "observers": self.by_file[track.path]}
                 for track in self.tracks
             ],
         }
