@@ -122,11 +122,9 @@ def read_settings(path: Path | None) -> Settings:
         raise BenchError(f"cannot read {file}: {error}") from None
     except RecursionError:
         raise BenchError(f"cannot read {file}: it is nested too deeply") from None
-    _check(data, _TOP, "", file)
-    rig = data.get("rig", {})
-    _check(rig, _RIG, "rig.", file)
-    rated = data.get("rated", {})
-    _check(rated, _RATED, "rated.", file)
+    rig, rated = data.get("rig", {}), data.get("rated", {})
+    for table, known, prefix in ((data, _TOP, ""), (rig, _RIG, "rig."), (rated, _RATED, "rated.")):
+        _check(table, known, prefix, file)
     for key, value in rated.items():
         if not 0.0 < value < math.inf:
             raise BenchError(f"rated.{key} in {file} must be more than 0, got {value!r}")
@@ -139,10 +137,7 @@ def read_settings(path: Path | None) -> Settings:
             raise BenchError(f"rig.load in {file} must be {forms}: {error}") from None
     return Settings(
         path=file,
-        target=data.get("target", ""),
-        station=data.get("station", ""),
-        operator=data.get("operator", ""),
-        motor=data.get("motor", ""),
+        **{name: data.get(name, "") for name in ("target", "station", "operator", "motor")},
         config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),
