@@ -235,7 +235,7 @@ class Device:
         if error is not None and error.code == ErrorCode.DOES_NOT_FIT and 1 <= error.detail <= MAX_DECIMATION:
             decimation = int(error.detail)
             answer = self.stream_set(stream, channels, decimation, latency_ms)
-        reply = read(granted(answer, "STREAM_SET").frame, StreamReply)
+        reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
         if not reply.block or not reply.sample_bytes:
             raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
         return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
@@ -249,16 +249,16 @@ class Device:
     def configure_edges(self, stream: int) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
         self.require_edges()
-        answer = granted(self.stream_set(stream, (), event=StreamEvent.EDGES), "STREAM_SET of edges")
+        answer = require_granted(self.stream_set(stream, (), event=StreamEvent.EDGES), "STREAM_SET of edges")
         return Configured(read(answer.frame, StreamReply), StreamSet(stream, StreamEvent.EDGES, 1, 20))
 
     def start_streams(self, mask: int) -> None:
         """Start them. Raises Unknown."""
-        granted(self.probe.ask(MessageType.STREAM_START, struct.pack("<I", mask)), "STREAM_START")
+        require_granted(self.probe.ask(MessageType.STREAM_START, struct.pack("<I", mask)), "STREAM_START")
 
     def stop_streams(self, mask: int = 0xFFFFFFFF) -> None:
         """Stop them, and take what is under way. Raises Unknown."""
-        granted(self.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", mask)), "STREAM_STOP")
+        require_granted(self.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", mask)), "STREAM_STOP")
         self.probe.quiet()
 
     def blocks(self, stream: int | None = None, since: int = 0) -> list[Block]:
@@ -301,13 +301,13 @@ class Device:
 
     def arm(self) -> None:
         """ARMED, fed. Raises Unknown."""
-        granted(self.probe.command(Command.ARM, self.hello.boot_id), "ARM")
+        require_granted(self.probe.command(Command.ARM, self.hello.boot_id), "ARM")
         self.feed()
 
     def run(self) -> None:
         """RUNNING at zero current, fed. Raises Unknown."""
         self.arm()
-        granted(self.probe.command(Command.START), "START")
+        require_granted(self.probe.command(Command.START), "START")
 
     def fault(self) -> Heartbeat:
         """FAULT, by a watchdog that is not fed in ARMED; the heartbeat that says so. Raises Unknown."""
@@ -375,7 +375,7 @@ class Configured:
     asked: StreamSet
 
 
-def granted(answer: Answer, what: str) -> Answer:
+def require_granted(answer: Answer, what: str) -> Answer:
     """The answer to what a check builds on. Raises Unknown where that was refused."""
     if answer.error is not None:
         raise Unknown(f"{what} was refused: {answer}")

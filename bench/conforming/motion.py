@@ -14,7 +14,7 @@ from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.waveforms.sectors import edge_passages, steps_between
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import EDGES_FIRST, edges_ahead
-from bench.conforming.device import PATIENCE, Device, granted, ids, is_off
+from bench.conforming.device import PATIENCE, Device, ids, is_off, require_granted
 from bench.conforming.levels import MOTION
 from bench.conforming.probe import accepted, read, state_name
 from bench.conforming.setpoints import code_name, send
@@ -265,7 +265,7 @@ def never_clipped(device: Device) -> str:
     before = device.parameter(record).value
     try:
         limit = float(np.float32(device.speed_rpm * RPM))
-        granted(device.set(record, limit), f"omega_m_max = {limit:g}")
+        require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
         return _beyond(device, limit)
     finally:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bench.conforming.checks import Group
-from bench.conforming.device import PATIENCE, Device, faults_text, granted, is_off
+from bench.conforming.device import PATIENCE, Device, faults_text, is_off, require_granted
 from bench.conforming.levels import STATES
 from bench.conforming.probe import accepted, read, refusal, state_name
 from bench.conforming.verdicts import Failed, Unknown
@@ -89,7 +89,7 @@ def arm_and_start(device: Device) -> str:
         (Command.START, 0, DriveState.RUNNING),
         (Command.START, 0, DriveState.RUNNING),
     ):
-        answer = granted(device.probe.command(command, argument), command.name)
+        answer = require_granted(device.probe.command(command, argument), command.name)
         words.append(f"{command.name}: {answer}")
         device.feed()
         told, seen = read(answer.frame, StateReply).state, device.fresh().state

@@ -83,10 +83,12 @@ def blueprint(
     )
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
-    return framed(rrb.Tabs(views, second_page, active_tab=page) if second_page else views, play_state="following")
+    return without_panels(
+        rrb.Tabs(views, second_page, active_tab=page) if second_page else views, play_state="following"
+    )
 
 
-def framed(views: rrb.View | rrb.Container, **time: Any) -> rrb.Blueprint:
+def without_panels(views: rrb.View | rrb.Container, **time: Any) -> rrb.Blueprint:
     """Views without the viewer's panels, but for the time line; `time`: what that is told besides."""
     hidden = (panel(state="hidden") for panel in (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel))
     return rrb.Blueprint(views, *hidden, rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, **time))

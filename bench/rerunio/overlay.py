@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from bench.analysis.colours import RGB
 from bench.recording.info import RunInfo, ns_from_tick
 from bench.recording.reader import Run
-from bench.rerunio.dashboard import absolute, framed, time_series
+from bench.rerunio.dashboard import absolute, time_series, without_panels
 from bench.rerunio.log import RunLog
 from bench.rerunio.plots import LEGEND_SHARE, Plot, plots
 from bench.rerunio.viewing import LOT, closeups, rrd_file, show
@@ -112,7 +112,7 @@ def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
         for plot in _once(plots(run).values())
     ]
     logs = rrb.TextLogView(name="Logs of A and B", origin="/", contents=["/a/log/**", "/b/log/**"])
-    return framed(rrb.Vertical(rrb.Grid(*views), logs, row_shares=[6, 1]) if views else logs)
+    return without_panels(rrb.Vertical(rrb.Grid(*views), logs, row_shares=[6, 1]) if views else logs)
 
 
 def _once(found: Iterable[Plot]) -> list[Plot]:
