@@ -117,13 +117,13 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def finite(value: Any) -> Any:
-    """Plain data with None in the place of every number that is not finite, as JSON needs it."""
+def finite(value: Any, text: bool = False) -> Any:
+    """Plain data as JSON needs it: in the place of every number that is not finite None, or its `text`, as "nan"."""
     if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
+        return {key: finite(item, text) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [finite(item, text) for item in value]
+    return (str(value) if text else None) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

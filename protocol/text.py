@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 def printable(text: str) -> str:
@@ -25,6 +26,17 @@ def either(names: Iterable[str]) -> str:
     """One or more names as a choice: a, b or c."""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
+
+
+def did_you_mean(
+    name: str, known: Iterable[str], otherwise: str = "", form: str = "did you mean {}?", cutoff: float = 0.6
+) -> str:
+    """The nearest of the `known` names, in the words of `form`; `otherwise` if none is near.
+
+    `cutoff`: the least likeness, 0 to 1, of difflib.
+    """
+    near = get_close_matches(name, list(known), 1, cutoff)
+    return form.format(near[0]) if near else otherwise
 
 
 def told(value: object) -> str:

@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "njit", "_kept"}
-MOST_CODE_LINES = {"bench": 21400, "sim": 7640, "protocol": 4860, "tests": 29640}
+MOST_CODE_LINES = {"bench": 20720, "sim": 7640, "protocol": 4540, "tests": 29740}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -22,16 +22,13 @@ from bench.acceptance.collected import RESULT, SCREEN, Screen, is_acceptance_tes
 from bench.acceptance.measuring import value_text
 from bench.acceptance.results import Measurement, RunResult, Verdict, tightest, untested
 from bench.acceptance.session import LIMITS_ELSEWHERE
+from bench.analysis.verdict import WORDS
 from bench.errors import BenchError
 from bench.rig.connection import SIM, target_of
 from bench.rig.settings import read_settings
 from protocol.text import counted
 
 SUITE = Path(__file__).with_name("suite")
-WORDS = {
-    Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",
-    Verdict.INCOMPLETE: "incomplete", Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
-}  # fmt: skip
 FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
 WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
 """Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""

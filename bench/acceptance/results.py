@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from bench.analysis.limits import Limits
 from bench.analysis.verdict import Verdict, worst
+from bench.files import finite
 from bench.rig.outcome import RunOutcome
 from bench.rig.quality import ParameterValue, Quality
 from protocol.text import counted
@@ -187,29 +188,17 @@ class Carried(NamedTuple):
 
 
 def to_json(run: RunResult) -> dict[str, Any]:
-    """Plain data for `json.dumps`: no NaN, no tuples, verdicts as strings, margins spelled out."""
-    plain = _plain(asdict(run))
-    assert isinstance(plain, dict)
+    """Plain data for `json.dumps`, margins spelled out; numbers that are not finite are None."""
+    plain: dict[str, Any] = finite(asdict(run))
     for test, source in zip(plain["tests"], run.tests, strict=True):
         for written, measurement in zip(test["measurements"], source.measurements, strict=True):
-            written["margin"] = _plain(measurement.margin)
+            written["margin"] = finite(measurement.margin)
     return plain
 
 
 def run_from_json(data: Mapping[str, Any]) -> RunResult:
-    """What `to_json` made of a run."""
+    """What `to_json` made of a run; a parameter that was not finite is NaN."""
     from pydantic import TypeAdapter
 
-    return TypeAdapter(RunResult).validate_python(data)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Verdict):
-        return value.value
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value) if math.isinf(value) else "NaN"
-    return value
+    known = [{name: math.nan if value is None else value for name, value in one.items()} for one in data["parameters"]]
+    return TypeAdapter(RunResult).validate_python({**data, "parameters": known})

@@ -18,32 +18,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
-from bench.analysis.channels import reference_angle
-from bench.analysis.position import states, wrap
-from bench.analysis.waveforms.sectors import SECTORS
-from protocol.codes import DriveState
-from protocol.signals import SECTOR_OF_CODE
+from bench.analysis.position import wrap
+from bench.analysis.trace import SLOW, Edges, Trace
+from bench.analysis.waveforms.sectors import edge_passages
+from bench.analysis.windows import Window
 
 F64 = NDArray[np.float64]
 
-STATOR = ("u_alpha", "u_beta", "i_a", "i_b")
-"""Channels that the back-EMF is made of."""
-SLOW = 5.0
-"""Electrical rad/s, below which the direction of a shaft is not sure."""
-SLOPE = 8e-3
-"""s on either side of a sample over which the speed is taken."""
 SPREAD = 0.1
 """Of speeds about their mean, as a share of them, below which no delay is fitted."""
 UNSURE = 0.03
 """V across the back-EMF, by which the inverter may be off: what a dead time's compensation leaves."""
-LEAST, MOST = 200, 500_000  # samples, and
-LEAST_EDGES, MOST_EDGES = 36, 300_000  # edges, that a delay is fitted to
+LEAST, LEAST_EDGES = 200, 36  # samples and edges that a delay is fitted to
 FAR = math.radians(30.0)  # from the others of its kind, from which on an edge is none of them
 ALIKE = 0.97  # correlation of speed and q current above which their effects cannot be separated
 LATE = 30e-6
@@ -75,60 +67,16 @@ class Late(Enum):
 
 def delays(capture: Capture) -> Delays:
     """Measure them, over all samples and edges of a shaft that turns."""
-    evidence = Evidence(len(capture), len(capture.edges))
-    evidence.add(capture)
-    return evidence.delays()
+    trace = Trace(len(capture), len(capture.edges))
+    trace.add(Window(capture, slice(0, len(capture))))
+    return delays_of(trace)
 
 
-class Evidence:
-    """What the delays of a recording are told from, gathered piece by piece, in bounded memory.
-
-    `samples`, `edges`: about how many there are: of more than `MOST` and `MOST_EDGES`, so many evenly spread ones are
-    looked at.
-    """
-
-    def __init__(self, samples: int, edges: int) -> None:
-        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
-        self._samples = 0
-        self._passages: list[Passages] = []
-        self._emf: list[InFrame] = []
-
-    def add(self, capture: Capture, own: slice = slice(None)) -> None:
-        """Add the edges of a capture, and of its samples `own`, with as many as `SLOPE` takes on either side."""
-        rows = np.arange(len(capture))[own]
-        some = rows[-self._samples % self._every :: self._every]
-        self._samples += len(rows)
-        if not reference_angle(capture.samples.config.channels):
-            return
-        omega = speed(capture.theta, capture.t)
-        turn = capture.edges.index // SECTORS
-        self._passages.append(_passages(capture, omega, turn % self._every_turn == 0))
-        if (in_frame := _in_frame(capture, omega, some)) is not None:
-            self._emf.append(in_frame)
-
-    def delays(self) -> Delays:
-        """What they tell."""
-        if self._samples < LEAST:
-            return Delays(math.nan, math.nan)
-        edges = _by_edges(_together(Passages, self._passages)) if self._passages else math.nan
-        return Delays(edges, _by_back_emf(_together(InFrame, self._emf)) if self._emf else math.nan)
-
-
-class Passages(NamedTuple):
-    """Hall edges of a shaft that turns, (n,) each: which edge and way, angle by the encoder, speed."""
-
-    kind: NDArray[np.int64]
-    place: F64
-    omega: F64
-
-
-class InFrame(NamedTuple):
-    """The back-EMF in the encoder's frame, (n,) each: as a complex number, V; electrical speed; q current."""
-
-    still: NDArray[np.complex128]
-    omega: F64
-    size: F64
-    torque: F64
+def delays_of(trace: Trace) -> Delays:
+    """Measure them."""
+    if trace.samples < LEAST or not trace.encoder:
+        return Delays(math.nan, math.nan)
+    return Delays(_by_edges(trace.edges), _by_back_emf(trace))
 
 
 def blame(found: Delays) -> tuple[Late, str]:
@@ -163,21 +111,12 @@ def blame(found: Delays) -> tuple[Late, str]:
     )
 
 
-def _passages(capture: Capture, speeds: F64, wanted: NDArray[np.bool_]) -> Passages:
-    """The edges that are `wanted` and of a shaft that turns, among samples."""
-    edges, at = capture.edges, capture.samples.tick
-    sector = np.array(SECTOR_OF_CODE)
-    old, new = sector[edges.hall_old & 7], sector[edges.hall_new & 7]
-    omega = np.interp(edges.tick, at, speeds)
-    way = np.select([(new - old) % 6 == 1, (old - new) % 6 == 1], [1, -1])
-    good = (old >= 0) & (new >= 0) & (way * omega > SLOW) & (edges.tick >= at[0]) & (edges.tick <= at[-1]) & wanted
-    return Passages((old * 6 + new)[good], wrap(capture.theta_at_edges()[good]), omega[good])
-
-
-def _by_edges(passages: Passages) -> float:
-    kinds, place, omega = passages
-    if len(kinds) < LEAST_EDGES:
+def _by_edges(edges: Edges) -> float:
+    opened, way = edge_passages(edges.old, edges.new)
+    good = way * edges.omega > SLOW
+    if np.count_nonzero(good) < LEAST_EDGES:
         return math.nan
+    kinds, place, omega = (2 * opened + (way > 0))[good], wrap(edges.theta[good]), edges.omega[good]
     groups = []
     for kind in np.unique(kinds):
         of = kinds == kind
@@ -188,24 +127,16 @@ def _by_edges(passages: Passages) -> float:
     return delay if 2.0 * error < AGREE else math.nan
 
 
-def _in_frame(capture: Capture, speeds: F64, some: NDArray[np.int64]) -> InFrame | None:
-    """Of the samples `some` those of a shaft that is driven and turns; None where the drive does not tell enough."""
-    resistance, inductance = (capture.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
-    if resistance is None or inductance is None or any(name not in capture for name in STATOR):
-        return None
-    theta, omega = capture.theta[some], speeds[some]
-    u, i = (vector[some] for vector in stator(capture))
-    e = u - (resistance + 1j * omega * inductance) * i
-    size = np.abs(e)
-    use = driven(capture)[some] & (np.abs(omega) > SLOW) & (size > UNSURE)
-    # the voltage is that of the period that ends at the sample: it is half a period old
-    at_samples = theta - 0.5 * omega / capture.samples.config.pwm_hz
-    still = (e * np.exp(-1j * at_samples) * np.sign(omega) / 1j)[use]
-    return InFrame(still, omega[use], size[use], (i * np.exp(-1j * theta)).imag[use])
-
-
-def _by_back_emf(emf: InFrame) -> float:
-    still, omega, size, torque = emf
+def _by_back_emf(trace: Trace) -> float:
+    some = trace.some
+    use = some.settled & (np.abs(some.omega) > SLOW)
+    still = trace.back_emf(use)
+    if still is None:
+        return math.nan
+    size = np.abs(still)
+    strong = size > UNSURE
+    still, size, omega = still[strong], size[strong], some.omega[use][strong]
+    torque = (some.i * np.exp(-1j * some.theta)).imag[use][strong]
     if len(omega) < LEAST or omega.std() < SPREAD * np.abs(omega).max():
         return math.nan
     terms = [np.ones(len(omega)), omega]
@@ -214,36 +145,6 @@ def _by_back_emf(emf: InFrame) -> float:
     angles = [-np.angle(still / still.mean()), UNSURE / size, UNSURE / size * np.sign(omega)]
     slope, *errors = _fitted(terms, angles, size)[1]
     return float(slope) if np.abs(errors).max() < AGREE else math.nan
-
-
-Parts = TypeVar("Parts", Passages, InFrame)
-
-
-def _together(kind: type[Parts], parts: Sequence[Parts]) -> Parts:
-    return kind(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def speed(theta: F64, t: F64) -> F64:
-    """Speed at each sample from the samples `SLOPE` before and after it."""
-    n = len(theta)
-    reach = max(1, round(SLOPE / float(np.median(np.diff(t))))) if n > 1 else 1
-    before, after = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
-    slope: F64 = (theta[after] - theta[before]) / np.maximum(t[after] - t[before], 1e-9)
-    return slope
-
-
-def stator(capture: Capture) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Voltage and current vectors, (n,) each, V and A."""
-    i_a, i_b = capture["i_a"], capture["i_b"]
-    return capture["u_alpha"] + 1j * capture["u_beta"], i_a + 1j * (i_a + 2.0 * i_b) / math.sqrt(3.0)
-
-
-def driven(capture: Capture) -> NDArray[np.bool_]:
-    """Where the outputs were on, and had been for eight samples."""
-    on = np.ones(len(capture), bool)
-    if (state := states(capture.samples)) is not None:
-        on = state == DriveState.RUNNING
-    return np.convolve(on, np.ones(9), "full")[: len(on)] > 8.5
 
 
 def within_groups(groups: Sequence[tuple[F64, F64]]) -> tuple[float, float]:

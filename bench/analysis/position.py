@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.channels import reference_angle
+from protocol.codes import DriveState
 from protocol.signals import STATUS_STATE_MASK, Flag, Unit
 from protocol.streams import SampleChunk
 
@@ -51,6 +52,12 @@ def states(chunk: SampleChunk) -> NDArray[np.int64] | None:
     return told
 
 
+def running(chunk: SampleChunk) -> NDArray[np.bool_]:
+    """Where the drive is RUNNING, (n,); everywhere, where it does not tell."""
+    told = states(chunk)
+    return np.ones(len(chunk), bool) if told is None else told == DriveState.RUNNING
+
+
 @dataclass(slots=True)
 class Moments:
     """Count, mean, standard deviation and largest magnitude, merged chunk by chunk (Chan et al. 1979)."""
@@ -81,6 +88,11 @@ class Moments:
     def std(self) -> float:
         """Standard deviation of the population; NaN before the first value."""
         return math.sqrt(self.m2 / self.n) if self.n else math.nan
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square; NaN before the first value."""
+        return math.hypot(self.std, self.mean)
 
 
 @dataclass(slots=True)

@@ -22,18 +22,13 @@ class Verdict(StrEnum):
     SKIPPED = "SKIPPED"  # the rig lacks what the test needs
 
 
-# The worst first; a failing drive stays a failing drive whatever else went wrong.
-_ORDER = (
-    Verdict.ABORTED,
-    Verdict.FAIL,
-    Verdict.ERROR,
-    Verdict.INVALID,
-    Verdict.INCOMPLETE,
-    Verdict.PASS,
-    Verdict.SKIPPED,
-)
+WORDS = {
+    Verdict.ABORTED: "aborted", Verdict.FAIL: "failed", Verdict.ERROR: "in error", Verdict.INVALID: "invalid",
+    Verdict.INCOMPLETE: "incomplete", Verdict.PASS: "passed", Verdict.SKIPPED: "skipped",
+}  # fmt: skip
+"""The worst first: a failing drive stays a failing drive whatever else went wrong."""
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
     """The verdict over several; SKIPPED over none."""
-    return min(verdicts, key=_ORDER.index, default=Verdict.SKIPPED)
+    return min(verdicts, key=list(WORDS).index, default=Verdict.SKIPPED)

@@ -11,6 +11,7 @@ import click
 
 from bench.acceptance.report_files import holds_report
 from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_option, overwrite_option, write_json
+from bench.cli.options import yes_option
 from bench.cli.output import Progress
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
@@ -50,10 +51,9 @@ class _Screen(Progress):
 @click.option("--motor", metavar="TEXT", help="Which motor this is, for the report: type and serial number.")
 @click.option("--jobs", metavar="N", type=click.IntRange(1, 64), default=1,
               help="Processes that share the tests; on the simulated drive only; needs pytest-xdist.")  # fmt: skip
-@click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
-@click.option(
-    "--allow-skipped", is_flag=True, help="PASS, not INCOMPLETE, where tests were skipped for what is missing."
-)
+@yes_option
+@click.option("--allow-skipped", is_flag=True,
+              help="PASS, not INCOMPLETE, where tests were skipped for what is missing.")  # fmt: skip
 @click.option("--list", "list_only", is_flag=True, help="Show all measurements and their limits; run nothing.")
 def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
     """Run acceptance tests on a drive: limits, verdicts, a report.

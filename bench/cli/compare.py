@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import tempfile
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
+from bench.cli.options import channels_option, viewer_option
 from bench.cli.streams import echo, note
+from bench.cli.view import show_until_closed
 from bench.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -26,25 +27,12 @@ if TYPE_CHECKING:
               help="Time 0 in both: a mark or an event (START, FAULT, …); NAME#2: the second one.")  # fmt: skip
 @click.option("--from", "begin", metavar="S", type=Number(), help="Start S seconds after time 0; may be negative.")
 @click.option("--to", "end", metavar="S", type=Number(), help="Stop S seconds after time 0.")
-@click.option("--channels", metavar="A,B,…", help="Compare only these channels [default: all in common].")
-@click.option("--viewer", type=click.Choice(["none", "auto", "native", "web"]), default="none", show_default=True,
-              help="Show both in rerun too; auto: native if there is a display, otherwise web.")  # fmt: skip
-@click.option("--web-port", metavar="PORT", type=click.IntRange(1, 65535),
-              help="Port of the web viewer [default: first free port from 9090].")  # fmt: skip
+@channels_option("Compare only these channels [default: all in common].")
+@viewer_option("Show both in rerun too; ", "none", "auto", "native", "web")
 @click.option("--save", metavar="FILE", type=FILE, help="Write both runs to an .rrd file for rerun.")
 @json_option("the differences")
 @overwrite_option
-def command(
-    a: Path,
-    b: Path,
-    align: str,
-    begin: float | None,
-    end: float | None,
-    channels: str | None,
-    json_file: Path | None,
-    overwrite: bool,
-    **shown: str | int | Path | None,
-) -> None:
+def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | None, **given: Any) -> None:
     """Compare two recorded runs and report the differences that exceed noise.
 
     Prints the mean of B minus A for every channel that both runs have in the same unit, and for every position error,
@@ -58,18 +46,16 @@ def command(
       bench compare a.run b.run --align START --from 0.5 --to 2
       bench compare a.run b.run --align "load step" --viewer web
     """
-    save = shown["save"]
-    assert save is None or isinstance(save, Path)
-    check_files({"--json": json_file, "--save": save}, overwrite, [a, b])
-    from bench.comparing import alignment
+    check_files({"--json": json_file, "--save": save}, given["overwrite"], [a, b])
+    from bench.comparing.alignment import aligned
     from bench.comparing.compare import as_json, compare
     from bench.recording.recording import readable
+    from bench.rerunio.viewer import chosen
 
     runs = [readable(path) for path in (a, b)]
-    sides = alignment.aligned(runs[0], runs[1], align, begin, end)
-    names = [name.strip() for name in (channels or "").split(",") if name.strip()]
-    found = compare(*sides, names)
-    viewer, web_port = str(shown["viewer"]), shown["web_port"]
+    sides = aligned(runs[0], runs[1], align, given["begin"], given["end"])
+    found = compare(*sides, given["channels"] or ())
+    viewer = given["viewer"]
     with tempfile.TemporaryDirectory(prefix="hallbench-") as folder:
         file = save or (Path(folder, "compare.rrd") if viewer != "none" else None)
         if file is not None:
@@ -82,7 +68,7 @@ def command(
         if json_file != STANDARD_OUTPUT:
             _print(found, align)
         if file is not None and viewer != "none":
-            _open(file, viewer, web_port if isinstance(web_port, int) else None)
+            show_until_closed(file, chosen(viewer), given["web_port"], "both runs")
 
 
 def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
@@ -92,20 +78,6 @@ def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
 
     a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
     write_overlay(file, a, b, lot_for(chosen(viewer)))
-
-
-def _open(file: Path, viewer: str, web_port: int | None) -> None:
-    """Show a file until the viewer is closed, or Ctrl-C."""
-    from bench.rerunio.viewer import chosen, serve_file
-
-    process, address = serve_file(file, chosen(viewer), web_port)
-    try:
-        if address:
-            note(f"both runs: {address} (Ctrl-C ends it)")
-        with suppress(KeyboardInterrupt):
-            process.wait()
-    finally:
-        process.close()
 
 
 def _print(found: Comparison, align: str) -> None:

@@ -13,6 +13,7 @@ import click
 
 from bench.cli.files import FILE, check_files, json_option, overwrite_option, write_json
 from bench.cli.number import Number
+from bench.cli.options import operator_option, yes_option
 from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
@@ -33,16 +34,13 @@ SHORT = 100  # characters of the evidence of a check that passed, in the table
               metavar="N", help="Highest level to run; 3 energises the drive, 4 turns the shaft.")  # fmt: skip
 @click.option("--speed", "speed_rpm", metavar="RPM", type=Number(above=0), default=100.0, show_default=True,
               help="Motor speed at level 4, r/min.")  # fmt: skip
-@click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
+@yes_option
 @json_option("all checks")
 @click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, one test case per check.")
-@click.option(
-    "--report", metavar="FILE", type=FILE, help="Write an HTML report: the device, and the evidence of each check."
-)
+@click.option("--report", metavar="FILE", type=FILE,
+              help="Write an HTML report: the device, and the evidence of each check.")  # fmt: skip
 @overwrite_option
-@click.option(
-    "--operator", metavar="NAME", default="", help="Operator's name, for the report [default: from bench.toml]."
-)
+@operator_option("for the report")
 def command(
     target: str, json_file: Path | None, junit: Path | None, report: Path | None, overwrite: bool, **given: Any
 ) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import FROM_HELP, TO_HELP, Number
+from bench.cli.options import channels_option, part_options
 from bench.cli.streams import note
 from bench.exports import ENDINGS
 
@@ -17,24 +18,13 @@ from bench.exports import ENDINGS
 @click.argument("run", metavar="RUN", type=RUN)
 @click.option("-o", "--out", metavar="FILE", type=FILE, required=True,
               help="File to write; its extension selects the format.")  # fmt: skip
-@click.option(
-    "--format", "named", type=click.Choice(list(ENDINGS)), help="Format [default: from the extension of FILE]."
-)
-@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
-@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
-@click.option("--channels", metavar="A,B,…", help="Export only these channels, with edges and marks [default: all].")
+@click.option("--format", "named", type=click.Choice(list(ENDINGS)),
+              help="Format [default: from the extension of FILE].")  # fmt: skip
+@part_options()
+@channels_option("Export only these channels, with edges and marks [default: all].")
 @json_option("file names and row counts")
 @overwrite_option
-def command(
-    run: Path,
-    out: Path,
-    named: str | None,
-    begin: float | None,
-    end: float | None,
-    channels: str | None,
-    json_file: Path | None,
-    overwrite: bool,
-) -> None:
+def command(run: Path, out: Path, named: str | None, json_file: Path | None, overwrite: bool, **given: Any) -> None:
     """Export a recorded run for other tools, with names, units, times, gaps and marks.
 
     FILE ends in .csv, .mf4 (MDF 4), .mat (MATLAB), .npz (NumPy), .rrd (rerun) or .parquet. With .csv and .parquet,
@@ -46,9 +36,6 @@ def command(
       bench export a.run -o a.csv
       bench export a.run -o a.mf4 --from 2 --to 5 --channels theta_enc,theta_vt
     """
-    names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
-    if names == ():
-        raise click.UsageError("--channels is empty: give names separated by commas")
     if str(out) == "-":
         raise click.UsageError("--out -: an export cannot go to standard output; give a file name")
     check_files({"--out": out, "--json": json_file}, overwrite, [run])
@@ -58,7 +45,7 @@ def command(
     from bench.rig.interrupts import signals_as_exceptions
 
     with signals_as_exceptions():  # nothing half done is left
-        done = export(Run(run), out, named, begin, end, names, overwrite)
+        done = export(Run(run), out, named, given["begin"], given["end"], given["channels"], overwrite)
     for words in done.notes:
         note(words)
     if json_file is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import re
@@ -15,6 +14,7 @@ from click.shell_completion import CompletionItem
 
 from bench.device.simulator import configuration, shipped
 from bench.files import STANDARD_OUTPUT, check_output, finite, write
+from protocol.text import did_you_mean
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 """A file that may not exist yet."""
@@ -54,8 +54,7 @@ class _Configuration(click.Path):
         """Read it, or say why not."""
         file = configuration(Path(value), str(value))
         if file.suffix != ".toml" and not file.exists():
-            near = difflib.get_close_matches(str(value), shipped(), n=1, cutoff=0.3)
-            hint = f"did you mean {near[0]}? " if near else ""
+            hint = did_you_mean(str(value), shipped(), form="did you mean {}? ", cutoff=0.3)
             self.fail(f"no file and no motor named '{value}'; {hint}bench sim --motors lists the motors", param, ctx)
         return super().convert(str(file), param, ctx)
 

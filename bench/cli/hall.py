@@ -15,7 +15,8 @@ from click.shell_completion import CompletionItem
 
 from bench.cli import fail
 from bench.cli.files import FILE, RUN, check_files, config_option, json_option, overwrite_option, write_json
-from bench.cli.number import FROM_HELP, TO_HELP, Number
+from bench.cli.number import Number
+from bench.cli.options import operator_option, part_options, yes_option
 from bench.cli.streams import echo, note
 from bench.cli.target import TargetType
 from bench.errors import Interrupted, OutputsMayBeOn
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from bench.hall.health import Health
     from bench.hall.learn import Learnt
     from bench.hall.source import Options, Source
-
-
-WAYS = ("encoder", "filter", "drive")
 
 
 class _SourceType(TargetType):
@@ -56,15 +54,13 @@ def _looking(function: Callable[..., None]) -> Callable[..., None]:
                      help="Do not energise the drive: turn the shaft by hand."),
         click.option("--duration", metavar="S", type=Number(above=0), default=60.0, show_default=True,
                      help="With --passive: stop after S seconds at the latest."),
-        click.option("--from", "begin", metavar="S", type=Number(), help=f"RUN only: {FROM_HELP}"),
-        click.option("--to", "end", metavar="S", type=Number(), help=f"RUN only: {TO_HELP}"),
-        click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking."),
+        part_options("RUN only: "),
+        yes_option,
         click.option("--save", metavar="RUN", type=RUN,
                      help="Record to this folder; NAME.rrd also writes a file for rerun."),
         overwrite_option,
         config_option,
-        click.option("--operator", metavar="NAME", default="",
-                     help="Operator's name, stored in the recording [default: from bench.toml]."),
+        operator_option("stored in the recording"),
         json_option("all results"),
     )):  # fmt: skip
         function = decorate(function)
@@ -111,18 +107,12 @@ def check(source: str, json_file: Path | None, **given: Any) -> None:
 
 @command.command("learn")
 @_looking
-@click.option(
-    "--by",
-    type=click.Choice(WAYS),
-    default="encoder",
-    show_default=True,
-    help="What measures the edge angles: the encoder; the Kalman filter edge-kalman, run here on the recorded data; "
-    "or the same filter in the drive, read out without turning the motor.",
-)
+@click.option("--by", type=click.Choice(["encoder", "filter", "drive"]), default="encoder", show_default=True,
+              help="What measures the edge angles: the encoder; the Kalman filter edge-kalman, run here on the "
+              "recorded data; or the same filter in the drive, read out without turning the motor.")  # fmt: skip
 @click.option("--motor", is_flag=True, help="With --by filter or drive: also take psi_f_hat, R_s_hat and L_s_hat.")
-@click.option(
-    "--write", is_flag=True, help="Write edge_up_1 … edge_down_6 and edge_sd to the drive, and read them back."
-)
+@click.option("--write", is_flag=True,
+              help="Write edge_up_1 … edge_down_6 and edge_sd to the drive, and read them back.")  # fmt: skip
 @click.option("--store", is_flag=True, help="Like --write; the drive also stores all its parameters permanently.")
 @click.option("-o", "--out", metavar="FILE", type=FILE, help="Write the edges to this .toml or .json, for firmware.")
 def learn(source: str, json_file: Path | None, motor: bool, write: bool, out: Path | None, **given: Any) -> None:

@@ -11,6 +11,7 @@ import click
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
+from bench.reports.words import number
 from protocol.text import counted, told
 
 
@@ -62,7 +63,7 @@ def _show(target: str, node: dict[str, Any]) -> None:
     table(
         ["parameter", "value", "default", "lowest", "highest", "unit", "flags"],
         [
-            [p["name"], *(_number(p[key]) for key in ("value", "default", "lo", "hi")), p["unit"], p["flags"]]
+            [p["name"], *(number(p[key], ".6g") for key in ("value", "default", "lo", "hi")), p["unit"], p["flags"]]
             for p in node["parameters"]
         ],
     )
@@ -85,7 +86,3 @@ def _show_bus(target: str, bus: dict[str, Any]) -> None:
         [[counted(fit["channels"], "channel"), f"{fit['rate_hz']:g}", f"{fit['load']:.0%}"] for fit in bus["fits"]],
     )
     echo()
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.6g}"

@@ -12,6 +12,7 @@ import click
 from bench.analysis.sources import source_number
 from bench.cli.files import RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Duration, Number
+from bench.cli.options import channels_option, operator_option, viewer_option, yes_option
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
@@ -33,27 +34,16 @@ class Observer(click.Choice[str]):
 
 @click.command("live")
 @click.argument("target", required=False, type=TARGET)
-@click.option(
-    "--speed", "speed_rpm", metavar="RPM", type=Number(), help="Spin the motor at this speed, r/min; negative: reverse."
-)
-@click.option(
-    "--load",
-    "load_a",
-    metavar="A",
-    type=Number(),
-    help="Load torque, given as q current, A; needs a load machine.",
-)
+@click.option("--speed", "speed_rpm", metavar="RPM", type=Number(),
+              help="Spin the motor at this speed, r/min; negative: reverse.")  # fmt: skip
+@click.option("--load", "load_a", metavar="A", type=Number(),
+              help="Load torque, given as q current, A; needs a load machine.")  # fmt: skip
 @click.option("--current", "current_a", metavar="A", type=Number(above=0),
               help="Highest phase current, A peak [default: rated current in bench.toml, else i_max].")  # fmt: skip
-@click.option(
-    "--observer", type=Observer(list(SOURCE_NAMES)), help="Angle source of the drive's control [default: unchanged]."
-)
-@click.option(
-    "--duration",
-    metavar="S",
-    type=Number(above=0),
-    help="Stop after S seconds; limits the show, or repeats it.",
-)
+@click.option("--observer", type=Observer(list(SOURCE_NAMES)),
+              help="Angle source of the drive's control [default: unchanged].")  # fmt: skip
+@click.option("--duration", metavar="S", type=Number(above=0),
+              help="Stop after S seconds; limits the show, or repeats it.")  # fmt: skip
 @click.option("--save", metavar="RUN", type=RUN, help="Record to this folder; NAME.rrd also writes a file for rerun.")
 @overwrite_option
 @click.option("--keep", metavar="TIME", type=Duration(LEAST),
@@ -63,56 +53,22 @@ class Observer(click.Choice[str]):
 @click.option("--trigger", metavar="COND", multiple=True,
               help="Mark the run when this becomes true, such as 'i_q>8' or 'abs(i_q)>8'; repeatable.")  # fmt: skip
 @click.option("--note", metavar="TEXT", default="", help="Note to store in the recording.")
-@click.option("--viewer", type=click.Choice(["auto", "native", "web", "none"]), default="auto", show_default=True,
-              help="rerun viewer; auto: native if there is a display, otherwise web.")  # fmt: skip
-@click.option(
-    "--web-port",
-    metavar="PORT",
-    type=click.IntRange(1, 65535),
-    help="Port of the web viewer [default: first free port from 9090].",
-)
-@click.option(
-    "--channels",
-    metavar="A,B,…",
-    help="Stream only these channels; +A,+B adds to the default [default: all except those on request].",
-)
-@click.option(
-    "--rate",
-    "rate_hz",
-    metavar="HZ",
-    type=Number(above=0),
-    help="Sample rate, Hz [default: one sample per PWM period].",
-)
+@viewer_option("rerun viewer; ", "auto", "native", "web", "none")
+@channels_option("Stream only these channels; +A,+B adds to the default [default: all except those on request].")
+@click.option("--rate", "rate_hz", metavar="HZ", type=Number(above=0),
+              help="Sample rate, Hz [default: one sample per PWM period].")  # fmt: skip
 @click.option("--fit", is_flag=True, help="If the link cannot carry this rate, use the highest that fits.")
-@click.option("--yes", is_flag=True, help="The shaft is clear: energise a physical drive without asking.")
+@yes_option
 @click.option("--clear-faults", is_flag=True, help="Clear latched faults first.")
-@click.option(
-    "--host-observers",
-    is_flag=True,
-    help="Run the drive's observers on the host too, and compare the estimates.",
-)
-@click.option(
-    "--estimate",
-    metavar="NAME",
-    multiple=True,
-    help="Run this observer on the host and show its estimate; bench replay --list names them; repeatable.",
-)
+@click.option("--host-observers", is_flag=True,
+              help="Run the drive's observers on the host too, and compare the estimates.")  # fmt: skip
+@click.option("--estimate", metavar="NAME", multiple=True,
+              help="Run this observer on the host and show its estimate; bench replay --list names them; "
+              "repeatable.")  # fmt: skip
 @config_option
-@click.option(
-    "--operator",
-    metavar="NAME",
-    default="",
-    help="Operator's name, stored in the recording [default: from bench.toml].",
-)
+@operator_option("stored in the recording")
 @json_option("the summary")
-def command(
-    target: str | None,
-    json_file: Path | None,
-    channels: str | None,
-    config: Path | None,
-    operator: str,
-    **given: Any,
-) -> None:
+def command(target: str | None, json_file: Path | None, config: Path | None, operator: str, **given: Any) -> None:
     """Stream a drive into rerun: watch it, spin it, record it.
 
     TARGET: serial:/dev/ttyACM0?baud=3000000, tcp:HOST:PORT, can:socketcan/can0, or sim (the simulated drive). Without
@@ -136,16 +92,13 @@ def command(
     _check(target, config, given)
     for text in given["trigger"]:
         Condition.parse(text)
-    names = None if channels is None else tuple(name.strip() for name in channels.split(",") if name.strip())
-    if names == ():
-        raise click.UsageError("--channels is empty: give names separated by commas")
     files = {"--save": given["save"], "--json": json_file}
     check_files(files, given["overwrite"], [config], recordings=["--save"])
     from bench.rig.settings import read_settings
 
     station = read_settings(None)
     settings = replace(station, operator=operator or station.operator, config=config)
-    options = live.LiveOptions(target=target, channels=names, settings=settings, **given)
+    options = live.LiveOptions(target=target, settings=settings, **given)
     from bench.cli.output import Progress, pairs, table
     from bench.live.summary import ASKED_HEADERS, ERROR_HEADERS, Summary, asked_rows, error_rows, run_rows
 

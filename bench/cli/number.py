@@ -8,9 +8,6 @@ from typing import Any
 
 import click
 
-FROM_HELP = "First device time to include, s [default: start of the run]."
-TO_HELP = "Last device time to include, s [default: end of the run]."
-
 
 class Number(click.ParamType[float]):
     """A finite number, greater than `above`."""

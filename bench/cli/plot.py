@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from bench.cli.files import DIRECTORY, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import FROM_HELP, TO_HELP, Number
+from bench.cli.options import part_options
 from bench.cli.streams import note
 from bench.errors import BenchError
 from bench.files import RUN as SUFFIX
@@ -16,23 +17,13 @@ from bench.files import STANDARD_OUTPUT, check_directory, check_output
 
 @click.command("plot")
 @click.argument("run", metavar="RUN", type=RUN)
-@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
-@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
-@click.option(
-    "-o", "--out", metavar="DIR", type=DIRECTORY, help="Folder for the plots, created if needed [default: RUN.figures]."
-)
+@part_options()
+@click.option("-o", "--out", metavar="DIR", type=DIRECTORY,
+              help="Folder for the plots, created if needed [default: RUN.figures].")  # fmt: skip
 @click.option("--svg", is_flag=True, help="Write SVG instead of PNG.")
 @json_option("the plotted values")
 @overwrite_option
-def command(
-    run: Path,
-    begin: float | None,
-    end: float | None,
-    out: Path | None,
-    svg: bool,
-    json_file: Path | None,
-    overwrite: bool,
-) -> None:
+def command(run: Path, out: Path | None, svg: bool, json_file: Path | None, overwrite: bool, **part: Any) -> None:
     """Draw the standard plots of a recorded run, one file each.
 
     \b
@@ -63,7 +54,7 @@ def command(
         for file in files.values():
             check_output(file, str(file), overwrite)
     opened = Run(run)
-    first, last = ticks_of(opened, begin, end)
+    first, last = ticks_of(opened, **part)
     drawn = draw_all(opened, first, last)
     for words in opened.damage:
         note(f"warning: {words}")

@@ -23,16 +23,8 @@ def command() -> None:
 
 @command.command("dbc")
 @click.argument("target", type=TARGET)
-@click.option(
-    "-o",
-    "--out",
-    "--output",
-    "output",
-    metavar="FILE",
-    type=OR_STANDARD_OUTPUT,
-    default=STANDARD_OUTPUT,
-    help="File to write; - is standard output [default: -].",
-)
+@click.option("-o", "--out", "--output", "output", metavar="FILE", type=OR_STANDARD_OUTPUT, default=STANDARD_OUTPUT,
+              help="File to write; - is standard output [default: -].")  # fmt: skip
 @overwrite_option
 def dbc(target: str, output: Path, overwrite: bool) -> None:
     """Write a DBC file of the streams on a CAN bus, for CANalyzer, SavvyCAN, cantools and the like.

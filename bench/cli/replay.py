@@ -33,13 +33,7 @@ def setting(value: Any) -> tuple[str, float]:
 @click.option("--list", "list_only", is_flag=True,
               help="List the observers and their sources, and exit.")  # fmt: skip
 def command(
-    run: Path | None,
-    observers: tuple[str, ...],
-    settings: tuple[tuple[str, float], ...],
-    out: Path | None,
-    json_file: Path | None,
-    overwrite: bool,
-    list_only: bool,
+    run: Path | None, observers: tuple[str, ...], out: Path | None, json_file: Path | None, **given: Any
 ) -> None:
     """Run observers on a recording, beside the drive's own estimates and the encoder.
 
@@ -51,16 +45,17 @@ def command(
       bench replay a.run
       bench replay a.run --observer vector_tracking --set k_p=900 -o slow.run
     """
-    if list_only:
+    settings, overwrite = given["settings"], given["overwrite"]
+    if given["list_only"]:
         check_files({"--json": json_file}, overwrite)
         _list(json_file)
         return
     if run is None:
         raise click.UsageError("Missing argument 'RUN'.")
     check_files({"--out": out, "--json": json_file}, overwrite, [run], recordings=["--out"])
-    given = [name for name, _ in settings]
-    if twice := [name for name in dict.fromkeys(given) if given.count(name) > 1]:
-        raise click.UsageError(f"--set {twice[0]} is given {given.count(twice[0])} times: give it once")
+    names = [name for name, _ in settings]
+    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        raise click.UsageError(f"--set {twice[0]} is given {names.count(twice[0])} times: give it once")
     from bench.cli.output import pairs
     from bench.observers.replay import as_json, replay, rows
 

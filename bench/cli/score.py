@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
-from bench.cli.number import FROM_HELP, TO_HELP, Number
+from bench.cli.options import part_options
 from bench.cli.streams import echo, note
 from bench.files import STANDARD_OUTPUT, write
 
@@ -30,36 +30,18 @@ def share(value: Any) -> float:
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=RUN)
 @click.option("--observer", "observers", metavar="NAME", multiple=True,
               help="Score only this: a name of bench replay --list, or drive_vt, …; repeatable.")  # fmt: skip
-@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
-@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
+@part_options()
 @click.option("--html", metavar="FILE", type=FILE, help="Write all statistics and plots to one HTML file.")
 @json_option("all statistics")
 @click.option("--csv", "csv_file", metavar="FILE", type=FILE, help="Write all statistics as CSV, one per row.")
-@click.option(
-    "--expect",
-    metavar="FILE",
-    type=FILE,
-    help="Check the statistics against limits (TOML or JSON); exit code 1 if one is outside.",
-)
-@click.option(
-    "--write-expect",
-    metavar="FILE",
-    type=FILE,
-    help="Write limits around the statistics of this run (TOML), for --expect.",
-)
+@click.option("--expect", metavar="FILE", type=FILE,
+              help="Check the statistics against limits (TOML or JSON); exit code 1 if one is outside.")  # fmt: skip
+@click.option("--write-expect", metavar="FILE", type=FILE,
+              help="Write limits around the statistics of this run (TOML), for --expect.")  # fmt: skip
 @overwrite_option
 @click.option("--margin", metavar="SHARE", type=share, default="20%", show_default=True,
               help="With --write-expect: distance of the limits from each statistic.")  # fmt: skip
-def command(
-    runs: tuple[Path, ...],
-    observers: tuple[str, ...],
-    begin: float | None,
-    end: float | None,
-    expect: Path | None,
-    overwrite: bool,
-    margin: float,
-    **files: Path | None,
-) -> None:
+def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool, margin: float, **given: Any) -> None:
     """Rank position observers on recordings by error, lag and cost.
 
     RUN: recordings of bench live --save from a drive with an encoder. Every observer runs on the recorded currents,
@@ -74,7 +56,9 @@ def command(
       bench score a.run --expect limits.toml
       bench score day.run --from 3600 --to 7200
     """
-    html, json_file, csv_file, write_expect = (files[k] for k in ("html", "json_file", "csv_file", "write_expect"))
+    html, json_file, csv_file, write_expect, expect = (
+        given[k] for k in ("html", "json_file", "csv_file", "write_expect", "expect")
+    )
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
     check_files(outputs, overwrite, [*runs, expect])
     from bench.scoring import expect as bounds
@@ -82,7 +66,7 @@ def command(
     from bench.scoring.table import as_csv, as_text
 
     expected = None if expect is None else bounds.read(expect)
-    board = score(runs, observers, begin, end)
+    board = score(runs, observers, given["begin"], given["end"])
     say = note if STANDARD_OUTPUT in outputs.values() else echo
     for line in as_text(board):
         say(line)

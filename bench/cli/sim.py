@@ -7,15 +7,12 @@ import signal
 import sys
 import threading
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
 
-from bench.cli.files import config_option
+from bench.cli.files import FILE, config_option
 from bench.cli.streams import OutputClosed, echo
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -35,26 +32,18 @@ def _list_motors(ctx: click.Context, param: click.Parameter, value: bool) -> Non
 @click.option("--slcan", is_flag=True, help="Serve on a CAN bus, through an slcan adapter on a pseudo terminal.")
 @click.option("--bitrate", metavar="N", type=int, help="CAN bit rate, bit/s [default: 1000000].")
 @click.option("--fd", is_flag=True, help="Use CAN FD.")
-@click.option(
-    "--data-bitrate", metavar="N", type=int, help="Bit rate of the CAN FD data phase, bit/s [default: 5000000]."
-)
+@click.option("--data-bitrate", metavar="N", type=int,
+              help="Bit rate of the CAN FD data phase, bit/s [default: 5000000].")  # fmt: skip
 @click.option("--ext", is_flag=True, help="Use 29-bit CAN identifiers, for a bus shared with CANopen.")
-@click.option(
-    "--link", metavar="PATH", type=_FILE, help="Create this symbolic link to the pty; it stays valid after a replug."
-)
+@click.option("--link", metavar="PATH", type=FILE,
+              help="Create this symbolic link to the pty; it stays valid after a replug.")  # fmt: skip
 @click.option("--baud", metavar="N", type=int, help="Act as a UART of this rate, bit/s [default: as a USB port].")
 @config_option
-@click.option(
-    "--set",
-    "settings",
-    metavar="SECTION.NAME=VALUE",
-    multiple=True,
-    help="Set one value of the configuration; repeatable.",
-)
+@click.option("--set", "settings", metavar="SECTION.NAME=VALUE", multiple=True,
+              help="Set one value of the configuration; repeatable.")  # fmt: skip
 @click.option("--seed", type=int, metavar="N", help="Seed of noise and jitter [default: random].")
-@click.option(
-    "--store", metavar="FILE", type=_FILE, help="Store parameters in this file on PARAM_COMMIT [default: refused]."
-)
+@click.option("--store", metavar="FILE", type=FILE,
+              help="Store parameters in this file on PARAM_COMMIT [default: refused].")  # fmt: skip
 @click.option("--device", type=click.Choice(["python", "c"]), default="python", show_default=True,
               help="Implementation of the device side of HBP; c (protocol/c) needs a C compiler.")  # fmt: skip
 @click.option("--motors", is_flag=True, is_eager=True, expose_value=False, callback=_list_motors,

@@ -9,18 +9,28 @@ from pathlib import Path
 import click
 
 from bench.cli.files import RUN, check_files
-from bench.cli.number import FROM_HELP, TO_HELP, Number
+from bench.cli.options import part_options, viewer_option
 from bench.cli.streams import note
+
+
+def show_until_closed(file: Path, viewer: str, web_port: int | None, what: str) -> None:
+    """Show a file in a viewer, `native` or `web`, until it is closed, or Ctrl-C."""
+    from bench.rerunio.viewer import serve_file
+
+    process, address = serve_file(file, viewer, web_port)
+    try:
+        if address:
+            note(f"{what}: {address} (Ctrl-C ends it)")
+        with suppress(KeyboardInterrupt):
+            process.wait()
+    finally:
+        process.close()
 
 
 @click.command("view")
 @click.argument("run", metavar="RUN", type=RUN)
-@click.option("--from", "begin", metavar="S", type=Number(), help=FROM_HELP)
-@click.option("--to", "end", metavar="S", type=Number(), help=TO_HELP)
-@click.option("--viewer", type=click.Choice(["auto", "native", "web"]), default="auto", show_default=True,
-              help="auto: native if there is a display, otherwise web.")  # fmt: skip
-@click.option("--web-port", metavar="PORT", type=click.IntRange(1, 65535),
-              help="Port of the web viewer [default: first free port from 9090].")  # fmt: skip
+@part_options()
+@viewer_option("", "auto", "native", "web")
 def command(run: Path, begin: float | None, end: float | None, viewer: str, web_port: int | None) -> None:
     """Open a recorded run, or part of it, in rerun, with the same dashboard as live.
 
@@ -35,7 +45,7 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
     check_files({}, False, [run])
     from bench.recording.reader import Run
     from bench.recording.times import ticks_of
-    from bench.rerunio.viewer import chosen, serve_file
+    from bench.rerunio.viewer import chosen
     from bench.rerunio.viewing import lot_for, write_rrd
 
     opened = Run(run)
@@ -46,11 +56,4 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
         write_rrd(opened, file, first, last, lot=lot_for(kind))
         for words in opened.damage:
             note(f"warning: {words}")
-        process, address = serve_file(file, kind, web_port)
-        try:
-            if address:
-                note(f"dashboard: {address} (Ctrl-C ends it)")
-            with suppress(KeyboardInterrupt):
-                process.wait()
-        finally:
-            process.close()
+        show_until_closed(file, kind, web_port, "dashboard")

@@ -15,6 +15,7 @@ from bench.comparing.said import EventPair, ParameterPair, events, parameters
 from bench.errors import BenchError
 from bench.recording.info import AnyChannel
 from bench.recording.layout import SAMPLES
+from bench.reports.words import number
 from protocol.frames import data_frame
 from protocol.signals import Flag
 from protocol.streams import SampleChunk
@@ -147,9 +148,5 @@ def _side(side: Side) -> dict[str, Any]:
 def cells(row: Row) -> list[str]:
     """A row of the table."""
     of = row.difference
-    numbers = [_number(of.a), _number(of.b), _number(of.value), _number(of.error)]
+    numbers = [number(value, ".4g") for value in (of.a, of.b, of.value, of.error)]
     return [row.name, row.unit or "–", *numbers, f"{of.verdict}: {of.why}" if of.why else of.verdict.value]
-
-
-def _number(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.4g}"

@@ -11,8 +11,6 @@ from protocol.codes import MessageType
 from protocol.framing import Frame, parse_frame
 
 DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
-OTHER_FORM = 0x7FF
-"""Bits that both forms of an identifier share."""
 
 
 class BusLine:

@@ -238,13 +238,7 @@ def host_numbers(device: Device) -> str:
 # -- STOP -------------------------------------------------------------------------------------------------------------
 
 
-@bus(
-    "stop-frame",
-    16,
-    "acts as STATE_CMD STOP at once, whatever its slot and data",
-    needs=STATES,
-    critical=True,
-)
+@bus("stop-frame", 16, "acts as STATE_CMD STOP at once, whatever its slot and data", needs=STATES, critical=True)
 def stop_frame(device: Device) -> str:
     """A frame of class 0 to the device's node, or to node 0, takes ARMED and RUNNING to IDLE."""
     words = []
@@ -288,9 +282,8 @@ def slots(device: Device) -> str:
 def groups(device: Device) -> str:
     """Each group of channels has its own slot and frame length, and all groups of a sample the same counter."""
     chosen = _some_groups(device)
-    told = device.configure(0, ids(chosen), RATE)
+    told = device.stream(chosen, RATE)
     n, lengths = _layout(device, chosen, told.reply.block)
-    device.start_streams(1)
     device.probe.listen(WATCHED)
     frames = [frame for frame in device.probe.stream_frames if not frame.edges]
     if not frames:
@@ -323,8 +316,7 @@ def counters(device: Device) -> str:
     """Counters continue from frame to frame; missing frames are counted in tx_dropped."""
     chosen = [min(device.channels, key=width)]
     before = device.fresh().tx_dropped
-    told = device.configure(0, ids(chosen), RATE)
-    device.start_streams(1)
+    told = device.stream(chosen, RATE)
     device.probe.listen(WATCHED)
     dropped = (device.fresh().tx_dropped - before) & 0xFFFFFFFF
     fd = device.bus.rates.fd
@@ -402,8 +394,7 @@ def overload(device: Device) -> str:
 )
 def edges(device: Device) -> str:
     """Each edge has its own frame, numbered consecutively."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     numbers = [index for index, _, _ in turned(device).edges]
     if len(numbers) < 2:
         raise Unknown(f"only {len(numbers)} edges received")

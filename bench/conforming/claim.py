@@ -53,10 +53,7 @@ def claim(run: Run) -> Claim:
         these = f"{counted(len(failed), 'check')} failed: {', '.join(failed)}"
         words = f"does not conform to HBP {MAJOR}.{MINOR}: {these}; {passed} passed"
     elif run.ended or level < 0:
-        conforms, words = (
-            None,
-            f"inconclusive: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed",
-        )
+        conforms, words = (None, f"inconclusive: {run.ended or 'no check passed'}; {counted(passed, 'check')} passed")
     else:
         conforms = True
         on_can = ", on CAN" if _passed(run.results, CAN) and CAN not in missing else ""

@@ -39,13 +39,11 @@ SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
 @check("cfg-id-in-frames", 11, "from STREAM_SET; a host drops frames with any other")
 def cfg_id_in_frames(device: Device) -> str:
     """Frames carry the cfg_id of the present configuration."""
-    told = device.configure(0, ids(device.channels[:1]), RATE)
-    device.start_streams(1)
+    told = device.stream(device.channels[:1], RATE)
     device.streamed(0, WATCHED / 2)
     device.stop_streams()
     since = len(device.probe.heard)
-    again = device.configure(0, ids(device.channels[:1]), RATE)
-    device.start_streams(1)
+    again = device.stream(device.channels[:1], RATE)
     blocks = [block for block in device.streamed(0, WATCHED / 2) if block.place >= since]
     if not blocks:
         raise Unknown("no frame received of the second configuration")
@@ -61,8 +59,7 @@ def cfg_id_in_frames(device: Device) -> str:
 def frame_fields(device: Device) -> str:
     """Frames hold whole records, at most a block of them, and seq starts at 0."""
     chosen = device.channels[:3]
-    told = device.configure(0, ids(chosen), RATE)
-    device.start_streams(1)
+    told = device.stream(chosen, RATE)
     blocks = device.streamed(0, WATCHED)
     size = sum(map(width, chosen))
     for block in blocks:
@@ -92,8 +89,7 @@ def index_divisible(device: Device) -> str:
     """The index of every sample is divisible by the decimation."""
     words = []
     for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
-        told = device.configure(0, ids(device.channels[:1]), rate)
-        device.start_streams(1)
+        told = device.stream(device.channels[:1], rate)
         blocks = device.streamed(0, WATCHED)
         decimation = told.asked.decimation
         now = periods(device, told)
@@ -109,8 +105,7 @@ def index_divisible(device: Device) -> str:
 @check("tick-of-index", 5, "tick of PWM period 0")
 def tick_of_index(device: Device) -> str:
     """The tick of a sample is tick0 plus its index times the ticks of a PWM period."""
-    told = device.configure(0, ids(device.channels[:1]), RATE)
-    device.start_streams(1)
+    told = device.stream(device.channels[:1], RATE)
     blocks = device.streamed(0, 2 * WATCHED)
     ticks, tick0, now = device.ticks_per_period, told.reply.tick0, periods(device, told)
     for block in blocks:
@@ -126,9 +121,8 @@ def tick_of_index(device: Device) -> str:
 @check("tick-is-now", 11, "A sample's tick is the time at which it was taken, by the clock of TIME_SYNC")
 def tick_is_now(device: Device) -> str:
     """The newest samples lie between the TIME_SYNCs before and after them."""
-    told = device.configure(0, ids(device.channels[:1]), RATE)
+    told = device.stream(device.channels[:1], RATE)
     step = told.asked.decimation * device.ticks_per_period
-    device.start_streams(1)
     asked: list[tuple[int, int]] = []  # the place of its answer, and its tick
     for _ in range(round(2 * WATCHED / SYNCED)):
         answer = device.probe.ask(MessageType.TIME_SYNC)
@@ -167,8 +161,7 @@ def _signed(ticks: int) -> int:
 @check("no-gaps", 11, "DISCONTINUITY means that the index jumps although no frame was lost")
 def no_gaps(device: Device) -> str:
     """Without losses, the index continues from frame to frame."""
-    told = device.configure(0, ids(device.channels[:1]), RATE)
-    device.start_streams(1)
+    told = device.stream(device.channels[:1], RATE)
     blocks = device.streamed(0, 2 * WATCHED)
     for before, after in pairwise(blocks):
         if after.seq != (before.seq + 1) & 0xFFFF or after.flags & DISCONTINUITY:
@@ -273,10 +266,7 @@ Both = tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]
 
 def _both_ways(device: Device) -> Both:
     """The same channels in both orders, streamed once: how both are configured, and their samples."""
-    if "both" not in device.kept:
-        device.kept["both"] = _streamed_both_ways(device)
-    found: Both = device.kept["both"]
-    return found
+    return device.once("both", lambda: _streamed_both_ways(device))
 
 
 def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float) -> tuple[Configured, float]:
@@ -496,8 +486,7 @@ def overrun_flag(device: Device) -> str:
 @check("edges-before-samples", 11, EDGES_FIRST)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     if device.level >= MOTION:
         raise NotApplicable("checked while turning: motion.edges-before-samples")
     device.configure_edges(0)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -46,6 +46,7 @@ PART = 512  # bytes of the descriptor that are asked for at once
 PATIENCE = 0.5  # s beyond its time that a watchdog is given to end what STOP did not
 EDGE_BYTES = 8
 NO_FLAGS = Flag(0)
+T = TypeVar("T")
 
 
 class NotAtRest(Exception):
@@ -190,7 +191,7 @@ class Device:
         self.not_put_back.append(words)
         with undisturbed(), suppress(Ended):
             if self.parameter(record).value != value:
-                self.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
+                self.set(record, value)
             if self.parameter(record).value == value:
                 self.not_put_back.remove(words)
 
@@ -198,6 +199,22 @@ class Device:
     def offers_edges(self) -> bool:
         """Whether HELLO has the feature."""
         return bool(self.hello.features & Feature.EDGES)
+
+    def require_edges(self) -> None:
+        """Raises NotApplicable where HELLO lacks the feature."""
+        if not self.offers_edges:
+            raise NotApplicable("the device lacks the feature EDGES")
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What `make` gives, made once for all checks that need it."""
+        if name not in self.kept:
+            self.kept[name] = make()
+        found: T = self.kept[name]
+        return found
+
+    def set(self, record: Channel, value: float) -> Answer:
+        """Send a PARAM_SET."""
+        return self.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
 
     # -- streams --------------------------------------------------------------------------------------------------
 
@@ -218,33 +235,30 @@ class Device:
         if error is not None and error.code == ErrorCode.DOES_NOT_FIT and 1 <= error.detail <= MAX_DECIMATION:
             decimation = int(error.detail)
             answer = self.stream_set(stream, channels, decimation, latency_ms)
-        if answer.error is not None:
-            raise Unknown(f"STREAM_SET was refused: {answer}")
-        reply = read(answer.frame, StreamReply)
+        reply = read(require_granted(answer, "STREAM_SET").frame, StreamReply)
         if not reply.block or not reply.sample_bytes:
             raise Unknown(f"STREAM_SET gave sample_bytes {reply.sample_bytes}, block {reply.block}")
         return Configured(reply, StreamSet(stream, StreamEvent.PWM, decimation, latency_ms, tuple(channels)))
 
+    def stream(self, channels: Sequence[Channel], rate: float, latency_ms: int = 20) -> Configured:
+        """Configure stream 0 for these channels, see `configure`, and start it. Raises Unknown."""
+        told = self.configure(0, ids(channels), rate, latency_ms)
+        self.start_streams(1)
+        return told
+
     def configure_edges(self, stream: int) -> Configured:
         """Configure a stream of edges. Raises NotApplicable, Unknown."""
-        if not self.offers_edges:
-            raise NotApplicable("the device lacks the feature EDGES")
-        answer = self.stream_set(stream, (), event=StreamEvent.EDGES)
-        if answer.error is not None:
-            raise Unknown(f"STREAM_SET of edges was refused: {answer}")
+        self.require_edges()
+        answer = require_granted(self.stream_set(stream, (), event=StreamEvent.EDGES), "STREAM_SET of edges")
         return Configured(read(answer.frame, StreamReply), StreamSet(stream, StreamEvent.EDGES, 1, 20))
 
     def start_streams(self, mask: int) -> None:
         """Start them. Raises Unknown."""
-        answer = self.probe.ask(MessageType.STREAM_START, struct.pack("<I", mask))
-        if answer.error is not None:
-            raise Unknown(f"STREAM_START was refused: {answer}")
+        require_granted(self.probe.ask(MessageType.STREAM_START, struct.pack("<I", mask)), "STREAM_START")
 
     def stop_streams(self, mask: int = 0xFFFFFFFF) -> None:
         """Stop them, and take what is under way. Raises Unknown."""
-        answer = self.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", mask))
-        if answer.error is not None:
-            raise Unknown(f"STREAM_STOP was refused: {answer}")
+        require_granted(self.probe.ask(MessageType.STREAM_STOP, struct.pack("<I", mask)), "STREAM_STOP")
         self.probe.quiet()
 
     def blocks(self, stream: int | None = None, since: int = 0) -> list[Block]:
@@ -287,17 +301,13 @@ class Device:
 
     def arm(self) -> None:
         """ARMED, fed. Raises Unknown."""
-        answer = self.probe.command(Command.ARM, self.hello.boot_id)
-        if answer.error is not None:
-            raise Unknown(f"ARM was refused: {answer}")
+        require_granted(self.probe.command(Command.ARM, self.hello.boot_id), "ARM")
         self.feed()
 
     def run(self) -> None:
         """RUNNING at zero current, fed. Raises Unknown."""
         self.arm()
-        answer = self.probe.command(Command.START)
-        if answer.error is not None:
-            raise Unknown(f"START was refused: {answer}")
+        require_granted(self.probe.command(Command.START), "START")
 
     def fault(self) -> Heartbeat:
         """FAULT, by a watchdog that is not fed in ARMED; the heartbeat that says so. Raises Unknown."""
@@ -363,6 +373,13 @@ class Configured:
 
     reply: StreamReply
     asked: StreamSet
+
+
+def require_granted(answer: Answer, what: str) -> Answer:
+    """The answer to what a check builds on. Raises Unknown where that was refused."""
+    if answer.error is not None:
+        raise Unknown(f"{what} was refused: {answer}")
+    return answer
 
 
 def is_off(beat: Heartbeat) -> bool:

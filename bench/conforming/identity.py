@@ -6,7 +6,7 @@ import struct
 from zlib import crc32
 
 from bench.conforming.checks import Group
-from bench.conforming.device import Device
+from bench.conforming.device import Device, require_granted
 from bench.conforming.levels import IDENTITY
 from bench.conforming.probe import HELLO, Answer, Probe, read, steps
 from bench.conforming.verdicts import Failed, Unknown
@@ -86,9 +86,7 @@ def rx_max(device: Device) -> str:
     hello = device.probe.hello(rx_max=128)
     if hello.tx_max > 128:
         raise Failed(f"tx_max is {hello.tx_max} for a host that accepts 128")
-    answer = device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 1024, 0).pack())
-    if answer.error is not None:
-        raise Unknown(f"BLOB_READ was refused: {answer}")
+    answer = require_granted(device.probe.ask(MessageType.BLOB_READ, BlobRead(0, 1024, 0).pack()), "BLOB_READ")
     if (n := len(answer.frame.payload)) > 128:
         raise Failed(f"BLOB_READ was answered with {n} bytes to a host that accepts 128")
     return f"rx_max 128: tx_max {hello.tx_max}, BLOB_READ answered with {n} bytes"
@@ -177,10 +175,12 @@ def heartbeat_rate(device: Device) -> str:
 
 def _beats(device: Device) -> list[Heartbeat]:
     """Heartbeats of a while, kept for all that look at them."""
-    if "beats" not in device.kept:
+
+    def watched() -> list[Heartbeat]:
         device.probe.listen(WATCHED)
-        device.kept["beats"] = [beat for _, beat in device.probe.beats]
-    found: list[Heartbeat] = device.kept["beats"]
+        return [beat for _, beat in device.probe.beats]
+
+    found = device.once("beats", watched)
     if len(found) < 3:
         raise Failed(f"{len(found)} heartbeats received within {WATCHED:g} s")
     return found

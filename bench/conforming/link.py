@@ -8,7 +8,7 @@ from collections.abc import Callable
 from zlib import crc32
 
 from bench.conforming.checks import Carrier, Group
-from bench.conforming.device import PART, Device
+from bench.conforming.device import PART, Device, require_granted
 from bench.conforming.levels import LINK
 from bench.conforming.probe import GRACE, HELLO, PATIENCE, Answer, Probe, accepted, name_of, read, refusal
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
@@ -331,9 +331,7 @@ def _same(first: Answer, again: Answer) -> bool:
 
 
 def _cfg_id(answer: Answer) -> int:
-    if answer.error is not None:
-        raise Unknown(f"STREAM_SET was refused: {answer}")
-    return read(answer.frame, StreamReply).cfg_id
+    return read(require_granted(answer, "STREAM_SET").frame, StreamReply).cfg_id
 
 
 @check("retry-same-bytes", 3, KEPT)

@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.units import RPM, pole_pairs
-from bench.analysis.waveforms.sectors import steps_between
+from bench.analysis.waveforms.sectors import edge_passages, steps_between
 from bench.conforming.checks import Carrier, Group
 from bench.conforming.data import EDGES_FIRST, edges_ahead
-from bench.conforming.device import PATIENCE, Device, ids, is_off
+from bench.conforming.device import PATIENCE, Device, ids, is_off, require_granted
 from bench.conforming.levels import MOTION
 from bench.conforming.probe import accepted, read, state_name
 from bench.conforming.setpoints import code_name, send
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from bench.device.safety import says
 from bench.rig.runaway import Runaway
-from protocol.codes import DriveState, ErrorCode, EventCode, Fault, MessageType, Role, SetpointMode
+from protocol.codes import DriveState, ErrorCode, EventCode, Fault, Role, SetpointMode
 from protocol.descriptor import Channel
-from protocol.messages import Heartbeat, ParamSet, StateReply
+from protocol.messages import Heartbeat, StateReply
 from protocol.signals import Flag, Unit
 
 check = Group("motion", MOTION)
@@ -32,8 +32,6 @@ TURNS = 1.5  # s for which it turns
 RUN_UP = 0.3  # s of them after which the direction is looked at
 LATENCY_MS = 10
 RATE = 200.0  # Hz of the reference channel
-FORWARDS = {1: 0, 3: 1, 2: 2, 6: 3, 4: 4, 5: 5}
-"""Sector by Hall code."""
 COMMON = 1.05  # a setpoint beyond a limit, over that
 
 
@@ -63,11 +61,7 @@ def spin(device: Device) -> None:
 
 def turned(device: Device) -> Turn:
     """It turns once, for all checks that look at that."""
-    if "turn" not in device.kept:
-        device.kept["turn"] = _turn(device)
-    found = device.kept["turn"]
-    assert isinstance(found, Turn)
-    return found
+    return device.once("turn", lambda: _turn(device))
 
 
 def reference(device: Device) -> Channel | None:
@@ -196,12 +190,9 @@ def stop(device: Device) -> str:
 def direction(device: Device) -> str:
     """A positive speed turns the motor forward, by its edges and by its encoder."""
     turn = turned(device)
-    up = down = 0
-    for _, _, codes in turn.edges:
-        before, after = FORWARDS.get(codes & 7), FORWARDS.get(codes >> 3 & 7)
-        if before is not None and after is not None:
-            up += (after - before) % 6 == 1
-            down += (after - before) % 6 == 5
+    codes = np.array([codes for _, _, codes in turn.edges], np.int64)
+    _, way = edge_passages(codes & 7, codes >> 3 & 7)
+    up, down = np.count_nonzero(way > 0), np.count_nonzero(way < 0)
     words = f"{up} edges forward, {down} in reverse" if turn.edges else "no edges"
     if not math.isnan(turn.travel):
         words += f", {math.degrees(turn.travel):.0f} electrical degrees by the encoder"
@@ -217,8 +208,7 @@ def direction(device: Device) -> str:
 @check("edges-counted", 5, "Hall edges since boot")
 def edges_counted(device: Device) -> str:
     """`edges` in the heartbeat rises by the number of edges received between two heartbeats."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     turn = turned(device)
     beats = [beat for beat in turn.beats if turn.edges and _before(turn.edges[0][1], beat.tick)]
     if len(beats) < 2:
@@ -240,8 +230,7 @@ def _before(tick: int, other: int) -> bool:
 @check("edges-before-samples", 11, EDGES_FIRST, carrier=Carrier.BYTES)
 def edges_before_samples(device: Device) -> str:
     """Every edge comes before any sample taken at or after it."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     turn = turned(device)
     if turn.late:
         raise Failed(turn.late)
@@ -276,9 +265,7 @@ def never_clipped(device: Device) -> str:
     before = device.parameter(record).value
     try:
         limit = float(np.float32(device.speed_rpm * RPM))
-        answer = device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, limit).pack())
-        if answer.error is not None:
-            raise Unknown(f"omega_m_max = {limit:g}: {answer}")
+        require_granted(device.set(record, limit), f"omega_m_max = {limit:g}")
         device.run()
         return _beyond(device, limit)
     finally:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from bench.conforming.checks import Group
 from bench.conforming.device import Device
 from bench.conforming.levels import IDENTITY
-from bench.conforming.probe import Answer, read, refusal
+from bench.conforming.probe import read, refusal
 from bench.conforming.verdicts import Failed, NotApplicable
 from protocol.codes import ErrorCode, MessageType
 from protocol.descriptor import Channel
@@ -60,7 +59,7 @@ def set_own_value(device: Device) -> str:
     records = device.parameters(without=Flag.READ_ONLY)
     for record in records:
         before = device.parameter(record)
-        answer = _set(device, record, before.value)
+        answer = device.set(record, before.value)
         if answer.error is not None:
             raise Failed(f"{record.name} = {before.value:g}, its present value: {answer}")
         stored, after = read(answer.frame, ParamStored), device.parameter(record)
@@ -69,15 +68,11 @@ def set_own_value(device: Device) -> str:
     return f"{len(records)} parameters set to their present values, and unchanged"
 
 
-def _set(device: Device, record: Channel, value: float) -> Answer:
-    return device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
-
-
 def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
     """Evidence that a value is refused and nothing changes; the value is restored whatever happens."""
     before = device.parameter(record).value
     try:
-        words = refusal(_set(device, record, value), code, detail, f"{record.name} = {value:.9g}")
+        words = refusal(device.set(record, value), code, detail, f"{record.name} = {value:.9g}")
         if (after := device.parameter(record).value) != before:
             raise Failed(f"{words}, but it changed from {before:g} to {after:g}")
         return words
@@ -122,9 +117,9 @@ def beyond_range(device: Device) -> str:
     words = []
     for record in device.parameters(without=Flag.READ_ONLY)[:SOME]:
         told = device.parameter(record)
-        further: Callable[[float, float], float] = _beyond if not record.flags & Flag.WHOLE else _one_more
         for limit, direction in ((told.hi, math.inf), (told.lo, -math.inf)):
-            value = further(limit, direction)
+            whole_number = record.flags & Flag.WHOLE
+            value = limit + math.copysign(1.0, direction) if whole_number else _beyond(limit, direction)
             if math.isfinite(value) and value != limit:
                 words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
     if not words:
@@ -135,10 +130,6 @@ def beyond_range(device: Device) -> str:
 def _beyond(limit: float, direction: float) -> float:
     with np.errstate(over="ignore"):
         return float(np.nextafter(np.float32(limit), np.float32(direction)))
-
-
-def _one_more(limit: float, direction: float) -> float:
-    return limit + math.copysign(1.0, direction)
 
 
 @check("commit", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store")

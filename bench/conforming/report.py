@@ -7,9 +7,9 @@ from typing import Any
 from bench.conforming.claim import by_level, claim, looks_at
 from bench.conforming.run import Run
 from bench.conforming.verdicts import Verdict
-from bench.reports.html import css_string, page
+from bench.reports.html import page
 from bench.reports.words import NOT_STATED, date, labelled
-from protocol.text import counted, printable
+from protocol.text import printable
 
 CLASSES = {Verdict.PASSED: "PASS", Verdict.FAILED: "FAIL", Verdict.UNKNOWN: "INVALID", Verdict.NOT_APPLICABLE: "NONE"}
 OF_CLAIM = {True: "PASS", False: "FAIL", None: "INVALID"}
@@ -23,14 +23,7 @@ def as_html(run: Run, about_run: dict[str, Any]) -> str:
     return page(
         __package__ or "",
         "report.html.j2",
-        {
-            "counted": counted,
-            "css_string": css_string,
-            "look": CLASSES.__getitem__,
-            "looks_at": lambda check: _prose(looks_at(check)),
-            "prose": _prose,
-            "shown": lambda text: printable(str(text)),
-        },
+        (_look, _prose, _shown, looks_at),
         run=run,
         claim=found,
         claim_look=OF_CLAIM[found.conforms],
@@ -47,6 +40,14 @@ def _about(about_run: dict[str, Any]) -> list[tuple[str, str]]:
     """The device and the bench, in pairs of words; whatever nobody has stated of the bench is named as well."""
     told = about_run | {key: about_run.get(key) or NOT_STATED for key in ("station", "operator", "motor")}
     return [labelled(key, value) for key, value in (told | {"started": date(told["started"])}).items()]
+
+
+def _look(verdict: Verdict) -> str:
+    return CLASSES[verdict]
+
+
+def _shown(text: object) -> str:
+    return printable(str(text))
 
 
 def _prose(text: str) -> str:

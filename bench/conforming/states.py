@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bench.conforming.checks import Group
-from bench.conforming.device import PATIENCE, Device, faults_text, is_off
+from bench.conforming.device import PATIENCE, Device, faults_text, is_off, require_granted
 from bench.conforming.levels import STATES
 from bench.conforming.probe import accepted, read, refusal, state_name
 from bench.conforming.verdicts import Failed, Unknown
 from bench.device.safety import says
 from protocol.codes import Command, DriveState, ErrorCode, EventCode, Fault, MessageType, SetpointMode
-from protocol.messages import BlobRead, DeviceEvent, Heartbeat, ParamSet, StateReply
+from protocol.messages import BlobRead, DeviceEvent, Heartbeat, StateReply
 from protocol.signals import Flag
 
 check = Group("state", STATES)
@@ -89,9 +89,7 @@ def arm_and_start(device: Device) -> str:
         (Command.START, 0, DriveState.RUNNING),
         (Command.START, 0, DriveState.RUNNING),
     ):
-        answer = device.probe.command(command, argument)
-        if answer.error is not None:
-            raise Unknown(f"{command.name} was refused: {answer}, for the device's own reasons")
+        answer = require_granted(device.probe.command(command, argument), command.name)
         words.append(f"{command.name}: {answer}")
         device.feed()
         told, seen = read(answer.frame, StateReply).state, device.fresh().state
@@ -258,13 +256,8 @@ class Trip:
 
 def trips(device: Device) -> list[Trip]:
     """The watchdog in ARMED and in RUNNING, measured once for all that look at it. Raises Failed where it is dead."""
-    if "trips" not in device.kept:
-        device.kept["trips"] = [
-            _trip(device, device.arm, DriveState.ARMED),
-            _trip(device, device.run, DriveState.RUNNING),
-        ]
-    found: list[Trip] = device.kept["trips"]
-    return found
+    ways = ((device.arm, DriveState.ARMED), (device.run, DriveState.RUNNING))
+    return device.once("trips", lambda: [_trip(device, *way) for way in ways])
 
 
 def _trip(device: Device, enter: Callable[[], None], state: DriveState) -> Trip:
@@ -393,7 +386,7 @@ def idle_only(device: Device) -> str:
     record = device.parameters(Flag.IDLE_ONLY, Flag.READ_ONLY)[0]
     value = device.parameter(record).value
     device.run()
-    answer = device.probe.ask(MessageType.PARAM_SET, ParamSet(record.id, value).pack())
+    answer = device.set(record, value)
     return refusal(answer, ErrorCode.WRONG_STATE, DriveState.RUNNING, f"{record.name} = {value:g} in RUNNING")
 
 

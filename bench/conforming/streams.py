@@ -11,7 +11,6 @@ from bench.conforming.levels import STREAMS
 from bench.conforming.probe import accepted, read, refusal
 from bench.conforming.verdicts import Failed, NotApplicable, Unknown
 from protocol.codes import ErrorCode, MessageType, StreamEvent
-from protocol.descriptor import Channel
 from protocol.messages import StreamGet, StreamInfo, StreamReply
 from protocol.streams import STREAM_HEADER
 from protocol.text import counted
@@ -22,11 +21,6 @@ ORDER = "STREAM_SET is refused by the first of these checks that fails"
 ABSENT = 0xFFF0
 SLOW_HZ = 100.0
 CONFIGURATIONS = 6
-
-
-def some(device: Device, n: int) -> tuple[Channel, ...]:
-    """The first n channels, or all."""
-    return device.channels[:n]
 
 
 def absent(device: Device) -> int:
@@ -66,8 +60,7 @@ def set_order(device: Device) -> str:
         ("a repeated channel, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
     ]
     found = [refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows]
-    device.configure(0, [first], SLOW_HZ)
-    device.start_streams(1)
+    device.stream(device.channels[:1], SLOW_HZ)
     running = device.stream_set(0, [other], 1, 20, 0)
     found.append(refusal(running, ErrorCode.UNKNOWN_ID, other, "a running stream and an unknown channel"))
     return "; ".join(found)
@@ -77,8 +70,7 @@ def set_order(device: Device) -> str:
 def busy(device: Device) -> str:
     """A running stream cannot be reconfigured."""
     first = device.channels[0].id
-    device.configure(0, [first], SLOW_HZ)
-    device.start_streams(1)
+    device.stream(device.channels[:1], SLOW_HZ)
     before = device.probe.get(StreamGet(0), StreamInfo)
     words = refusal(device.stream_set(0, [first], 7), ErrorCode.BUSY, 0, "STREAM_SET of a running stream")
     now = device.probe.get(StreamGet(0), StreamInfo)
@@ -114,7 +106,7 @@ def reply_fields(device: Device) -> str:
     """The reply to STREAM_SET has the correct sample_bytes and block."""
     words = []
     for n in (1, 3, len(device.channels)):
-        chosen = device.fitting(some(device, n))
+        chosen = device.fitting(device.channels[:n])
         told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
         size = sum(map(width, chosen))
         if told.reply.stream != 0 or told.reply.sample_bytes != size:
@@ -142,7 +134,7 @@ def _block(device: Device, told: Configured) -> str:
 @check("get", 5, "How a stream is configured, whichever host did so")
 def get(device: Device) -> str:
     """STREAM_GET returns the last configuration, and whether the stream is running."""
-    chosen = ids(some(device, 2))
+    chosen = ids(device.channels[:2])
     device.configure(0, chosen[:1], SLOW_HZ / 2)
     told = device.configure(0, chosen, SLOW_HZ, latency_ms=30)
     for running in (False, True):
@@ -209,8 +201,7 @@ def mask_0(device: Device) -> str:
 def stop_frees(device: Device) -> str:
     """STREAM_STOP frees a stream, and ignores streams that are not configured."""
     probe = device.probe
-    device.configure(0, [device.channels[0].id], SLOW_HZ)
-    device.start_streams(1)
+    device.stream(device.channels[:1], SLOW_HZ)
     stopped = accepted(probe.ask(MessageType.STREAM_STOP, struct.pack("<I", 0xFFFFFFF3)), "STREAM_STOP FFFFFFF3")
     return f"{stopped}; {probe.refused(ErrorCode.UNKNOWN_ID, 0, MessageType.STREAM_GET, StreamGet(0).pack())}"
 
@@ -224,8 +215,7 @@ def start_again(device: Device) -> str:
     """STREAM_START of a running stream changes nothing."""
     if device.probe.line.bus:
         raise NotApplicable("frames on CAN have no seq")
-    device.configure(0, [device.channels[0].id], SLOW_HZ)
-    device.start_streams(1)
+    device.stream(device.channels[:1], SLOW_HZ)
     before = device.streamed(0, 0.2)[-1]
     device.start_streams(1)
     after = device.streamed(0, 0.2)
@@ -240,8 +230,7 @@ def start_again(device: Device) -> str:
 @check("edges-set", 11, "no channels, `sample_bytes` is 8, `decimation` is ignored")
 def edges_set(device: Device) -> str:
     """A stream of edges accepts any decimation."""
-    if not device.offers_edges:
-        raise NotApplicable("the device lacks the feature EDGES")
+    device.require_edges()
     words = []
     for decimation in (0, 7):
         answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)

@@ -26,6 +26,7 @@ from bench.recording.reader import Run
 from bench.recording.times import ticks_of
 from protocol import __version__
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import did_you_mean
 
 MARKS = "marks"
 Arrays = dict[str, NDArray[Any]]
@@ -120,13 +121,9 @@ class Content:
         if not self.rows[table.name]:
             yield _arrays(table, _no_rows(table.config), raw)
 
-    def rows_at_most(self, table: Table) -> int:
-        """Rows of a stream by the log, some more where the part begins or ends within a block; nothing is read."""
-        return self.run.rows(table.name, self.first, self.last)
-
     def bytes_at_most(self, table: Table) -> int:
         """Bytes that a stream's columns take in memory."""
-        return self.rows_at_most(table) * sum(column.dtype.itemsize for column in table.columns)
+        return self.run.rows(table.name, self.first, self.last) * sum(column.dtype.itemsize for column in table.columns)
 
     def about(self) -> dict[str, Any]:
         """What the run is, and how its streams came, as plain JSON; `damage` is complete when all has been read.
@@ -177,13 +174,10 @@ def beside(path: Path, name: str, ending: str | None = None) -> Path:
 
 
 def _check_names(run: Run, channels: Sequence[str] | None) -> None:
-    import difflib
-
     known = list(dict.fromkeys(channel.name for name in run.names for channel in run.config(name).channels))
     for name in channels or ():
         if name not in known:
-            near = difflib.get_close_matches(name, known, 3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(known)}"
+            hint = did_you_mean(name, known, f"there are: {', '.join(known)}")
             raise BenchError(f"{run.path} has no channel '{name}'; {hint}")
 
 
@@ -217,12 +211,7 @@ def _arrays(table: Table, chunk: SampleChunk | EdgeChunk, raw: bool) -> Arrays:
                 found[column.name] = np.ascontiguousarray(chunk.raw[name]) if as_it_came else chunk.physical(name)
     else:
         found |= {name: getattr(chunk, name) for name in layout.EDGE_FIELDS}
-    gaps: Arrays = {name: np.zeros(len(chunk), kind) for name, kind in layout.GAP_FIELDS.items()}
-    for gap in chunk.gaps:
-        gaps["gap"][gap.position] = layout.HERE | (layout.OVERRUN if gap.overrun else 0)
-        gaps["lost"][gap.position] = gap.lost_samples
-        gaps["lost_frames"][gap.position] = gap.lost_frames
-    return found | gaps
+    return found | layout.gap_columns(chunk)
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 
 from bench.errors import BenchError
 from bench.exports.content import Arrays, Content, Table
+from bench.recording.memory import available
 
 WAY_OUT = "export less with --from, --to or --channels, or use --format mdf4 or parquet, which have no such limit"
 _SPARE = 1.1  # of memory: what a writer copies while it writes
@@ -17,29 +15,18 @@ _SPARE = 1.1  # of memory: what a writer copies while it writes
 def check_memory(content: Content) -> None:
     """Raise BenchError where the tables take more memory than there is."""
     needed = sum(content.bytes_at_most(table) for table in content.streams) * _SPARE
-    free = available()
-    if free is not None and needed > free:
+    if needed > (free := available()):
         raise BenchError(
             f"{content.run.path}: this format is built in memory and needs {needed / 1e9:.3g} GB where "
             f"{free / 1e9:.3g} GB are available: {WAY_OUT}"
         )
 
 
-def available() -> int | None:
-    """Bytes of memory that can be had without swapping; None where the system does not tell (it is not Linux)."""
-    try:
-        told = Path("/proc/meminfo").read_text()
-    except OSError:
-        return None
-    found = re.search(r"^MemAvailable:\s+(\d+) kB$", told, re.MULTILINE)
-    return int(found[1]) * 1024 if found else None
-
-
 def whole(content: Content, table: Table) -> Arrays:
     """A table in one piece."""
     if table.config is None:
         return next(content.pieces(table))
-    room = content.rows_at_most(table)
+    room = content.run.rows(table.name, content.first, content.last)
     arrays: Arrays = {column.name: np.empty(room, column.dtype) for column in table.columns}
     at = 0
     for piece in content.pieces(table):

@@ -1,67 +1,34 @@
 """Where the Hall edges lie by the encoder, and how far that is from where they belong, by direction.
 
-Measured as `bench hall` does (`bench.hall.edges`); of a run with very many edges, on a share drawn by chance.
+Measured as `bench hall` does (`bench.hall.edges`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from bench.analysis.capture import Capture
-from bench.analysis.chunks import join, part
-from bench.hall.edges import NUMERALS, Measured, measure
-from bench.hall.trace import Edges, trace
+from bench.analysis.channels import reference_angle
+from bench.analysis.waveforms.sectors import NUMERALS
+from bench.hall.edges import Measured, measure
+from bench.hall.trace import trace_of
+from bench.recording.layout import EDGES, SAMPLES
+from bench.recording.reader import Run, captures
 from bench.reports import style
-from bench.reports.style import FONT_SIZE, GREY, LIGHT, LINE_WIDTH, SERIES
-from protocol.streams import EdgeChunk, SampleChunk
-
-MOST = 400_000  # edges that are kept
-BEFORE = 0.05  # s before samples that are looked at with them
+from bench.reports.plots import edge_circle
+from bench.reports.style import FONT_SIZE, GREY, LINE_WIDTH, SERIES
 
 
-class HallEdges:
-    """Collects edges with their angles; edges of a shaft that hardly moves, and false pulses, are left out."""
-
-    def __init__(self) -> None:
-        self._kept: list[Edges] = []
-        self._share = 1.0
-        self._held: SampleChunk | None = None
-        self._chance = np.random.default_rng(0)
-
-    def before(self) -> int | None:
-        """The tick from which edges are wanted with the next samples; None where there were none before."""
-        return None if self._held is None else int(self._held.tick[-1]) + 1
-
-    def add(self, samples: SampleChunk, edges: EdgeChunk) -> None:
-        """Add the edges since the last samples that were added up to the last one of `samples`."""
-        whole = samples if self._held is None else join([self._held, samples])
-        found = trace(Capture(whole, edges)).edges
-        self._held = part(samples, max(0, len(samples) - round(BEFORE * samples.config.rate)), len(samples))
-        self._kept.append(_chosen(found, self._chance.random(len(found.tick)) < self._share))
-        if sum(len(each.tick) for each in self._kept) > MOST:
-            self._share /= 2.0
-            whole_edges = _joined(self._kept)
-            self._kept = [_chosen(whole_edges, self._chance.random(len(whole_edges.tick)) < 0.5)]
-
-    def result(self) -> Measured | None:
-        """What was measured; None without a single edge."""
-        edges = _joined(self._kept) if self._kept else None
-        if edges is None or not np.isfinite(edges.theta).any():
-            return None
-        return measure(edges)
-
-
-def _chosen(edges: Edges, which: Any) -> Edges:
-    return Edges(*(getattr(edges, field.name)[which] for field in fields(Edges)))
-
-
-def _joined(parts: list[Edges]) -> Edges:
-    return Edges(*(np.concatenate([getattr(each, field.name) for each in parts]) for field in fields(Edges)))
+def edges_of(run: Run, first: int, last: int) -> Measured | None:
+    """What was measured of the ticks `first` to `last`; None without a single edge of a shaft that turns."""
+    wanted = ("hall", reference_angle(run.config(SAMPLES).channels))
+    edges = trace_of(
+        captures(run, first, last, wanted), *(run.rows(name, first, last) for name in (SAMPLES, EDGES))
+    ).edges
+    return measure(edges) if np.isfinite(edges.theta).any() else None
 
 
 def as_json(of: Measured) -> dict[str, Any]:
@@ -100,15 +67,9 @@ def draw(of: Measured) -> Figure:
     grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
     circle = figure.add_subplot(grid[0, 0], projection="polar")
     chart = figure.add_subplot(grid[0, 1])
-    ideal = np.array([edge.ideal for edge in of.edges])
-    circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=4.0, label="ideal")
-    for name, angle in zip(NUMERALS, ideal, strict=True):
-        circle.text(angle + math.pi / 6, 0.62, name, ha="center", va="center", fontsize=FONT_SIZE, color=GREY)
+    edge_circle(circle, NUMERALS, GREY, 4.0)
     late_all = []
-    for way, mark, hue, shift, inner in (
-        ("forward", ">", SERIES[1], -0.1, 0.0),
-        ("reverse", "<", SERIES[0], 0.1, 0.3),
-    ):
+    for way, mark, hue, shift, inner in (("forward", ">", SERIES[1], -0.1, 0.0), ("reverse", "<", SERIES[0], 0.1, 0.3)):
         passages = [edge.up if way == "forward" else edge.down for edge in of.edges]
         met = np.array([each.n > 0 for each in passages])
         if not met.any():
@@ -122,11 +83,6 @@ def draw(of: Measured) -> Figure:
             np.arange(6)[met] + shift, late, spread, fmt=mark, color=hue, markersize=5, capsize=2.5, linewidth=1.0,
             label=f"{way} ± std, {sum(each.n for each in passages)} edges",
         )  # fmt: skip
-    circle.set_xticks(ideal)
-    circle.set_yticks([])
-    circle.set_ylim(0, 1)
-    circle.grid(False)
-    circle.tick_params(labelsize=FONT_SIZE)
     circle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=FONT_SIZE,
                   handlelength=1.4, columnspacing=1.0)  # fmt: skip
     chart.axhline(0.0, color=style.BLACK, linewidth=0.6)

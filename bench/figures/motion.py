@@ -1,33 +1,32 @@
 """Samples of a run in pieces without a gap, with what the shaft does in them.
 
-What a shaft does at a sample follows from a moment before it: the end of each piece is looked at again with the next.
+What a shaft does at a sample follows from a moment before and after it, which is looked at with each piece.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle, speed_channel
-from bench.analysis.chunks import contiguous, index_step, join, part
-from bench.analysis.position import states
+from bench.analysis.chunks import part
+from bench.analysis.position import running
 from bench.analysis.units import RPM
+from bench.analysis.windows import windows
 from bench.recording.layout import SAMPLES
 from bench.recording.reader import Run
 from bench.scoring.phases import START_UP, Phases, phases_of, speed_of
-from protocol.messages import DriveState
 from protocol.streams import SampleChunk
 
 F64 = NDArray[np.float64]
 
-BEFORE = START_UP + 0.2  # s before a piece that are looked at with it
+AROUND = START_UP + 0.2  # s around a piece that are looked at with it
 LEAST = 0.1  # s: shorter pieces tell no speed
-LARGEST = 1 << 18  # samples of a piece
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,11 @@ class Motion:
 
     def __init__(self, run: Run) -> None:
         config = run.config(SAMPLES)
-        self._rate, self._step = config.rate, index_step(config)
+        self._rate = config.rate
         self._reference = reference_angle(config.channels)
         self._speed = speed_channel(config.channels, run.info.parameters)
         self._n_p = run.info.n_p or 1
         self._watched = run.ran
-        self._held: SampleChunk | None = None
         self.why = "" if self._reference or self._speed else "needs an encoder's angle, or a speed in rad/s"
 
     @property
@@ -62,31 +60,25 @@ class Motion:
         """Samples a second."""
         return self._rate
 
-    def pieces(self, chunk: SampleChunk) -> Iterator[Piece]:
-        """The samples `chunk`, which come after those of the last call."""
-        for rows in contiguous(chunk):
-            for begin, end in pairwise([*range(rows.start, rows.stop, LARGEST), rows.stop]):
-                yield self._piece(part(chunk, begin, end))
+    def pieces(self, captures: Iterable[Capture]) -> Iterator[Piece]:
+        """The samples of captures that follow each other."""
+        for window in windows(captures, AROUND):
+            for rows, own in window.stretches():
+                whole = part(window.capture.samples, rows.start, rows.stop)
+                yield self._piece(whole, slice(own.start - rows.start, own.stop - rows.start))
 
-    def _piece(self, now: SampleChunk) -> Piece:
-        held = self._held
-        follows = held is not None and int(held.index[-1]) + self._step == int(now.index[0])
-        whole = join([held, now]) if held is not None and follows else now
-        n = len(whole)
-        self._held = part(whole, max(0, n - round(BEFORE * self._rate)), n)
-        running = np.ones(n, bool)
-        if self._watched and (told := states(whole)) is not None:
-            running = told == DriveState.RUNNING
+    def _piece(self, whole: SampleChunk, new: slice) -> Piece:
+        n, now = len(whole), part(whole, new.start, new.stop)
+        runs = running(whole) if self._watched else np.ones(n, bool)
         theta = whole.physical(self._reference) if self._reference else None
         omega = self._omega(whole, theta)
-        new = slice(n - len(now), n)
         if omega is None:
-            return Piece(now, running[new], None, None, None if theta is None else theta[new])
-        usable = running if n >= LEAST * self._rate else np.zeros(n, bool)
+            return Piece(now, runs[new], None, None, None if theta is None else theta[new])
+        usable = runs if n >= LEAST * self._rate else np.zeros(n, bool)
         found = phases_of(omega, usable, self._rate, self._n_p)
         masks = ("moving", "steady", "transient", "start_up", "reversal")
         phases = replace(found, **{name: getattr(found, name)[new] for name in masks})
-        return Piece(now, running[new], omega[new] / (RPM * self._n_p), phases, None if theta is None else theta[new])
+        return Piece(now, runs[new], omega[new] / (RPM * self._n_p), phases, None if theta is None else theta[new])
 
     def _omega(self, chunk: SampleChunk, theta: F64 | None) -> F64 | None:
         """Electrical speed, rad/s: that of the encoder's angle, else the drive's own; None where it is not known."""

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from bench.analysis.channels import reference_angle
-from bench.analysis.chunks import between, contiguous, no_edges, part
+from bench.analysis.chunks import between, contiguous, part
+from bench.analysis.error_bins import ErrorByAngle, ErrorBySpeed, angle_bins
+from bench.analysis.position import position_error
 from bench.figures import current_plane, error_by_angle, error_by_speed, hall_edges, spectrum
-from bench.figures.motion import Motion
+from bench.figures.motion import Motion, Piece
 from bench.recording.layout import EDGES, SAMPLES
-from bench.recording.reader import Run
+from bench.recording.reader import Run, captures
 from bench.recording.recording import readable
 from bench.reports.style import FONT_SIZE, save
-from protocol.streams import EdgeChunk, SampleChunk
+from protocol.streams import SampleChunk
 
 NAMES = ("spectrum", "error_by_angle", "error_by_speed", "current_plane", "hall_edges")
-NO_SAMPLES = "no samples"
 NOT_STEADY = "the shaft never turns steadily above 10 r/min"
+AT_REST = "no Hall edge of a turning shaft: it was at rest"
 RECORD = "record all channels (bench live --save)"
 
 
@@ -47,37 +51,24 @@ def draw_all(run: Run, first: int, last: int) -> list[Plot]:
     estimates = run.info.position_estimates if run.info.position_reference else ()
     estimates = tuple(name for name in estimates if name in names)
     motion, steady = Motion(run), spectrum.SteadyStretch()
-    by_angle, by_speed = (
-        error_by_angle.ErrorByAngle(estimates),
-        error_by_speed.ErrorBySpeed(estimates, motion.rate, run.info.n_p or 1),
-    )
+    by_angle = {name: ErrorByAngle() for name in estimates}
+    by_speed = ErrorBySpeed(motion.rate, run.info.n_p or 1)
     plane = current_plane.CurrentPlane(run.info.i_max, run.info.has(*current_plane.REFERENCES))
-    edges = hall_edges.HallEdges()
     why = _not_there(run, names)
-    n = 0
-    for chunk in run.pieces(SAMPLES, first, last):
-        assert isinstance(chunk, SampleChunk)
-        n += len(chunk)
-        for piece in motion.pieces(chunk):
-            steady.add(piece)
-            by_angle.add(piece)
-            by_speed.add(piece)
-            if not why["current_plane"]:
-                plane.add(piece)
-        if not why["hall_edges"]:
-            edges.add(chunk, _edges_with(run, edges, first, int(chunk.tick[-1])))
-    if not n:
-        why = dict.fromkeys(NAMES, NO_SAMPLES)
+    for piece in motion.pieces(captures(run, first, last)):
+        steady.add(piece)
+        _add_errors(piece, by_angle, by_speed)
+        if not why["current_plane"]:
+            plane.add(piece)
     still, unit = motion.why or NOT_STEADY, "r/min" if run.info.n_p else "electrical r/min"
-    found: dict[str, tuple[Any, ...]] = {
-        "error_by_angle": (error_by_angle, by_angle.result(), still),
-        "error_by_speed": (error_by_speed, by_speed.result(), still, (unit,), (by_speed.width,)),
-        "current_plane": (current_plane, plane.result(), "the drive is never RUNNING"),
-        "hall_edges": (hall_edges, edges.result(), "no Hall edge of a turning shaft: it was at rest"),
+    found = {
+        "spectrum": lambda: _spectrum(run, steady.longest, motion),
+        "error_by_angle": lambda: _of({name: of for name, of in by_angle.items() if of.n.any()}, still, error_by_angle),
+        "error_by_speed": lambda: _of(by_speed.result(), still, error_by_speed, unit),
+        "current_plane": lambda: _of(plane.result(), "the drive is never RUNNING", current_plane),
+        "hall_edges": lambda: _of(hall_edges.edges_of(run, first, last), AT_REST, hall_edges),
     }
-    currents = Plot("spectrum", why=why["spectrum"])
-    drawn = [currents if currents.why else _spectrum(run, steady.longest, motion)]
-    drawn += [Plot(name, why=why[name]) if why[name] else _plot(name, *of) for name, of in found.items()]
+    drawn = [replace(Plot("", why=why[name]) if why[name] else found[name](), name=name) for name in NAMES]
     for each in drawn:
         if each.figure is not None:
             _title(each.figure, run, each.over or f"{run.at(first)} … {run.at(last)}")
@@ -115,16 +106,9 @@ def _not_there(run: Run, names: list[str]) -> dict[str, str]:
     return why
 
 
-def _edges_with(run: Run, edges: hall_edges.HallEdges, first: int, last: int) -> EdgeChunk:
-    """The edges that came with samples up to tick `last`."""
-    found = run.chunk(EDGES, edges.before() or first, last)
-    return found if isinstance(found, EdgeChunk) else no_edges(run.config(EDGES))
-
-
 def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plot:
-    name = "spectrum"
     if stretch is None:
-        return Plot(name, why=motion.why or NOT_STEADY)
+        return Plot("", why=motion.why or NOT_STEADY)
     last = min(stretch.last, stretch.first + round(spectrum.LONGEST * run.info.tick_hz))
     samples = run.chunk(SAMPLES, stretch.first, last)
     assert isinstance(samples, SampleChunk)
@@ -132,18 +116,31 @@ def _spectrum(run: Run, stretch: spectrum.Stretch | None, motion: Motion) -> Plo
     try:
         found = spectrum.currents(part(samples, rows.start, rows.stop), stretch.rpm, run.info.n_p or 1)
     except ValueError as error:
-        return Plot(name, why=str(error))
+        return Plot("", why=str(error))
     return Plot(
-        name, spectrum.draw(found), words=spectrum.words(found), over=f"steady {spectrum.stretch(found)}",
+        "", spectrum.draw(found), words=spectrum.words(found), over=f"steady {spectrum.stretch(found)}",
         numbers=spectrum.as_json(found),
     )  # fmt: skip
 
 
-def _plot(name: str, of: Any, found: Any, why: str, how: tuple[Any, ...] = (), by: tuple[Any, ...] = ()) -> Plot:
-    """What was `found`, as its module `of` draws it with `how` and writes it with `by`; `why` there is nothing."""
+def _add_errors(piece: Piece, by_angle: Mapping[str, ErrorByAngle], by_speed: ErrorBySpeed) -> None:
+    """Add the steady samples of a piece with an encoder."""
+    if piece.theta is None or piece.rpm is None or piece.phases is None:
+        return
+    steady = piece.phases.steady
+    theta, rpm = piece.theta[steady], piece.rpm[steady]
+    bins = angle_bins(np.nan_to_num(theta))
+    for name, sums in by_angle.items():
+        error = np.degrees(position_error(theta, piece.samples.physical(name)[steady]))
+        sums.add(bins, error, rpm < 0)
+        by_speed.add(name, rpm, error)
+
+
+def _of(found: Any, why: str, figure: Any, *more: Any) -> Plot:
+    """The figure of what a module has `found`, or `why` there is nothing; `more`: what its `draw` takes besides."""
     if not found:
-        return Plot(name, why=why)
-    return Plot(name, of.draw(found, *how), words=of.words(found), numbers=of.as_json(found, *by))
+        return Plot("", why=why)
+    return Plot("", figure.draw(found, *more), words=figure.words(found), numbers=figure.as_json(found))
 
 
 def _title(figure: Figure, run: Run, over: str) -> None:

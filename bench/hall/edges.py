@@ -21,8 +21,8 @@ from scipy.special import stdtrit
 
 from bench.analysis.delays import within_groups
 from bench.analysis.position import wrap
+from bench.analysis.trace import INPUTS, Edges, Floats
 from bench.analysis.waveforms.sectors import SECTORS
-from bench.hall.trace import INPUTS, Edges, Floats
 from protocol.frames import data_frame
 from sim.observers.hall_speed import SECTOR_WIDTH
 
@@ -35,7 +35,6 @@ LEAST_FAR = math.radians(1.0)  # but at least so far from the median, lies a pas
 
 OPENS = ((2, False), (1, True), (0, False), (2, True), (1, False), (0, True))
 """By sector: the input (0..2) that changes where it opens, and whether it rises, to a shaft that turns up."""
-NUMERALS = ("I", "II", "III", "IV", "V", "VI")
 
 
 @dataclass(frozen=True)

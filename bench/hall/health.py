@@ -16,7 +16,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from bench.analysis.delays import AGREE, SLOW, Delays
+from bench.analysis.delays import AGREE, Delays, delays_of
+from bench.analysis.trace import SLOW, Trace
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
@@ -24,7 +25,6 @@ from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
-from bench.hall.trace import Trace
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0
@@ -71,7 +71,7 @@ def examine(trace: Trace, further: str = "") -> Health:
             f"only {np.nan_to_num(turns.total):.1f} electrical revolutions: turn the shaft forward and reverse"
             + (f", {further}" if further else "")
         )
-    elif dead := causes.dead(trace, turns):
+    elif dead := list(causes.dead(trace, turns)):
         findings += dead
     elif not trace.encoder:
         findings += causes.inverted_by_codes(trace)
@@ -79,12 +79,12 @@ def examine(trace: Trace, further: str = "") -> Health:
             "no encoder was recorded: without one, exchanged wires and displaced sensors are not detected; "
             "record theta_enc, or fit an encoder for the check"
         )
-    elif pole_pairs := causes.pole_pairs(trace, turns):
+    elif pole_pairs := list(causes.pole_pairs(trace, turns)):
         findings += pole_pairs
     else:
         emf = reference.back_emf(trace)
-        delays = delays._replace(back_emf=trace.evidence.delays().back_emf)
-        findings += causes.encoder(emf) + causes.late(delays, _fastest(trace))
+        delays = delays._replace(back_emf=delays_of(trace).back_emf)
+        findings += [*causes.encoder(emf), *causes.late(delays, _fastest(trace))]
         # that of the rotor flux, where the back-EMF says that the encoder's is another
         some = trace.some
         theta = emf.zero - some.theta if emf is not None and emf.reversed else some.theta - causes.ahead(emf)
@@ -97,9 +97,9 @@ def examine(trace: Trace, further: str = "") -> Health:
             as_specified, forwards = wiring.best == AS_SPECIFIED, emf is None or not emf.reversed
             found: list[Finding] = []
             if forwards and (as_specified or causes.in_their_sectors(measured, emf)):
-                found = causes.places(measured, emf) + causes.implausible(codes, found_pulses)
+                found = [*causes.places(measured, emf), *causes.implausible(codes, found_pulses)]
             if not as_specified and not found:
-                found = causes.wires(trace, theta, wiring, measured, emf)
+                found = list(causes.wires(trace, theta, wiring, measured, emf))
             findings += found
         missing += _thin(turns, measured)
     findings += causes.false_pulses(found_pulses)

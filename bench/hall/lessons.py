@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
+from bench.analysis.trace import INPUTS as HALL_INPUTS
 from bench.errors import BenchError
-from bench.hall import trace
 from bench.hall.trace import Recorded, pieces_of
 from bench.observers.estimators import INPUTS, Estimators
 from bench.observers.replay import not_replayable
@@ -120,7 +120,7 @@ class _Last:
         if missing := [name for name in EDGES if name not in of]:
             raise BenchError(f"no edges learned: {whose} reported nothing for {', '.join(missing)}")
         if wrong := self._sensors & NOT_BELIEVED:
-            which = [name for bit, name in enumerate(trace.INPUTS) if wrong >> bit & 1]
+            which = [name for bit, name in enumerate(HALL_INPUTS) if wrong >> bit & 1]
             raise BenchError(f"no edges learned: {whose} distrusts sensor {', '.join(which)}: run bench hall check")
         return Lessons(of, whose, before)
 

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.delays import SLOW
-from bench.hall.trace import INPUTS, Edges, Trace
+from bench.analysis.trace import INPUTS, SLOW, Edges, Trace
 
 CLEAR = 0.8
 """Share of the back-EMF that must stand still in the frame of a reference for its angle to be believed."""
@@ -103,24 +102,18 @@ def repeats(edges: Edges, factor: float) -> float:
 
 def back_emf(trace: Trace) -> BackEmf | None:
     """Where the back-EMF stands; None where the outputs were off, too little is known, or it has no clear angle."""
-    resistance, inductance = (trace.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
     some = trace.some
-    if not trace.encoder or resistance is None or inductance is None or np.isnan(some.u).all():
-        return None
     fast = np.abs(some.omega) > 0.5 * np.abs(some.omega[some.settled]).max(initial=0.0)
     use = some.settled & fast & (np.abs(some.omega) > SLOW)
-    if np.count_nonzero(use) < LEAST_SAMPLES:
+    if not trace.encoder or np.count_nonzero(use) < LEAST_SAMPLES:
         return None
-    u, i, theta, omega = some.u[use], some.i[use], some.theta[use], some.omega[use]
-    way = np.sign(omega)
+    way = np.sign(some.omega[use])
     best: BackEmf | None = None
     for backwards in (False, True):
-        turning = -omega if backwards else omega  # of the rotor flux
-        e = u - (resistance + 1j * turning * inductance) * i
-        size = float(np.abs(e).mean())
-        flux = -theta if backwards else theta
-        # the voltage is that of the period that ends at the sample: it is half a period old
-        still = e * np.exp(-1j * (flux - 0.5 * turning / trace.pwm_hz)) * (-way if backwards else way) / 1j
+        still = trace.back_emf(use, backwards)
+        if still is None:
+            return None
+        size = float(np.abs(still).mean())
         mean = complex(still.mean())
         if size < LEAST_EMF or abs(mean) < CLEAR * size:
             continue

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bench.analysis.waveforms.sectors import SECTORS
+from bench.analysis.trace import INPUTS, Trace
+from bench.analysis.waveforms.sectors import NUMERALS, SECTORS
 from bench.analysis.wiring import AS_SPECIFIED
-from bench.hall.edges import NUMERALS, Edge, Passages, largest
+from bench.hall.edges import Edge, Passages, largest
 from bench.hall.health import Health, Outcome
-from bench.hall.trace import INPUTS, Trace
 from bench.hall.turning import Turned
+from bench.reports.words import number
 
 WIDTH = 79
 EDGE_HEADERS = ("edge", "forward", "reverse", "+-95 %", "passed", "hyst.", "jitter", "width")
@@ -33,13 +34,13 @@ def edge_rows(health: Health) -> list[list[str]]:
     return [
         [
             f"{NUMERALS[edge.sector]:<3} {edge.name}",
-            _number(_angle(edge.up), 2),
-            _number(_angle(edge.down), 2),
-            _number(math.degrees(largest(passages.half_width for passages in (edge.up, edge.down))), 2),
+            number(_angle(edge.up), ".2f", "-"),
+            number(_angle(edge.down), ".2f", "-"),
+            number(math.degrees(largest(passages.half_width for passages in (edge.up, edge.down))), ".2f", "-"),
             f"{edge.up.n}/{edge.down.n}",
-            _number(math.degrees(edge.hysteresis), 2),
-            _number(math.degrees(largest(passages.jitter for passages in (edge.up, edge.down))), 2),
-            _number(math.degrees(width), 1),
+            number(math.degrees(edge.hysteresis), ".2f", "-"),
+            number(math.degrees(largest(passages.jitter for passages in (edge.up, edge.down))), ".2f", "-"),
+            number(math.degrees(width), ".1f", "-"),
         ]
         for edge, width in zip(measured.edges, _widths(health), strict=True)
     ]
@@ -48,7 +49,7 @@ def edge_rows(health: Health) -> list[list[str]]:
 def sensor_rows(health: Health, seconds: float) -> list[list[str]]:
     """A row for each sensor."""
     return [
-        [name, _number(100.0 * duty, 1), str(n), f"{n / seconds:.3g}"]
+        [name, number(100.0 * duty, ".1f", "-"), str(n), f"{n / seconds:.3g}"]
         for name, duty, n in zip(INPUTS, health.measured.duty, health.pulses.by_input, strict=True)
     ]
 
@@ -192,10 +193,6 @@ def _widths(health: Health) -> tuple[float, ...]:
 def _angle(passages: Passages) -> float:
     """deg from -30 to 330, so that what belongs at 0 is not found near 360."""
     return (math.degrees(passages.angle) + 30.0) % 360.0 - 30.0
-
-
-def _number(value: float, places: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{places}f}"
 
 
 def _plain(value: float) -> float | None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.analysis.delays import STATOR
+from bench.analysis.trace import STATOR
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.files import RRD, RUN, check_output

@@ -1,28 +1,20 @@
-"""What was recorded, made ready for measuring Hall sensors: edges with angle, speed and current, false pulses apart.
+"""What was recorded, made ready for measuring Hall sensors.
 
-A false pulse is an input that changes and is back within `PULSE` seconds: no shaft passes two edges so quickly. Its two
-edges are taken out of the others and kept as a pulse. Edges of which no angle is known (beside a gap, or before the
-first sample) and edges of a shaft that hardly moves are left out, and counted. Nothing here judges.
-
-A recording is gone through once, piece by piece. What is counted is counted over all of it; of more than `MOST` samples
-and `MOST_EDGES` edges so many evenly spread ones are kept to measure from.
+A recording is gone through once, piece by piece; `bench.analysis.trace` says what is kept of it.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
 from bench.analysis.chunks import between, join, part
-from bench.analysis.delays import MOST, MOST_EDGES, SLOPE, SLOW, STATOR, Evidence, driven, speed, stator
-from bench.analysis.waveforms.sectors import SECTORS
+from bench.analysis.trace import PULSE, SLOPE, STATOR, Trace
 from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
 from protocol.streams import EdgeChunk
@@ -34,106 +26,6 @@ LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
 """Channels that are read, and the encoder's angle."""
 AROUND = 2.0 * SLOPE
 """s on either side of a piece, from which the speed at its ends is told."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-PULSE = 20e-6
-"""s between the two edges of a false pulse, at most: a shaft at 30 000 electrical r/min takes 330 us a sector."""
-INPUTS = "abc"
-
-
-@dataclass(frozen=True)
-class Edges:
-    """Edges of the Hall inputs, each array (m,)."""
-
-    tick: Ints
-    old: Ints
-    """Code before, 0..7."""
-    new: Ints
-    theta: Floats
-    """Electrical angle by the encoder, rad, unwrapped; NaN without an encoder."""
-    omega: Floats
-    """Electrical speed by the encoder, rad/s; NaN without an encoder."""
-
-
-@dataclass(frozen=True)
-class FalsePulses:
-    """False pulses, each array (k,)."""
-
-    input: Ints
-    """0..2: a, b, c."""
-    width: Floats
-    """s."""
-    current: Floats
-    """Size of the current vector then, A; NaN where no current was recorded."""
-
-
-@dataclass(frozen=True)
-class Some:
-    """Some of the samples, evenly spread, each array (k,)."""
-
-    hall: Ints
-    """Codes."""
-    theta: Floats
-    """Electrical angle by the encoder, rad, unwrapped; NaN without an encoder."""
-    omega: Floats
-    """Electrical speed by the encoder, rad/s; NaN without an encoder."""
-    current: Floats
-    """Size of the current vector, A; NaN where no current was recorded."""
-    u: NDArray[np.complex128]
-    i: NDArray[np.complex128]
-    """Voltage and current vectors, V and A; NaN where they were not recorded."""
-    settled: NDArray[np.bool_]
-    """Whether the outputs were on, and had been for eight samples."""
-
-
-@dataclass(frozen=True)
-class Trace:
-    """A stretch of time in which a shaft turned."""
-
-    codes: Ints
-    """(8,) how many samples had each code."""
-    encoder: bool
-    """Whether there is one."""
-    up: float
-    down: float
-    """Electrical turns by the encoder, each way; 0 without one."""
-    some: Some
-    sample_time: float
-    """s from sample to sample."""
-    edges: Edges
-    """Some of them, evenly spread, of whole turns."""
-    changed: Ints
-    """(8, 8) how many edges there are, of all, from each code to each."""
-    pulses: FalsePulses
-    unplaced: int
-    """Edges left out because their angle is not known: beside a gap, or where no samples were recorded."""
-    slow: int
-    """Edges left out because the shaft hardly moved."""
-    evidence: Evidence
-    """Of what is late."""
-    parameters: Mapping[str, float]
-    """The drive's, by name."""
-    pwm_hz: int
-    dropped: tuple[tuple[int, int, str], ...]
-    """What was lost, as a `Capture` has it."""
-
-    @property
-    def samples(self) -> int:
-        """How many there are."""
-        return int(self.codes.sum())
-
-    @property
-    def seconds(self) -> float:
-        """Time covered by samples."""
-        return self.samples * self.sample_time
-
-    def changes(self) -> list[int]:
-        """How often each input changed."""
-        both = np.arange(8)
-        flips = both[:, None] ^ both
-        return [int(self.changed[flips >> number & 1 == 1].sum()) for number in range(len(INPUTS))]
 
 
 class Recorded:
@@ -193,13 +85,20 @@ def pieces_of(whole: Capture | Recorded, wanted: Iterable[str]) -> Iterable[Capt
 
 def trace(whole: Capture | Recorded) -> Trace:
     """Make ready what was captured or recorded. BenchError without the channel `hall`."""
-    if isinstance(whole, Recorded):
-        gathered = _Gathered(whole.samples, whole.edges)
-    else:
-        gathered = _Gathered(len(whole), len(whole.edges))
-    for window in _with_whole_pulses(windows(pieces_of(whole, LOOKED_AT), AROUND)):
-        gathered.add(window)
-    return gathered.trace()
+    samples, edges = (whole.samples, whole.edges) if isinstance(whole, Recorded) else (len(whole), len(whole.edges))
+    return trace_of(pieces_of(whole, LOOKED_AT), samples, edges)
+
+
+def trace_of(captures: Iterable[Capture], samples: int, edges: int) -> Trace:
+    """The same of captures that follow each other; `samples`, `edges`: about how many there are."""
+    found = Trace(samples, edges)
+    for window in _with_whole_pulses(windows(captures, AROUND)):
+        if "hall" not in window.capture:
+            raise BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
+        found.add(window)
+    if not found.samples:
+        raise BenchError("nothing was recorded")
+    return found
 
 
 def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
@@ -222,155 +121,3 @@ def _with_whole_pulses(found: Iterable[Window]) -> Iterator[Window]:
 
 def _with_edges(window: Window, edges: EdgeChunk) -> Window:
     return replace(window, capture=replace(window.capture, edges=edges))
-
-
-Arrays = TypeVar("Arrays", Some, Edges, FalsePulses)
-
-
-class _Gathered:
-    """What becomes a trace, window by window."""
-
-    def __init__(self, samples: int, edges: int) -> None:
-        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
-        self._evidence = Evidence(samples, edges)
-        self._seen = 0
-        self._codes = np.zeros(8, np.int64)
-        self._changed = np.zeros((8, 8), np.int64)
-        self._some: list[Some] = []
-        self._edges: list[Edges] = []
-        self._pulses: list[FalsePulses] = []
-        self._up = self._down = 0.0
-        self._unplaced = self._slow = 0
-        self._period = 0.0  # ticks from sample to sample
-        self._angle: float | None = None  # the last one, unwrapped
-        self._capture: Capture | None = None  # any one
-        self._dropped: list[tuple[int, int, str]] = []
-
-    def add(self, window: Window) -> None:
-        """Add a window."""
-        capture, own = window.capture, window.own
-        if "hall" not in capture:
-            raise _no_codes()
-        self._capture = capture
-        self._period = self._period or (float(np.median(np.diff(capture.samples.tick))) if len(capture) > 1 else 1.0)
-        self._dropped += capture.dropped
-        hall = capture.samples.raw["hall"].astype(np.int64)
-        self._codes += np.bincount(np.clip(hall[own], 0, 7), minlength=8)
-        theta = omega = np.full(len(hall), math.nan)
-        if reference_angle(capture.samples.config.channels):
-            theta = self._unwrapped(capture.theta, own)
-            omega = speed(theta, capture.t)
-            way = omega[own] * self._period / capture.tick_hz / math.tau
-            moving = np.abs(omega[own]) >= SLOW
-            self._up += float(way[moving & (way > 0)].sum())
-            self._down -= float(way[moving & (way < 0)].sum())
-        current = _current(capture)
-        self._add_some(capture, own, hall, theta, omega, current)
-        self._add_edges(capture, theta, omega, current)
-        self._evidence.add(capture, own)
-        self._seen += own.stop - own.start
-
-    def _unwrapped(self, theta: Floats, own: slice) -> Floats:
-        """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
-        if self._angle is not None and own.start:
-            theta = theta + math.tau * round((self._angle - theta[own.start - 1]) / math.tau)
-        self._angle = float(theta[own.stop - 1])
-        return theta
-
-    def _add_some(
-        self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats, current: Floats
-    ) -> None:
-        at = np.arange(len(hall))[own][-self._seen % self._every :: self._every]
-        u = i = np.full(len(hall), complex(math.nan, math.nan))
-        if all(name in capture for name in STATOR):
-            u, i = stator(capture)
-        columns = (hall, theta, omega, current, u, i, driven(capture))
-        self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
-
-    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
-        raw = capture.edges
-        tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
-        first = _pulse_starts(tick, old, new, PULSE * capture.tick_hz)
-        free = np.ones(len(tick), bool)
-        free[first] = free[first + 1] = False
-        self._pulses.append(
-            FalsePulses(
-                np.array([int(bits).bit_length() - 1 for bits in old[first] ^ new[first]], np.int64),
-                (tick[first + 1] - tick[first]) / capture.tick_hz,
-                current[np.clip(np.searchsorted(capture.samples.tick, tick[first]), 0, len(current) - 1)],
-            )
-        )
-        tick, old, new, kept = tick[free], old[free], new[free], (raw.index // SECTORS % self._every_turn == 0)[free]
-        angle = rate = np.full(len(tick), math.nan)
-        used = np.ones(len(tick), bool)
-        if reference_angle(capture.samples.config.channels):
-            angle, rate = (np.interp(tick, capture.samples.tick, values) for values in (theta, omega))
-            known = _known(capture.samples.tick, tick, self._period)
-            used = known & (np.abs(rate) >= SLOW)
-            self._unplaced += int(np.count_nonzero(~known))
-            self._slow += int(np.count_nonzero(known & ~used))
-        np.add.at(self._changed, (old[used], new[used]), 1)
-        kept &= used
-        self._edges.append(Edges(tick[kept], old[kept], new[kept], angle[kept], rate[kept]))
-
-    def trace(self) -> Trace:
-        """What came of it. BenchError for nothing."""
-        capture = self._capture
-        if capture is None:
-            raise _no_codes()
-        return Trace(
-            self._codes,
-            bool(reference_angle(capture.samples.config.channels)),
-            self._up,
-            self._down,
-            _together(Some, self._some),
-            self._period / capture.tick_hz,
-            _together(Edges, self._edges),
-            self._changed,
-            _together(FalsePulses, self._pulses),
-            self._unplaced,
-            self._slow,
-            self._evidence,
-            capture.parameters,
-            capture.samples.config.pwm_hz,
-            tuple(self._dropped),
-        )
-
-
-def _no_codes() -> BenchError:
-    return BenchError("the channel 'hall' was not recorded: record it (bench live --save, all channels)")
-
-
-def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:
-    return kind(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(kind)))
-
-
-def _known(at: Ints, tick: Ints, period: float) -> NDArray[np.bool_]:
-    """Which edges lie between two samples, at ticks `at`, that follow each other."""
-    if len(at) < 2:
-        return np.zeros(len(tick), bool)
-    after = np.clip(np.searchsorted(at, tick), 1, len(at) - 1)
-    known: NDArray[np.bool_] = (
-        (tick >= at[after - 1]) & (tick <= at[after]) & (at[after] - at[after - 1] < 1.5 * period)
-    )
-    return known
-
-
-def _current(capture: Capture) -> Floats:
-    """Size of the current vector: by its dq components, else by two phases."""
-    if "i_d" in capture and "i_q" in capture:
-        return np.hypot(capture["i_d"], capture["i_q"])
-    if "i_a" in capture and "i_b" in capture:
-        return np.hypot(capture["i_a"], (capture["i_a"] + 2.0 * capture["i_b"]) / math.sqrt(3.0))
-    return np.full(len(capture), math.nan)
-
-
-def _pulse_starts(tick: Ints, old: Ints, new: Ints, width: float) -> Ints:
-    """Indices of edges that the next one undoes within `width` ticks; no edge is in two pulses."""
-    single = np.isin(old ^ new, (1, 2, 4))
-    candidates = np.flatnonzero(single[:-1] & (new[1:] == old[:-1]) & (np.diff(tick) <= width))
-    starts: list[int] = []
-    for k in candidates.tolist():
-        if not starts or k > starts[-1] + 1:
-            starts.append(k)
-    return np.array(starts, np.int64)

@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.analysis.capture import Capture
 from bench.analysis.units import RPM
-from bench.analysis.waveforms.sectors import SECTORS, sector_of_code
+from bench.analysis.waveforms.sectors import SECTORS, edge_passages
 from bench.errors import BenchError
 from bench.hall.trace import Recorded
 from bench.rig.drive import RanAway
@@ -255,10 +255,9 @@ def electrical_turns(recorder: Recorder, first: int, parameters: Mapping[str, fl
     try:
         theta = capture.theta
     except BenchError:  # no encoder
-        before, after = (sector_of_code(codes & 7) for codes in (capture.edges.hall_old, capture.edges.hall_new))
-        steps = np.where((before < 0) | (after < 0), 3, (after - before) % SECTORS)
-        up, down = np.count_nonzero(steps == 1), np.count_nonzero(steps == SECTORS - 1)
-        half = 0.5 * (len(steps) - up - down)
+        _, way = edge_passages(capture.edges.hall_old & 7, capture.edges.hall_new & 7)
+        up, down = np.count_nonzero(way > 0), np.count_nonzero(way < 0)
+        half = 0.5 * (len(way) - up - down)
         return (up + half) / SECTORS, (down + half) / SECTORS
     steps = np.diff(theta[:: max(1, round(capture.measured_rate / LOOKS))])
     return float(steps[steps > 0].sum()) / math.tau, float(np.abs(steps[steps < 0]).sum()) / math.tau

@@ -14,10 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.analysis.channels import flagged, reference_angle, speed_channel
-from bench.analysis.position import ErrorTable, states
+from bench.analysis.position import ErrorTable, Moments, states
 from bench.analysis.units import RPM, pole_pairs
 from bench.analysis.waveforms.sectors import SECTOR_WIDTH as SECTOR
 from bench.analysis.waveforms.sectors import steps_between
@@ -40,22 +39,6 @@ TOO_MUCH = 1.25  # of i_max that the mean current may be
 NO_SUM = 0.5  # of a phase current, rms, that the sum of the three may be
 LEAST_SUM = 0.3  # A, below which the sum is noise and offsets
 PHASES = ("i_a", "i_b", "i_c")
-
-
-@dataclass
-class _Power:
-    """Mean of squares."""
-
-    n: int = 0
-    total: float = 0.0
-
-    def add(self, squares: NDArray[np.float64]) -> None:
-        self.n += len(squares)
-        self.total += float(squares.sum())
-
-    @property
-    def rms(self) -> float:
-        return math.sqrt(self.total / self.n) if self.n else 0.0
 
 
 @dataclass
@@ -102,7 +85,7 @@ class Plausibility(Sink):
             self._omega = speed_channel(channels, parameters)
         self._asked: list[_Asked] = []
         self._not_finite: dict[str, int] = {}
-        self._current, self._phase, self._sum = _Power(), _Power(), _Power()
+        self._current, self._phase, self._sum = Moments(), Moments(), Moments()
         self._sectors = 0.0  # since the last chunk of samples
         self._turns, self._wires, self._emf = Turns(self._rate, self._n_p), Wires(), BackEmf(parameters)
 
@@ -151,11 +134,11 @@ class Plausibility(Sink):
 
     def _look_at_currents(self, chunk: SampleChunk) -> None:
         if {"i_d", "i_q"} <= self._names:
-            self._current.add(chunk.physical("i_d") ** 2 + chunk.physical("i_q") ** 2)
+            self._current.add(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")))
         if self._names.issuperset(PHASES):
             a, b, c = (chunk.physical(name) for name in PHASES)
-            self._phase.add((a * a + b * b + c * c) / 3.0)
-            self._sum.add((a + b + c) ** 2)
+            self._phase.add(np.sqrt((a * a + b * b + c * c) / 3.0))
+            self._sum.add(a + b + c)
 
     def _look_for_causes(self, chunk: SampleChunk, seconds: float) -> None:
         if self._omega and self._names.issuperset(("e_alpha", "e_beta", "i_d", "i_q")) and self._by == "the encoder":
@@ -189,14 +172,11 @@ class Plausibility(Sink):
         found = [f"{name} is not a finite number in {n} samples" for name, n in self._not_finite.items() if n]
         found += self.causes()
         found += [words for asked in self._asked if (words := self._wrong_speed(asked))]
-        rows: dict[str, tuple[int, float]] = {}
-        for row in errors.segments.values():
-            for name, moments in row.items():
-                n, total = rows.get(name, (0, 0.0))
-                if moments.n:
-                    rows[name] = (n + moments.n, total + moments.n * (moments.mean**2 + moments.std**2))
-        for name, (n, total) in rows.items():
-            if n / self._rate >= SEEN_FOR and (rms := math.sqrt(total / n)) > OFF_BY:
+        of_all: dict[str, Moments] = {}
+        for name, moments in (pair for row in errors.segments.values() for pair in row.items()):
+            of_all.setdefault(name, Moments()).merge(moments)
+        for name, whole in of_all.items():
+            if whole.n / self._rate >= SEEN_FOR and (rms := whole.rms) > OFF_BY:
                 found.append(f"{name} is {math.degrees(rms):.0f} deg (rms) off the encoder: more than a Hall sector")
         if self._current.rms > TOO_MUCH * self._i_max:
             found.append(f"{self._current.rms:.3g} A (rms of the current vector) with i_max = {self._i_max:g} A")

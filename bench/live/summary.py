@@ -11,17 +11,18 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bench.analysis.percentiles import Percentiles
-from bench.analysis.position import ErrorTable, Moments, position_errors, states
+from bench.analysis.position import ErrorTable, Moments, position_errors, running
 from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client, Sink
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.files import finite
 from bench.live.plausible import Came
+from bench.reports.words import number
 from bench.rerunio import markdown
 from bench.rerunio.schema import label
 from protocol.codes import fault_names
-from protocol.messages import DeviceEvent, DriveState, Fault, Heartbeat, HelloReply
+from protocol.messages import DeviceEvent, Fault, Heartbeat, HelloReply
 from protocol.streams import EdgeChunk, SampleChunk
 from protocol.text import counted
 
@@ -59,10 +60,9 @@ class RunStatistics(Sink):
         if self.first_sample_unix is None:
             self.first_sample_unix = time.time()
         errors = position_errors(chunk)
-        if errors and (told := states(chunk)) is not None:
-            errors = {name: values[told == DriveState.RUNNING] for name, values in errors.items()}
         if errors:
-            self.errors.add(self.segment, errors)
+            runs = running(chunk)
+            self.errors.add(self.segment, {name: values[runs] for name, values in errors.items()})
         if self._observers is not None:
             compared, differ = self._observers.compare(chunk)
             self.host_compared += compared
@@ -231,13 +231,7 @@ ERROR_HEADERS = ("position error while running, electrical degrees", "estimate",
 def error_rows(summary: Summary) -> list[list[str]]:
     """Position errors by segment and estimator, as text under ERROR_HEADERS."""
     return [
-        [
-            segment if first else "",
-            label(name),
-            f"{row['mean']:+.2f}",
-            f"{row['std']:.2f}",
-            f"{row['max']:.2f}",
-        ]
+        [segment if first else "", label(name), f"{row['mean']:+.2f}", f"{row['std']:.2f}", f"{row['max']:.2f}"]
         for segment, by_name in summary.position_error_deg.items()
         for first, (name, row) in zip([True] + [False] * len(by_name), by_name.items(), strict=False)
     ]
@@ -252,16 +246,12 @@ def asked_rows(summary: Summary) -> list[list[str]]:
         [
             came.title,
             f"{came.speed_asked_rpm:g}",
-            _or_unknown(came.speed_came_rpm, 1),
+            number(came.speed_came_rpm, ".1f", "unknown"),
             f"{came.load_asked_a:g}",
-            _or_unknown(came.i_q_came_a, 2),
+            number(came.i_q_came_a, ".2f", "unknown"),
         ]
         for came in summary.asked
     ]
-
-
-def _or_unknown(value: float, places: int) -> str:
-    return "unknown" if math.isnan(value) else f"{value:.{places}f}"
 
 
 def run_rows(summary: Summary) -> list[list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import operator
 import re
 from collections.abc import Callable, Collection, Sequence
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from bench.device.client import Sink
 from bench.errors import BenchError
 from protocol.streams import SampleChunk
+from protocol.text import did_you_mean
 
 QUIET = 1.0  # s of device time after a trigger in which it does not trigger again
 _FORM = re.compile(r"\s*(?:(abs)\(\s*([^\s()<>]+)\s*\)|([^\s()<>]+))\s*(<=|>=|<|>)\s*(\S+)\s*")
@@ -51,8 +51,7 @@ class Condition:
     def check(self, channels: Collection[str]) -> None:
         """Raise BenchError if the channel is not among these."""
         if self.channel not in channels:
-            near = difflib.get_close_matches(self.channel, sorted(channels), 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(channels))}"
+            hint = did_you_mean(self.channel, sorted(channels), f"there are {', '.join(sorted(channels))}")
             raise BenchError(f"--trigger '{self.text}': {self.channel} is not streamed; {hint}")
 
     def holds(self, chunk: SampleChunk) -> tuple[NDArray[np.bool_], NDArray[Any]]:

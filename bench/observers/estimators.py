@@ -8,10 +8,9 @@ runs ahead of its input: an edge is used once a sample at or after it has arrive
 
 from __future__ import annotations
 
-import difflib
 import os
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import NamedTuple
@@ -25,6 +24,7 @@ from bench.observers.current_error import CurrentError
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Signal, Status
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import did_you_mean
 from sim.native import layout
 from sim.observers import hall_speed, sample
 from sim.observers.catalogue import BROKEN, CATALOGUE
@@ -248,13 +248,8 @@ def entry_of(name: str) -> Entry:
     if wanted in BROKEN:
         raise BenchError(f"observer '{name}' cannot be used: {BROKEN[wanted]}")
     there = ", ".join(f"{entry.name} ({entry.short})" for entry in CATALOGUE.values())
-    raise BenchError(f"no observer '{name}'{did_you_mean(wanted, known)}; available: {there}")
-
-
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The nearest of `names` in words that follow a name; empty if none is near."""
-    near = difflib.get_close_matches(name, list(names), 1)
-    return f" (did you mean {near[0]}?)" if near else ""
+    near = did_you_mean(wanted, known, form=" (did you mean {}?)")
+    raise BenchError(f"no observer '{name}'{near}; available: {there}")
 
 
 def unfit(config: StreamConfig) -> str:

@@ -114,10 +114,8 @@ def replay(
         return Replayed(
             path=out,
             observers=names,
-            samples=counted.samples,
             seconds=counted.samples / run.info.pwm_hz,
-            lost_samples=counted.lost_samples,
-            lost_edges=counted.lost_edges,
+            **asdict(counted),
             restarts=augmenter.estimators.restarts,
             left_out=left_out,
             unknown=_unknown(run),

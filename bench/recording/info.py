@@ -150,11 +150,7 @@ class RunInfo:
 
     def to_json(self) -> dict[str, Any]:
         """All of it but the id as plain JSON."""
-        return {
-            "tick_hz": self.tick_hz,
-            "pwm_hz": self.pwm_hz,
-            "node": self.node,
-            "started": self.started,
+        return {name: getattr(self, name) for name in _OF_RUN} | {
             "parameters": {name: float(value) for name, value in self.parameters.items()},
             "channels": [channel_to_json(channel) for channel in self.channels],
             "identity": dict(self.identity),
@@ -163,72 +159,43 @@ class RunInfo:
     @classmethod
     def from_json(cls, data: Mapping[str, Any], recording_id: str) -> RunInfo:
         """The inverse of `to_json`."""
-        return cls(
-            tick_hz=data["tick_hz"],
-            pwm_hz=data["pwm_hz"],
-            channels=tuple(channel_from_json(channel) for channel in data["channels"]),
-            parameters={name: float(value) for name, value in data["parameters"].items()},
-            identity=data["identity"],
-            node=data["node"],
-            recording_id=recording_id,
-            started=data["started"],
-        )
+        parameters = {name: float(value) for name, value in data["parameters"].items()}
+        channels = tuple(map(channel_from_json, data["channels"]))
+        plain = {name: data[name] for name in (*_OF_RUN, "identity")}
+        return cls(**plain, channels=channels, parameters=parameters, recording_id=recording_id)
+
+
+_OF_RUN = ("tick_hz", "pwm_hz", "node", "started")
+_OF_STREAM = ("node", "stream", "cfg_id", "decimation", "block")
+_OF_CHANNEL = ("id", "name", "scale", "offset")
+"""What stands in JSON as it is."""
 
 
 def channel_to_json(channel: AnyChannel) -> dict[str, Any]:
     """A channel as plain JSON."""
-    return {
-        "id": channel.id,
-        "name": channel.name,
-        "unit": int(channel.unit),
-        "symbol": channel.unit.symbol,
-        "raw": int(channel.raw),
-        "scale": channel.scale,
-        "offset": channel.offset,
-        "flags": int(channel.flags),
-    }
+    numbers = {"unit": int(channel.unit), "raw": int(channel.raw), "flags": int(channel.flags)}
+    return {name: getattr(channel, name) for name in _OF_CHANNEL} | numbers | {"symbol": channel.unit.symbol}
 
 
 def channel_from_json(data: Mapping[str, Any]) -> Channel:
     """The inverse of `channel_to_json`."""
-    return Channel(
-        data["id"],
-        data["name"],
-        Unit(data["unit"]),
-        RawType(data["raw"]),
-        data["scale"],
-        Flag(data["flags"]),
-        data["offset"],
-    )
+    plain = {name: data[name] for name in _OF_CHANNEL}
+    return Channel(**plain, unit=Unit(data["unit"]), raw=RawType(data["raw"]), flags=Flag(data["flags"]))
 
 
 def stream_to_json(config: StreamConfig, name: str) -> dict[str, Any]:
     """A stream that is stored under `name`, as plain JSON."""
-    return {
-        "name": name,
-        "node": config.node,
-        "stream": config.stream,
-        "cfg_id": config.cfg_id,
-        "event": int(config.event),
-        "decimation": config.decimation,
-        "block": config.block,
-        "channels": [channel_to_json(channel) for channel in config.channels],
-    }
+    channels = [channel_to_json(channel) for channel in config.channels]
+    plain = {name: getattr(config, name) for name in _OF_STREAM}
+    return {"name": name, **plain, "event": int(config.event), "channels": channels}
 
 
 def stream_from_json(data: Mapping[str, Any], run: RunInfo) -> StreamConfig:
     """The inverse of `stream_to_json`, without the name, in `run`."""
-    return StreamConfig(
-        node=data["node"],
-        stream=data["stream"],
-        cfg_id=data["cfg_id"],
-        event=StreamEvent(data["event"]),
-        decimation=data["decimation"],
-        channels=tuple(channel_from_json(channel) for channel in data["channels"]),
-        block=data["block"],
-        tick_hz=run.tick_hz,
-        pwm_hz=run.pwm_hz,
-    )
+    channels = tuple(map(channel_from_json, data["channels"]))
+    plain = {name: data[name] for name in _OF_STREAM}
+    event = StreamEvent(data["event"])
+    return StreamConfig(**plain, event=event, channels=channels, tick_hz=run.tick_hz, pwm_hz=run.pwm_hz)
 
 
 def ns_from_tick(tick: NDArray[np.int64] | int, tick_hz: int) -> NDArray[np.int64]:

@@ -17,7 +17,6 @@ that is itself called `tick` has the column `tick_`.
 from __future__ import annotations
 
 import json
-import math
 import re
 import zlib
 from collections.abc import Collection, Mapping, Sequence
@@ -32,7 +31,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from bench.analysis.channels import role
-from bench.files import RUN_LOG
+from bench.files import RUN_LOG, finite
 from bench.recording.info import AnyChannel, Mark, RunInfo, stream_to_json
 from protocol.streams import EdgeChunk, Gap, SampleChunk, StreamConfig
 
@@ -97,7 +96,7 @@ def mark_record(mark: Mark) -> dict[str, Any]:
 
 def line_of(record: Mapping[str, Any]) -> str:
     """A record as a line of the log, its checksum last. Numbers that JSON has not are strings: "nan", "inf"."""
-    body = json.dumps(_json(record), separators=(",", ":"), allow_nan=False)[:-1]
+    body = json.dumps(finite(record, text=True), separators=(",", ":"), allow_nan=False)[:-1]
     return f'{body}{_CRC}{zlib.crc32(body.encode()):08x}"}}\n'
 
 
@@ -108,14 +107,6 @@ def record_of(line: str) -> dict[str, Any] | None:
         return None
     record: dict[str, Any] = json.loads(body + "}")
     return record
-
-
-def _json(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _json(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # -- columns --------------------------------------------------------------------------------------------------------
@@ -143,7 +134,7 @@ class Columns:
 
 def columns_of(fields: Sequence[pa.Field], metadata: Mapping[str, Any]) -> Columns:
     """Columns of these fields; `metadata` becomes JSON, by name."""
-    told = {f"hallbench:{name}": json.dumps(_json(value)) for name, value in metadata.items()}
+    told = {f"hallbench:{name}": json.dumps(finite(value, text=True)) for name, value in metadata.items()}
     encodings = {field.name: _encoding(field.type) for field in fields}
     return Columns(pa.schema(fields, told), encodings)
 
@@ -184,18 +175,22 @@ def _encoding(kind: pa.DataType) -> str:
 
 def to_table(chunk: SampleChunk | EdgeChunk, columns: Columns) -> pa.Table:
     """A chunk as rows of its stream's columns."""
-    n = len(chunk)
     arrays: dict[str, NDArray[Any]] = {"tick": chunk.tick, "index": chunk.index}
     if isinstance(chunk, SampleChunk):
         arrays |= {column_of(name): np.ascontiguousarray(chunk.raw[name]) for name in chunk.raw.dtype.names or ()}
     else:
         arrays |= {name: getattr(chunk, name) for name in EDGE_FIELDS}
-    gaps = {name: np.zeros(n, dtype) for name, dtype in GAP_FIELDS.items()}
+    return table_of(columns, list((arrays | gap_columns(chunk)).values()))
+
+
+def gap_columns(chunk: SampleChunk | EdgeChunk) -> dict[str, NDArray[Any]]:
+    """What is missing before each record of a chunk, by name as in `GAP_FIELDS`, (n,) each."""
+    gaps = {name: np.zeros(len(chunk), dtype) for name, dtype in GAP_FIELDS.items()}
     for gap in chunk.gaps:
         gaps["gap"][gap.position] = HERE | (OVERRUN if gap.overrun else 0)
         gaps["lost"][gap.position] = gap.lost_samples
         gaps["lost_frames"][gap.position] = gap.lost_frames
-    return table_of(columns, list((arrays | gaps).values()))
+    return gaps
 
 
 def table_of(columns: Columns, arrays: Sequence[NDArray[Any]]) -> pa.Table:

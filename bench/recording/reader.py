@@ -282,11 +282,7 @@ class Run:
         return (*found, Segment(self, max(self._segments, default=0) + 1, None)) if self.opened else tuple(found)
 
     def pieces(
-        self,
-        stream: str,
-        first: int | None = None,
-        last: int | None = None,
-        channels: Collection[str] | None = None,
+        self, stream: str, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
     ) -> Iterator[SampleChunk | EdgeChunk]:
         """A stream from tick `first` to `last`, both included, a row group or less at a time, in order.
 
@@ -302,11 +298,7 @@ class Run:
                 yield account.chunk(piece)
 
     def chunk(
-        self,
-        stream: str,
-        first: int | None = None,
-        last: int | None = None,
-        channels: Collection[str] | None = None,
+        self, stream: str, first: int | None = None, last: int | None = None, channels: Collection[str] | None = None
     ) -> SampleChunk | EdgeChunk | None:
         """A stream from tick `first` to `last`, both included, in one piece, see `pieces`; None if nothing is there."""
         found = list(self.pieces(stream, first, last, channels))
@@ -489,11 +481,7 @@ class Segment:
         return sum(n for a, b, n in groups if a <= high and b >= low)
 
     def pieces(
-        self,
-        stream: str,
-        first: int | None = None,
-        last: int | None = None,
-        config: StreamConfig | None = None,
+        self, stream: str, first: int | None = None, last: int | None = None, config: StreamConfig | None = None
     ) -> Iterator[SampleChunk | EdgeChunk]:
         """See `Run.pieces`; what is missing between two of them is not in their gaps.
 
@@ -519,11 +507,7 @@ class Segment:
         return all(self._run.intact(part) for parts in self.files.values() for part in parts)
 
     def tables(
-        self,
-        stream: str,
-        first: int | None = None,
-        last: int | None = None,
-        columns: Collection[str] | None = None,
+        self, stream: str, first: int | None = None, last: int | None = None, columns: Collection[str] | None = None
     ) -> Iterator[pa.Table]:
         """The row groups of a stream's file that have ticks from `first` to `last`, as they are stored.
 

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from bench.reports.words import labelled, plain
+from protocol.text import counted
+
 MOST_LETTERS = 90  # of a string in a page's margin
 
 
-def page(package: str, template: str, filters: Mapping[str, Callable[..., Any]], **given: Any) -> str:
-    """The page that `template` of a package makes of what is given; it may include `style.css.j2`."""
+def page(package: str, template: str, filters: Iterable[Callable[..., Any]], **given: Any) -> str:
+    """The page that `template` of a package makes of what is given; it may include `style.css.j2`.
+
+    Its filters go by the functions' names, without an underscore at the front.
+    """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package, ""), PackageLoader("bench.reports", "")]),
         autoescape=True,
@@ -23,7 +29,8 @@ def page(package: str, template: str, filters: Mapping[str, Callable[..., Any]],
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= filters
+    filters = (counted, css_string, labelled, plain, *filters)
+    environment.filters |= {function.__name__.lstrip("_"): function for function in filters}
     return environment.get_template(template).render(given)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 
 from protocol.text import told
@@ -28,6 +29,11 @@ def labelled(key: str, value: object) -> tuple[str, str]:
         key = key.removesuffix("_hz")
         text = f"{text} Hz" if int(text) < 1e6 else f"{int(text) / 1e6:.9g} MHz"
     return " ".join(WORDS.get(word, word) for word in key.split("_")), text
+
+
+def number(value: float | None, form: str, unknown: str = "–") -> str:
+    """A number in this form, such as .2f; `unknown` for None and NaN."""
+    return unknown if value is None or math.isnan(value) else f"{value:{form}}"
 
 
 def plain(value: object) -> str:

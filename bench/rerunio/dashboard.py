@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -82,13 +83,15 @@ def blueprint(
     )
     if marks:
         views = rrb.Vertical(views, _marked(run, marks), row_shares=[8, 1], name="Run")
-    return rrb.Blueprint(
-        rrb.Tabs(views, second_page, active_tab=page) if second_page else views,
-        rrb.TopPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, play_state="following"),
+    return without_panels(
+        rrb.Tabs(views, second_page, active_tab=page) if second_page else views, play_state="following"
     )
+
+
+def without_panels(views: rrb.View | rrb.Container, **time: Any) -> rrb.Blueprint:
+    """Views without the viewer's panels, but for the time line; `time`: what that is told besides."""
+    hidden = (panel(state="hidden") for panel in (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel))
+    return rrb.Blueprint(views, *hidden, rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE, **time))
 
 
 def _of_all(plot: Plot, coarse: bool, extent: Extent | None) -> Plot:
@@ -247,10 +250,12 @@ def _wide(run: RunInfo, first: int, last: int) -> Span:
 
 def _ticks(run: RunInfo, first: int, last: int) -> Span:
     """From one device tick to another."""
-    start, end = (
-        rrb.TimeRangeBoundary.absolute(seconds=float(ns_from_tick(tick, run.tick_hz)) / 1e9) for tick in (first, last)
-    )
-    return start, end
+    return absolute(*(float(ns_from_tick(tick, run.tick_hz)) / 1e9 for tick in (first, last)))
+
+
+def absolute(first: float, last: float) -> Span:
+    """From one time to another, s."""
+    return rrb.TimeRangeBoundary.absolute(seconds=first), rrb.TimeRangeBoundary.absolute(seconds=last)
 
 
 def _span(seconds: float) -> Span:

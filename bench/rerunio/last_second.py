@@ -17,14 +17,14 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from bench.analysis.colours import RGB, TABLE
+from bench.analysis.error_bins import angle_bins
 from bench.analysis.position import wrap
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import Thd, thd_by_angle
 from bench.analysis.waveforms.harmonics import ORDER, PERIODS
+from bench.analysis.waveforms.sectors import NUMERALS, edge_passages
 from bench.recording.info import RunInfo
 from bench.rerunio import markdown, schema
-from bench.rerunio.states import SECTORS
-from protocol.signals import SECTOR_OF_CODE
 from protocol.streams import EdgeChunk, SampleChunk
 
 SPAN = 1.0  # s
@@ -39,7 +39,6 @@ FORWARD, REVERSE = "forward", "reverse"
 WAYS: dict[str, RGB] = {FORWARD: (240, 240, 240), REVERSE: (136, 128, 120)}
 X_RANGE, Y_RANGE = (-1.55, 1.55), (-1.4, 1.25)  # of the current plane
 _CIRCLE, _AXIS, _FAINT = (110, 110, 110), (58, 58, 58), (150, 150, 150)
-_SECTOR_OF_CODE = np.array(SECTOR_OF_CODE)
 
 _CHANGES = {
     batch.component_descriptor() for batch in rr.BarChart.from_fields(values=np.zeros(1)).as_component_batches()
@@ -155,7 +154,7 @@ class LastSecond:
             yield f"{schema.HARMONICS}/{name}", at, 0.26, self._run.colours[name]
         if schema.LATE in self.views:
             for k, (way, colour) in enumerate(WAYS.items()):
-                yield f"{schema.LATE}/{way}", np.arange(len(SECTORS)) + 1 + 0.4 * (k - 0.5), 0.36, colour
+                yield f"{schema.LATE}/{way}", np.arange(len(NUMERALS)) + 1 + 0.4 * (k - 0.5), 0.36, colour
 
     def pictures(self) -> Iterator[Part]:
         """Yield entity and content of the last second; what is not defined any more is cleared."""
@@ -224,7 +223,7 @@ class LastSecond:
         """Mean error in each bin of the angle, a bar for each estimate side by side."""
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        bins = np.floor(np.mod(theta, math.tau) * (BINS / math.tau)).astype(np.int64) % BINS
+        bins = angle_bins(theta, BINS)
         whole = abs(theta[-1] - theta[0]) >= math.tau
         for name in self._estimates:
             error = values[schema.error_component(name)]
@@ -277,22 +276,20 @@ class LastSecond:
             return [], []
         at, old, new = (np.concatenate(column) for column in zip(*self._edges, strict=True))
         known = (at >= tick[0]) & (at <= tick[-1])
-        at, before, after = at[known], _SECTOR_OF_CODE[old[known] & 7], _SECTOR_OF_CODE[new[known] & 7]
-        step = (after - before) % len(SECTORS)
-        valid = (before >= 0) & (after >= 0)
-        angle = np.interp(at, tick, theta)
+        opened, passed = edge_passages(old[known] & 7, new[known] & 7)
+        angle = np.interp(at[known], tick, theta)
         parts: list[Part] = []
         facts: list[tuple[str, str]] = []
-        for way, opened, sign in ((FORWARD, after, 1.0), (REVERSE, before, -1.0)):
-            met = valid & (step == (1 if sign > 0 else len(SECTORS) - 1))
+        for way, sign in ((FORWARD, 1), (REVERSE, -1)):
+            met = passed == sign
             sector = opened[met]
-            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(SECTORS))))
-            seen = np.flatnonzero(np.bincount(sector, minlength=len(SECTORS)))
+            late = sign * np.degrees(wrap(angle[met] - sector * (math.tau / len(NUMERALS))))
+            seen = np.flatnonzero(np.bincount(sector, minlength=len(NUMERALS)))
             if not len(seen):
                 continue
-            mean = _mean(sector, late, len(SECTORS))
+            mean = _mean(sector, late, len(NUMERALS))
             parts.append((f"{schema.LATE}/{way}", _values(mean)))
-            each = [f"{SECTORS[s]} {mean[s]:+.1f}" for s in seen]
+            each = [f"{NUMERALS[s]} {mean[s]:+.1f}" for s in seen]
             facts += [(f"edges late, {way}, deg", ", ".join(each[at : at + 3])) for at in range(0, len(each), 3)]
         return parts, facts
 

@@ -18,10 +18,9 @@ import rerun.blueprint as rrb
 from bench.analysis.colours import RGB
 from bench.recording.info import RunInfo, ns_from_tick
 from bench.recording.reader import Run
-from bench.rerunio import schema
-from bench.rerunio.dashboard import Span, time_series
+from bench.rerunio.dashboard import absolute, time_series, without_panels
 from bench.rerunio.log import RunLog
-from bench.rerunio.plots import LEGEND_SHARE, Line, Plot, plots
+from bench.rerunio.plots import LEGEND_SHARE, Plot, plots
 from bench.rerunio.viewing import LOT, closeups, rrd_file, show
 
 A, B = "a", "b"
@@ -95,9 +94,9 @@ def _common(a: RunInfo, b: RunInfo) -> RunInfo:
 
 def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
     """The views of both runs; `first`, `last`: s, what they show."""
-    span = _absolute(first, last)
+    span = absolute(first, last)
     room = (last - first) * LEGEND_SHARE / (1 - LEGEND_SHARE)
-    wide = _absolute(first - room, last)
+    wide = absolute(first - room, last)
     views = [
         time_series(
             plot,
@@ -113,29 +112,16 @@ def _blueprint(run: RunInfo, first: float, last: float) -> rrb.Blueprint:
         for plot in _once(plots(run).values())
     ]
     logs = rrb.TextLogView(name="Logs of A and B", origin="/", contents=["/a/log/**", "/b/log/**"])
-    return rrb.Blueprint(
-        rrb.Vertical(rrb.Grid(*views), logs, row_shares=[6, 1]) if views else logs,
-        rrb.TopPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=schema.TIMELINE),
-    )
-
-
-def _absolute(first: float, last: float) -> Span:
-    return rrb.TimeRangeBoundary.absolute(seconds=first), rrb.TimeRangeBoundary.absolute(seconds=last)
+    return without_panels(rrb.Vertical(rrb.Grid(*views), logs, row_shares=[6, 1]) if views else logs)
 
 
 def _once(found: Iterable[Plot]) -> list[Plot]:
     """One plot for each quantity: the first, which is the long one, where there are two of the same channels."""
     shown: dict[tuple[tuple[str, bool, str], ...], Plot] = {}
     for plot in found:
-        shown.setdefault(_lines(plot.lines), replace(plot, name=plot.name.rpartition(", last")[0]))
+        lines = tuple((line.channel, line.error, line.derived) for line in plot.lines)
+        shown.setdefault(lines, replace(plot, name=plot.name.rpartition(", last")[0]))
     return list(shown.values())
-
-
-def _lines(lines: Iterable[Line]) -> tuple[tuple[str, bool, str], ...]:
-    return tuple((line.channel, line.error, line.derived) for line in lines)
 
 
 def pale(colour: RGB) -> RGB:

@@ -15,9 +15,9 @@ import numpy as np
 import rerun as rr
 
 from bench.analysis.colours import RGB, TABLE
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.recording.info import RunInfo
 from bench.rerunio import schema
-from bench.rerunio.states import SECTORS
 
 X_RANGE, Y_RANGE = (-2.75, 1.3), (-1.25, 1.25)
 _TEXT_X = -1.95
@@ -74,13 +74,10 @@ class Plane:
         yield (
             f"{schema.PLANE}/lines",
             rr.LineStrips2D(
-                [circle.tolist(), *rays],
-                colors=[_CIRCLE] + [_RAY] * 6,
-                radii=[-1.2] + [-0.6] * 6,
-                draw_order=-10,
+                [circle.tolist(), *rays], colors=[_CIRCLE] + [_RAY] * 6, radii=[-1.2] + [-0.6] * 6, draw_order=-10
             ),
         )
-        names = [(_xy(math.radians(60 * k + 30), 0.86), SECTORS[k], _FAINT) for k in range(6)]
+        names = [(_xy(math.radians(60 * k + 30), 0.86), NUMERALS[k], _FAINT) for k in range(6)]
         names += [(_xy(2 * math.pi / 3 * k, 1.13), name, TABLE[f"i_{name}"].rgb) for k, name in enumerate("abc")]
         yield (
             f"{schema.PLANE}/names",

@@ -10,13 +10,13 @@ import rerun as rr
 
 from bench.analysis.colours import BAD, FAULTY, GOOD, OBSERVERS, OFF, QUIET, RGB, WARNING
 from bench.analysis.verdict import Verdict, worst
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.recording.info import Mark, RunInfo
 from bench.rerunio import schema
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, DriveState, ErrorCode, EventCode, Fault
 from protocol.signals import OTHER_SOURCE, SECTOR_OF_CODE, AngleSource
 
-SECTORS = ("I", "II", "III", "IV", "V", "VI")
 ILLEGAL = "invalid"
 NO_EDGE = "no edge yet"
 LOW, HIGH, NOT_KNOWN = "0", "1", "?"
@@ -25,7 +25,7 @@ HALL_COLOURS: dict[str, RGB] = {
     **dict.fromkeys((LOW, NOT_KNOWN, NO_EDGE), OFF),
     HIGH: (150, 150, 150),
     ILLEGAL: BAD,
-    **{sector: (48 + 24 * i, 48 + 24 * i, 48 + 24 * i) for i, sector in enumerate(SECTORS)},
+    **{sector: (48 + 24 * i, 48 + 24 * i, 48 + 24 * i) for i, sector in enumerate(NUMERALS)},
 }
 """Sectors are brighter from I to VI, so that a shaft that turns is a staircase where no name has room."""
 
@@ -83,7 +83,7 @@ def _hall_words() -> pa.Array:
     lanes = []
     for code, sector in enumerate(SECTOR_OF_CODE):
         sensors = [(LOW, HIGH)[code >> bit & 1] for bit in range(3)]
-        lanes.append([*sensors, SECTORS[sector] if sector >= 0 else ILLEGAL])
+        lanes.append([*sensors, NUMERALS[sector] if sector >= 0 else ILLEGAL])
     lanes.append([NOT_KNOWN] * 3 + [NO_EDGE])
     return pa.array(lanes, pa.list_(pa.string()))
 

@@ -52,9 +52,13 @@ def load_target(settings: Settings) -> str:
 
 def find_drive(client: Client, target: str) -> Node:
     """The drive at the other end. BenchError for what is none, HbpError if nothing answers."""
+    return _found(client, target, Role.DRIVE, "a drive")
+
+
+def _found(client: Client, target: str, role: Role, what: str) -> Node:
     hello = client.connect()
-    if hello.role != Role.DRIVE:
-        raise BenchError(f"{target} is a {hello.role.name}, not a drive")
+    if hello.role != role:
+        raise BenchError(f"{target} is a {hello.role.name}, not {what}")
     return Node(client, hello.node)
 
 
@@ -73,8 +77,4 @@ def open_load_machine(target: str, stack: ExitStack) -> Node:
     """The load machine on a link of its own, which `stack` closes. BenchError for what is none, HbpError if silent."""
     link = open_link(target)
     stack.callback(link.close)
-    client = Client(link)
-    hello = client.connect()
-    if hello.role != Role.LOAD:
-        raise BenchError(f"{target} is a {hello.role.name}, not a load machine")
-    return Node(client, hello.node)
+    return _found(Client(link), target, Role.LOAD, "a load machine")

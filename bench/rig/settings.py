@@ -22,7 +22,6 @@ Reads and checks the file; it opens no link.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import tomllib
@@ -37,18 +36,12 @@ from bench.device.simulator import configuration
 from bench.errors import BenchError
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
+from protocol.text import did_you_mean
 
 FILE = "bench.toml"
-_TOP = {
-    "target": str,
-    "station": str,
-    "operator": str,
-    "motor": str,
-    "config": str,
-    "rig": dict,
-    "rated": dict,
-    "limits": dict,
-}
+_TOP = dict.fromkeys(("target", "station", "operator", "motor", "config"), str) | dict.fromkeys(
+    ("rig", "rated", "limits"), dict
+)
 _RIG = {"load": str, "person": bool}
 _RATED = {"speed_rpm": Real, "current": Real}
 LOADS = ("node", "none", "person")
@@ -107,11 +100,10 @@ class Settings:
         elsewhere = []
         for name in sorted(self.limits.keys() - known):
             ours = "." not in name or any(name.startswith(f"{test}.") for test in tests)
-            near = difflib.get_close_matches(name, known, 3, 0.6 if ours else MUCH_ALIKE)
-            if not ours:
-                near = [other for other in near if _numbers(other) == _numbers(name)]
-            if ours or near:
-                hint = f"did you mean {near[0]}?" if near else "bench accept --list shows all of them"
+            among = known if ours else [other for other in known if _numbers(other) == _numbers(name)]
+            hint = did_you_mean(name, among, cutoff=0.6 if ours else MUCH_ALIKE)
+            if ours or hint:
+                hint = hint or "bench accept --list shows all of them"
                 raise BenchError(f"[limits] in {self.path} names '{name}', which no test measures: {hint}")
             elsewhere.append(name)
         return elsewhere
@@ -130,11 +122,9 @@ def read_settings(path: Path | None) -> Settings:
         raise BenchError(f"cannot read {file}: {error}") from None
     except RecursionError:
         raise BenchError(f"cannot read {file}: it is nested too deeply") from None
-    _check(data, _TOP, "", file)
-    rig = data.get("rig", {})
-    _check(rig, _RIG, "rig.", file)
-    rated = data.get("rated", {})
-    _check(rated, _RATED, "rated.", file)
+    rig, rated = data.get("rig", {}), data.get("rated", {})
+    for table, known, prefix in ((data, _TOP, ""), (rig, _RIG, "rig."), (rated, _RATED, "rated.")):
+        _check(table, known, prefix, file)
     for key, value in rated.items():
         if not 0.0 < value < math.inf:
             raise BenchError(f"rated.{key} in {file} must be more than 0, got {value!r}")
@@ -147,10 +137,7 @@ def read_settings(path: Path | None) -> Settings:
             raise BenchError(f"rig.load in {file} must be {forms}: {error}") from None
     return Settings(
         path=file,
-        target=data.get("target", ""),
-        station=data.get("station", ""),
-        operator=data.get("operator", ""),
-        motor=data.get("motor", ""),
+        **{name: data.get(name, "") for name in ("target", "station", "operator", "motor")},
         config=None if config is None else configuration(file.parent / config, config),
         load=load,
         person=rig.get("person", False),
@@ -166,8 +153,8 @@ def _numbers(name: str) -> list[str]:
 def _check(table: Mapping[str, Any], known: Mapping[str, type], prefix: str, file: Path) -> None:
     for key, value in table.items():
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
-            hint = f"did you mean {prefix}{near[0]}?" if near else f"there are {', '.join(prefix + k for k in known)}"
+            there = f"there are {', '.join(prefix + k for k in known)}"
+            hint = did_you_mean(key, known, there, f"did you mean {prefix}{{}}?")
             raise BenchError(f"unknown key {prefix}{key} in {file}: {hint}")
         if not isinstance(value, known[key]) or (known[key] is Real and isinstance(value, bool)):
             word = {str: "text", bool: "true or false", dict: "a table", Real: "a number"}[known[key]]

@@ -20,19 +20,22 @@ import numpy as np
 from bench.analysis.capture import Capture
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.observers.estimators import did_you_mean, entry_of
+from bench.observers.estimators import entry_of
 from bench.recording.recording import Source
 from bench.scoring import phases
 from bench.scoring.tally import Tally
 from bench.scoring.tracks import DRIVE, HOST, REPLAYED, Track, load
 from protocol import __version__
 from protocol.frames import data_frame
+from protocol.text import did_you_mean
 from sim.observers.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Figures = dict[str, Any]
+OF_TRACK = ("path", "started", "recorded_by", "samples", "pole_pairs", "lost", "dropped", "restarts", "notes")
+"""What stands in JSON of a recording as it is."""
 PHASES = ("moving", "error", "transient", "start_up", "reversal")
 """Keys of the position error's statistics by phase; `error` is that of steady running."""
 
@@ -87,30 +90,15 @@ class Scoreboard:
             },
             "observers": self.pooled,
             "files": [
-                {
-                    "path": track.path,
-                    "started": track.started,
-                    "recorded_by": track.recorded_by,
-                    "samples": track.samples,
-                    "rate_hz": track.rate,
-                    "pole_pairs": track.pole_pairs,
-                    "lost": track.lost,
-                    "dropped": track.dropped,
-                    "restarts": track.restarts,
-                    "front_end_ns": track.front_ns,
-                    "notes": list(track.notes),
-                    "observers": self.by_file[track.path],
-                }
+                {name: getattr(track, name) for name in OF_TRACK}
+                | {"rate_hz": track.rate, "front_end_ns": track.front_ns, "observers": self.by_file[track.path]}
                 for track in self.tracks
             ],
         }
 
 
 def score(
-    sources: Sequence[Source],
-    observers: Sequence[str] = (),
-    begin: float | None = None,
-    end: float | None = None,
+    sources: Sequence[Source], observers: Sequence[str] = (), begin: float | None = None, end: float | None = None
 ) -> Scoreboard:
     """Score recordings or captures: all estimates in them and all observers, or those named.
 
@@ -128,7 +116,7 @@ def score(
         tracks = tuple(replace(track, path=f"{track.path} {k}") for k, track in enumerate(tracks, 1))
     names = list(dict.fromkeys(name for track in tracks for name in track.kinds))
     if missing := [name for name in recorded if name not in names]:
-        nearest = did_you_mean(missing[0], names)
+        nearest = did_you_mean(missing[0], names, form=" (did you mean {}?)")
         raise BenchError(f"no recording has the estimate '{missing[0]}'{nearest}; there are {', '.join(names)}")
     if observers:
         names = [name for name in names if name in (*recorded, *again)]

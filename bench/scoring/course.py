@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.analysis.capture import Capture
-from bench.analysis.position import states
+from bench.analysis.position import running, states
 from bench.analysis.windows import windows
 from bench.scoring.phases import CONTEXT, Turns, changes, direction_of, speed_of, turns_of
-from protocol.messages import DriveState
 from protocol.streams import SampleChunk
 
 
@@ -111,9 +110,3 @@ def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], p
         for g in found
     )
     return Course(stretches, samples, edges, lost, ran, fastest)
-
-
-def running(samples: SampleChunk) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Where the drive is RUNNING, (n,); everywhere, where it does not tell."""
-    told = states(samples)
-    return np.ones(len(samples), bool) if told is None else told == DriveState.RUNNING

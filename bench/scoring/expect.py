@@ -14,8 +14,8 @@ from pathlib import Path
 
 from bench.errors import BenchError
 from bench.files import leaves
-from bench.observers.estimators import did_you_mean
 from bench.scoring.board import PHASES, Scoreboard, flat
+from protocol.text import did_you_mean
 
 WRITTEN = (*PHASES, "speed", "lag")  # groups of figures that are written; the cost of a step is the machine's
 NOT_WRITTEN = ("n", "events")
@@ -71,7 +71,8 @@ def check(board: Scoreboard, bounds: Bounds) -> list[Outside]:
             )
         if name not in figures:
             own = [figure for figure in figures if figure.startswith(f"{observer}.")]
-            raise BenchError(f"no statistic '{name}' in this score{did_you_mean(name, own)}")
+            near = did_you_mean(name, own, form=" (did you mean {}?)")
+            raise BenchError(f"no statistic '{name}' in this score{near}")
         value = figures[name]
         if value is None or not lo <= value <= hi:
             found.append(Outside(name, value, lo, hi))

@@ -12,62 +12,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.percentiles import Sizes
-from bench.analysis.position import Moments
-
 F64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Spectra = NDArray[np.complex128]
-Figures = dict[str, float | int | None]
 
-PERCENTILE = 99.0
 LAG_SPAN = 0.2  # the least range of speeds, as a share of the largest, that a lag is measured from
 MAX_LAG = 0.05  # s, the longest that is looked for
 ITERATIONS = 12
-
-
-class Errors:
-    """Figures of an error in its own unit."""
-
-    def __init__(self) -> None:
-        self._moments, self._sizes = Moments(), Sizes()
-
-    def add(self, error: F64) -> None:
-        """Add samples of it, (n,)."""
-        self._moments.add(error)
-        self._sizes.add(np.abs(error))
-
-    def merge(self, other: Errors) -> None:
-        """Add those that another has."""
-        self._moments.merge(other._moments)
-        self._sizes.merge(other._sizes)
-
-    @property
-    def n(self) -> int:
-        """Number of samples."""
-        return self._moments.n
-
-    def size(self, percent: float) -> float:
-        """The magnitude that `percent` of the samples do not exceed, see `Sizes`; NaN of none."""
-        return self._sizes.at(percent)
-
-    def figures(self) -> Figures:
-        """All of them by name.
-
-        n: number of samples; bias: mean; std: standard deviation of the population about it; rms: about zero; max:
-        largest magnitude; p99: magnitude that 99 % of the samples do not exceed.
-        """
-        m = self._moments
-        if not m.n:
-            return {"n": 0, "bias": None, "std": None, "rms": None, "max": None, "p99": None}
-        return {
-            "n": m.n,
-            "bias": m.mean,
-            "std": m.std,
-            "rms": math.sqrt(m.m2 / m.n + m.mean * m.mean),
-            "max": m.peak,
-            "p99": self.size(PERCENTILE),
-        }
 
 
 class LagBySpeed:

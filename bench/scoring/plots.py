@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.analysis.colours import Look, apart
+from bench.analysis.error_bins import ANGLES, ErrorByAngle
+from bench.reports.plots import draw_band, turn_axis
 from bench.reports.style import (
     FONT_SIZE,
     GREY,
@@ -22,7 +24,7 @@ from bench.reports.style import (
     new_figure,
 )
 from bench.scoring.board import Figures
-from bench.scoring.tally import ANGLE_BINS, ByAngle, Envelope
+from bench.scoring.tally import Envelope
 from bench.scoring.tracks import Track
 from sim.observers.catalogue import CATALOGUE
 
@@ -47,10 +49,7 @@ def draw_error_over_time(track: Track, name: str) -> Figure:
         points = slice(first, first + -(-stretch.n // track.every))
         first = points.stop
         t = stretch.t - begin + np.arange(points.stop - points.start) * track.every / track.rate
-        for envelope, hue, words in (
-            (over_time.speed, own, name),
-            (track.encoder, colour("omega_enc"), "encoder"),
-        ):
+        for envelope, hue, words in ((over_time.speed, own, name), (track.encoder, colour("omega_enc"), "encoder")):
             label = "" if k else words
             speed.plot(*_line(t, envelope, points), color=hue, linewidth=LINE_WIDTH, label=label)
         error.plot(*_line(t, over_time.error, points), color=own, linewidth=0.6)
@@ -79,24 +78,17 @@ def draw_error_by_angle(tracks: Sequence[Track], name: str) -> Figure:
 
     Over the steady samples of all `tracks` that have the estimate.
     """
-    whole = ByAngle()
+    whole = ErrorByAngle()
     for track in tracks:
         if name in track.kinds:
             whole.merge(track.tallies[name].by_angle)
     figure, (ax,) = new_figure(height=2.4)
-    present = np.flatnonzero(whole.n)
-    if len(present):
-        n, lo, hi = whole.n[present], whole.lo[present], whole.hi[present]
-        mean = whole.sum[present] / n
-        std = np.sqrt(np.maximum(whole.squares[present] / n - mean**2, 0.0))
-        x = (present + 0.5) * 360.0 / ANGLE_BINS
+    if whole.n.any():
         own = looks(kind for track in tracks for kind in track.kinds)[name].paper
-        ax.fill_between(x, mean - std, mean + std, color=own, alpha=0.25, linewidth=0, label="± one std")
-        ax.plot(x, mean, color=own, linewidth=LINE_WIDTH, label="mean")
-        for extreme, words in ((lo, ""), (hi, "extremes")):
-            ax.plot(x, extreme, color=GREY, linewidth=0.6, label=words)
-    ax.set_xlim(0, 360)
-    ax.set_xticks(range(0, 361, 60))
+        draw_band(ax, *whole.both(), own, "mean", band="± one std")
+        for extreme, words in ((whole.lo.min(axis=0), ""), (whole.hi.max(axis=0), "extremes")):
+            ax.plot(ANGLES, np.where(np.isfinite(extreme), extreme, np.nan), color=GREY, linewidth=0.6, label=words)
+    turn_axis(ax)
     axis_labels(ax, "electrical angle", "error", "°", "el. °")
     legend_above(ax)
     return figure

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from bench.reports.html import css_string, embedded, page
+from bench.reports.html import embedded, page
 from bench.reports.style import save
-from bench.reports.words import date
+from bench.reports.words import date, number
 from bench.scoring.board import PHASES, Figures, Scoreboard, partly
 from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time, speeds
 from bench.scoring.table import HEADERS, LEGEND, row
@@ -59,7 +59,7 @@ def as_html(board: Scoreboard) -> str:
         return page(
             __package__ or "",
             "report.html.j2",
-            {"css_string": css_string, "figure": _figure},
+            (_figure,),
             board=board,
             headers=HEADERS,
             columns=COLUMNS,
@@ -119,6 +119,4 @@ def _embedded(figure: Figure, picture: Path) -> str:
 
 
 def _figure(value: float | int | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value}" if isinstance(value, int) else f"{value:.3f}".replace("-", "−")
+    return f"{value}" if isinstance(value, int) else number(value, ".3f").replace("-", "−")

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
+from bench.reports.words import number
 from bench.scoring.board import Figures, Scoreboard, flat
 
 HEADERS = ("observer", "rms", "std", "max", "p99", "bias", "trans", "start", "rev", "speed", "lag", "ns")
@@ -21,13 +22,13 @@ def row(name: str, figures: Figures) -> list[str]:
     error = figures["error"]
     return [
         name,
-        _text(figures["moving"]["rms"], 2),
-        *(_text(error[key], 2) for key in ("std", "max", "p99")),
-        _text(error["bias"], 2, "+"),
-        *(_text(figures[phase]["max"], 1) for phase in ("transient", "start_up", "reversal")),
-        _text(figures["speed"]["std"], 1),
-        _text(figures["lag"]["angle_us"], 0),
-        _text(figures["step_ns"], 0),
+        number(figures["moving"]["rms"], ".2f"),
+        *(number(error[key], ".2f") for key in ("std", "max", "p99")),
+        number(error["bias"], "+.2f"),
+        *(number(figures[phase]["max"], ".1f") for phase in ("transient", "start_up", "reversal")),
+        number(figures["speed"]["std"], ".1f"),
+        number(figures["lag"]["angle_us"], ".0f"),
+        number(figures["step_ns"], ".0f"),
     ]
 
 
@@ -66,7 +67,3 @@ def as_csv(board: Scoreboard) -> str:
             for figure, value in flat(figures):
                 writer.writerow([path, name, figure, "" if value is None else repr(value)])
     return text.getvalue()
-
-
-def _text(value: float | None, digits: int, sign: str = "") -> str:
-    return "–" if value is None else f"{value:{sign}.{digits}f}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.analysis.error_bins import ErrorByAngle, Errors, angle_bins
 from bench.analysis.position import position_error
 from bench.analysis.units import RPM
 from bench.analysis.waveforms import sector_of_angle
 from bench.analysis.waveforms.sectors import SECTORS
 from bench.observers.estimators import Estimate
-from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime
+from bench.scoring.metrics import Changes, LagBySpeed, LagInTime
 from bench.scoring.phases import Phases, in_order, speed_bins
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-ANGLE_BINS = 120
 
 
 @dataclass(frozen=True)
@@ -75,11 +74,9 @@ class Block:
         return {name: self.steady[at] for name, at in speed_bins(rpm).items()}
 
     @cached_property
-    def by_angle(self) -> I64:
-        """Bin of the encoder's angle of its steady samples."""
-        width = 2.0 * math.pi / ANGLE_BINS
-        bins = (np.mod(self.theta[self.own][self.steady], 2.0 * math.pi) / width).astype(np.int64)
-        return np.minimum(bins, ANGLE_BINS - 1)
+    def by_angle(self) -> tuple[I64, NDArray[np.bool_]]:
+        """Bin of the encoder's angle of its steady samples, and whether they turn in reverse."""
+        return angle_bins(self.theta[self.own][self.steady]), self.omega[self.own][self.steady] < 0.0
 
     @cached_property
     def changes(self) -> Changes | None:
@@ -103,7 +100,7 @@ class Tally:
         self._phases = {name: Errors() for name in ("unsteady", "transient", "start_up", "reversal")}
         self._speed = Errors()
         self._angle_lag, self._speed_lag = LagBySpeed(), LagInTime()
-        self.by_angle = ByAngle()
+        self.by_angle = ErrorByAngle()
 
     def add(self, block: Block, estimate: Estimate, degrees: F64) -> None:
         """Add a block, with the estimate of its own samples and the error of that angle, (n,)."""
@@ -114,7 +111,8 @@ class Tally:
         for name, at in block.by_speed.items():
             self._speeds.setdefault(name, Errors()).add(degrees[at])
         steady, omega = block.steady, block.omega[block.own]
-        self.by_angle.add(block.by_angle, degrees[steady])
+        bins, reverse = block.by_angle
+        self.by_angle.add(bins, degrees[steady], reverse)
         slip = (omega - estimate.omega)[steady] * block.rpm_by
         self._speed.add(slip[np.isfinite(slip)])
         self._angle_lag.add(omega[steady], np.radians(degrees[steady]))
@@ -157,34 +155,10 @@ class Tally:
             "start_up": {"events": starts, **phases["start_up"]},
             "reversal": {"events": reversals, **phases["reversal"]},
             "speed": self._speed.figures(),
-            "lag": {
-                "angle_us": _microseconds(self._angle_lag.lag()),
-                "speed_us": _microseconds(self._speed_lag.lag()),
-            },
+            "lag": {"angle_us": _microseconds(self._angle_lag.lag()), "speed_us": _microseconds(self._speed_lag.lag())},
             "by_speed": {name: self._speeds[name].figures() for name in in_order(self._speeds)},
             "by_sector": {name: errors.figures() for name, errors in self._sectors.items()},
         }
-
-
-class ByAngle:
-    """Position error by the electrical angle, in `ANGLE_BINS` bins: how many samples, sums, extremes, (bins,) each."""
-
-    def __init__(self) -> None:
-        self.n, self.sum, self.squares = np.zeros((3, ANGLE_BINS))
-        self.lo, self.hi = np.full(ANGLE_BINS, np.inf), np.full(ANGLE_BINS, -np.inf)
-
-    def add(self, bins: I64, error: F64) -> None:
-        """Add samples, (n,) each."""
-        self.n += np.bincount(bins, minlength=ANGLE_BINS)
-        self.sum += np.bincount(bins, error, ANGLE_BINS)
-        self.squares += np.bincount(bins, error * error, ANGLE_BINS)
-        np.minimum.at(self.lo, bins, error)
-        np.maximum.at(self.hi, bins, error)
-
-    def merge(self, other: ByAngle) -> None:
-        """Add those of another."""
-        self.n, self.sum, self.squares = self.n + other.n, self.sum + other.sum, self.squares + other.squares
-        self.lo, self.hi = np.minimum(self.lo, other.lo), np.maximum(self.hi, other.hi)
 
 
 class Envelope:

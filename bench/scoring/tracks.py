@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from bench.analysis.capture import Capture
 from bench.analysis.channels import reference_angle
-from bench.analysis.delays import STATOR, Evidence, blame
+from bench.analysis.delays import blame, delays_of
+from bench.analysis.trace import STATOR, Trace
 from bench.analysis.units import pole_pairs
 from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
@@ -131,15 +132,15 @@ def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
     estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
     wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
     scored = _Scored(course, kinds, reference, config.rate, n_p or 1)
-    evidence = Evidence(course.samples, course.edges)
+    trace = Trace(course.samples, course.edges)
     for window in windows(pieces(channels=wanted), CONTEXT):
-        evidence.add(window.capture, window.own)
+        trace.add(window)
         found = _estimates(window.samples, recorded)
         if estimators is not None:
             estimators.edges(window.capture.edges)
             found |= estimators.samples(window.samples)
         scored.add(window, found)
-    if words := blame(evidence.delays())[1]:
+    if words := blame(delays_of(trace))[1]:
         notes.append(f"angles differ in time: {words}")
     if n_p is None:
         notes.append("the number of pole pairs is unknown: r/min are electrical")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.figures.error_by_angle import FORWARDS, ErrorByAngle, angles
+from bench.analysis.error_bins import ANGLES, ErrorByAngle, angle_bins
 from bench.reports.style import axis_labels, colour, legend_above, new_figure
 
 OBSERVERS = {
@@ -30,10 +30,10 @@ figure, (ax,) = new_figure(1, height=3.2)
 for name, theta in OBSERVERS.items():
     late = bench.estimate(run, name).between(run.t[-1] - 1.0, run.t[-1])
     error = np.degrees(late.position_error(f"{theta}_host"))
-    sums = ErrorByAngle([name])
-    sums.add_errors(name, late[late.reference], late[f"{theta}_host"], np.zeros(len(late), bool))
-    mean = sums.result()[name].mean[FORWARDS]
-    ax.plot(angles(), mean, color=colour(theta), linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
+    sums = ErrorByAngle()
+    sums.add(angle_bins(late.theta), error, np.zeros(len(late), bool))
+    mean, _ = sums.both()
+    ax.plot(ANGLES, mean, color=colour(theta), linewidth=1.2, label=f"{name}, std {error.std():.2f}°")
     print(f"{name}: mean {error.mean():.3f}, std {error.std():.3f} el. deg")
 ax.set_xlim(0, 360)
 ax.set_xticks(range(0, 361, 60))

@@ -13,7 +13,6 @@ import socket
 from collections.abc import Callable, Mapping
 from configparser import ConfigParser
 from contextlib import suppress
-from difflib import get_close_matches
 from inspect import signature
 from typing import Any
 
@@ -28,6 +27,7 @@ from protocol.canmap.frame import BusRates
 from protocol.errors import HbpError, LinkBusy, LinkClosed, LinkError, LinkNotFound, TargetError
 from protocol.links.slcan_bus import SlcanBus, SlcanOptions
 from protocol.links.target import CAN_KEYS, DEFAULT_BITRATE, DEFAULT_DATA_BITRATE, CanTarget
+from protocol.text import did_you_mean
 
 OPEN_TIMEOUT = 3.0
 """Seconds that a socketcand server may take to answer."""
@@ -123,8 +123,8 @@ def _check_keys(target: CanTarget, arguments: dict[str, Any]) -> None:
             del arguments[key]
     for key in sorted(foreign):
         if target.interface is None or key in dict(target.options):
-            near = get_close_matches(key, sorted({*known, *CAN_KEYS}), 1)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known - {'channel'}))}"
+            keys = f"known: {', '.join(sorted(known - {'channel'}))}"
+            hint = did_you_mean(key, sorted({*known, *CAN_KEYS}), keys)
             raise TargetError(f"{target}: the interface {interface} has no key '{key}': {hint}")
         del arguments[key]
 
@@ -151,8 +151,7 @@ def _unknown_interface(target: CanTarget, name: str) -> TargetError:
             f"{target}: no CAN interface is named, nor does python-can's configuration name one: "
             "write can:socketcan/can0, or set CAN_INTERFACE and CAN_CHANNEL"
         )
-    near = get_close_matches(name, VALID_INTERFACES, 1)
-    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(VALID_INTERFACES))}"
+    hint = did_you_mean(name, VALID_INTERFACES, f"known: {', '.join(sorted(VALID_INTERFACES))}")
     return TargetError(f"{target}: python-can has no interface '{name}': {hint}")
 
 

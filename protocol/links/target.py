@@ -5,7 +5,6 @@ This module only reads and writes the strings; it opens nothing, and so does not
 
 from __future__ import annotations
 
-import difflib
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from protocol.errors import TargetError
-from protocol.text import either
+from protocol.text import did_you_mean, either
 
 if TYPE_CHECKING:
     from protocol.canmap.frame import BusRates
@@ -195,10 +194,8 @@ def parse_target(text: str) -> Target:
     if not colon or scheme not in Target.kinds:
         if text.startswith("/") or text.upper().startswith("COM"):
             raise TargetError(f"target '{text}' has no scheme: write serial:{text}")
-        near = difflib.get_close_matches(scheme, Target.kinds, 1) if colon else []
-        hint = (
-            f"did you mean {near[0]}:?" if near else f"write {either(kind.example for kind in Target.kinds.values())}"
-        )
+        forms = f"write {either(kind.example for kind in Target.kinds.values())}"
+        hint = did_you_mean(scheme, Target.kinds if colon else (), forms, "did you mean {}:?")
         raise TargetError(f"unknown target '{text}': {hint}")
     address, _, query = rest.partition("?")
     return Target.kinds[scheme].read(text, address, _read_options(text, query))

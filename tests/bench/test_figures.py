@@ -13,25 +13,22 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
-from damage import flip
-from hall_motor import Motor, capture
-from made_runs import N_P, PWM_HZ, RPM, TICK_HZ, make, turning
+from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
 
+from bench.analysis import windows
 from bench.analysis.chunks import part
 from bench.analysis.colours import OBSERVERS
+from bench.analysis.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorBySpeed, angle_bins
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.figures.current_plane import CurrentPlane
-from bench.figures.error_by_angle import BINS, ErrorByAngle, angles
-from bench.figures.error_by_speed import MOST, ErrorBySpeed
-from bench.figures.hall_edges import HallEdges
+from bench.figures.hall_edges import edges_of
 from bench.figures.looks import looks
 from bench.figures.motion import Motion
 from bench.figures.plot import NAMES, Plot, draw_all
-from bench.recording.reader import Run
+from bench.recording.reader import Run, captures
 from bench.recording.times import ticks_of
 from bench.recording.writer import RunWriter
-from protocol.streams import EdgeChunk
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
@@ -101,7 +98,7 @@ def test_an_error_of_the_sixth_harmonic_is_found_in_each_bin(tmp_path: Path) -> 
     numbers = found.numbers["estimates"]["theta_vt"]
     width = 2 * math.pi / BINS
     share = math.sin(3 * width) / (3 * width)  # of the amplitude, in the mean over a bin
-    shape = share * np.cos(6 * np.radians(angles()))
+    shape = share * np.cos(6 * np.radians(ANGLES))
     assert numbers["forwards"]["mean"] == pytest.approx(3.0 * shape + 1.0, abs=0.06)
     assert numbers["backwards"]["mean"] == pytest.approx(5.0 * shape + 1.0, abs=0.1)
     within = np.sqrt(0.5 - share**2 / 2)  # scatter that the slope within a bin makes, in the rms over the bins
@@ -110,19 +107,20 @@ def test_an_error_of_the_sixth_harmonic_is_found_in_each_bin(tmp_path: Path) -> 
 
 
 def test_what_is_no_number_counts_for_nothing() -> None:
-    sums = ErrorByAngle(["theta_vt"])
-    angle = np.linspace(0, 1, 100)
-    broken = angle.copy()
-    broken[[3, 50]] = np.nan, np.inf
-    sums.add_errors("theta_vt", angle, broken, np.zeros(100, bool))
-    assert sums.result()["theta_vt"].n.sum() == 98
+    sums = ErrorByAngle()
+    error = np.ones(100)
+    error[[3, 50]] = np.nan, np.inf
+    sums.add(angle_bins(np.linspace(0, 1, 100)), error, np.zeros(100, bool))
+    assert sums.n.sum() == 98
+    assert sums.overall == {"mean": 1.0, "std": 0.0, "rms": 1.0}
 
 
 def test_a_bias_that_goes_with_the_speed_is_found_at_each_speed(tmp_path: Path) -> None:
     speeds = (-600.0, 200.0, 400.0, 800.0)
     rpm = np.repeat(speeds, N)
     theta = turning(rpm)
-    error = rpm / 200.0 + np.random.default_rng(2).normal(0, 1.5, len(rpm))
+    noise = np.random.default_rng(2).normal(0, 1.5, len(rpm))
+    error = rpm / 200.0 + noise
     path = make(tmp_path / "a.run", {"theta_enc": theta, "theta_vt": theta - np.radians(error)})
     found = drawn(path)["error_by_speed"].numbers["estimates"]["theta_vt"]
     assert found["rpm"] == list(speeds)
@@ -134,10 +132,11 @@ def test_a_bias_that_goes_with_the_speed_is_found_at_each_speed(tmp_path: Path) 
 
 
 def test_bins_of_the_speed_stay_few_and_lose_nothing() -> None:
-    sums = ErrorBySpeed(["theta_vt"], 1000.0, 1)
-    rpm = np.random.default_rng(3).uniform(-6000, 6000, 50_000)
+    sums = ErrorBySpeed(1000.0, 1)
+    rng = np.random.default_rng(3)
+    rpm = rng.uniform(-6000, 6000, 50_000)
     for some in np.split(rpm, 50):
-        sums.add_errors("theta_vt", some, some / 1000.0)
+        sums.add("theta_vt", some, some / 1000.0)
     found = sums.result()["theta_vt"]
     assert len(found.rpm) <= MOST
     assert found.n.sum() == np.count_nonzero(np.abs(np.floor(rpm / sums.width + 0.5)) > 0)  # without the one about 0
@@ -145,18 +144,17 @@ def test_bins_of_the_speed_stay_few_and_lose_nothing() -> None:
     assert found.mean[inner] == pytest.approx(found.rpm[inner] / 1000.0, abs=sums.width / 1000.0 / 8)
 
 
-def test_phases_do_not_depend_on_how_a_run_is_cut(tmp_path: Path) -> None:
+def test_phases_do_not_depend_on_how_a_run_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rpm = np.concatenate([np.zeros(N // 2), np.full(N, 300.0), np.linspace(300, 900, N // 4), np.full(N, 900.0)])
     run = Run(make(tmp_path / "a.run", {"theta_enc": turning(rpm)}))
-    whole = run.samples
-    (once,) = Motion(run).pieces(whole)
-    motion, steady = Motion(run), []
-    for k in range(0, len(whole), 1777):
-        for piece in motion.pieces(part(whole, k, min(k + 1777, len(whole)))):
-            steady.append(piece.phases.steady)
-    differ = np.concatenate(steady) != once.phases.steady
+    (once,) = Motion(run).pieces(captures(run))
+    monkeypatch.setattr(windows, "PIECE", 8100)
+    pieces = list(Motion(run).pieces(captures(run)))
+    assert len(pieces) > 4
+    assert once.phases is not None
+    steady = np.concatenate([piece.phases.steady for piece in pieces if piece.phases is not None])
     assert once.phases.steady.sum() > N
-    assert differ.mean() < 0.01  # a slope is known from one side only where a piece ends
+    assert np.array_equal(steady, once.phases.steady)
 
 
 # -- currents and edges ---------------------------------------------------------------------------------------------
@@ -169,28 +167,48 @@ def test_currents_are_counted_where_they_are(tmp_path: Path) -> None:
     sums = CurrentPlane(8.0, True)
     sums.add_samples(run.samples, np.arange(300) >= 50)
     found = sums.result()
+    assert found is not None
     side = found.cell
     assert found.counts == {(0, round(2 / side)): 50, (round(-3 / side), round(4 / side)): 100,
                             (0, round(8.5 / side)): 100}  # fmt: skip
-    assert ({m for _, m in found.references}, found.beyond) == ({round(i / side) for i in (3.0, 5.0, 9.5)}, 100)
-    assert (found.largest, found.mean) == (8.5, pytest.approx((i_d[50:].mean(), i_q[50:].mean())))
+    assert {m for _, m in found.references} == {round(i / side) for i in (3.0, 5.0, 9.5)}
+    assert found.beyond == 100
+    assert found.largest == 8.5
+    assert found.mean == pytest.approx((i_d[50:].mean(), i_q[50:].mean()))
     assert found.std == pytest.approx((i_d[50:].std(), i_q[50:].std()))
-    assert drawn(tmp_path / "a.run")["current_plane"].numbers["n"] == 300
+    shown = drawn(tmp_path / "a.run")["current_plane"]
+    assert shown.numbers["n"] == 300
 
 
 LATE = np.array([1.2, 3.0, -7.2, 3.3, -0.6, -5.6])  # degrees by which each edge comes, turning forwards
 HYSTERESIS = 0.8  # degrees that it comes earlier, turning backwards
 
 
-def hall(*rpm: float) -> tuple[np.ndarray, np.ndarray, made_runs.Edges]:
-    """Angle (n,), codes (n,) and edges of a shaft that turns at each speed for a second."""
-    turns = [(speed * RPM * N_P, 1.0) for speed in rpm]
-    made = capture(Motor(turns, delta_deg=HYSTERESIS / 2 - LATE, hysteresis_deg=HYSTERESIS))
-    return np.unwrap(made["theta_enc"]), made["hall"], (made.edges.tick, made.edges.hall_old, made.edges.hall_new)
+def hall(theta: np.ndarray, tick: np.ndarray) -> tuple[np.ndarray, made_runs.Edges]:
+    """Codes (n,) and edges of a shaft at `theta` (n,), which turns forwards and then backwards."""
+    top = int(np.argmax(theta))
+    edges, codes = [], np.empty(len(theta), np.uint8)
+    for rows, late in ((slice(0, top + 1), LATE), (slice(top, None), LATE - HYSTERESIS)):
+        its, at = theta[rows], tick[rows]
+        k = np.arange(int(theta.max() / (math.pi / 3)) + 2)
+        places = k * math.pi / 3 + np.radians(late[k % 6])
+        codes[rows] = CODES[(np.searchsorted(places, its, side="right") - 1) % 6]
+        met = k[(places > its.min()) & (places < its.max())]
+        forwards = its[-1] > its[0]
+        order = 1 if forwards else -1
+        when = np.interp(places[met], its[::order], at[::order])
+        for sector, moment in zip(met, when, strict=True):
+            before, after = CODES[(sector - 1) % 6], CODES[sector % 6]
+            edges.append((moment, before, after) if forwards else (moment, after, before))
+    edges.sort()
+    when, old, new = zip(*edges, strict=True)
+    return codes, (np.rint(when).astype(np.int64), np.array(old, np.uint8), np.array(new, np.uint8))
 
 
 def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
-    theta, codes, edges = hall(300.0, -300.0)
+    rpm = np.concatenate([np.full(N, 300.0), np.full(N, -300.0)])
+    theta = turning(rpm) + 0.5
+    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
     path = make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges)
     found = drawn(path)["hall_edges"].numbers["edges"]
     assert [edge["ideal"] for edge in found] == pytest.approx([0, 60, 120, 180, 240, 300])
@@ -199,18 +217,14 @@ def test_edges_are_as_late_as_they_were_made(tmp_path: Path) -> None:
     assert sum(edge[way]["n"] for edge in found for way in ("forwards", "backwards")) >= len(edges[0]) - 12
 
 
-def test_very_many_edges_are_thinned_by_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    theta, codes, edges = hall(600.0, -600.0)
+def test_of_very_many_edges_some_evenly_spread_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rpm = np.concatenate([np.full(N, 600.0), np.full(N, -600.0)])
+    theta = turning(rpm) + 0.5
+    codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
     run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
-    monkeypatch.setattr("bench.figures.hall_edges.MOST", 200)
-    collected = HallEdges()
-    samples = run.samples
-    for k in range(0, len(samples), N // 4):
-        piece = part(samples, k, k + N // 4)
-        its = run.chunk("edges", collected.before(), int(piece.tick[-1]))
-        assert isinstance(its, EdgeChunk)
-        collected.add(piece, its)
-    found = collected.result()
+    monkeypatch.setattr("bench.analysis.trace.MOST_EDGES", 200)
+    found = edges_of(run, *run.span)
+    assert found is not None
     kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]
     assert 50 < sum(kept) <= 300
     assert min(kept) > 0  # of every edge, both ways
@@ -219,7 +233,9 @@ def test_very_many_edges_are_thinned_by_chance(tmp_path: Path, monkeypatch: pyte
 
 def test_a_gap_is_in_no_stretch_and_between_no_edge_and_its_angle(tmp_path: Path) -> None:
     """A second of steady turning, of which a tenth is lost at 0.7 s: the longest stretch ends there."""
-    theta, codes, edges = hall(500.0)
+    rpm = np.full(N, 500.0)
+    theta = turning(rpm)
+    codes, edges = hall(theta, np.arange(N) * (TICK_HZ // PWM_HZ))
     columns = {"hall": codes, "theta_enc": theta, "theta_vt": theta - 0.1, **currents(theta)}
     whole = Run(make(tmp_path / "whole.run", columns, edges))
     path = tmp_path / "lossy.run"
@@ -276,9 +292,11 @@ def test_a_kept_run_by_plain_numpy() -> None:
         assert angle["forwards"]["mean"][k] == pytest.approx(there.mean(), abs=1e-9)
         assert angle["forwards"]["std"][k] == pytest.approx(there.std(), abs=1e-6)
     speed = found["error_by_speed"].numbers["estimates"]["theta_vt"]
-    assert (speed["rpm"], speed["p95"]) == ([500.0], pytest.approx([np.percentile(np.abs(error), 95)], abs=0.05))
+    assert speed["rpm"] == [500.0]
+    assert speed["p95"] == pytest.approx([np.percentile(np.abs(error), 95)], abs=0.05)
     theta = np.unwrap(values["theta_enc"])
-    whole = theta < theta[0] + 2 * np.pi * int((theta[-1] - theta[0]) / (2 * np.pi))
+    turns = int((theta[-1] - theta[0]) / (2 * np.pi))
+    whole = theta < theta[0] + 2 * np.pi * turns
     first, fifth = (2 * abs(np.mean(values["i_a"][whole] * np.exp(-1j * n * theta[whole]))) for n in (1, 5))
     spectrum = found["spectrum"].numbers
     assert spectrum["phases"]["i_a"]["harmonics_a"][0] == pytest.approx(first, rel=1e-3)
@@ -314,11 +332,12 @@ def test_each_figure_that_is_not_drawn_says_why(tmp_path: Path) -> None:
 def test_an_angle_that_turns_too_far_between_samples_is_not_believed(tmp_path: Path) -> None:
     rpm = np.full(N, 4000.0)
     columns = {"theta_enc": turning(rpm), "omega_enc": rpm * RPM * N_P * 100, "theta_vt": turning(rpm)}
-    assert "ambiguous" in drawn(make(tmp_path / "a.run", columns))["error_by_angle"].why
+    found = drawn(make(tmp_path / "a.run", columns))
+    assert "ambiguous" in found["error_by_angle"].why
 
 
 def test_files_json_and_the_table(tmp_path: Path) -> None:
-    result = plot(DATA / "steady.run", "-o", tmp_path / "out", "--from", 0.7, "--to", 1.0)
+    result = plot(DATA / "steady.run", "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "current_plane   –" in result.output
     assert "no i_d in A" in result.output
@@ -342,7 +361,8 @@ def test_files_json_and_the_table(tmp_path: Path) -> None:
 
 
 def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
-    result = plot(make(tmp_path / "a.run", {"u_dc": np.ones(N)}), "-o", tmp_path / "out")
+    path = make(tmp_path / "a.run", {"u_dc": np.ones(N)})
+    result = plot(path, "-o", tmp_path / "out")
     assert isinstance(result.exception, BenchError)
     assert "no plot of" in str(result.exception)
     assert "spectrum: no phase current" in str(result.exception)
@@ -352,7 +372,11 @@ def test_none_that_can_be_drawn_is_an_error(tmp_path: Path) -> None:
 def test_damage_is_told(tmp_path: Path) -> None:
     path = tmp_path / "a.run"
     shutil.copytree(DATA / "steady.run", path)
-    flip(path / "edges-000001.parquet", 100)
-    assert "warning: edges-000001.parquet is damaged" in plot(path, "-o", tmp_path / "out").stderr
+    file = path / "edges-000001.parquet"
+    data = bytearray(file.read_bytes())
+    data[100] ^= 1
+    file.write_bytes(data)
+    result = plot(path, "-o", tmp_path / "out")
+    assert "warning: edges-000001.parquet is damaged" in result.stderr
     assert (tmp_path / "out" / "spectrum.png").exists()
     assert not (tmp_path / "out" / "hall_edges.png").exists()

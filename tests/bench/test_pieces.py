@@ -21,14 +21,17 @@ from hall_motor import Motor, capture
 from long_run import KEPT, repeated
 
 import bench
+from bench.analysis import trace as trace_of_analysis
 from bench.analysis import windows
 from bench.analysis.chunks import join, part
+from bench.analysis.delays import delays_of
+from bench.analysis.trace import INPUTS
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.hall import trace as tracing
 from bench.hall.health import examine
-from bench.hall.trace import INPUTS, Recorded, trace
+from bench.hall.trace import Recorded, trace
 from bench.recording import writer
 from bench.recording.reader import Run
 from bench.recording.writer import RunWriter
@@ -238,8 +241,7 @@ def peak(run: Callable[[], object]) -> int:
 def test_memory_does_not_grow_with_the_run(tmp_path, small_groups: None, monkeypatch, what: str) -> None:
     monkeypatch.setattr(windows, "PIECE", 4000)
     for name in ("MOST", "MOST_EDGES"):
-        monkeypatch.setattr(tracing, name, 2000)
-        monkeypatch.setattr("bench.analysis.delays." + name, 2000)
+        monkeypatch.setattr(trace_of_analysis, name, 2000)
     runs = [repeated(tmp_path / f"{times}.run", times) for times in (4, 24)]
 
     def use(path: Path) -> None:
@@ -301,14 +303,14 @@ def test_a_trace_does_not_depend_on_the_pieces(monkeypatch: pytest.MonkeyPatch, 
     assert np.array_equal(cut.changed, whole.changed)
     assert np.array_equal(cut.codes, np.bincount(made.samples.raw["hall"], minlength=8))
     assert (cut.up, cut.down) == pytest.approx((whole.up, whole.down))
-    assert cut.evidence.delays() == pytest.approx(whole.evidence.delays(), abs=1e-9, nan_ok=True)
+    assert delays_of(cut) == pytest.approx(delays_of(whole), abs=1e-9, nan_ok=True)
 
 
 def test_of_many_samples_some_are_measured_and_all_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     made = capture(Motor())
     whole = trace(made)
-    monkeypatch.setattr(tracing, "MOST", len(made) // 10)
-    monkeypatch.setattr(tracing, "MOST_EDGES", len(made.edges) // 3)
+    monkeypatch.setattr(trace_of_analysis, "MOST", len(made) // 10)
+    monkeypatch.setattr(trace_of_analysis, "MOST_EDGES", len(made.edges) // 3)
     every = -(-len(made.edges) // (len(made.edges) // 3))
     some = trace(made)
     assert len(some.some.hall) == pytest.approx(len(made) / 10, abs=2)
@@ -341,5 +343,5 @@ def test_nothing_is_scored_of_no_samples() -> None:
     read = bench.read(STEADY)
     with pytest.raises(BenchError, match="the capture holds no samples of the drive"):
         score([replace(read, samples=part(read.samples, 0, 0))])
-    with pytest.raises(BenchError, match="'hall' was not recorded"):
+    with pytest.raises(BenchError, match="nothing was recorded"):
         trace(replace(read, samples=part(read.samples, 0, 0)))

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from bench.analysis.percentiles import Sizes
-from bench.scoring.metrics import Changes, Errors, LagBySpeed, LagInTime, reach
+from bench.analysis.error_bins import Errors
+from bench.analysis.percentiles import Percentiles
+from bench.scoring.metrics import Changes, LagBySpeed, LagInTime, reach
 from bench.scoring.phases import phases_of, speed_bins, speed_of
 
 RATE = 16_000.0
@@ -66,26 +67,26 @@ def test_percentiles_of_any_number_are_those_of_numpy(n: int, cuts: int) -> None
     """Exact up to 8192 numbers and for 99 % of up to a hundred times as many; else within 0.2 %."""
     values = np.abs(np.random.default_rng(4).standard_cauchy(n))
     parts = np.array_split(values, cuts)
-    whole, merged = Sizes(), Sizes()
+    whole, merged = Percentiles(), Percentiles()
     for k, part in enumerate(parts):
         whole.add(part)
-        one = Sizes()
+        one = Percentiles()
         one.add(part)
         merged.merge(one)
         if k == 2:
-            merged.merge(Sizes())
+            merged.merge(Percentiles())
     for sizes in (whole, merged):
         assert (sizes.n, sizes.at(99.0)) == (n, pytest.approx(np.percentile(values, 99.0), rel=1e-12))
         assert sizes.at(99.9) == pytest.approx(np.percentile(values, 99.9), rel=1e-12)
         for percent in (1.0, 50.0, 90.0):
             exact = np.percentile(values, percent)
             assert sizes.at(percent) == pytest.approx(exact, rel=1e-12 if n <= 8192 else 0.002 + 1e-3)
-    assert math.isnan(Sizes().at(99.0))
+    assert math.isnan(Percentiles().at(99.0))
 
 
 def test_of_more_than_that_99_percent_is_known_to_a_fifth_of_a_percent() -> None:
     rng = np.random.default_rng(5)
-    sizes, parts = Sizes(), [np.abs(rng.standard_normal(500_000)) for _ in range(4)]
+    sizes, parts = Percentiles(), [np.abs(rng.standard_normal(500_000)) for _ in range(4)]
     for part in parts:
         sizes.add(part)
     exact = np.percentile(np.concatenate(parts), 99.0)

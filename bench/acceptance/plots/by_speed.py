@@ -42,14 +42,13 @@ def draw_by_speed(speeds: Sequence[float], loads: Sequence[float], panels: Seque
     """
     figure, axes = new_figure(1, len(panels), height=3.2)
     for ax, panel in zip(axes, panels, strict=True):
-        for look, amps, mine, others in zip(SPARES, loads, panel.values, panel.others, strict=False):
+        for look, others in zip(SPARES, panel.others, strict=False):
             ax.plot(speeds, others, color=look.paper, alpha=0.6, **DASHED)
-            ax.plot(speeds, mine, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
+        _curves(ax, speeds, loads, panel.values)
         ax.axhline(panel.limit, **DOTTED)
         ax.set(xscale="log", xticks=_labelled(speeds))
         ax.xaxis.set_major_formatter(FormatStrFormatter("%g"))
         ax.xaxis.set_minor_formatter(NullFormatter())
-        _log_ordinate(ax)
         axis_labels(ax, f"{panel.title} Mechanical speed", panel.name, "r/min", panel.unit)
     more = {other: Line2D([], [], color="0.4", **DASHED), "limit": Line2D([], [], **DOTTED)}
     _legend_above(figure, axes[0], more)
@@ -65,18 +64,19 @@ def draw_thd_map(loads: Sequence[float], speeds: Sequence[float], approaches: Ma
     values = np.concatenate([thd.ravel() for thd in approaches.values()])
     values = values[np.isfinite(values) & (values > 0.0)]
     for ax, (name, thd) in zip(axes, approaches.items(), strict=True):
-        for look, amps, y in zip(SPARES, loads, thd, strict=False):
-            ax.plot(speeds, y, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
+        _curves(ax, speeds, loads, thd)
         axis_labels(ax, f"{name}: mechanical speed", "THD", "r/min", "%")
         ax.set_xlim(0, 1.04 * max(speeds))
-        _log_ordinate(ax)
         if len(values):
             ax.set_ylim(0.8 * values.min(), 1.25 * values.max())
     _legend_above(figure, axes[0], {})
     return figure
 
 
-def _log_ordinate(ax: Axes) -> None:
+def _curves(ax: Axes, speeds: Sequence[float], loads: Sequence[float], values: F64) -> None:
+    """Draw `values`, (m, n) of m loads at n speeds, over a logarithmic ordinate."""
+    for look, amps, y in zip(SPARES, loads, values, strict=False):
+        ax.plot(speeds, y, marker=look.mark, color=look.paper, label=f"{amps:g} A", **POINTS)
     ax.set_yscale("log")
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))

@@ -7,18 +7,16 @@ Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from bench.analysis.capture import F64, Capture
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.reports import style
+from bench.reports.plots import edge_circle
 from bench.reports.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
-
-SECTORS = ("I", "II", "III", "IV", "V", "VI")
 
 
 def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> Figure:
@@ -33,16 +31,8 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     below = figure.add_subplot(grid[1, :])
     middle = offsets.mean.mean(axis=1)
 
-    ideal = np.arange(6) * math.pi / 3
-    circle.vlines(ideal, 0, 1, color=LIGHT, linewidth=3.0, label="ideal")
+    ideal = edge_circle(circle, NUMERALS, style.BLACK, 3.0)
     circle.vlines(ideal - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
-    for name, angle in zip(SECTORS, ideal, strict=True):
-        circle.text(angle + math.pi / 6, 0.6, name, ha="center", va="center", fontsize=FONT_SIZE)
-    circle.set_xticks(ideal)
-    circle.set_yticks([])
-    circle.set_ylim(0, 1)
-    circle.grid(False)
-    circle.tick_params(labelsize=FONT_SIZE)
     circle.legend(loc="upper center", bbox_to_anchor=(0.5, 1.3), ncols=2, frameon=False, fontsize=FONT_SIZE)
 
     x = np.arange(6)
@@ -55,7 +45,7 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     ):
         chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
     chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
-    chart.set_xticks(x, SECTORS)
+    chart.set_xticks(x, NUMERALS)
     chart.set_xlim(-0.6, 5.6)
     style.plain(chart)
     chart.grid(False, axis="x")
@@ -72,7 +62,7 @@ def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> 
     table = below.table(
         [[f"{value:.2f}°".replace("-", "−") for value in values] for values in rows.values()],
         rowLabels=list(rows),
-        colLabels=SECTORS,
+        colLabels=NUMERALS,
         cellLoc="center",
         bbox=Bbox.from_bounds(0.12, 0.0, 0.88, 1.0),
         edges="horizontal",

@@ -6,10 +6,9 @@ is fetched when it is read. Whatever a test, a drive or a log says is text in it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from markupsafe import Markup, escape
@@ -21,8 +20,7 @@ from bench.acceptance.report_files import keep_only
 from bench.acceptance.results import Figure, Measurement, RunResult, TestResult, Verdict, tightest
 from bench.errors import BenchError
 from bench.files import write
-from bench.reports.html import css_string, embedded, page
-from bench.reports.words import labelled, plain
+from bench.reports.html import embedded, page
 from protocol.text import counted
 
 NAME = "report.html"
@@ -190,25 +188,8 @@ def _breakable(name: str) -> Markup:
     return Markup(text)  # escaped above
 
 
-_FILTERS: dict[str, Callable[..., Any]] = {
-    "breakable": _breakable,
-    "counted": counted,
-    "css_string": css_string,
-    "duration": words.duration,
-    "for_information": words.for_information,
-    "in_words": in_words,
-    "labelled": labelled,
-    "limits": words.limits_text,
-    "made": words.made,
-    "margin": words.margin_text,
-    "number": words.number,
-    "paragraphs": words.paragraphs,
-    "place": words.place,
-    "plain": plain,
-    "setting": words.setting,
-    "span": words.span_text,
-    "tally": words.tally,
-    "tightest": tightest,
-    "value": words.value_text,
-    "zone": words.zone,
-}
+_FILTERS = (
+    _breakable, in_words, tightest, words.duration, words.for_information, words.limits_text, words.made,
+    words.margin_text, words.number, words.paragraphs, words.place, words.setting, words.span_text, words.tally,
+    words.value_text, words.zone,
+)  # fmt: skip

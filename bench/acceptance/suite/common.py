@@ -7,7 +7,7 @@ whether the drive is simulated.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, ParamSpec
 
 import numpy as np
@@ -41,17 +41,8 @@ TURNS = ("parameter:n_p", "channel:status", "speed")
 """What a test needs that asks for r/min and looks at states."""
 AVERAGED = ("channel:theta_avg", "channel:omega_avg", "observer:average-speed")
 VECTOR = ("channel:theta_vt", "channel:omega_vt", "observer:vector-tracking")
-PAPER = (
-    *TURNS,
-    *AVERAGED,
-    *VECTOR,
-    "encoder",
-    "feature:EDGES",
-    "channel:hall",
-    "channel:i_a",
-    "channel:i_d",
-    "channel:i_q",
-)
+CHANNELS = tuple(f"channel:{name}" for name in ("hall", "i_a", "i_d", "i_q"))
+PAPER = (*TURNS, *AVERAGED, *VECTOR, "encoder", "feature:EDGES", *CHANNELS)
 """What the paper's experiments need, which compare its two approaches with the encoder."""
 
 
@@ -71,14 +62,17 @@ def held(name: str, within: float, about: str) -> Limits:
 
 
 def errors(
-    prefix: str, std: float = STD, largest: float = LARGEST, about: str = "", saturated: float = 0.0
+    name: str = "{}", most: tuple[float, float, float] = (MEAN, STD, LARGEST), about: str = "", saturated: float = 0.0
 ) -> list[Limits]:
-    """Limits of `measure_error`; `saturated`: by how much iron may have lowered the inductance, as a share."""
-    more = f", {about}" if about else ""
+    """Limits of `measure_error`, in deg: of the mean, either sign, the standard deviation and the largest.
+
+    `saturated`: by how much iron may have lowered the inductance, as a share.
+    """
+    mean, std, largest = most
     return [
-        Limits(f"{prefix}error_mean", "deg", -MEAN, MEAN, f"mean position error{more}", plus=saturated),
-        Limits(f"{prefix}error_std", "deg", None, std, f"standard deviation of the position error{more}"),
-        Limits(f"{prefix}error_max", "deg", None, largest, f"largest position error{more}"),
+        Limits(name.format("error_mean"), "deg", -mean, mean, f"mean position error{about}", plus=saturated),
+        Limits(name.format("error_std"), "deg", None, std, f"standard deviation of the position error{about}"),
+        Limits(name.format("error_max"), "deg", None, largest, f"largest position error{about}"),
     ]
 
 
@@ -124,12 +118,18 @@ def error_deg(capture: Capture, observer: str) -> F64:
     return np.degrees(capture.position_error(THETA[observer]))
 
 
-def measure_error(measure: Measure, capture: Capture, observer: str = PROPOSED, prefix: str = "") -> float:
-    """`error_mean`, `error_std` and `error_max` of an approach in electrical degrees; returns the second."""
+def measure_error(
+    measure: Measure, capture: Capture, observer: str = PROPOSED, name: str = "{}", mean: bool = True
+) -> float:
+    """`error_mean` where wanted, `error_std` and `error_max` of an approach in electrical degrees; returns the second.
+
+    `name`: how they are called, with {} in the place of those words.
+    """
     error = error_deg(capture, observer)
-    measure(f"{prefix}error_mean", error.mean(), capture)
-    measure(f"{prefix}error_std", error.std(), capture)
-    measure(f"{prefix}error_max", np.abs(error).max(), capture)
+    if mean:
+        measure(name.format("error_mean"), error.mean(), capture)
+    measure(name.format("error_std"), error.std(), capture)
+    measure(name.format("error_max"), np.abs(error).max(), capture)
     return float(error.std())
 
 
@@ -278,12 +278,13 @@ def turn_both_ways(drive: Drive, rated: Ratings, record: Record, measure: Measur
         drive.speed(rpm=direction * speed)
         assert settle(record, direction * speed), f"{direction * speed:g} r/min were not reached"
         turning.append(record(max(1.0, 5.0 * 60.0 / speed)))
-    edges = [capture.edges for capture in turning]
-    return turning, edge_offsets(
-        np.concatenate([capture.theta_at_edges() for capture in turning]),
-        np.concatenate([chunk.hall_old for chunk in edges]),
-        np.concatenate([chunk.hall_new for chunk in edges]),
-    )
+    return turning, offsets_by_encoder(turning)
+
+
+def offsets_by_encoder(turning: Sequence[Capture]) -> EdgeOffsets:
+    """Where the Hall edges of all these captures lie by the encoder."""
+    columns = [(run.theta_at_edges(), run.edges.hall_old, run.edges.hall_new) for run in turning]
+    return edge_offsets(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
 
 def _wiring_as_specified(capture: Capture, record: Record) -> float:

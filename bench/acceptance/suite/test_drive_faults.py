@@ -80,13 +80,7 @@ TENTH, SIXTH = 1 / 10, 1 / 6  # of the rated speed
 @energises(rated_speed=SLOW, rated_current=1)
 @pytest.mark.parametrize("wire", WIRES)
 def test_hall_wire_broken(
-    wire: str,
-    drive: Drive,
-    rated: Ratings,
-    record: Record,
-    hall_faults: HallFaults,
-    measure: Measure,
-    figure: Figure,
+    wire: str, drive: Drive, rated: Ratings, record: Record, hall_faults: HallFaults, measure: Measure, figure: Figure
 ) -> None:
     """A Hall wire breaks at a tenth of the rated speed: the drive trips, and runs again once the wire is whole.
 

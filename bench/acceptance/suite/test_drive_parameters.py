@@ -21,7 +21,6 @@ from bench.acceptance import (
     needs,
 )
 from bench.acceptance.fixtures import Record
-from bench.acceptance.plots.hall import SECTORS
 from bench.acceptance.suite.common import (
     OVER,
     PROPOSED,
@@ -31,6 +30,7 @@ from bench.acceptance.suite.common import (
     Measure,
     errors,
     measure_error,
+    offsets_by_encoder,
     rpm,
     run_at,
     settle,
@@ -39,8 +39,10 @@ from bench.acceptance.suite.common import (
     whole_turns,
 )
 from bench.acceptance.suite.events import current
-from bench.analysis.delays import STATOR, Late, blame, delays
-from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.analysis.delays import Late, blame, delays
+from bench.analysis.trace import STATOR
+from bench.analysis.waveforms import BACKWARDS, FORWARDS
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.errors import BenchError
 from bench.rig.loads import Load
 
@@ -49,19 +51,17 @@ REST = 0.01  # electrical rad/s below which the shaft is at rest, by what the dr
 PLACED_WITHIN = 15.0  # deg
 SPEED, LOAD = 1 / 6, 1 / 2  # of the rated speed and current
 
+OFF = {"R_s_hat": 0.3, "L_s_hat": 0.2, "psi_f_hat": 0.1}  # shares
 MISMATCHES = {
-    "R_s_hat_low": ("R_s_hat", 0.7),
-    "R_s_hat_high": ("R_s_hat", 1.3),
-    "L_s_hat_low": ("L_s_hat", 0.8),
-    "L_s_hat_high": ("L_s_hat", 1.2),
-    "psi_f_hat_low": ("psi_f_hat", 0.9),
-    "psi_f_hat_high": ("psi_f_hat", 1.1),
+    f"{name}_{way}": (name, 1.0 + sign * share)
+    for name, share in OFF.items()
+    for way, sign in (("low", -1), ("high", 1))
 }
 
 
 @called("Wrong motor parameters")
 @limits(
-    *errors("nominal_", about="with the drive's own parameters"),
+    *errors("nominal_{}", about=", with the drive's own parameters"),
     *(
         measured
         for name, (parameter, factor) in MISMATCHES.items()
@@ -94,10 +94,9 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
         run = whole_turns(record(0.25))
         error = run.position_error("theta_vt")
         if name == "nominal":
-            measure_error(measure, run, prefix="nominal_")
+            measure_error(measure, run, name="nominal_{}")
         else:
-            measure(f"{name}_error_std", np.degrees(error.std()), run)
-            measure(f"{name}_error_max", np.degrees(np.abs(error).max()), run)
+            measure_error(measure, run, name=f"{name}_{{}}", mean=False)
         return run, math.degrees(error.mean())
 
     nominal, mean = run_with("nominal")
@@ -119,7 +118,7 @@ def test_parameter_mismatch(drive: Drive, rated: Ratings, load: Load, record: Re
 @limits(
     *(
         Limits(f"delta_{sector}", "deg", -PLACED_WITHIN, PLACED_WITHIN, f"edge that opens sector {sector}")
-        for sector in SECTORS
+        for sector in NUMERALS
     ),
     Limits("hysteresis", "deg", None, 3, "between an edge passed in reverse and forward, mean of the six"),
     Limits("edges_dropped", "", None, 0, "edges between sectors that are not neighbours"),
@@ -134,7 +133,7 @@ def test_hall_edges(drive: Drive, rated: Ratings, record: Record, measure: Measu
     """
     turning, offsets = turn_both_ways(drive, rated, record, measure)
     delta = np.degrees(offsets.mean)
-    for s, sector in enumerate(SECTORS):
+    for s, sector in enumerate(NUMERALS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
     measure("hysteresis", (delta[:, BACKWARDS] - delta[:, FORWARDS]).mean(), *turning)
     measure("edges_dropped", offsets.dropped, *turning)
@@ -167,14 +166,8 @@ def test_back_emf_and_encoder(drive: Drive, rated: Ratings, record: Record, meas
 @called("Delays between the angles")
 @limit("encoder", "us", hi=30, about="delay of encoder against back-EMF; it appears in every error")
 @limit("hall", "us", hi=50, about="delay of Hall edges against back-EMF")
-@needs(
-    *TURNS,
-    "encoder",
-    "feature:EDGES",
-    *(f"channel:{name}" for name in STATOR),
-    "parameter:R_s_hat",
-    "parameter:L_s_hat",
-)
+@needs(*TURNS, "encoder", "feature:EDGES", *(f"channel:{name}" for name in STATOR))
+@needs("parameter:R_s_hat", "parameter:L_s_hat")
 @energises(rated_speed=1, rated_current=1)
 def test_angles_are_of_one_time(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
     """Encoder, Hall edges and back-EMF at half and all of the speed, both directions, near no load: which is late.
@@ -250,8 +243,7 @@ def _encoder_turns(run: Capture) -> tuple[float, int]:
 
     Positive where both turn the same way.
     """
-    theta = run.theta_at_edges()
-    offsets = edge_offsets(theta, run.edges.hall_old, run.edges.hall_new)
+    theta, offsets = run.theta_at_edges(), offsets_by_encoder([run])
     turns = (len(theta) - 1) // 6
     if turns < 1:
         return math.nan, offsets.dropped

@@ -81,13 +81,12 @@ def test_reversal(drive: Drive, rated: Ratings, record: Record, measure: Measure
     since = run.t >= start
     zero, end = (first(run, since & (reference < to)) for to in (0.0, -0.999 * speed))
     settling = or_nan(lambda: settled(run.t[since], omega[since], -speed, 0.2 * speed, hold=0.05).time)
-    error = error_deg(after, PROPOSED)
     measure("zero_lag", 1e3 * (first(run, since & (omega < 0.0)) - zero), run)
     measure("settling_time", 1e3 * (start + settling - end), run)
     measure("overshoot", 50.0 * (largest(-omega, since) / speed - 1.0), run)
     measure("error_max", largest(np.abs(error_deg(run, PROPOSED)), since), run)
-    measure("error_mean", error.mean(), after)
-    measure("error_std", error.std(), after)
+    measure("error_mean", error_deg(after, PROPOSED).mean(), after)
+    measure("error_std", error_deg(after, PROPOSED).std(), after)
     measure("current_max", current(run).max(), run)
     figure(
         "drive_reversal",
@@ -127,13 +126,12 @@ def test_lowest_speed(
         load.torque(0.01 * torque * rated.current * drive.torque_constant)
     record.wait(0.8)
     run = record(max(2.0, 3.0 * electrical_turn(drive, speed)))
-    omega, error, turned = rpm(run), error_deg(run, PROPOSED), np.degrees(run.theta)
+    omega, turned = rpm(run), np.degrees(run.theta)
     measure("speed", 100.0 * omega.mean() / speed, run)
     measure("backwards", (np.maximum.accumulate(turned) - turned).max(), run)
     measure("current_max", current(run).max(), run)
     measure("speed_ripple", omega.std(), run)
-    measure("error_std", error.std(), run)
-    measure("error_max", np.abs(error).max(), run)
+    measure_error(measure, run, mean=False)
     figure(
         f"drive_lowest_speed_{torque}",
         f"{speed:g} r/min, {f'{torque} % of the rated torque' if torque else 'light load'}",
@@ -157,7 +155,7 @@ def test_full_speed(drive: Drive, rated: Ratings, record: Record, measure: Measu
 
 
 @called("Position error at rated speed")
-@limits(*errors(""))
+@limits(*errors())
 @needs(*TURNS, *VECTOR, "encoder")
 @energises(rated_speed=1, rated_current=1)
 def test_full_speed_error(drive: Drive, rated: Ratings, record: Record, measure: Measure) -> None:
@@ -169,7 +167,7 @@ def test_full_speed_error(drive: Drive, rated: Ratings, record: Record, measure:
 @called("High power")
 @limits(held("speed", 2, "mean by the encoder"))
 @limit("i_q", "A", hi=1, of=RATED_CURRENT, about="mean: three quarters of load and the friction")
-@limits(*errors("", about="with iron that saturates", saturated=0.1))
+@limits(*errors(about=", with iron that saturates", saturated=0.1))
 @limit("current_max", "A", hi=OVER, of=RATED_CURRENT, about="largest phase current")
 @needs(*TURNS, *VECTOR, "encoder", "currents", "channel:i_q", "channel:u_dc", "load")
 @needs("parameter:psi_f_hat", "parameter:R_s_hat", "parameter:L_s_hat")

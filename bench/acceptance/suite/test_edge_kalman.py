@@ -27,8 +27,10 @@ from bench.acceptance.suite.common import (
     around,
     electrical_turn,
     error_deg,
+    errors,
     from_reference,
     held,
+    measure_error,
     percent,
     ramp,
     ratio,
@@ -51,8 +53,9 @@ LESSONS = ((1 / 3, 1 / 16, 1.0), (1 / 3, 1 / 2, 0.7), (1 / 3, 1.0, 0.7), (1 / 3,
 """Where the edges are learned: speed, q current, s. The load must vary, or a wrong L_s_hat moves them."""
 FROM = 1 / 6  # of the rated speed: below it the back-EMF has little to say, and errors may be `WIDER` times as large
 WIDER = 1.4
-MEAN, STD, LARGEST = 2.5, 0.8, 4.0
-"""Position error in deg that the filter leaves from there on: mean (either sign), standard deviation, largest."""
+STD, LARGEST = 0.8, 4.0
+MOST = {True: (2.5, STD, LARGEST), False: (WIDER * 2.5, WIDER * STD, WIDER * LARGEST)}
+"""Position error in deg that the filter leaves from there on, and below: mean (either sign), std, largest."""
 LITTLE = 3.0  # deg: a standard deviation that is no worse than another's for being above it
 SETTLING = 0.25  # s
 OFF = {"R_s_hat": 1.3, "L_s_hat": 1.2, "psi_f_hat": 0.9}
@@ -89,38 +92,21 @@ def _point(load: float, speed: float) -> str:
     return f"load{percent(load)}.speed{percent(speed)}"
 
 
-def _allowed(point: str, speed: float, at: str = "") -> list[Limits]:
-    """Limits of the error; `at` says in words at which point."""
-    wide = 1.0 if speed >= FROM else WIDER
-    return [
-        Limits(f"error_mean{point}", "deg", -wide * MEAN, wide * MEAN, f"mean position error of the Kalman filter{at}"),
-        Limits(f"error_std{point}", "deg", None, wide * STD, f"standard deviation of its position error{at}"),
-        Limits(f"error_max{point}", "deg", None, wide * LARGEST, f"its largest position error{at}"),
-    ]
-
-
 @called("Kalman filter over speed and load")
 @limits(
     *(
         declared
         for load in LOADS
         for speed in SPEEDS
-        for declared in _allowed(f".{_point(load, speed)}", speed, f" at {shares(load, speed)}")
+        for declared in errors(f"{{}}.{_point(load, speed)}", MOST[speed >= FROM], f" at {shares(load, speed)}")
     )
 )
 @limits(
-    *(
-        Limits(f"thd.{_point(THD_LOAD, speed)}", "%", about=f"THD of i_a at {shares(THD_LOAD, speed)}")
-        for speed in THD_SPEEDS
-    )
+    *(Limits(f"thd.{_point(THD_LOAD, at)}", "%", about=f"THD of i_a at {shares(THD_LOAD, at)}") for at in THD_SPEEDS)
 )
 @limit("proposed.error_std.speed17", "deg", about="the paper's observer on the same samples, half the load")
 @limit("proposed.error_std.speed33", "deg", about="the paper's observer on the same samples, half the load")
-@limit(
-    "ratio_max",
-    hi=1,
-    about=f"std, Kalman filter to the paper's observer, largest; below {LITTLE:g} deg as that",
-)
+@limit("ratio_max", hi=1, about=f"std, Kalman filter to the paper's observer, largest; below {LITTLE:g} deg as that")
 @needs("load.speed", "rate:16000", *CHANNELS)
 @energises(rated_speed=1, rated_current=1)
 def test_edge_kalman_map(
@@ -260,9 +246,7 @@ def test_edge_kalman_wrong_parameters(
     drive.stop()
     ratios = []
     for at, right, wrong in zip(WRONG, own, runs, strict=True):
-        error, paper = error_deg(wrong, KALMAN), error_deg(right, PROPOSED)
-        measure(f"error_std.speed{percent(at)}", error.std(), wrong)
-        measure(f"error_max.speed{percent(at)}", np.abs(error).max(), wrong)
+        std = measure_error(measure, wrong, KALMAN, f"{{}}.speed{percent(at)}", mean=False)
         if at > FROM:
-            ratios.append(ratio(float(error.std()), float(paper.std()), LITTLE))
+            ratios.append(ratio(std, float(error_deg(right, PROPOSED).std()), LITTLE))
     measure("ratio", max(ratios), *own, *runs)

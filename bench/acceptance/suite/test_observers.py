@@ -16,8 +16,16 @@ import pytest
 
 from bench.acceptance import Capture, Drive, Limits, Ratings, called, energises, limits, needs
 from bench.acceptance.fixtures import Record
-from bench.acceptance.suite.common import TURNS, Measure, electrical_turn, ratio, speed_rpm, whole_turns
-from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
+from bench.acceptance.suite.common import (
+    TURNS,
+    Measure,
+    electrical_turn,
+    offsets_by_encoder,
+    ratio,
+    speed_rpm,
+    whole_turns,
+)
+from bench.analysis.waveforms import BACKWARDS, FORWARDS
 from bench.rig.loads import NodeLoad
 from protocol.signals import SOURCE_NAMES, AngleSource
 
@@ -146,7 +154,7 @@ def _ratio(run: Capture, short: str, other: str) -> float:
 
 def _ring(run: Capture, sign: int) -> float:
     """Mean of ideal less actual angle of the edges met in one direction, rad, each sector as wide as it is."""
-    delta = edge_offsets(run.theta_at_edges(), run.edges.hall_old, run.edges.hall_new).mean
+    delta = offsets_by_encoder([run]).mean
     way = delta[:, FORWARDS if sign > 0 else BACKWARDS]
     width = math.pi / 3.0 + way - np.roll(way, -1)
     return float((width * 0.5 * (way + np.roll(way, -1))).sum() / math.tau)
@@ -154,11 +162,7 @@ def _ring(run: Capture, sign: int) -> float:
 
 def _teach(drive: Drive, turning: Sequence[Capture]) -> None:
     """Tell the drive where the edges lie by the encoder, each way."""
-    delta = edge_offsets(
-        np.concatenate([run.theta_at_edges() for run in turning]),
-        np.concatenate([run.edges.hall_old for run in turning]),
-        np.concatenate([run.edges.hall_new for run in turning]),
-    ).mean
+    delta = offsets_by_encoder(turning).mean
     for way, column in (("up", FORWARDS), ("down", BACKWARDS)):
         for s in range(6):
             drive.set(f"edge_{way}_{s + 1}", float(delta[s, column]))

@@ -28,7 +28,7 @@ from bench.acceptance import (
     yes,
 )
 from bench.acceptance.fixtures import Record
-from bench.acceptance.plots.hall import SECTORS, draw_edge_offsets, draw_misaligned_hall
+from bench.acceptance.plots.hall import draw_edge_offsets, draw_misaligned_hall
 from bench.acceptance.plots.response import draw_bode
 from bench.acceptance.plots.steady import draw_steady
 from bench.acceptance.suite.common import (
@@ -39,8 +39,8 @@ from bench.acceptance.suite.common import (
     WORDS,
     Figure,
     Measure,
-    error_deg,
     held,
+    measure_error,
     ratio,
     rpm,
     settle,
@@ -52,6 +52,7 @@ from bench.acceptance.suite.common import (
 )
 from bench.analysis.capture import F64
 from bench.analysis.waveforms import BACKWARDS, FORWARDS, sine_response
+from bench.analysis.waveforms.sectors import NUMERALS
 from bench.rig.loads import Load, NodeLoad
 from protocol.signals import Injection, Status
 
@@ -77,7 +78,7 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
 @limits(
     *(
         _near(f"delta_{sector}", delta, TOLERANCE, f"edge that opens sector {sector}")
-        for sector, delta in zip(SECTORS, TABLE_I, strict=True)
+        for sector, delta in zip(NUMERALS, TABLE_I, strict=True)
     ),
     *(
         _near(
@@ -87,7 +88,7 @@ def _near(name: str, value: float, tolerance: float, about: str) -> Limits:
             f"edge that opens sector {sector}, {MET_WORDS[way]}",
         )
         for way in MET
-        for sector, delta in zip(SECTORS, TABLE_I, strict=True)
+        for sector, delta in zip(NUMERALS, TABLE_I, strict=True)
     ),
 )
 @limit("hysteresis", "deg", hi=HYSTERESIS, about="between an edge passed in reverse and forward, mean of the six")
@@ -107,7 +108,7 @@ def test_table1_hall_edges(
         load.set(f"hall_delta_{s + 1}", math.radians(placed))
     turning, offsets = turn_both_ways(drive, rated, record, measure)
     delta = np.degrees(offsets.mean)
-    for s, sector in enumerate(SECTORS):
+    for s, sector in enumerate(NUMERALS):
         measure(f"delta_{sector}", delta[s].mean(), *turning)
         for way, column in MET.items():
             measure(f"delta_{sector}_{way}", delta[s, column], turning[column])
@@ -163,11 +164,11 @@ EXPECTED = _expected(np.array(PLACED))
 @limits(
     *(
         _near(f"jump_{sector}", jump, 4.0, f"of the estimate where sector {sector} opens")
-        for sector, jump in zip(SECTORS, EXPECTED.before - EXPECTED.after, strict=True)
+        for sector, jump in zip(NUMERALS, EXPECTED.before - EXPECTED.after, strict=True)
     ),
     *(
         _near(f"error_after_{sector}", error, 2.0, "error where the jump ends")
-        for sector, error in zip(SECTORS, EXPECTED.after, strict=True)
+        for sector, error in zip(NUMERALS, EXPECTED.after, strict=True)
     ),
 )
 @limit("error_max", "deg", hi=EXPECTED.largest + 6, about="average speed, anywhere")
@@ -188,7 +189,7 @@ def test_fig02_misaligned_hall(
     assert settle(record, speed), f"{speed:g} r/min were not reached"
     steady = record(2.0 * 60.0 / speed)
     before, after = _errors_at_edges(steady)
-    for s, sector in enumerate(SECTORS):
+    for s, sector in enumerate(NUMERALS):
         measure(f"jump_{sector}", before[s] - after[s], steady)
         measure(f"error_after_{sector}", after[s], steady)
     measure("error_max", np.degrees(np.abs(steady.position_error("theta_avg")).max()), steady)
@@ -413,10 +414,8 @@ def test_fig08_steady(
     drive.stop()  # what follows takes longer than the watchdog
     std = {}
     for observer, capture in steady.items():
-        error, words = error_deg(capture, observer), WORDS[observer]
-        std[observer] = error.std()
-        measure(f"error_std_{words}", error.std(), capture)
-        measure(f"error_max_{words}", np.abs(error).max(), capture)
+        words = WORDS[observer]
+        std[observer] = measure_error(measure, capture, observer, f"{{}}_{words}", mean=False)
         measure(f"thd_{words}", thd_of_current(capture), capture)
         measure(f"i_q_{words}", capture["i_q"].mean(), capture)
         measure(f"speed_{words}", 100.0 * rpm(capture).mean() / speed, capture)

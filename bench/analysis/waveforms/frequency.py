@@ -73,8 +73,6 @@ def sine_response(
     if abs(turns - f * (t[-1] - t[0])) > 0.1:
         raise ValueError(f"reference_phase advances at {turns / (t[-1] - t[0]):.6g} Hz, not at {f:g} Hz")
     disturbing = TWO_PI * np.outer(t - t[0], also)
-    columns = np.column_stack(
-        [np.sin(phase), np.cos(phase), np.ones(len(t)), np.sin(disturbing), np.cos(disturbing)],
-    )
+    columns = np.column_stack([np.sin(phase), np.cos(phase), np.ones(len(t)), np.sin(disturbing), np.cos(disturbing)])
     in_phase, quadrature = least_squares(columns, y)[:2]
     return complex(in_phase, quadrature)

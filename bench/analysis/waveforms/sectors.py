@@ -17,6 +17,8 @@ from bench.analysis.waveforms.samples import Floats, checked
 from protocol.signals import SECTOR_OF_CODE
 
 SECTORS = 6
+NUMERALS = ("I", "II", "III", "IV", "V", "VI")
+"""Names of the sectors."""
 SECTOR_WIDTH = math.pi / 3.0  # electrical rad
 _STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
 FORWARDS, BACKWARDS = 0, 1
@@ -81,11 +83,8 @@ def edge_offsets(
         raise ValueError(f"angles and codes must be of one shape (n,), got {theta.shape}, {old.shape} and {new.shape}")
     if not np.isfinite(theta).all():
         raise ValueError(f"{np.count_nonzero(~np.isfinite(theta))} of {len(theta)} edges have no finite angle")
-    leaves, enters = sector_of_code(old), sector_of_code(new)
-    legal = (leaves >= 0) & (enters >= 0)
-    forwards = legal & ((enters - leaves) % SECTORS == 1)
-    backwards = legal & ((leaves - enters) % SECTORS == 1)
-    edge = np.where(forwards, enters, leaves)  # the one that opens the upper of the two sectors
+    edge, way = edge_passages(old, new)
+    forwards, backwards = way > 0, way < 0
     delta = wrap(edge * SECTOR_WIDTH - theta)
     mean, std = np.full((2, SECTORS, 2), math.nan)
     n = np.zeros((SECTORS, 2), dtype=np.int64)
@@ -97,6 +96,20 @@ def edge_offsets(
                 mean[s, column] = np.angle(np.exp(1j * here).mean())
                 std[s, column] = np.sqrt(np.mean(wrap(here - mean[s, column]) ** 2))
     return EdgeOffsets(mean, std, n, int(np.count_nonzero(~(forwards | backwards))))
+
+
+def edge_passages(
+    old: NDArray[np.integer[Any]], new: NDArray[np.integer[Any]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which edge was passed, and which way, from the Hall codes (n,) before and after; (n,) each.
+
+    The edge is named by the sector 0..5 that it opens to a shaft that turns forward. The way is 1 forward, -1 in
+    reverse, 0 where the codes are not those of neighbouring sectors. ValueError for a code beyond 0..7.
+    """
+    leaves, enters = sector_of_code(old), sector_of_code(new)
+    steps = steps_between(old, new)
+    way = np.where(np.abs(steps) == 1.0, steps, 0.0).astype(np.int64)
+    return np.where(way > 0, enters, leaves), way
 
 
 def sector_of_code(code: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
