@@ -7,7 +7,7 @@ addresses; whoever calls keeps the memory. It is compiled in a child (`sim.compi
 or its address is asked for. Nothing that it does raises: a division by zero gives an infinity, as on a drive.
 
 In kernels `record._replace(field=...)` works as in Python, and `with_item` gives a tuple with another item: records and
-tuples are values, and nothing is assigned to a part of one.
+tuples are values, and nothing is assigned to a part of one. `zeroed` gives a record whose numbers are all zero.
 
 With NUMBA_DISABLE_JIT it all runs as plain Python, on the same memory.
 """
@@ -29,7 +29,19 @@ from sim.compile import compile_apart
 from sim.interrupts import Held
 from sim.numba_cache import compiled_for_c, is_kept
 
-__all__ = ["Cells", "Native", "Pointer", "address", "invoke", "layout", "native", "specialised", "value", "with_item"]
+__all__ = [
+    "Cells",
+    "Native",
+    "Pointer",
+    "address",
+    "invoke",
+    "layout",
+    "native",
+    "specialised",
+    "value",
+    "with_item",
+    "zeroed",
+]
 
 T = TypeVar("T")
 Items = TypeVar("Items", bound=tuple[Any, ...])
@@ -188,6 +200,12 @@ def with_item(values: Items, k: int, item: object) -> Items:
     return (*values[:k], item, *values[k + 1 :])  # type: ignore[return-value]
 
 
+def zeroed(of: Callable[..., T]) -> T:
+    """The record of this class whose numbers are all zero."""
+    found: T = value(of, np.zeros(1, layout(of))[0])
+    return found
+
+
 if PLAIN:
 
     def invoke(
@@ -209,7 +227,7 @@ else:
     from numba import types as numba_types
     from numba.core.typing import templates as numba_templates
     from numba.cpython.unsafe import tuple as numba_tuple
-    from numba.extending import intrinsic, lower_builtin, overload
+    from numba.extending import intrinsic, lower_builtin, overload, type_callable
 
     types: Any = numba_types
     templates: Any = numba_templates
@@ -218,6 +236,14 @@ else:
     @overload(with_item)
     def _with_item(values, k, item):  # type: ignore[no-untyped-def]
         return lambda values, k, item: tuple_setitem(values, k, item)
+
+    @type_callable(zeroed)
+    def _type_zeroed(context):  # type: ignore[no-untyped-def]
+        return lambda of: _numba_type(of.instance_class)
+
+    @lower_builtin(zeroed, types.NamedTupleClass)  # type: ignore[no-untyped-call]
+    def _zeroed(context, builder, call, arguments):  # type: ignore[no-untyped-def]
+        return context.get_constant_null(call.return_type)
 
     @templates.infer_getattr
     class _Replacing(templates.AttributeTemplate):  # type: ignore[misc]

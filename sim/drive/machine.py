@@ -109,9 +109,9 @@ class SimulatedBench:
         firmware = self._state.array["firmware"]
         self._faults, self._causes = firmware["faults"], firmware["protection"]["causes"]
         self._set_params()
-        boot = self._state.array
-        boot["k"], boot["tick"], boot["rng"] = tick.NOT_BOOTED, self.tick, noise.seeded(seed)
-        boot["plant"]["theta_e"] = math.radians(params.mechanics.theta_0_deg)
+        boot, world = self._state.array, self._state.array["world"]
+        boot["k"], boot["tick"], world["rng"] = tick.NOT_BOOTED, self.tick, noise.seeded(seed)
+        world["plant"]["theta_e"] = math.radians(params.mechanics.theta_0_deg)
         self._run(self._source, 0, np.empty(0), 0, 0)
 
     @property
@@ -132,8 +132,8 @@ class SimulatedBench:
     @property
     def truth(self) -> Truth:
         """The plant's state at the last sample."""
-        plant, motor = value(integrator.State, self._state.array["plant"][0]), self._constants.plant.motor
-        electric = value(tick.Electric, self._state.array["electric"][0])
+        world, motor = self._state.array["world"][0], self._constants.plant.motor
+        plant, electric = value(integrator.State, world["plant"]), value(tick.Electric, world["electric"])
         return Truth(
             plant.theta_e,
             motor.n_p * plant.omega_m,

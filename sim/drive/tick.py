@@ -79,11 +79,9 @@ class Electric(NamedTuple):
     tau: float  # N m
 
 
-class State(NamedTuple):
-    """Everything that changes, but what observers remember. To boot: `NOT_BOOTED`, tick, rng and the plant's angle."""
+class World(NamedTuple):
+    """What the firmware sees by sensors only: motor, shaft, DC link, Hall sensors and their wires."""
 
-    k: int  # samples taken
-    tick: int  # of the next sample
     rng: np.uint64
     plant: integrator.State
     electric: Electric
@@ -92,6 +90,14 @@ class State(NamedTuple):
     alpha_m: float  # acceleration that the load machine forces, rad/s2
     hall: hall_sensor.State
     wiring: hall_wiring.State
+
+
+class State(NamedTuple):
+    """Everything that changes, but what observers remember. To boot: `NOT_BOOTED`, tick, rng and the plant's angle."""
+
+    k: int  # samples taken
+    tick: int  # of the next sample
+    world: World
     front: sample.State
     back_emf: back_emf.State
     encoder: encoder.State
@@ -161,26 +167,16 @@ class Command(NamedTuple):
 @kernel
 def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     """The state at boot, with the rotor at rest."""
-    rng = noise.advance(state.rng)
-    theta_e = state.plant.theta_e
+    rng = noise.advance(state.world.rng)
+    theta_e = state.world.plant.theta_e
     hall = hall_sensor.init(params.hall, theta_e, quantiles, rng)
-    return State(
-        0,
-        state.tick,
-        rng,
-        integrator.init(params.plant, theta_e),
-        Electric(0.0, 0.0, 0.0),
-        dc_link.init(params.link),
-        coupling.init(),
-        0.0,
-        hall,
-        hall_wiring.init(params.wiring, hall_sensor.code(hall.number)),
-        sample.init(),
-        back_emf.init(),
-        encoder.init(encoder.count(params.encoder, theta_e, 0.0)),
-        encoder.booted(encoder.count(params.encoder, theta_e, 0.0), params.index_search),
-        tick_firmware.init(),
-    )
+    wiring = hall_wiring.init(params.wiring, hall_sensor.code(hall.number))
+    plant = integrator.init(params.plant, theta_e)
+    link = dc_link.init(params.link)
+    world = World(rng, plant, Electric(0.0, 0.0, 0.0), link, coupling.init(), 0.0, hall, wiring)
+    count = encoder.count(params.encoder, theta_e, 0.0)
+    tracker, index = encoder.init(count), encoder.booted(count, params.index_search)
+    return State(0, state.tick, world, sample.init(), back_emf.init(), tracker, index, tick_firmware.init())
 
 
 @kernel
@@ -207,14 +203,13 @@ def _captured(
     wire[m] = WireEdge(
         np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
-    return hall_wiring.State(new, wiring.pulse, wiring.due), m + 1
+    return wiring._replace(pins=new), m + 1
 
 
 @kernel
 def _edges(
     params: Params,
-    hall: hall_sensor.State,
-    wiring: hall_wiring.State,
+    world: World,
     index: encoder.Index,
     before: integrator.State,
     after: integrator.State,
@@ -225,13 +220,13 @@ def _edges(
     m: int,
     room: int,
     quantiles: Pointer[float],
-    rng: np.uint64,
-) -> tuple[hall_sensor.State, hall_wiring.State, int, np.uint64]:
+) -> tuple[World, int]:
     """Capture the edges between two plant states, those of the sensors and those of false pulses, in order.
 
     `tick`: of the sample at the period's end; `offset`: ticks from there back to `before`; `m`: edges so far, of
     at most `room`.
     """
+    rng, hall, wiring = world.rng, world.hall, world.wiring
     omega_0 = params.plant.motor.n_p * before.omega_m
     omega_1 = params.plant.motor.n_p * after.omega_m
     theta_0 = hall_sensor.seen(params.hall, before.theta_e, omega_0)
@@ -270,14 +265,14 @@ def _edges(
             wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, edges, wire, m)
         else:
             break
-    return hall, wiring, m, rng
+    return world._replace(rng=rng, hall=hall, wiring=wiring), m
 
 
 @kernel
 def _move(
     params: Params,
     state: State,
-    wiring: hall_wiring.State,
+    world: World,
     out: tick_firmware.Output,
     load: mechanics.Load,
     edges: Pointer[Edge],
@@ -285,22 +280,9 @@ def _move(
     m: int,
     room: int,
     quantiles: Pointer[float],
-) -> tuple[
-    integrator.State,
-    Electric,
-    dc_link.State,
-    coupling.State,
-    float,
-    hall_sensor.State,
-    hall_wiring.State,
-    int,
-    np.uint64,
-]:
-    """The plant over one period, with its edges; the sensors' random numbers are drawn at its end."""
-    plant = state.plant
-    first = state.electric
-    link = state.link
-    beyond = state.beyond
+) -> tuple[World, int]:
+    """The world after one period, with its edges; the sensors' random numbers are drawn at its end."""
+    plant, first, link, beyond = world.plant, world.electric, world.link, world.beyond
     constants = params.plant
     if params.link.R_source > 0.0:
         constants = integrator.fed(constants, link.u)
@@ -308,12 +290,11 @@ def _move(
         applied = integrator.apply(constants, plant, first.i_alpha, first.i_beta, out.d_a, out.d_b, out.d_c)
     else:
         applied = inverter.off()
-    hall = state.hall
-    rng = state.rng
     alpha = 0.0
-    if params.wiring.gap > 0.0 or wiring.due != NEVER:
-        rng = noise.advance(rng)
-        wiring = hall_wiring.next_pulse(params.wiring, wiring, state.tick - params.period_ticks, rng)
+    if params.wiring.gap > 0.0 or world.wiring.due != NEVER:
+        rng = noise.advance(world.rng)
+        wiring = hall_wiring.next_pulse(params.wiring, world.wiring, state.tick - params.period_ticks, rng)
+        world = world._replace(rng=rng, wiring=wiring)
     if state.k % REFRESH == 0:
         plant = integrator.refresh(plant)
     step_ticks = params.period_ticks / params.substeps
@@ -324,30 +305,18 @@ def _move(
         else:
             plant, alpha = integrator.step(constants, before, applied, load, params.h)
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
-        if theta >= hall.above or theta < hall.below or wiring.due <= state.tick:
+        if theta >= world.hall.above or theta < world.hall.below or world.wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
-            hall, wiring, m, rng = _edges(
-                params,
-                hall,
-                wiring,
-                state.counter,
-                before,
-                plant,
-                state.tick,
-                offset,
-                edges,
-                wire,
-                m,
-                room,
-                quantiles,
-                rng,
+            world, m = _edges(
+                params, world, state.counter, before, plant, state.tick, offset, edges, wire, m, room, quantiles
             )
     last = _electric(constants.motor, plant)
     if params.link.R_source > 0.0:
         i_alpha = 0.5 * (first.i_alpha + last.i_alpha)
         i_beta = 0.5 * (first.i_beta + last.i_beta)
         link = dc_link.step(params.link, link, inverter.taken(constants.inverter, applied, i_alpha, i_beta))
-    return plant, last, link, beyond, alpha, hall, wiring, m, noise.advance(rng)
+    world = world._replace(plant=plant, electric=last, link=link, beyond=beyond, alpha_m=alpha)
+    return world._replace(rng=noise.advance(world.rng)), m
 
 
 @kernel
@@ -358,15 +327,9 @@ def _electric(motor: pmsm.Params, plant: integrator.State) -> Electric:
 
 
 @kernel
-def _sense(
-    params: Params,
-    plant: integrator.State,
-    electric: Electric,
-    on: int,
-    quantiles: Pointer[float],
-    rng: np.uint64,
-) -> Sensed:
+def _sense(params: Params, world: World, on: int, quantiles: Pointer[float]) -> Sensed:
     """Sample the sensors. A converter that is late sees how the current falls while all legs are low."""
+    plant, electric, rng = world.plant, world.electric, world.rng
     sensor = params.current_sensor
     i_alpha = electric.i_alpha
     i_beta = electric.i_beta
@@ -434,29 +397,23 @@ def advance(
     for j in range(n):
         first = m
         k = state.k
-        plant = state.plant
-        electric = state.electric
-        link = state.link
-        beyond = state.beyond
-        alpha = state.alpha_m
-        hall = state.hall
-        wiring = state.wiring
-        rng = state.rng
+        world = state.world
         if k > 0:
             if j == 0 or k == 1:  # a code that changes with the wires is an edge as the period begins
-                pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
+                plant, wiring = world.plant, world.wiring
+                pins = hall_wiring.pins(params.wiring, hall_sensor.code(world.hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
                 omega = motor.n_p * plant.omega_m
                 wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, edges, wire, m)
-            plant, electric, link, beyond, alpha, hall, wiring, m, rng = _move(
-                params, state, wiring, firmware.driving.now, command.load, edges, wire, m, room, quantiles
-            )
+                world = world._replace(wiring=wiring)
+            world, m = _move(params, state, world, firmware.driving.now, command.load, edges, wire, m, room, quantiles)
             if params.link.R_source > 0.0:
-                u_dc = quantised_u16(link.u)
+                u_dc = quantised_u16(world.link.u)
         else:
-            rng = noise.advance(rng)
+            world = world._replace(rng=noise.advance(world.rng))
 
-        sensed = _sense(params, plant, electric, firmware.driving.now.on, quantiles, rng)
+        plant, electric, pins = world.plant, world.electric, world.wiring.pins
+        sensed = _sense(params, world, firmware.driving.now.on, quantiles)
         driving = firmware.driving
         front = state.front
         emf = state.back_emf
@@ -466,7 +423,7 @@ def advance(
         hall_before = front.hall
         measured = Measured(
             state.tick,
-            wiring.pins,
+            pins,
             driving.now.u_alpha,
             driving.now.u_beta,
             sensed.i_a,
@@ -491,8 +448,8 @@ def advance(
             max(abs(sensed.i_a), abs(sensed.i_b), abs(sensed.i_c)),
             omega_enc if params.has_encoder == 1 else seen.hall.omega,
             u_dc,
-            wiring.pins,
-            _implausible(front.hall, hall_before, wiring.pins),
+            pins,
+            _implausible(front.hall, hall_before, pins),
             front.hall.now.direction,
             e_alpha,
             e_beta,
@@ -503,11 +460,11 @@ def advance(
         status = drive_state | (min(command.source, OTHER_SOURCE) << STATUS_SOURCE_SHIFT)
         if reset[j] != 0:
             status |= RESET
-        load_torque = beyond.tau
+        tau = world.beyond.tau
         if params.coupling.stiffness == 0.0:
-            load_torque = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, alpha)
+            tau = mechanics.load_torque(params.plant.shaft, command.load, plant.omega_m, electric.tau, world.alpha_m)
         rows[j] = Row(
-            wiring.pins,
+            pins,
             status,
             theta_enc,
             omega_enc,
@@ -531,14 +488,12 @@ def advance(
             plant.theta_e,
             motor.n_p * plant.omega_m,
             electric.tau,
-            load_torque,
+            tau,
             plant.omega_m,
             electric.i_alpha,
             electric.i_beta,
         )
         tick = state.tick + params.period_ticks
-        state = State(
-            k + 1, tick, rng, plant, electric, link, beyond, alpha, hall, wiring, front, emf, tracker, index, firmware
-        )
+        state = State(k + 1, tick, world, front, emf, tracker, index, firmware)
     state_[0] = state
     count[0] = m

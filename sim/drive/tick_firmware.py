@@ -129,10 +129,7 @@ def init() -> State:
 @kernel
 def silenced(state: State) -> State:
     """The state with the outputs off at once."""
-    off = at_rest()
-    return State(
-        state.angle, state.omega_h, state.current, state.speed, state.dead_time, off, state.protection, state.faults
-    )
+    return state._replace(driving=at_rest())
 
 
 @kernel

@@ -18,8 +18,6 @@ Symmetric = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
 
-ZERO_5 = (0.0, 0.0, 0.0, 0.0, 0.0)
-
 
 @kernel
 def diagonal(a: float, b: float, c: float, d: float, e: float) -> Symmetric:

@@ -44,10 +44,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 from sim import legs
+from sim.native import zeroed
 from sim.numba_cache import kernel
 from sim.observers import covariance, edge_lessons, hall_levels, hall_places
 from sim.observers.average_speed import FASTEST, centre
-from sim.observers.covariance import ZERO_5, Five, Symmetric
+from sim.observers.covariance import Five, Symmetric
 from sim.observers.edge_lessons import LOW_CURRENT, Four, LegsLoss, Lessons, Sums, Two
 from sim.observers.edge_scales import Scale, make_scale
 from sim.observers.hall_edges import HallEdges
@@ -304,23 +305,7 @@ def make_params(pwm_hz: float, drive: Settings) -> Params:
 @kernel
 def init() -> State:
     """Nothing known: the next sample gives the first currents and the sector."""
-    return State(
-        0,
-        0.0,
-        0.0,
-        0.0,
-        Filter(ZERO_5, covariance.diagonal(0.0, 0.0, 0.0, 0.0, 0.0), ZERO_5, ZERO_5, 0),
-        Watch(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        Last(0, 0, 0, 0, 0.0, 0.0, 0),
-        Levels(0, -1, 0.0, 0),
-        hall_levels.nothing_against(),
-        edge_lessons.unprimed(),
-        edge_lessons.nothing(),
-        (0.0, 0.0),
-        (0.0, 0.0, 0.0, 0.0),
-        0,
-        (0.0, 0.0),
-    )
+    return zeroed(State)._replace(levels=Levels(0, -1, 0.0, 0))
 
 
 @kernel
@@ -825,7 +810,7 @@ def _settled(params: Params, state: State, sensor: int, before: int, ago: float,
                 if state.last.row >= edge_lessons.ROW and state.sums.n >= LEAST_SAMPLES:
                     lessons, kalman = _revolution(scale, state, edge.way)
                     state = state._replace(lessons=lessons, filter=kalman)
-                state = state._replace(sums=edge_lessons.nothing())
+                state = state._replace(sums=zeroed(Sums))
     kalman, last, lessons = state.filter, state.last, state.lessons
     psi = lessons.drop[0]
     _, sharp = _trusted(scale, kalman, watch, psi, driven)

@@ -38,10 +38,10 @@ from typing import NamedTuple
 
 from sim import legs
 from sim.legs import Along
-from sim.native import with_item
+from sim.native import with_item, zeroed
 from sim.numba_cache import kernel
 from sim.observers import covariance, hall_places
-from sim.observers.covariance import ZERO_5, Five, Symmetric
+from sim.observers.covariance import Five, Symmetric
 from sim.observers.edge_scales import Scale
 from sim.observers.hall_edges import EDGES
 from sim.observers.hall_places import DEG, Places, Six, Twelve
@@ -165,34 +165,6 @@ class Lessons(NamedTuple):
 
 
 @kernel
-def nothing() -> Sums:
-    """No sample yet."""
-    return Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.0), legs.none())
-
-
-@kernel
-def unprimed() -> Lessons:
-    """Room for what `start` gives."""
-    zero = (0.0, 0.0)
-    return Lessons(
-        hall_places.start(hall_places.ZERO_12, 0.0),
-        hall_places.ZERO_12,
-        ZERO_5,
-        covariance.diagonal(0.0, 0.0, 0.0, 0.0, 0.0),
-        0,
-        (0.0, 0.0, 0.0),
-        hall_places.ZERO_6,
-        zero,
-        zero,
-        zero,
-        (0.0, 0.0, 0.0, 0.0),
-        zero,
-        (0.0, 0.0, 0.0),
-        0.0,
-    )
-
-
-@kernel
 def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
     """Nothing learned yet; places as given, `sd` (rad): standard deviation of an offset that all of a way share."""
     up = hall_places.known(told, 0)
@@ -200,7 +172,7 @@ def start(scale: Scale, told: Twelve, sd: float) -> Lessons:
     offset_up = hall_places.mean(told, 0) if up else 0.0
     offset_down = hall_places.mean(told, 1) if down else 0.0
     legs_start = square(LEGS_START * scale.v)
-    return unprimed()._replace(
+    return zeroed(Lessons)._replace(
         places=hall_places.start(told, sd),
         common=(offset_up, offset_down, 0.0, 0.0, 0.0),
         common_P=covariance.diagonal(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sim.native import with_item
+from sim.native import with_item, zeroed
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
 
@@ -56,7 +56,7 @@ class Belief(NamedTuple):
 @kernel
 def nothing_against() -> Belief:
     """All sensors are believed."""
-    return Belief((0, 0, 0), (0, 0, 0), 0)
+    return zeroed(Belief)
 
 
 @kernel

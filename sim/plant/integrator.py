@@ -78,20 +78,13 @@ def init(params: Params, theta_e: float) -> State:
 @kernel
 def refresh(state: State) -> State:
     """The same state with the cosine and sine of its angle computed anew."""
-    return State(
-        state.psi_alpha,
-        state.psi_beta,
-        state.omega_m,
-        state.theta_e,
-        math.cos(state.theta_e),
-        math.sin(state.theta_e),
-    )
+    return state._replace(cos=math.cos(state.theta_e), sin=math.sin(state.theta_e))
 
 
 @kernel
 def fed(params: Params, u_dc: float) -> Params:
     """The same plant on another DC link voltage (V)."""
-    return Params(params.motor, inverter.fed(params.inverter, u_dc), params.shaft, params.decay)
+    return params._replace(inverter=inverter.fed(params.inverter, u_dc))
 
 
 @kernel

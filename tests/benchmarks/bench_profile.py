@@ -58,7 +58,7 @@ def rows(short: bool) -> Iterator[Row]:
     u_alpha, u_beta = (np.ascontiguousarray(recorded[name]) for name in ("u_alpha", "u_beta"))
 
     def move() -> None:
-        state.array[0] = bench._state.array["plant"][0]
+        state.array[0] = bench._state.array["world"]["plant"][0]
         h = bench._constants.h
         plant(params.at, state.at, load.at, address(u_alpha), address(u_beta), h, PERIODS)
 

@@ -5,6 +5,7 @@ import pytest
 from ideal_motor import TABLE_I
 
 from sim import legs
+from sim.native import zeroed
 from sim.observers import edge_lessons as el
 from sim.observers.edge_scales import make_scale
 
@@ -39,7 +40,7 @@ def sums(omega, i_q, angle=0.0, e_q=None, sign=1.0, n=1000, **others):
     """Of a turn at a steady speed whose back-EMF is turned by an angle (rad) beside the edges."""
     e = SCALE.psi_f * omega if e_q is None else e_q
     values = {"e_d": -n * e * np.tan(angle), "e_q": n * e, "i_q": n * i_q, "omega": n * omega, "sign": n * sign, "n": n}
-    return el.nothing()._replace(**{name: float(value) for name, value in (values | others).items()})
+    return zeroed(el.Sums)._replace(**{name: float(value) for name, value in (values | others).items()})
 
 
 @pytest.mark.parametrize(("slope", "way"), [(0.0, 1), (0.0, -1), (300.0, 1), (-300.0, -1)])
