@@ -32,6 +32,9 @@ MODE_SPEED = int(SetpointMode.SPEED)
 ENCODER, AVERAGE_SPEED = int(AngleSource.ENCODER), int(AngleSource.AVERAGE_SPEED)
 
 
+Two = tuple[float, float]
+
+
 class Params(NamedTuple):
     """The firmware's constants and parameters."""
 
@@ -134,40 +137,28 @@ def silenced(state: State) -> State:
 
 @kernel
 def _change_over(
-    params: Params,
-    current: current_loop.State,
-    speed: speed_loop.State,
-    theta_old: float,
-    omega_old: float,
-    theta: float,
-    omega: float,
+    params: Params, current: current_loop.State, speed: speed_loop.State, old: Angle, new: Angle
 ) -> tuple[current_loop.State, speed_loop.State]:
-    """The loops' states for another angle source: the voltage in the stator frame and the torque stay."""
-    c = math.cos(theta_old - theta)
-    s = math.sin(theta_old - theta)
+    """The loops' states for another angle source: the voltage in the stator frame and the torque stay.
+
+    `old` is of a period ago, and is now where it was, a period further.
+    """
+    expected = old.theta + params.T_s * old.omega
+    c = math.cos(expected - new.theta)
+    s = math.sin(expected - new.theta)
     u_d, u_q = inverse_park(current.u_d_i, current.u_q_i, c, s)
-    i_q_i = speed.i_q_i + params.speed.k_p * (omega - omega_old) / params.n_p
-    return current_loop.State(u_d, u_q), speed_loop.State(speed.omega_m_ref, i_q_i)
+    i_q_i = speed.i_q_i + params.speed.k_p * (new.omega - old.omega) / params.n_p
+    return current_loop.State(u_d, u_q), speed._replace(i_q_i=i_q_i)
 
 
 @kernel
-def _modulate(
-    params: Params,
-    left: dead_time.Left,
-    u_dc: float,
-    u_d: float,
-    u_q: float,
-    i_d: float,
-    i_q: float,
-    cos: float,
-    sin: float,
-) -> Output:
-    """Rotor-frame voltage and currents, turned by the angle of the period in force, to duties."""
-    u_alpha, u_beta = inverse_park(u_d, u_q, cos, sin)
+def _modulate(params: Params, left: dead_time.Left, u_dc: float, u: Two, i: Two, cos: float, sin: float) -> Output:
+    """Rotor-frame voltage (V) and currents (A), turned by the angle of the period in force, to duties."""
+    u_alpha, u_beta = inverse_park(u[0], u[1], cos, sin)
     u_alpha = quantised(u_alpha, MILLI)
     u_beta = quantised(u_beta, MILLI)
     ideal = modulation.duties(u_alpha, u_beta, u_dc)
-    i_alpha, i_beta = inverse_park(i_d, i_q, cos, sin)
+    i_alpha, i_beta = inverse_park(i[0], i[1], cos, sin)
     d_a, d_b, d_c = dead_time.compensate(
         params.dead_time, left, (u_alpha, u_beta), ideal, inverse_clarke(i_alpha, i_beta)
     )
@@ -219,10 +210,8 @@ def step(
     output = output_off()
     if command.state == RUNNING and faults == 0:
         mode = command.mode
-        if state.angle.source != angle.source and before.next.on == 1:  # the old angle: where it was, a period further
-            old = state.angle
-            expected = old.theta + params.T_s * old.omega
-            current, speed = _change_over(params, current, speed, expected, old.omega, theta, omega)
+        if state.angle.source != angle.source and before.next.on == 1:
+            current, speed = _change_over(params, current, speed, state.angle, angle)
         if mode == MODE_SPEED:
             if before.mode != MODE_SPEED:
                 speed = speed_loop.init(omega / params.n_p, before.i_q_ref)
@@ -237,7 +226,7 @@ def step(
             params.current, current, i_d_ref, i_q_ref, i_d, i_q, smooth, modulation.linear_limit(sensed.u_dc)
         )
         cos, sin = turn(cos, sin, 1.5 * params.T_s * smooth)
-        output = _modulate(params, learned.left, sensed.u_dc, u_d, u_q, i_d, i_q, cos, sin)
+        output = _modulate(params, learned.left, sensed.u_dc, (u_d, u_q), (i_d, i_q), cos, sin)
         now = before.next
     else:
         current = current_loop.init()

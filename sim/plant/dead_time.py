@@ -25,6 +25,10 @@ from typing import NamedTuple
 from sim.numba_cache import kernel
 from sim.plant import pmsm
 
+Two = tuple[float, float]
+Three = tuple[float, float, float]
+"""A value for each phase."""
+
 LOW, DEAD, HIGH = 0, 1, 2
 ONE_THIRD = 1.0 / 3.0
 EVENTS = 40  # more than a period can have: 12 switchings, and what happens at diodes between them
@@ -141,14 +145,7 @@ def _window(params: Params, i: float, pull: float, others: float, e: float) -> t
 
 @kernel
 def _alone(
-    params: Params,
-    pull: float,
-    duty: float,
-    i: float,
-    e: float,
-    rise_e: float,
-    y: tuple[float, float],
-    z: tuple[float, float],
+    params: Params, pull: float, duty: float, i: float, e: float, rise_e: float, y: Two, z: Two
 ) -> tuple[float, bool]:
     """V s of the one leg near zero, and whether that is so; `y`, `z`: when the others are high (s).
 
@@ -195,20 +192,12 @@ def _high(params: Params, duty: float, i: float) -> tuple[float, float]:
 
 @kernel
 def mean_voltage(
-    params: Params,
-    motor: pmsm.Params,
-    d_a: float,
-    d_b: float,
-    d_c: float,
-    i_alpha: float,
-    i_beta: float,
-    cos: float,
-    sin: float,
-    omega_e: float,
+    params: Params, motor: pmsm.Params, duties: Three, currents: Three, cos: float, sin: float, omega_e: float
 ) -> tuple[float, float]:
     """Mean voltage of a period (V, alpha and beta) with duties 0..1; currents (A), angle and speed are its first."""
     T = params.T
-    i_a, i_b, i_c = pmsm.phases(i_alpha, i_beta)
+    d_a, d_b, d_c = duties
+    i_a, i_b, i_c = currents
     ripple = params.u_dc * T * motor.g_mean
     mean = ONE_THIRD * (d_a + d_b + d_c)
     least = abs(omega_e) * T * max(abs(i_a), abs(i_b), abs(i_c)) + params.u_dc * params.dead * motor.g_mean
@@ -241,23 +230,16 @@ def mean_voltage(
             v_c = area / T
         if so:
             return pmsm.vector(v_a, v_b, v_c)
-    return _walked(params, motor, d_a, d_b, d_c, i_a, i_b, i_c, cos, sin, omega_e)
+    return _walked(params, motor, duties, currents, cos, sin, omega_e)
 
 
 @kernel
 def _walked(
-    params: Params,
-    motor: pmsm.Params,
-    d_a: float,
-    d_b: float,
-    d_c: float,
-    i_a: float,
-    i_b: float,
-    i_c: float,
-    cos: float,
-    sin: float,
-    omega_e: float,
+    params: Params, motor: pmsm.Params, duties: Three, currents: Three, cos: float, sin: float, omega_e: float
 ) -> tuple[float, float]:
+    """`mean_voltage` where it takes a walk from event to event."""
+    d_a, d_b, d_c = duties
+    i_a, i_b, i_c = currents
     emf = omega_e * motor.psi_f
     sum_a = sum_b = sum_c = 0.0
     now = 0.0

@@ -95,19 +95,13 @@ def apply(
     applied = inverter.apply(params.inverter, d_a, d_b, d_c)
     if params.inverter.legs.dead == 0.0:
         return applied
+    motor = params.motor
+    duties = (min(max(d_a, 0.0), 1.0), min(max(d_b, 0.0), 1.0), min(max(d_c, 0.0), 1.0))
+    currents = pmsm.phases(i_alpha, i_beta)
     u_alpha, u_beta = dead_time.mean_voltage(
-        params.inverter.legs,
-        params.motor,
-        min(max(d_a, 0.0), 1.0),
-        min(max(d_b, 0.0), 1.0),
-        min(max(d_c, 0.0), 1.0),
-        i_alpha,
-        i_beta,
-        state.cos,
-        state.sin,
-        params.motor.n_p * state.omega_m,
+        params.inverter.legs, motor, duties, currents, state.cos, state.sin, motor.n_p * state.omega_m
     )
-    return inverter.Applied(True, u_alpha, u_beta, applied.e_a, applied.e_b, applied.e_c)
+    return applied._replace(u_alpha=u_alpha, u_beta=u_beta)
 
 
 @kernel

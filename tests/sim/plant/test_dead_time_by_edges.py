@@ -20,7 +20,8 @@ def modelled(motor, dead, w, theta, i, duties):
     params = pmsm.Params(R, 1.0 / L, 0.0, psi, 1.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     beta, begin = (i[0] + 2.0 * i[1]) / math.sqrt(3.0), theta - 0.5 * w * T
     legs = dead_time.Params(T, dead, U_DC, U_DIODE)
-    u = dead_time.mean_voltage(legs, params, *duties, i[0], beta, math.cos(begin), math.sin(begin), w)
+    currents = pmsm.phases(i[0], beta)
+    u = dead_time.mean_voltage(legs, params, tuple(duties), currents, math.cos(begin), math.sin(begin), w)
     return np.array(pmsm.phases(*u)[:2]) - U_DC * (np.array(duties) - np.mean(duties))[:2]
 
 
