@@ -214,13 +214,13 @@ if PLAIN:
         state: int,
         samples: Pointer[Any],
         reset: Pointer[Any],
-        found: int,
+        found: Pointer[Any],
         size: int,
         j: int,
     ) -> None:
         """An observer's function at `function` over the j-th sample only; `found`: its estimates, of `size` bytes."""
         here = samples.at + j * samples._dtype.itemsize
-        _NATIVES[function](params, state, here, reset.at + j, 1, found + j * size)
+        _NATIVES[function](params, state, here, reset.at + j, 1, found.at + j * size)
 
 else:
     from llvmlite import ir
@@ -279,12 +279,12 @@ else:
             called = builder.inttoptr(function, ir.FunctionType(ir.VoidType(), [word] * 6).as_pointer())
             here = builder.ptrtoint(builder.gep(samples, [j]), word)
             flag = builder.ptrtoint(builder.gep(reset, [j]), word)
-            there = builder.add(found, builder.mul(size, j))
+            there = builder.add(builder.ptrtoint(found, word), builder.mul(size, j))
             builder.call(called, [params, state, here, flag, ir.Constant(word, 1), there])
             return context.get_dummy_value()
 
         whole = types.int64
-        return types.void(whole, whole, whole, samples, reset, whole, whole, whole), generate
+        return types.void(whole, whole, whole, samples, reset, found, whole, whole), generate
 
 
 def _fields(of: Any) -> list[tuple[str, Any]]:

@@ -19,7 +19,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -112,17 +112,11 @@ def cache_dir() -> Path:
         os.environ["NUMBA_CACHE_DIR"] = temporary = tempfile.mkdtemp(prefix="hallbench-")
         atexit.register(shutil.rmtree, temporary, ignore_errors=True)
         return Path(temporary, "hallbench", own.name)
-    others = sorted((p for p in base.glob("numba-*") if p != own), key=_last_used)
-    for old in others[: max(0, len(others) - KEPT)]:
-        shutil.rmtree(old, ignore_errors=True)
+    with suppress(OSError):  # another process drops them too
+        others = sorted((p for p in base.glob("numba-*") if p != own), key=lambda p: p.stat().st_mtime)
+        for old in others[: max(0, len(others) - KEPT)]:
+            shutil.rmtree(old, ignore_errors=True)
     return own
-
-
-def _last_used(folder: Path) -> float:
-    try:
-        return folder.stat().st_mtime
-    except OSError:  # dropped by another process
-        return 0.0
 
 
 def is_kept(function: Callable[..., Any]) -> bool:

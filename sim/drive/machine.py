@@ -294,21 +294,10 @@ class SimulatedBench:
             for other, observing in self._observers.items()
         }
         control = self._observers.get(source)
-        tick.advance(
-            self._params.at,
-            self._state.at,
-            self._command.at,
-            self._quantiles.at,
-            end - begin,
-            reset,
-            at + 8 * begin * ROW,
-            self._samples.at,
-            self._edges.at,
-            self._wire.at,
-            len(self._edges),
-            self._count.at,
-            *(control.loop(found[source]) if control else (0, 0, 0, 0, 0, 0)),
-        )
+        bench = self._params.at, self._state.at, self._command.at, self._quantiles.at
+        into = at + 8 * begin * ROW, self._samples.at, self._edges.at, self._wire.at, len(self._edges), self._count.at
+        by = control.loop(found[source]) if control else (0, 0, 0, 0, 0)
+        tick.advance(*bench, end - begin, reset, *into, *by)
         for other, observing in self._observers.items():
             if other != source:
                 observing.step_over(self._samples.at, reset, end - begin, found[other])

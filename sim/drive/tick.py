@@ -164,6 +164,14 @@ class Command(NamedTuple):
     source: int  # AngleSource of the control
 
 
+class EdgeLog(NamedTuple):
+    """Where captured edges go, those of a call one after the other."""
+
+    edges: Pointer[Edge]
+    wire: Pointer[WireEdge]
+    room: int  # most of them
+
+
 @kernel
 def _booted(params: Params, state: State, quantiles: Pointer[float]) -> State:
     """The state at boot, with the rotor at rest."""
@@ -188,19 +196,18 @@ def _captured(
     tick: int,
     theta: float,
     omega: float,
-    edges: Pointer[Edge],
-    wire: Pointer[WireEdge],
+    log: EdgeLog,
     m: int,
 ) -> tuple[hall_wiring.State, int]:
     """Capture an edge at `tick`, at this angle and speed, if the code `new` is another one than before."""
     old = wiring.pins
     if new == old:
         return wiring, m
-    edges[m] = Edge(tick, new)
+    log.edges[m] = Edge(tick, new)
     count = 0
     if params.has_encoder == 1:
         count = encoder.shown(params.encoder, index, encoder.count(params.encoder, theta, omega))
-    wire[m] = WireEdge(
+    log.wire[m] = WireEdge(
         np.uint32(tick & 0xFFFFFFFF), np.uint8(edge_codes(old, new)), np.uint8(0), np.uint16(count & 0xFFFF)
     )
     return wiring._replace(pins=new), m + 1
@@ -215,10 +222,8 @@ def _edges(
     after: integrator.State,
     tick: int,
     offset: float,
-    edges: Pointer[Edge],
-    wire: Pointer[WireEdge],
+    log: EdgeLog,
     m: int,
-    room: int,
     quantiles: Pointer[float],
 ) -> tuple[World, int]:
     """Capture the edges between two plant states, those of the sensors and those of false pulses, in order.
@@ -232,7 +237,7 @@ def _edges(
     theta_0 = hall_sensor.seen(params.hall, before.theta_e, omega_0)
     theta_1 = hall_sensor.seen(params.hall, after.theta_e, omega_1)
     step_ticks = params.period_ticks / params.substeps
-    while m < room:
+    while m < log.room:
         way = 0
         theta = theta_1
         late = math.floor(step_ticks - offset)
@@ -255,14 +260,14 @@ def _edges(
             wiring = hall_wiring.toggled(params.wiring, wiring, rng)
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
             omega = omega_0 + x * (omega_1 - omega_0)
-            wiring, m = _captured(params, wiring, index, pins, due, theta, omega, edges, wire, m)
+            wiring, m = _captured(params, wiring, index, pins, due, theta, omega, log, m)
         elif way != 0:
             rng = noise.advance(rng)
             hall = hall_sensor.enter(params.hall, hall.number + way, theta, quantiles, rng)
             omega = omega_0 + x * (omega_1 - omega_0)
             theta += params.hall.latency * omega
             pins = hall_wiring.pins(params.wiring, hall_sensor.code(hall.number), wiring.pulse)
-            wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, edges, wire, m)
+            wiring, m = _captured(params, wiring, index, pins, captured, theta, omega, log, m)
         else:
             break
     return world._replace(rng=rng, hall=hall, wiring=wiring), m
@@ -275,10 +280,8 @@ def _move(
     world: World,
     out: tick_firmware.Output,
     load: mechanics.Load,
-    edges: Pointer[Edge],
-    wire: Pointer[WireEdge],
+    log: EdgeLog,
     m: int,
-    room: int,
     quantiles: Pointer[float],
 ) -> tuple[World, int]:
     """The world after one period, with its edges; the sensors' random numbers are drawn at its end."""
@@ -307,9 +310,7 @@ def _move(
         theta = hall_sensor.seen(params.hall, plant.theta_e, params.plant.motor.n_p * plant.omega_m)
         if theta >= world.hall.above or theta < world.hall.below or world.wiring.due <= state.tick:
             offset = (params.substeps - j) * step_ticks
-            world, m = _edges(
-                params, world, state.counter, before, plant, state.tick, offset, edges, wire, m, room, quantiles
-            )
+            world, m = _edges(params, world, state.counter, before, plant, state.tick, offset, log, m, quantiles)
     last = _electric(constants.motor, plant)
     if params.link.R_source > 0.0:
         i_alpha = 0.5 * (first.i_alpha + last.i_alpha)
@@ -372,14 +373,13 @@ def advance(
     observer_params: int,
     observer_state: int,
     found: Pointer[float],
-    found_at: int,
     found_size: int,
 ) -> None:
     """Run `n` periods into `rows` and `samples`; `reset`: before which samples the observers are initialised.
 
     Edges go to `edges` and `wire` from count[0] on, which is set to how many there are; at most `room`. `observer`: the
-    address of the function of the observer that the control uses, 0: none; `found`: its estimates, at the address
-    `found_at`, of `found_size` bytes each.
+    address of the function of the observer that the control uses, 0: none; `found`: its estimates, of `found_size`
+    bytes each.
 
     The first period of all only takes a sample: nothing has moved yet.
     """
@@ -394,6 +394,7 @@ def advance(
         firmware = tick_firmware.silenced(firmware)
     u_dc = quantised_u16(params.plant.inverter.u_dc)
     m = count[0]
+    log = EdgeLog(edges, wire, room)
     for j in range(n):
         first = m
         k = state.k
@@ -404,9 +405,9 @@ def advance(
                 pins = hall_wiring.pins(params.wiring, hall_sensor.code(world.hall.number), wiring.pulse)
                 begin = state.tick - params.period_ticks + 1
                 omega = motor.n_p * plant.omega_m
-                wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, edges, wire, m)
+                wiring, m = _captured(params, wiring, state.counter, pins, begin, plant.theta_e, omega, log, m)
                 world = world._replace(wiring=wiring)
-            world, m = _move(params, state, world, firmware.driving.now, command.load, edges, wire, m, room, quantiles)
+            world, m = _move(params, state, world, firmware.driving.now, command.load, log, m, quantiles)
             if params.link.R_source > 0.0:
                 u_dc = quantised_u16(world.link.u)
         else:
@@ -439,7 +440,7 @@ def advance(
         theta_enc = encoder.angle(params.encoder, encoder.shown(params.encoder, index, sensed.counter))
         angle = tick_firmware.Angle(command.source, theta_enc, omega_enc)
         if observer != 0:
-            invoke(observer, observer_params, observer_state, samples, reset, found_at, found_size, j)
+            invoke(observer, observer_params, observer_state, samples, reset, found, found_size, j)
             at = j * (found_size // 8)
             angle = tick_firmware.Angle(command.source, found[at], found[at + 1])
         elif command.source == AVERAGE_SPEED:

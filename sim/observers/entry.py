@@ -147,9 +147,9 @@ class Observing:
         """The same by addresses."""
         self._function(*self._at, samples, reset, n, estimates)
 
-    def loop(self, estimates: int) -> tuple[int, int, int, int, int, int]:
+    def loop(self, estimates: int) -> tuple[int, int, int, int, int]:
         """What `sim.drive.tick.advance` takes to step it within its loop, into `estimates`."""
-        return self._function.address, *self._at, estimates, estimates, self.dtype.itemsize
+        return self._function.address, *self._at, estimates, self.dtype.itemsize
 
 
 def names(settings: type[Any]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sim.native import with_item, zeroed
+from sim.native import with_item
 from sim.numba_cache import kernel
 from sim.observers.sample import Sample
 
@@ -46,17 +46,11 @@ class Levels(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Which sensors are believed."""
+    """Which sensors are believed; all are, if all is zero."""
 
     doubts: Three  # by sensor
     streaks: Three  # by sensor: successive edges that were off upwards (positive) or downwards (negative)
     sensors: int  # bits 0-2: sensor a, b, c is not believed; bits 3-5: it has moved
-
-
-@kernel
-def nothing_against() -> Belief:
-    """All sensors are believed."""
-    return zeroed(Belief)
 
 
 @kernel

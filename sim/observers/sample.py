@@ -134,7 +134,8 @@ class FrontEnd:
     def __init__(self, params: Params) -> None:
         self._params, self.state = Cells(Params), Cells(State)
         self._params.first = params
-        run(self._params.at, self.state.at, 0, 0, INIT, 0, 0, 0)
+        self._at = self._params.at, self.state.at
+        run(*self._at, 0, 0, INIT, 0, 0, 0)
 
     def run(self, measured: NDArray[np.void], edges: NDArray[np.void], reset: NDArray[np.bool_]) -> NDArray[np.void]:
         """`step` over n samples of one control period each, with `init` before each where `reset`, shape (n,), is set.
@@ -144,14 +145,6 @@ class FrontEnd:
         next samples). Returns records of `Sample`, shape (n,).
         """
         samples = np.empty(len(measured), layout(Sample))
-        run(
-            self._params.at,
-            self.state.at,
-            address(measured),
-            address(reset),
-            len(measured),
-            address(edges),
-            len(edges),
-            address(samples),
-        )
+        n, m = len(measured), len(edges)
+        run(*self._at, address(measured), address(reset), n, address(edges), m, address(samples))
         return samples

@@ -290,18 +290,14 @@ def _make_port(options: ServeOptions) -> Port:
     if options.baud is not None and (options.tcp or options.slcan):
         raise ConfigError("--baud needs a pty; for a CAN bus use --bitrate")
     if options.slcan:
-        return _make_can_port(options)
+        from sim.ports.slcan_port import SlcanPort
+
+        check_rates(options.rates)
+        check_slcan_rates(options.rates)
+        return SlcanPort(options.link, options.rates, options.extended)
     if options.tcp is not None:
         return TcpPort(*split_host_port(options.tcp))
     return PtyPort(options.link, options.baud)
-
-
-def _make_can_port(options: ServeOptions) -> Port:
-    from sim.ports.slcan_port import SlcanPort
-
-    check_rates(options.rates)
-    check_slcan_rates(options.rates)
-    return SlcanPort(options.link, options.rates, options.extended)
 
 
 def check_rates(rates: BusRates) -> None:

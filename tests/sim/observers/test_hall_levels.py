@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from ideal_motor import CODES
 
+from sim.native import zeroed
 from sim.observers import hall_levels as hl
 
 SENSOR = (2, 1, 0, 2, 1, 0)  # that changes at a boundary, by the codes 1, 3, 2, 6, 4, 5
@@ -30,7 +31,7 @@ def test_an_edge_leaves_two_boundaries_half_a_turn_apart(boundary):
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("stuck", range(3))
 def test_a_wrong_level_is_not_believed_until_it_has_been_right_for_a_while(stuck, way):
-    belief, _ = read(hl.nothing_against(), CODES, 5, way)
+    belief, _ = read(zeroed(hl.Belief), CODES, 5, way)
     assert belief.sensors == 0
     belief, astray = read(belief, CODES | (1 << stuck), 2, way)
     assert (belief.sensors, astray) == (1 << stuck, False)
@@ -40,12 +41,12 @@ def test_a_wrong_level_is_not_believed_until_it_has_been_right_for_a_while(stuck
 
 
 def test_levels_that_contradict_everywhere_mean_that_the_angle_is_wrong():
-    belief, astray = read(hl.nothing_against(), CODES ^ 7, 2)
+    belief, astray = read(zeroed(hl.Belief), CODES ^ 7, 2)
     assert (belief.sensors, astray) == (0, True)
 
 
 def test_the_next_boundary_is_of_a_sensor_that_is_believed():
-    belief = hl.nothing_against()
+    belief = zeroed(hl.Belief)
     assert [hl.following(belief, 1, way) for way in (1, -1)] == [2, 0]
     one, _ = read(belief, CODES | 1, 2)  # sensor a: boundaries 2 and 5
     assert [hl.following(one, 1, 1), hl.following(one, 0, -1)] == [3, 4]
@@ -56,7 +57,7 @@ def test_the_next_boundary_is_of_a_sensor_that_is_believed():
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("sensor", range(3))
 def test_a_sensor_that_moved_is_found_after_six_edges(sensor, side):
-    belief = hl.nothing_against()
+    belief = zeroed(hl.Belief)
     for k in range(6):
         for other in set(range(3)) - {sensor}:
             belief, _ = hl.off_to(belief, other, 0)
@@ -66,7 +67,7 @@ def test_a_sensor_that_moved_is_found_after_six_edges(sensor, side):
 
 
 def test_all_off_alike_is_the_back_emf_and_no_sensor():
-    belief = hl.nothing_against()
+    belief = zeroed(hl.Belief)
     for _ in range(20):
         for sensor in range(3):
             belief, moved = hl.off_to(belief, sensor, 1)
@@ -74,7 +75,7 @@ def test_all_off_alike_is_the_back_emf_and_no_sensor():
 
 
 def test_now_one_side_now_the_other_is_no_move():
-    belief = hl.nothing_against()
+    belief = zeroed(hl.Belief)
     for k in range(20):
         belief, moved = hl.off_to(belief, 1, 1 if k % 2 else -1)
         assert not moved
