@@ -137,8 +137,17 @@ def _at(command: str, network: str) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("network", LINKS)
-@pytest.mark.parametrize("command", COMMANDS)
+LATE = [pytest.mark.campaign("ends"), pytest.mark.long("thousands of CAN frames a second of virtual time")]
+
+
+@pytest.mark.parametrize(
+    ("command", "network"),
+    [
+        pytest.param(command, network, marks=LATE if network == "CAN" and command in ("hall", "accept") else ())
+        for command in COMMANDS
+        for network in LINKS
+    ],
+)
 def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network: str) -> None:
     kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     if command == "notebook":
