@@ -41,6 +41,9 @@ PATIENCE = 0.15  # s for which a sensor's word waits for that of one that is sil
 BEYOND = 1.1  # of omega_m_max, a speed at which one sensor's word is enough
 
 
+Forced = Callable[[], float | None]
+
+
 class _Sensor:
     """One of what tells the speed: electrical rad and rad/s, seconds of device time."""
 
@@ -181,11 +184,7 @@ class RunawayGuard(Runaway, Sink):
     """
 
     def __init__(
-        self,
-        stream: StreamConfig,
-        edges: bool,
-        parameters: Mapping[str, float],
-        forced: Callable[[], float | None] = lambda: None,
+        self, stream: StreamConfig, edges: bool, parameters: Mapping[str, float], forced: Forced = lambda: None
     ) -> None:
         super().__init__(pole_pairs(parameters), lambda: parameters.get("omega_m_max", 0.0))
         self._stream, self._parameters, self._forced, self._has_edges = stream, parameters, forced, edges
