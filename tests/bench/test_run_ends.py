@@ -149,9 +149,7 @@ LATE = [pytest.mark.campaign("ends"), pytest.mark.long("thousands of CAN frames 
     ],
 )
 def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network: str) -> None:
-    kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    if command == "notebook":
-        kinds = (signal.SIGINT,) * 3
+    kinds = (signal.SIGINT,) * 3 if command == "notebook" else (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     moments = _at(command, network)
     for turn, (moment, at) in enumerate(
         [*moments.items(), ("stopping, and each time after that", moments["stopping"])]
@@ -159,7 +157,7 @@ def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network
         kind = kinds[turn % 3]
 
         def interrupt(link: SpoiltLink, call: int, at: int = at, kind: int = kind, last: int = turn) -> None:
-            if call == at or (call > at and last == len(moments)):
+            if call == at or (call > at and last >= len(moments)):
                 signal.raise_signal(kind)
 
         ended = _run(command, simulated(network=network), interrupt)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import signal
@@ -29,23 +28,6 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
 # -- signals ----------------------------------------------------------------------------------------------------
-
-
-def test_signals_in_a_burst_end_with_the_outputs_off() -> None:
-    whole = WatchedLink(simulated())
-    assert run(whole, load_a=1.0, duration=0.1).exit_code == 0
-    on = whole.states.index(DriveState.RUNNING)
-    for point in range(on - 6, on + 12):
-
-        def burst(call: int, point: int = point) -> None:
-            if call >= point:
-                signal.raise_signal((signal.SIGHUP, signal.SIGTERM, signal.SIGINT)[call % 3])
-
-        link = WatchedLink(simulated(), burst)
-        with contextlib.suppress(KeyboardInterrupt, Interrupted):
-            run(link, load_a=1.0, duration=0.1)
-        assert at_rest(link.device), point
-        assert link.device.drive.machine.faults == Fault(0), point
 
 
 def test_a_signal_that_came_while_it_was_not_to_disturb_takes_effect_afterwards() -> None:
