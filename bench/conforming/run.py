@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
 
 from bench.conforming.bus import BusLine
@@ -21,16 +21,16 @@ from bench.conforming.probe import ByteLine, Line, NoAnswer, Probe
 from bench.conforming.verdicts import Ended, Verdict
 from bench.device.client import Client
 from bench.device.node import Node
-from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, Interrupted, NodeError, OutputsMayBeOn
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import undisturbed
+from bench.rig.rest import require_rest
 from bench.rig.screen import Screen
 from protocol.canmap.host import CanWire
 from protocol.errors import HbpError, LinkError, NoReply, Refused, RemoteProtocolError
 from protocol.links import Link
-from protocol.messages import DriveState, Empty, HelloReply, StreamInfo, StreamReply, StreamSet, StreamStart
+from protocol.messages import Empty, HelloReply, StreamInfo, StreamReply, StreamSet, StreamStart
 from protocol.payload import PayloadError
 
 
@@ -111,18 +111,11 @@ def _line(link: Link) -> Line:
 
 def _prepare(node: Node, options: Options, confirm: Callable[[str], bool] | None) -> None:
     """Refuse what is not at rest and, where outputs are to go on, ask. Raises BenchError and HbpError."""
-    beat = node.next_heartbeat()
-    if beat is not None and (beat.outputs_on or beat.state in (DriveState.ARMED, DriveState.RUNNING)):
-        raise BenchError(f"{options.target} is not at rest ({says(beat)}): another host is using it")
-    if options.level < STATES:
+    energises = options.level >= STATES
+    with nullcontext() if energises else suppress(NodeError):  # one that says nothing may be looked at
+        require_rest(node, options.target, or_fault=not energises)
+    if not energises:
         return
-    if beat is None or not is_off(beat):
-        raise NodeError(f"not known whether its outputs are off: {says(beat)}")
-    if beat.state == DriveState.FAULT:
-        raise BenchError(
-            f"{options.target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
-            "(bench live TARGET --clear-faults --duration 1 --viewer none)"
-        )
     envelope = Envelope(options.speed_rpm if options.level >= MOTION else 0.0)
     if options.level >= MOTION:
         check_limits(node, envelope)

@@ -35,6 +35,7 @@ from bench.rig.outputs import Outputs
 from bench.rig.person import Ask
 from bench.rig.quality import ParameterValue, Quality
 from bench.rig.recorder import Recorder
+from bench.rig.rest import require_rest
 from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
@@ -42,7 +43,7 @@ from bench.rig.streams import configure, edge_rate
 from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
-from protocol.messages import DriveState, Role
+from protocol.messages import Role
 from protocol.signals import Flag, Signal
 from protocol.streams import StreamConfig
 
@@ -196,23 +197,11 @@ class Rig:
         has its outputs on and gets its streams.
         """
         node, target = self.drive.node, self.plan.target
-        heartbeat = node.next_heartbeat()
-        if self.plan.passive:
-            if heartbeat is not None and not is_off(heartbeat) and any(s.running for s in node.configured_streams()):
-                raise BenchError(
-                    f"{target} streams to another host, which has its outputs on ({says(heartbeat)}): watching it "
-                    "would take these streams away"
-                )
-            return
-        if heartbeat is not None and heartbeat.state == DriveState.FAULT and not or_fault:
-            raise BenchError(
-                f"{target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
-                "(bench live TARGET --clear-faults --duration 1 --viewer none)"
-            )
-        if heartbeat is None:
-            raise BenchError(f"{target} sends no heartbeat: the state of its outputs is unknown")
-        if not is_off(heartbeat):
-            raise BenchError(f"{target} is not at rest ({says(heartbeat)}): another host is using it")
+        if not self.plan.passive:
+            require_rest(node, target, or_fault)
+        elif (beat := node.next_heartbeat()) and not is_off(beat) and any(s.running for s in node.configured_streams()):
+            other = f"streams to another host, which has its outputs on ({says(beat)})"
+            raise BenchError(f"{target} {other}: watching it would take these streams away")
 
     def configure(
         self, choices: Sequence[tuple[Channel, ...]], decimation: int = 1, slower: bool = False
@@ -271,15 +260,9 @@ class Rig:
         plan, channels = self.plan, (*self.channels, *more)
         info = run_info(self.drive.node, plan.target, channels, self.drive.parameters, plan.settings, **recording.about)
         outputs = self.outputs = Outputs(
-            info,
-            recording.path,
-            recording.overwrite,
-            recording.viewer,
-            recording.web_port,
-            plan.virtual,
-            recording.stored,
-            recording.sector,
-        )
+            info, recording.path, recording.overwrite, recording.viewer, recording.web_port, plan.virtual,
+            recording.stored, recording.sector,
+        )  # fmt: skip
         self._stack.callback(outputs.close)
         if outputs.file is not None and not plan.goes_on:
             self._stack.callback(outputs.file.close)
@@ -292,9 +275,8 @@ class Rig:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
         assert self.samples is not None
         edges = self.drive.node.offers_edges
-        self.drive.guard = RunawayGuard(
-            self.samples, edges, self.drive.parameters, lambda: getattr(self.load, "forced", None)
-        )
+        forced = lambda: getattr(self.load, "forced", None)  # noqa: E731
+        self.drive.guard = RunawayGuard(self.samples, edges, self.drive.parameters, forced)
         return self.drive.guard
 
     # -- the end ------------------------------------------------------------------------------------------------

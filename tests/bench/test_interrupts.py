@@ -25,10 +25,11 @@ from processes import ENVIRONMENT, LIMIT
 from test_prompt import on_terminal
 
 from bench.rig.interrupts import none_dropped
+from tests.choice import CAMPAIGN
 
 pytestmark = pytest.mark.slow
 
-MOMENTS = int(os.environ.get("HALLBENCH_INTERRUPTS", "6"))
+MOMENTS = int(os.environ.get("HALLBENCH_INTERRUPTS", "6" if os.environ.get(CAMPAIGN) else "2"))
 AT_ONCE = 3  # processes: more would starve each other
 LONGEST = 3.0  # s of a command's life in which it is interrupted
 SOON = 10.0  # s from Ctrl-C to the end, on a busy machine
@@ -112,7 +113,13 @@ def check(ended: Ended, *codes: int) -> None:
     assert ended.left == [], ended
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+LATE = pytest.mark.campaign("interrupts")
+ENERGISING = ("live", "accept", "hall check")
+"""Commands that the suite tries; the others are a campaign's."""
+
+
+@pytest.mark.long("a process for each moment")
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in ENERGISING else LATE) for name in COMMANDS])
 def test_ctrl_c_ends_a_command_at_any_moment(name: str, drive_run: Path, tmp_path: Path, start_sim: object) -> None:
     known = {"RUN": str(drive_run)}
     if "SIM" in COMMANDS[name]:
@@ -145,7 +152,8 @@ def test_ctrl_c_in_a_terminal_leaves_the_embedded_drive_there_for_stop() -> None
     assert "Traceback" not in text
 
 
-@pytest.mark.parametrize("moment", COMPILING)
+@pytest.mark.long("compiles")
+@pytest.mark.parametrize("moment", [COMPILING[0], pytest.param(COMPILING[1], marks=LATE)])
 def test_ctrl_c_ends_a_compilation_at_once(moment: float, tmp_path: Path) -> None:
     ended = interrupted(COMMANDS["hall check"], moment, LIMIT, NUMBA_CACHE_DIR=str(tmp_path))
     check(ended, *INTERRUPTED)

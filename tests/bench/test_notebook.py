@@ -111,26 +111,6 @@ def test_what_turned_is_off_and_seen_off_and_put_back(
     assert (app.get_param("i_max"), app.get_param("k_p_vt")) == (I_MAX, 1268.0)
 
 
-def _run(link: WatchedLink) -> None:
-    with connected(link, yes=True, limits=bench.Envelope(current=3.0)) as rig:
-        rig.drive.speed(rpm=300)
-        rig.load.torque(0.02)
-        rig.record(0.1)
-
-
-def test_ctrl_c_at_any_moment_leaves_it_off_and_as_it_was() -> None:
-    whole = WatchedLink(physical())
-    _run(whole)
-    running = [n for n, state in enumerate(whole.states, 1) if state == DriveState.RUNNING]
-    moments = [*range(1, whole.calls, 41), *running[::5], *range(running[-1], whole.calls, 7)]  # connect, record, close
-    for moment in moments:
-        link = WatchedLink(physical(), raising(signal.SIGINT, moment))
-        with pytest.raises(KeyboardInterrupt):
-            _run(link)
-        assert at_rest(link.device), moment
-        assert link.device.sessions[0].app.get_param("i_max") == I_MAX, moment
-
-
 def test_ctrl_c_in_record_stops_at_once() -> None:
     link = WatchedLink(physical())
     with pytest.raises(KeyboardInterrupt), connected(link, yes=True) as rig:  # noqa: PT012

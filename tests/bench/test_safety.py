@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import signal
 from dataclasses import replace
 
 import pytest
-from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, raising, run, simulated
+from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
 
 from bench.analysis.position import position_errors
 from bench.cli import main
@@ -29,51 +28,6 @@ from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink
 
 # -- signals ----------------------------------------------------------------------------------------------------
-
-
-def calls_of_a_run() -> list[DriveState]:
-    link = WatchedLink(simulated())
-    assert run(link, load_a=1.0, duration=0.1).exit_code == 0
-    assert at_rest(link.device)
-    return link.states
-
-
-def test_a_signal_at_any_point_ends_with_the_outputs_off() -> None:
-    states = calls_of_a_run()
-    armed, on = states.index(DriveState.ARMED), states.index(DriveState.RUNNING)
-    off = len(states) - states[::-1].index(DriveState.RUNNING)
-    points = {*range(1, len(states), 7), *range(armed - 4, on + 9), *range(off - 2, len(states))}
-    assert armed < on < off < len(states)
-    kinds = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-    before = [signal.getsignal(kind) for kind in kinds]
-    for number, point in enumerate(sorted(points)):
-        kind = kinds[number % 3]
-        link = WatchedLink(simulated(), raising(kind, point))
-        try:
-            ended = run(link, load_a=1.0, duration=0.1)
-        except (KeyboardInterrupt, Interrupted):
-            assert DriveState.ARMED not in link.states, point  # before the run, which would have summed up
-        else:
-            assert (ended.exit_code, ended.summary.result) == (128 + kind, f"ended by {kind.name}"), point
-        assert at_rest(link.device), (point, link.states[-1])
-        assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
-    assert [signal.getsignal(kind) for kind in kinds] == before
-
-
-def test_signals_in_a_burst_end_with_the_outputs_off() -> None:
-    states = calls_of_a_run()
-    on = states.index(DriveState.RUNNING)
-    for point in range(on - 6, on + 12):
-
-        def burst(call: int, point: int = point) -> None:
-            if call >= point:
-                signal.raise_signal((signal.SIGHUP, signal.SIGTERM, signal.SIGINT)[call % 3])
-
-        link = WatchedLink(simulated(), burst)
-        with contextlib.suppress(KeyboardInterrupt, Interrupted):
-            run(link, load_a=1.0, duration=0.1)
-        assert at_rest(link.device), point
-        assert link.device.drive.machine.faults == Fault(0), point
 
 
 def test_a_signal_that_came_while_it_was_not_to_disturb_takes_effect_afterwards() -> None:

@@ -20,7 +20,11 @@ SECTORS = 6
 NUMERALS = ("I", "II", "III", "IV", "V", "VI")
 """Names of the sectors."""
 SECTOR_WIDTH = math.pi / 3.0  # electrical rad
-_STEP = np.array([0.0, 1.0, 2.0, 0.0, -2.0, -1.0])  # sectors gone, by the difference of two codes' sectors modulo 6
+_STEPS = np.array([
+    (0.0, 1.0, 2.0, 0.0, -2.0, -1.0)[(new - old) % SECTORS] if old >= 0 <= new else 0.0
+    for old in SECTOR_OF_CODE for new in SECTOR_OF_CODE
+])  # fmt: skip
+"""Sectors gone, by the old code times 8 and the new one."""
 FORWARDS, BACKWARDS = 0, 1
 """Columns of `EdgeOffsets`."""
 
@@ -122,5 +126,5 @@ def sector_of_code(code: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
 
 def steps_between(hall_old: NDArray[np.integer[Any]], hall_new: NDArray[np.integer[Any]]) -> Floats:
     """Sectors that each Hall edge goes forward, -2..2, shape (n,); 0 where a code is none, or where it goes three."""
-    old, new = sector_of_code(hall_old & 7), sector_of_code(hall_new & 7)
-    return np.where((old >= 0) & (new >= 0), _STEP[(new - old) % SECTORS], 0.0)
+    steps: Floats = _STEPS[(hall_old & 7) * 8 + (hall_new & 7)]
+    return steps

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 import signal
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 from accepting import Accepting, SpoiltLink, never_armed
 from processes import Program, Sim
-from virtual_run import physical, raising, simulated
+from virtual_run import physical, simulated
 
 from bench.acceptance.accept import closing_lines
 from bench.errors import BenchError
@@ -113,54 +112,6 @@ def test_a_stop_that_is_not_answered_is_told_and_the_watchdog_does_it_and_no_tes
     assert link.device.load.state == DriveState.IDLE
     assert link.left() == before
     assert link.device.drive.machine.faults == Fault.WATCHDOG  # for somebody to look at
-
-
-def test_a_drive_that_does_not_switch_off_is_called_so(accepting: Accepting, link: SpoiltLink) -> None:
-    link.device.drive.app.set_param("watchdog", 10.0)  # far longer than the bench waits
-    run = accepting(ENDINGS, link, keyword="test_deaf")
-    assert run["deaf"].why == (
-        "OUTPUTS MAY STILL BE ON: cut the power. node 1 on virtual: did not answer STOP (3 tries); node 1 on virtual: "
-        "was not confirmed off; not restored: i_max (was 8)"
-    )
-    assert run.code == 5
-    assert closing_lines(run.result)[0] == run["deaf"].why
-
-
-def test_a_signal_at_any_point_ends_with_everything_at_rest(accepting: Accepting) -> None:
-    file = accepting.write(ENDINGS)
-    link = SpoiltLink(simulated())
-    assert accepting(file, link, keyword="test_returns").code == 0
-    states = link.states
-    on = states.index(DriveState.RUNNING)
-    off = len(states) - states[::-1].index(DriveState.RUNNING)
-    points = [*range(2, on - 4, on // 3), *range(on - 4, on + 5, 2), *range(on + 5, off, (off - on) // 3)]
-    assert len(points) >= 10
-    kinds = itertools.cycle((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
-    for point, kind in zip(points, kinds, strict=False):
-        link = SpoiltLink(simulated(), raising(kind, point))
-        before = link.left()
-        run = accepting(file, link, keyword="test_returns")
-        assert (run.tests, run.code) == ({"returns": "ABORTED"}, 130), point
-        assert link.left() == before, point
-        assert link.device.drive.machine.faults == Fault(0), point  # STOP did it, not the watchdog
-
-
-def test_a_signal_while_all_is_put_back_does_not_keep_it_from_being_put_back(accepting: Accepting) -> None:
-    file = accepting.write(ENDINGS)
-    link = SpoiltLink(simulated())
-    assert accepting(file, link, keyword="test_returns").code == 0
-    off = len(link.states) - link.states[::-1].index(DriveState.RUNNING)
-    for point in range(off, link.calls, (link.calls - off) // 3):
-
-        def at_point(call: int, point: int = point) -> None:
-            if call >= point:
-                signal.raise_signal(signal.SIGINT)
-
-        link = SpoiltLink(simulated(), at_point)
-        before = link.left()
-        run = accepting(file, link, keyword="test_returns")
-        assert link.left() == before, point
-        assert (run.tests, run.code) == ({"returns": "ABORTED"}, 130), point
 
 
 def test_what_could_not_be_put_back_is_told_although_a_signal_came_meanwhile(accepting: Accepting) -> None:
@@ -267,22 +218,6 @@ def test_the_drive_itself_keeps_to_the_announced_current(accepting: Accepting) -
     assert [state for state in (*link.opened, link.left()) if state != before] == []
     assert run["blocked"].parameters == {"observer": 0.0}  # what the test has set, and not the bench
     assert run["lowers_it"].parameters == {"i_max": 1.5}
-
-
-def test_a_signal_while_the_limit_is_lowered_leaves_it_as_it_was(accepting: Accepting) -> None:
-    lowered: list[int] = []
-
-    def look(call: int) -> None:
-        if link.device.drive.app.get_param("i_max") == 3 and not lowered:
-            lowered.append(call)
-            signal.raise_signal(signal.SIGINT)
-
-    link = SpoiltLink(physical(), look)
-    before = link.left()
-    run = accepting(ANNOUNCED, link, keyword="test_slow", yes=True)
-    assert lowered
-    assert (run.tests, run.code) == ({"slow": "ABORTED"}, 130)
-    assert link.left() == before
 
 
 # -- processes --------------------------------------------------------------------------------------------------

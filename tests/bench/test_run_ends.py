@@ -1,0 +1,214 @@
+"""However a run ends, by every command and on every link: outputs off and seen to be, parameters as they were.
+
+One table: way to end x command x link. What a command says beside that is in its own tests.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from virtual_run import simulated
+
+import bench
+from bench.cli import main
+from bench.conforming import run as conforming
+from bench.conforming.catalogue import chosen
+from protocol.errors import LinkClosed
+from protocol.messages import DriveState, Fault
+from sim.ports.device import SimulatedDevice
+from tests.bench.acceptance.accepting import HEAD, SpoiltLink
+
+TARGET = f"serial:/dev/ttyEND{os.getpid()}"  # a target is locked: no two processes of the tests have one
+LINKS = ("bytes", "CAN")
+OPENED = ("bench.live.run.open_link", "bench.rig.connection.open_link", "protocol.links.open_link")
+FEW = ("state.stop-obeyed", "motion.stop")  # checks: one that energises, one that turns
+ACCEPTED = """
+@energises(rpm=500, current=3)
+def test_turns(drive, load, record):
+    drive.set("k_p_vt", 123.0)
+    load.set("tau_max", 0.5)
+    load.torque(0.01)
+    turn(drive, record)
+"""
+
+
+def _notebook(link: SpoiltLink) -> None:
+    with bench.connect(TARGET, yes=True, limits=bench.Envelope(current=3.0), channels="status,i_q") as rig:
+        rig.drive.set("k_p_vt", 900.0)
+        rig.drive.speed(rpm=300)
+        rig.load.torque(0.02)
+        rig.record(0.1)
+
+
+def _command(line: str) -> Callable[[SpoiltLink], None]:
+    few = "" if "live" not in line else " --channels status,i_q --rate 1000"
+    return lambda link: main(
+        line.replace("TARGET", TARGET).replace("OWN", f"own_{Path.cwd().name}.py").split() + few.split()
+    )
+
+
+COMMANDS: dict[str, Callable[[SpoiltLink], None]] = {
+    "live": _command(
+        "live TARGET --speed 300 --load 1 --observer average-speed --current 3 --duration 0.2 --yes --viewer none"
+    ),
+    "accept": _command("accept TARGET --tests OWN --yes"),
+    "hall": _command("hall check TARGET --speed 480 --yes"),
+    "conform": _command("conform TARGET --level 4 --yes"),
+    "notebook": _notebook,
+}
+
+
+@dataclass
+class Ended:
+    """What came of it."""
+
+    link: SpoiltLink
+    before: tuple[bool, dict[str, float]]
+    raised: BaseException | None = None
+    text: str = ""
+
+    @property
+    def code(self) -> int:
+        """Exit code; that of Python for what a notebook raises."""
+        if isinstance(self.raised, SystemExit):
+            return int(self.raised.code or 0)
+        return 0 if self.raised is None else int(getattr(self.raised, "exit_code", 130))
+
+
+def _run(command: str, device: SimulatedDevice, on_call: Callable[[SpoiltLink, int], None]) -> Ended:
+    """`on_call` gets the link and the number of the call, before each read and write."""
+    link = SpoiltLink(device, lambda number: on_call(link, number))
+    ended, said = Ended(link, link.left()), io.StringIO()
+    with ExitStack() as stack:
+        for place in OPENED:
+            stack.enter_context(patch(place, link.open))
+        stack.enter_context(
+            patch.object(conforming, "chosen", lambda level, bus: [c for c in chosen(level, bus) if c.id in FEW])
+        )
+        stack.enter_context(patch.object(sys, "stdout", said))
+        stack.enter_context(patch.object(sys, "stderr", said))
+        try:
+            COMMANDS[command](link)
+        except (SystemExit, KeyboardInterrupt, Exception) as error:
+            ended.raised = error
+    ended.text = " ".join(said.getvalue().split()) + f" {ended.raised}"
+    return ended
+
+
+@pytest.fixture(autouse=True)
+def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / f"own_{tmp_path.name}.py").write_text(HEAD + ACCEPTED)
+
+
+def _without(link: SpoiltLink, number: int) -> None:
+    """Nothing happens."""
+
+
+@cache
+def _states(command: str, network: str) -> tuple[DriveState, ...]:
+    """Of the drive at each call of a run that ends of itself."""
+    ended = _run(command, simulated(network=network), _without)
+    assert ended.code == 0, ended.text
+    return tuple(ended.link.states)
+
+
+def _at(command: str, network: str) -> dict[str, int]:
+    """Calls at which something may happen."""
+    states = _states(command, network)
+    armed, on = states.index(DriveState.ARMED), states.index(DriveState.RUNNING)
+    off = len(states) - states[::-1].index(DriveState.RUNNING)
+    return {
+        "armed": armed + 1,
+        "started": on + 2,
+        "turning": (on + off) // 2,
+        "stopping": off,
+        "off": min(off + 3, len(states) - 1),
+    }
+
+
+LATE = [pytest.mark.campaign("ends"), pytest.mark.long("thousands of CAN frames a second of virtual time")]
+
+
+@pytest.mark.parametrize(
+    ("command", "network"),
+    [
+        pytest.param(command, network, marks=LATE if network == "CAN" and command in ("hall", "accept") else ())
+        for command in COMMANDS
+        for network in LINKS
+    ],
+)
+def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network: str) -> None:
+    kinds = (signal.SIGINT,) * 3 if command == "notebook" else (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    moments = _at(command, network)
+    for turn, (moment, at) in enumerate(
+        [*moments.items(), ("stopping, and each time after that", moments["stopping"])]
+    ):
+        kind = kinds[turn % 3]
+
+        def interrupt(link: SpoiltLink, call: int, at: int = at, kind: int = kind, last: int = turn) -> None:
+            if call == at or (call > at and last >= len(moments)):
+                signal.raise_signal(kind)
+
+        ended = _run(command, simulated(network=network), interrupt)
+        assert ended.link.left() == ended.before, (moment, ended.text)
+        assert ended.link.device.drive.machine.faults == Fault(0), moment  # STOP did it, not the watchdog
+        assert ended.code == (130 if command in ("accept", "notebook") else 128 + kind), (moment, ended.text)
+        assert "Traceback" not in ended.text
+
+
+def _deaf(link: SpoiltLink, number: int) -> None:
+    link.deaf |= link.device.drive.state == DriveState.RUNNING
+
+
+def _deaf_for_ever(link: SpoiltLink, number: int) -> None:
+    if link.device.drive.state == DriveState.RUNNING and not link.deaf:
+        link.device.drive.app.set_param("watchdog", 10.0)  # far longer than the bench waits
+        link.deaf = True
+
+
+def _trips(link: SpoiltLink, number: int) -> None:
+    if link.states[-9:] == [DriveState.RUNNING] * 9:
+        link.device.drive.fault(Fault.OVERCURRENT)
+
+
+def _unplugged(link: SpoiltLink, number: int) -> None:
+    if link.states[-9:] == [DriveState.RUNNING] * 9 or getattr(link, "gone", False):
+        link.gone = True  # type: ignore[attr-defined]
+        link.device.advance(160)
+        raise LinkClosed("unplugged")
+
+
+UNSAFE = "OUTPUTS MAY STILL BE ON: cut the power"
+WAYS: dict[str, tuple[Callable[[SpoiltLink, int], None], dict[str, int], str]] = {
+    # what happens, how each command ends, and what all of them say
+    "STOP is not answered": (_deaf, {"live": 1, "accept": 2, "hall": 2, "conform": 1, "notebook": 2}, "STOP"),
+    "nor does the watchdog switch off": (_deaf_for_ever, dict.fromkeys(COMMANDS, 5), UNSAFE),
+    "the drive trips": (_trips, {"live": 1, "accept": 1, "hall": 0, "conform": 6, "notebook": 1}, ""),
+    "the cable is pulled": (_unplugged, dict.fromkeys(COMMANDS, 5), UNSAFE),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("way", WAYS)
+def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, command: str) -> None:
+    happens, codes, words = WAYS[way]
+    with patch("bench.live.run.RECONNECT", 1.0), patch("bench.device.client.REOPEN_PERIOD", 0.0):
+        ended = _run(command, simulated(), happens)
+    assert (ended.code, words in ended.text) == (codes[command], True), ended.text
+    device = ended.link.device
+    device.advance(16000)  # a second: what nobody feeds any more
+    if way != "nor does the watchdog switch off":
+        assert not any(session.app.outputs_on for session in device.sessions)
+    if way != "the cable is pulled":
+        assert ended.link.left()[1]["2.tau_max"] == ended.before[1]["2.tau_max"]
