@@ -23,19 +23,19 @@ from typing import TYPE_CHECKING, Any, Unpack
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from bench.analysis.capture import Capture
-    from bench.comparing.compare import Comparison
+    from bench.compare.compare import Comparison
     from bench.errors import BenchError
-    from bench.exports.export import Exported
-    from bench.figures.plot import Plot
+    from bench.export.export import Exported
     from bench.hall.health import Health
-    from bench.recording.recording import Recording, Source
+    from bench.plot.plot import Plot
+    from bench.record.recording import Recording, Source
     from bench.rig.drive import DriveTripped
     from bench.rig.envelope import Envelope
     from bench.rig.notebook import Simulated
     from bench.rig.rig import Rig
     from bench.rig.settings import Settings
-    from bench.scoring.board import Scoreboard
+    from bench.score.board import Scoreboard
+    from bench.signal.capture import Capture
     from protocol import __version__
 
 __all__ = [
@@ -44,12 +44,18 @@ __all__ = [
 ]  # fmt: skip
 
 _HOMES = {
-    "BenchError": "bench.errors", "Capture": "bench.analysis.capture", "DriveTripped": "bench.rig.drive",
-    "Envelope": "bench.rig.envelope", "Recording": "bench.recording.recording", "Rig": "bench.rig.rig",
+    "BenchError": "bench.errors", "Capture": "bench.signal.capture", "DriveTripped": "bench.rig.drive",
+    "Envelope": "bench.rig.envelope", "Recording": "bench.record.recording", "Rig": "bench.rig.rig",
     "Settings": "bench.rig.settings", "__version__": "protocol",
 }  # fmt: skip
 
-for _folder in ("hall",):  # importing one binds its name here: before the function of that name, which stays
+for _folder in (
+    "compare",
+    "export",
+    "hall",
+    "plot",
+    "score",
+):  # importing one binds its name: before the function that stays
     import_module(f"{__name__}.{_folder}")
 
 
@@ -120,7 +126,7 @@ def open(path: str | Path) -> Recording:
 
     Raises BenchError where `path` holds no recording.
     """
-    from bench.recording.recording import Recording
+    from bench.record.recording import Recording
 
     return Recording(path)
 
@@ -163,7 +169,7 @@ def estimate(capture: Capture, observer: str, /, **settings: float) -> Capture:
     Raises:
         BenchError: an observer, a setting or a channel that there is not, or a setting out of range.
     """
-    from bench.observers.replay import estimate_capture
+    from bench.replay.replay import estimate_capture
 
     return estimate_capture(capture, observer, settings)
 
@@ -182,7 +188,7 @@ def score(*runs: Source, observers: Sequence[str] = ()) -> Scoreboard:
     Raises:
         BenchError: a run without encoder or samples, a name that is nowhere.
     """
-    from bench.scoring.board import score as board
+    from bench.score.board import score as board
 
     return board([Path(run) if isinstance(run, str) else run for run in runs], observers)
 
@@ -201,10 +207,10 @@ def hall(run: Source, begin: float | None = None, end: float | None = None) -> H
     Raises:
         BenchError: no samples, no Hall edges, no channel `hall`.
     """
-    from bench.analysis.capture import Capture
     from bench.hall.health import examine
     from bench.hall.trace import Recorded, trace
-    from bench.recording.recording import run_of
+    from bench.record.recording import run_of
+    from bench.signal.capture import Capture
 
     if isinstance(run, Capture) and begin is None and end is None:
         return examine(trace(run))
@@ -235,9 +241,9 @@ def compare(
     Raises:
         BenchError: a run without samples, a name that is nowhere, no time in common.
     """
-    from bench.comparing.alignment import aligned
-    from bench.comparing.compare import compare as compare_sides
-    from bench.recording.recording import readable
+    from bench.compare.alignment import aligned
+    from bench.compare.compare import compare as compare_sides
+    from bench.record.recording import readable
 
     return compare_sides(*aligned(readable(a), readable(b), align, begin, end), channels)
 
@@ -256,9 +262,9 @@ def plot(run: Source, begin: float | None = None, end: float | None = None) -> d
     Raises:
         BenchError: no samples, or a drive that rebooted meanwhile.
     """
-    from bench.figures.plot import draw_all
-    from bench.recording.recording import readable
-    from bench.recording.times import ticks_of
+    from bench.plot.plot import draw_all
+    from bench.record.recording import readable
+    from bench.record.times import ticks_of
 
     opened = readable(run)
     return {each.name: each for each in draw_all(opened, *ticks_of(opened, begin, end))}
@@ -288,7 +294,7 @@ def export(
     Raises:
         BenchError: an ending that is unknown, a file that exists, a name that is nowhere.
     """
-    from bench.exports.export import export as write
-    from bench.recording.recording import run_of
+    from bench.export.export import export as write
+    from bench.record.recording import run_of
 
     return write(run_of(run), Path(path), None, begin, end, channels, overwrite)

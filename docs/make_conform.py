@@ -9,11 +9,11 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from bench.conforming import states
-from bench.conforming.catalogue import checks
-from bench.conforming.claim import check_data
-from bench.conforming.identity import RATE_ERROR
-from bench.conforming.levels import LEVELS
+from bench.conform import states
+from bench.conform.catalogue import checks
+from bench.conform.claim import check_data
+from bench.conform.identity import RATE_ERROR
+from bench.conform.levels import LEVELS
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "conform.md"

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from bench.recording.reader import Run
-from bench.rerunio.viewer import HOST, binary, free_port
-from bench.rerunio.viewing import write_rrd
+from bench.record.reader import Run
+from bench.view.viewer import HOST, binary, free_port
+from bench.view.viewing import write_rrd
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from PIL import Image
 
-from bench.acceptance.results import RunResult, run_from_json
+from bench.accept.results import RunResult, run_from_json
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "paper"

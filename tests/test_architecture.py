@@ -21,7 +21,7 @@ DRIVERS = {"serial", "can", "asyncio", "time", "socket", "threading"}
 MOST_PARAMETERS = 8
 MOST_LINES = 80
 COMPILED = {"kernel", "native", "intrinsic", "njit", "_kept"}
-MOST_CODE_LINES = {"bench": 20720, "sim": 7640, "protocol": 4540, "tests": 29740}
+MOST_CODE_LINES = {"bench": 20700, "sim": 7490, "protocol": 4540, "tests": 29760}
 """Whoever raises one says so in the commit."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -76,8 +76,8 @@ def test_bench_has_at_most_four_loose_modules() -> None:
     assert len(list((ROOT / "bench").glob("*.py"))) <= 4
 
 
-def test_only_rerunio_imports_rerun(sources: Sources) -> None:
-    assert {room for room, name in sources.imported if name == "rerun"} == {"bench.rerunio"}
+def test_only_the_view_imports_rerun(sources: Sources) -> None:
+    assert {room for room, name in sources.imported if name == "rerun"} == {"bench.view"}
 
 
 def test_the_protocol_outside_its_links_does_no_io_and_reads_no_clock(sources: Sources) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import rerun as rr
 from rerun.experimental import ViewerClient, ViewerState
 
-from bench.rerunio.viewer import HOST, binary
+from bench.view.viewer import HOST, binary
 
 TIMEOUT = 60.0  # s; a viewer that draws in software on a busy machine takes its time
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.acceptance.report_files import holds_report
+from bench.accept.report_files import holds_report
 from bench.cli.files import DIRECTORY, FILE, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.options import yes_option
 from bench.cli.output import Progress
@@ -19,7 +19,7 @@ from bench.errors import BenchError
 from bench.files import STANDARD_OUTPUT, check_directory
 
 if TYPE_CHECKING:
-    from bench.analysis.limits import Limits
+    from bench.signal.limits import Limits
 
 
 class _Screen(Progress):
@@ -79,7 +79,7 @@ def command(json_file: Path | None, overwrite: bool, **given: Any) -> None:
         if holds_report(report) and not overwrite:
             raise BenchError(f"--report {report} holds a report: choose another name, or --overwrite to replace it")
         check_directory(report, f"--report {report}", make=True)
-    from bench.acceptance.accept import AcceptOptions, accept, closing_lines
+    from bench.accept.accept import AcceptOptions, accept, closing_lines
 
     with _Screen(status=not given["list_only"]) as screen:
         run, code = accept(AcceptOptions(json=json_file, **given), screen)

@@ -16,8 +16,8 @@ from bench.cli.view import show_until_closed
 from bench.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from bench.comparing.alignment import Side
-    from bench.comparing.compare import Comparison
+    from bench.compare.alignment import Side
+    from bench.compare.compare import Comparison
 
 
 @click.command("compare")
@@ -47,10 +47,10 @@ def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | N
       bench compare a.run b.run --align "load step" --viewer web
     """
     check_files({"--json": json_file, "--save": save}, given["overwrite"], [a, b])
-    from bench.comparing.alignment import aligned
-    from bench.comparing.compare import as_json, compare
-    from bench.recording.recording import readable
-    from bench.rerunio.viewer import chosen
+    from bench.compare.alignment import aligned
+    from bench.compare.compare import as_json, compare
+    from bench.record.recording import readable
+    from bench.view.viewer import chosen
 
     runs = [readable(path) for path in (a, b)]
     sides = aligned(runs[0], runs[1], align, given["begin"], given["end"])
@@ -72,9 +72,9 @@ def command(a: Path, b: Path, align: str, json_file: Path | None, save: Path | N
 
 
 def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
-    from bench.rerunio.overlay import Laid, write_overlay
-    from bench.rerunio.viewer import chosen
-    from bench.rerunio.viewing import lot_for
+    from bench.view.overlay import Laid, write_overlay
+    from bench.view.viewer import chosen
+    from bench.view.viewing import lot_for
 
     a, b = (Laid(side.run, side.zero, side.first, side.last) for side in sides)
     write_overlay(file, a, b, lot_for(chosen(viewer)))
@@ -82,7 +82,7 @@ def _write(file: Path, sides: tuple[Side, Side], viewer: str) -> None:
 
 def _print(found: Comparison, align: str) -> None:
     from bench.cli.output import table
-    from bench.comparing.compare import cells
+    from bench.compare.compare import cells
 
     a, b = found.a, found.b
     for letter, side in (("A", a), ("B", b)):

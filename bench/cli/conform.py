@@ -17,13 +17,13 @@ from bench.cli.options import operator_option, yes_option
 from bench.cli.output import Progress, table
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
-from bench.conforming.levels import DEFAULT_LEVEL, LEVELS
-from bench.conforming.verdicts import Verdict
+from bench.conform.levels import DEFAULT_LEVEL, LEVELS
+from bench.conform.verdicts import Verdict
 from bench.files import STANDARD_OUTPUT, write
 
 if TYPE_CHECKING:
-    from bench.conforming.checks import Result
-    from bench.conforming.run import Run
+    from bench.conform.checks import Result
+    from bench.conform.run import Run
 
 SHORT = 100  # characters of the evidence of a check that passed, in the table
 
@@ -72,9 +72,9 @@ def command(
     if junit == STANDARD_OUTPUT or report == STANDARD_OUTPUT:
         raise click.UsageError("only --json can go to standard output: give file names to --junit and --report")
     check_files({"--json": json_file, "--junit": junit, "--report": report}, overwrite)
-    from bench.conforming.claim import about, as_data, claim, outcome
-    from bench.conforming.junit import as_xml
-    from bench.conforming.report import as_html
+    from bench.conform.claim import about, as_data, claim, outcome
+    from bench.conform.junit import as_xml
+    from bench.conform.report import as_html
     from bench.rig.metadata import about_bench
     from bench.rig.settings import read_settings
 
@@ -102,7 +102,7 @@ def command(
 
 def _run(target: str, level: int, speed_rpm: float, yes: bool, quiet: bool) -> Run:
     """Run the checks, a table of each level as it ends."""
-    from bench.conforming.run import Options, conform
+    from bench.conform.run import Options, conform
     from bench.rig.interrupts import signals_as_exceptions
     from bench.rig.lock import alone_on
     from protocol.links import open_link

@@ -11,7 +11,7 @@ import click
 from bench.cli.files import FILE, RUN, check_files, json_option, overwrite_option, write_json
 from bench.cli.options import channels_option, part_options
 from bench.cli.streams import note
-from bench.exports import ENDINGS
+from bench.export import ENDINGS
 
 
 @click.command("export")
@@ -40,8 +40,8 @@ def command(run: Path, out: Path, named: str | None, json_file: Path | None, ove
         raise click.UsageError("--out -: an export cannot go to standard output; give a file name")
     check_files({"--out": out, "--json": json_file}, overwrite, [run])
     from bench.cli.output import pairs
-    from bench.exports.export import as_json, export
-    from bench.recording.reader import Run
+    from bench.export.export import as_json, export
+    from bench.record.reader import Run
     from bench.rig.interrupts import signals_as_exceptions
 
     with signals_as_exceptions():  # nothing half done is left

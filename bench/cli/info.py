@@ -11,7 +11,7 @@ import click
 from bench.cli.files import check_files, json_option, overwrite_option, write_json
 from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
-from bench.reports.words import number
+from bench.report.words import number
 from protocol.text import counted, told
 
 

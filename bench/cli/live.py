@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from bench.analysis.sources import source_number
 from bench.cli.files import RUN, check_files, config_option, json_option, overwrite_option, write_json
 from bench.cli.number import Duration, Number
 from bench.cli.options import channels_option, operator_option, viewer_option, yes_option
@@ -17,7 +16,8 @@ from bench.cli.streams import echo, note
 from bench.cli.target import TARGET
 from bench.errors import BenchError
 from bench.files import RRD, STANDARD_OUTPUT
-from bench.recording.ring import LEAST, SHORTEST
+from bench.record.ring import LEAST, SHORTEST
+from bench.signal.sources import source_number
 from protocol.signals import SOURCE_NAMES
 
 

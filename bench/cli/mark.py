@@ -29,8 +29,8 @@ def command(run: Path, text: str, seconds: float | None) -> None:
     """
     if not text.strip():
         raise click.UsageError("TEXT is empty: describe what the mark is for")
-    from bench.recording.marks import add, ask, newest
-    from bench.recording.reader import Run
+    from bench.record.marks import add, ask, newest
+    from bench.record.reader import Run
 
     folder = newest(run)
     check_files({}, False, [folder])

@@ -42,9 +42,9 @@ def command(run: Path, out: Path | None, svg: bool, json_file: Path | None, over
       bench plot a.run --from 2 --to 8 -o plots --svg
     """
     check_files({"--json": json_file}, overwrite, [run])
-    from bench.figures.plot import NAMES, draw_all, write
-    from bench.recording.reader import Run
-    from bench.recording.times import ticks_of
+    from bench.plot.plot import NAMES, draw_all, write
+    from bench.record.reader import Run
+    from bench.record.times import ticks_of
 
     folder = out or run.absolute().parent / f"{run.name.removesuffix(SUFFIX)}.figures"
     ending = "svg" if svg else "png"

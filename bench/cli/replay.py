@@ -57,7 +57,7 @@ def command(
     if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
         raise click.UsageError(f"--set {twice[0]} is given {names.count(twice[0])} times: give it once")
     from bench.cli.output import pairs
-    from bench.observers.replay import as_json, replay, rows
+    from bench.replay.replay import as_json, replay, rows
 
     result = replay(run, observers, dict(settings), out, overwrite)
     if json_file is not None:

@@ -61,9 +61,9 @@ def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool,
     )
     outputs = {"--html": html, "--json": json_file, "--csv": csv_file, "--write-expect": write_expect}
     check_files(outputs, overwrite, [*runs, expect])
-    from bench.scoring import expect as bounds
-    from bench.scoring.board import score
-    from bench.scoring.table import as_csv, as_text
+    from bench.score import expect as bounds
+    from bench.score.board import score
+    from bench.score.table import as_csv, as_text
 
     expected = None if expect is None else bounds.read(expect)
     board = score(runs, observers, given["begin"], given["end"])
@@ -71,7 +71,7 @@ def command(runs: tuple[Path, ...], observers: tuple[str, ...], overwrite: bool,
     for line in as_text(board):
         say(line)
     if html is not None:
-        from bench.scoring.report import as_html
+        from bench.score.report import as_html
 
         write(html, as_html(board), f"--html {html}")
     if json_file is not None:

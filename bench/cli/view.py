@@ -15,7 +15,7 @@ from bench.cli.streams import note
 
 def show_until_closed(file: Path, viewer: str, web_port: int | None, what: str) -> None:
     """Show a file in a viewer, `native` or `web`, until it is closed, or Ctrl-C."""
-    from bench.rerunio.viewer import serve_file
+    from bench.view.viewer import serve_file
 
     process, address = serve_file(file, viewer, web_port)
     try:
@@ -43,10 +43,10 @@ def command(run: Path, begin: float | None, end: float | None, viewer: str, web_
       bench view a.run --from 3600 --to 3620
     """
     check_files({}, False, [run])
-    from bench.recording.reader import Run
-    from bench.recording.times import ticks_of
-    from bench.rerunio.viewer import chosen
-    from bench.rerunio.viewing import lot_for, write_rrd
+    from bench.record.reader import Run
+    from bench.record.times import ticks_of
+    from bench.view.viewer import chosen
+    from bench.view.viewing import lot_for, write_rrd
 
     opened = Run(run)
     first, last = ticks_of(opened, begin, end)

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.delays import Delays, Late, blame
-from bench.analysis.position import wrap
-from bench.analysis.trace import INPUTS, SLOW, Floats, Trace
-from bench.analysis.waveforms.sectors import NUMERALS
-from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from bench.hall import edges, reference
 from bench.hall.edges import OPENS, Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
+from bench.signal.delays import Delays, Late, blame
+from bench.signal.position import wrap
+from bench.signal.trace import INPUTS, SLOW, Floats, Trace
+from bench.signal.waveforms.sectors import NUMERALS
+from bench.signal.wiring import AS_SPECIFIED, NONE_KNOWN, Diagnosis, diagnose
 from sim.observers.hall_speed import SECTOR_WIDTH
 
 STILL = 0.01

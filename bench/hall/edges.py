@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
-from bench.analysis.delays import within_groups
-from bench.analysis.position import wrap
-from bench.analysis.trace import INPUTS, Edges, Floats
-from bench.analysis.waveforms.sectors import SECTORS
+from bench.signal.delays import within_groups
+from bench.signal.position import wrap
+from bench.signal.trace import INPUTS, Edges, Floats
+from bench.signal.waveforms.sectors import SECTORS
 from protocol.frames import data_frame
 from sim.observers.hall_speed import SECTOR_WIDTH
 

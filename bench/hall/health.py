@@ -16,15 +16,15 @@ from enum import IntEnum
 
 import numpy as np
 
-from bench.analysis.delays import AGREE, Delays, delays_of
-from bench.analysis.trace import SLOW, Trace
-from bench.analysis.waveforms.sectors import SECTORS
-from bench.analysis.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from bench.hall import causes, edges, pulses, reference
 from bench.hall.causes import Codes, Finding
 from bench.hall.edges import Measured
 from bench.hall.pulses import Pulses
 from bench.hall.reference import BackEmf, Turns
+from bench.signal.delays import AGREE, Delays, delays_of
+from bench.signal.trace import SLOW, Trace
+from bench.signal.waveforms.sectors import SECTORS
+from bench.signal.wiring import AS_SPECIFIED, Diagnosis, diagnose
 from protocol.signals import SECTOR_OF_CODE
 
 LEAST_TURNS = 2.0

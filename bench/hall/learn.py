@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from bench import files
-from bench.analysis.waveforms.sectors import SECTORS
 from bench.device.node import Node
 from bench.errors import BenchError, NodeError
 from bench.hall.health import Health, Outcome
 from bench.hall.lessons import Lessons
 from bench.rig.restore import not_put_back, put_back
+from bench.signal.waveforms.sectors import SECTORS
 from protocol.errors import HbpError
 from protocol.signals import DRIVE_PARAMETERS
 from sim.observers.hall_edges import EDGES

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.capture import Capture
-from bench.analysis.trace import INPUTS as HALL_INPUTS
 from bench.errors import BenchError
 from bench.hall.trace import Recorded, pieces_of
-from bench.observers.estimators import INPUTS, Estimators
-from bench.observers.replay import not_replayable
+from bench.replay.estimators import INPUTS, Estimators
+from bench.replay.replay import not_replayable
 from bench.rig.rig import Rig
+from bench.signal.capture import Capture
+from bench.signal.trace import INPUTS as HALL_INPUTS
 from protocol.descriptor import Channel
 from protocol.signals import LESSONS
 from sim.observers.hall_edges import EDGES

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.trace import Trace
+from bench.signal.trace import Trace
 
 BINS = 4
 SURE = 3.0

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.trace import INPUTS, SLOW, Edges, Trace
+from bench.signal.trace import INPUTS, SLOW, Edges, Trace
 
 CLEAR = 0.8
 """Share of the back-EMF that must stand still in the frame of a reference for its angle to be believed."""

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bench.analysis.trace import INPUTS, Trace
-from bench.analysis.waveforms.sectors import NUMERALS, SECTORS
-from bench.analysis.wiring import AS_SPECIFIED
 from bench.hall.edges import Edge, Passages, largest
 from bench.hall.health import Health, Outcome
 from bench.hall.turning import Turned
-from bench.reports.words import number
+from bench.report.words import number
+from bench.signal.trace import INPUTS, Trace
+from bench.signal.waveforms.sectors import NUMERALS, SECTORS
+from bench.signal.wiring import AS_SPECIFIED
 
 WIDTH = 79
 EDGE_HEADERS = ("edge", "forward", "reverse", "+-95 %", "passed", "hyst.", "jitter", "width")

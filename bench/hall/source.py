@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.analysis.trace import STATOR
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.files import RRD, RUN, check_output
@@ -21,7 +20,7 @@ from bench.hall import lessons
 from bench.hall.passive import watch, watched
 from bench.hall.trace import Recorded
 from bench.hall.turning import Turned, Turner
-from bench.observers.estimators import unfit
+from bench.replay.estimators import unfit
 from bench.rig.connection import SIM, open_target
 from bench.rig.consent import check_limits, require_agreement
 from bench.rig.envelope import Envelope
@@ -30,6 +29,7 @@ from bench.rig.lock import alone_on
 from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.screen import Screen
 from bench.rig.settings import Settings, read_settings
+from bench.signal.trace import STATOR
 
 CURRENT = 2.0  # A that the motor gets at most where nothing else is asked for
 
@@ -99,7 +99,7 @@ def opened(options: Options, screen: Screen, confirm: Callable[[str], bool] | No
     Raises BenchError and HbpError for what the user can mend.
     """
     if options.recorded:
-        from bench.recording.reader import Run
+        from bench.record.reader import Run
 
         recorded = Recorded(Run(options.source), options.begin, options.end, screen.note)
         yield Source(Turned(recorded, "recorded"), None)

@@ -1,6 +1,6 @@
 """What was recorded, made ready for measuring Hall sensors.
 
-A recording is gone through once, piece by piece; `bench.analysis.trace` says what is kept of it.
+A recording is gone through once, piece by piece; `bench.signal.trace` says what is kept of it.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.analysis.capture import Capture
-from bench.analysis.channels import reference_angle
-from bench.analysis.chunks import between, join, part
-from bench.analysis.trace import PULSE, SLOPE, STATOR, Trace
-from bench.analysis.windows import Window, windows
 from bench.errors import BenchError
+from bench.signal.capture import Capture
+from bench.signal.channels import reference_angle
+from bench.signal.chunks import between, join, part
+from bench.signal.trace import PULSE, SLOPE, STATOR, Trace
+from bench.signal.windows import Window, windows
 from protocol.streams import EdgeChunk
 
 if TYPE_CHECKING:
-    from bench.recording.reader import Run
+    from bench.record.reader import Run
 
 LOOKED_AT = ("hall", "status", "i_d", "i_q", *STATOR)
 """Channels that are read, and the encoder's angle."""
@@ -41,8 +41,8 @@ class Recorded:
         end: float | None = None,
         note: Callable[[str], None] = lambda _: None,
     ) -> None:
-        from bench.recording import layout
-        from bench.recording.times import ticks_between
+        from bench.record import layout
+        from bench.record.times import ticks_between
 
         self._run, self._note, self._told = run, note, 0
         self._part = ticks_between(run, begin, end)
@@ -52,7 +52,7 @@ class Recorded:
 
     def pieces(self, wanted: Iterable[str]) -> Iterator[Capture]:
         """Those of the channels `wanted` that there are, and the encoder's angle. Raises BenchError."""
-        from bench.recording.reader import captures
+        from bench.record.reader import captures
 
         config, _ = self._run.drive_streams
         there = [channel.name for channel in config.channels]

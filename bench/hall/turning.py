@@ -18,9 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.analysis.capture import Capture
-from bench.analysis.units import RPM
-from bench.analysis.waveforms.sectors import SECTORS, edge_passages
 from bench.errors import BenchError
 from bench.hall.trace import Recorded
 from bench.rig.drive import RanAway
@@ -28,6 +25,9 @@ from bench.rig.loads import SPEED
 from bench.rig.needs import offers
 from bench.rig.recorder import Recorder
 from bench.rig.rig import Rig
+from bench.signal.capture import Capture
+from bench.signal.units import RPM
+from bench.signal.waveforms.sectors import SECTORS, edge_passages
 from protocol.errors import HbpError
 from protocol.messages import Fault
 

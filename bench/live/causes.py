@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.position import wrap
-from bench.analysis.waveforms.sectors import SECTOR_WIDTH as SECTOR
-from bench.analysis.wiring import AS_SPECIFIED, NONE_KNOWN, explained, tally
+from bench.signal.position import wrap
+from bench.signal.waveforms.sectors import SECTOR_WIDTH as SECTOR
+from bench.signal.wiring import AS_SPECIFIED, NONE_KNOWN, explained, tally
 from protocol.streams import EdgeChunk, SampleChunk
 
 BLOCK = 0.25  # s over which Hall sensors and encoder are compared

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.analysis.chunks import Chunk, join
 from bench.device.client import Sink
+from bench.signal.chunks import Chunk, join
 from protocol.messages import DeviceEvent, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 

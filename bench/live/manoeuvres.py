@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 
-from bench.analysis.units import RPM
+from bench.signal.units import RPM
 from protocol.signals import AngleSource
 
 

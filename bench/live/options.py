@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.analysis.sources import source_number
 from bench.live.manoeuvres import Act, show
 from bench.rig.needs import NEEDS, require
 from bench.rig.rig import Rig
 from bench.rig.settings import Settings
+from bench.signal.sources import source_number
 
 WATCHING = Act("watching", math.inf, 0.0, 0.0, None)
 
@@ -36,7 +36,7 @@ class LiveOptions:
     clear_faults: bool = False
     host_observers: bool = False
     keep: float | None = None
-    """Record as a ring of so many s, see `bench.recording.ring`."""
+    """Record as a ring of so many s, see `bench.record.ring`."""
     split: float | None = None
     """Begin a new run after so many s."""
     note: str = ""

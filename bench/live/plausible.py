@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.analysis.channels import flagged, reference_angle, speed_channel
-from bench.analysis.position import ErrorTable, Moments, states
-from bench.analysis.units import RPM, pole_pairs
-from bench.analysis.waveforms.sectors import SECTOR_WIDTH as SECTOR
-from bench.analysis.waveforms.sectors import steps_between
 from bench.device.client import Sink
 from bench.live.causes import BackEmf, Turns, Wires
+from bench.signal.channels import flagged, reference_angle, speed_channel
+from bench.signal.position import ErrorTable, Moments, states
+from bench.signal.units import RPM, pole_pairs
+from bench.signal.waveforms.sectors import SECTOR_WIDTH as SECTOR
+from bench.signal.waveforms.sectors import steps_between
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig

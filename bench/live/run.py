@@ -12,9 +12,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 
-from bench.analysis.sources import source_number, source_short
-from bench.analysis.units import RPM, pole_pairs
-from bench.analysis.verdict import Verdict
 from bench.device.bus import BusMeter
 from bench.device.client import WATCHDOG, Sink
 from bench.device.node import LOAD
@@ -27,7 +24,7 @@ from bench.live.options import WATCHING, LiveOptions
 from bench.live.plausible import Plausibility
 from bench.live.summary import CpuMeter, RunStatistics, Summary, as_markdown, summarise
 from bench.live.triggers import Condition, Triggers
-from bench.recording.ring import Stored
+from bench.record.ring import Stored
 from bench.rig.consent import check_limits, require_consent
 from bench.rig.envelope import Envelope
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
@@ -38,6 +35,9 @@ from bench.rig.outputs import load_beside
 from bench.rig.rig import Plan, Recording, Rig
 from bench.rig.screen import Screen
 from bench.rig.streams import decimation_of
+from bench.signal.sources import source_number, source_short
+from bench.signal.units import RPM, pole_pairs
+from bench.signal.verdict import Verdict
 from protocol.codes import fault_names
 from protocol.descriptor import Channel
 from protocol.errors import HbpError, LinkError
@@ -152,7 +152,7 @@ class LiveRun:
 
     def _inputs(self, channels: tuple[Channel, ...]) -> tuple[str, ...]:
         """What observers here must be given. BenchError for a name that is wrong, and where there is nothing to do."""
-        from bench.observers.estimators import CHECKED, compared_inputs, entry_of
+        from bench.replay.estimators import CHECKED, compared_inputs, entry_of
 
         names = {channel.name for channel in channels}
         if self.options.host_observers and not names & CHECKED.keys():
@@ -179,12 +179,12 @@ class LiveRun:
         if self.acts:
             self._judge = Plausibility(stream, self.node.offers_edges, parameters)
         if options.host_observers:
-            from bench.observers.estimators import HostObservers
+            from bench.replay.estimators import HostObservers
 
             self._stats = RunStatistics(self.node.number, HostObservers(parameters, stream))
         augmenter = None
         if options.estimate:
-            from bench.observers.augment import Augmenter
+            from bench.replay.augment import Augmenter
 
             augmenter = Augmenter(options.estimate, parameters, stream)
         added = augmenter.channels if augmenter else ()
@@ -412,7 +412,7 @@ def run(
     if options.save is not None:
         check_output(options.save, str(options.save), options.overwrite, recording=True)
     if options.estimate:
-        from bench.observers.estimators import entry_of
+        from bench.replay.estimators import entry_of
 
         for name in options.estimate:
             entry_of(name)

@@ -10,17 +10,17 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from bench.analysis.percentiles import Percentiles
-from bench.analysis.position import ErrorTable, Moments, position_errors, running
 from bench.device.bus import bus_rows
 from bench.device.client import WATCHDOG, Client, Sink
 from bench.device.counters import DeviceCounters
 from bench.device.description import describe
 from bench.files import finite
 from bench.live.plausible import Came
-from bench.reports.words import number
-from bench.rerunio import markdown
-from bench.rerunio.schema import label
+from bench.report.words import number
+from bench.signal.percentiles import Percentiles
+from bench.signal.position import ErrorTable, Moments, position_errors, running
+from bench.view import markdown
+from bench.view.schema import label
 from protocol.codes import fault_names
 from protocol.messages import DeviceEvent, Fault, Heartbeat, HelloReply
 from protocol.streams import EdgeChunk, SampleChunk
@@ -119,7 +119,7 @@ class CpuMeter:
 
 
 if TYPE_CHECKING:
-    from bench.observers.estimators import HostObservers
+    from bench.replay.estimators import HostObservers
 
 
 @dataclass

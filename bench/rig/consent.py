@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import replace
 
-from bench.analysis.units import RPM
 from bench.device.client import Client
 from bench.device.node import Node
 from bench.errors import BenchError, UnsafeError
@@ -18,6 +17,7 @@ from bench.rig.connection import SIM, load_target, open_load_machine, open_targe
 from bench.rig.envelope import Envelope
 from bench.rig.needs import NEEDS, require
 from bench.rig.settings import Settings
+from bench.signal.units import RPM
 from protocol.messages import Feature
 
 FLOAT32 = 1e-7  # to which a drive rounds its parameters, as a share

@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from bench.analysis.sources import source_names, source_number
-from bench.analysis.units import pole_pairs, shaft_speed
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
 from bench.errors import BenchError, DriveFailed, ExitCode
@@ -20,6 +18,8 @@ from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced, require_announced_speed
 from bench.rig.restore import try_all
 from bench.rig.runaway import RunawayGuard
+from bench.signal.sources import source_names, source_number
+from bench.signal.units import pole_pairs, shaft_speed
 from protocol.codes import Fault, fault_names
 from protocol.errors import HbpError
 from protocol.messages import DriveState

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import InitVar, dataclass
 
-from bench.analysis.units import RPM, shaft_speed
+from bench.signal.units import RPM, shaft_speed
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,12 +23,12 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol
 
-from bench.analysis.units import shaft_speed
 from bench.device.node import Node
 from bench.errors import BenchError
 from bench.rig.envelope import Envelope
 from bench.rig.machine import Machine, require_announced_speed
 from bench.rig.restore import try_all
+from bench.signal.units import shaft_speed
 from protocol.errors import HbpError
 from protocol.messages import DriveState
 

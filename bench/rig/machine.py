@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bench.analysis.units import RPM
 from bench.device.client import WATCHDOG
 from bench.device.node import Node
 from bench.errors import BenchError, OutputsMayBeOn
 from bench.rig.envelope import Envelope
 from bench.rig.restore import not_put_back, put_back
+from bench.signal.units import RPM
 from protocol.codes import Fault
 from protocol.messages import DriveState
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.analysis.versions import PROGRAM, versions
 from bench.device.description import describe
 from bench.device.node import Node
 from bench.files import leaves
-from bench.recording.info import AnyChannel, RunInfo
+from bench.record.info import AnyChannel, RunInfo
 from bench.rig.settings import Settings
+from bench.signal.versions import PROGRAM, versions
 from protocol import __version__
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bench.analysis.channels import flagged, reference_angle
-from bench.analysis.sources import source_number
-from bench.analysis.units import pole_pairs
 from bench.device.node import Node
 from bench.errors import NodeError
+from bench.signal.channels import flagged, reference_angle
+from bench.signal.sources import source_number
+from bench.signal.units import pole_pairs
 from protocol.messages import Feature
 from protocol.signals import Flag, Unit
 

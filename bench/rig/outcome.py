@@ -6,8 +6,8 @@ import signal
 from dataclasses import dataclass
 from typing import Self
 
-from bench.analysis.verdict import Verdict
 from bench.errors import ExitCode
+from bench.signal.verdict import Verdict
 
 _CODES = {
     Verdict.PASS: ExitCode.DONE,

@@ -11,16 +11,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.analysis.percentiles import Percentiles
 from bench.errors import BenchError, RecordingError
 from bench.files import RRD, check_output, run_folder
-from bench.recording.info import RunInfo
-from bench.recording.ring import FOR_EVER, Stored
+from bench.record.info import RunInfo
+from bench.record.ring import FOR_EVER, Stored
+from bench.signal.percentiles import Percentiles
 
 if TYPE_CHECKING:
-    from bench.recording.sink import RunSink
-    from bench.rerunio.sinks import LiveSink
-    from bench.rerunio.viewer import LiveView
+    from bench.record.sink import RunSink
+    from bench.view.sinks import LiveSink
+    from bench.view.viewer import LiveView
 
 
 def load_beside(view: bool) -> None:
@@ -31,12 +31,12 @@ def load_beside(view: bool) -> None:
 
     def load() -> None:
         with suppress(Exception):  # who needs it is told; an interpreter that ends refuses some
-            import bench.recording.sink
+            import bench.record.sink
 
             if view:
-                import bench.rerunio.dashboard
-                import bench.rerunio.log
-                import bench.rerunio.sinks  # noqa: F401
+                import bench.view.dashboard
+                import bench.view.log
+                import bench.view.sinks  # noqa: F401
 
     threading.Thread(target=load, name="import").start()
 
@@ -68,11 +68,11 @@ class Outputs:
         self.view: LiveView | None = None
         if save is not None:
             check_output(save, str(save), overwrite, recording=True)
-            from bench.recording.sink import RunSink
+            from bench.record.sink import RunSink
 
             self.file = RunSink(run_folder(save), run, overwrite=overwrite, wait=wait, stored=stored)
         if viewer != "none":
-            from bench.rerunio.viewer import LiveView, chosen
+            from bench.view.viewer import LiveView, chosen
 
             try:
                 self.view = LiveView(run, chosen(viewer), web_port=web_port, sector=sector)
@@ -129,8 +129,8 @@ class Outputs:
         if self.file is not None:
             self.file.close()
             if self._rrd is not None and self.file.error is None:
-                from bench.recording.reader import Run
-                from bench.rerunio.viewing import write_rrd
+                from bench.record.reader import Run
+                from bench.view.viewing import write_rrd
 
                 write_rrd(Run(self.file.path), self._rrd)
 

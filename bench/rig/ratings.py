@@ -10,9 +10,9 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from bench.analysis.limits import LOAD_ANGLE, RATED_CURRENT, RATED_SPEED
-from bench.analysis.units import RPM
 from bench.errors import BenchError
+from bench.signal.limits import LOAD_ANGLE, RATED_CURRENT, RATED_SPEED
+from bench.signal.units import RPM
 
 HEADROOM = 1.05
 """The largest speed reference over the rated speed, which is a multiple of ROUND: a speed loop overshoots."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.analysis.capture import Capture
-from bench.analysis.chunks import between, join, lost_stretches, no_edges
 from bench.device.client import Sink
 from bench.device.counters import DeviceCounters
 from bench.errors import BenchError
+from bench.signal.capture import Capture
+from bench.signal.chunks import between, join, lost_stretches, no_edges
 from protocol.messages import Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
 from protocol.text import counted

@@ -14,15 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Self
 
-from bench.analysis.capture import Capture
-from bench.analysis.channels import reference_angle, speed_channel
-from bench.analysis.chunks import no_edge_stream
-from bench.analysis.verdict import Verdict
 from bench.device.client import POLL, WATCHDOG, Client, Sink
 from bench.device.node import ClockFit
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, Interrupted, OutputsMayBeOn
-from bench.recording.ring import FOR_EVER, Stored
+from bench.record.ring import FOR_EVER, Stored
 from bench.rig.connection import find_drive, load_target, open_load_machine, second_node
 from bench.rig.drive import Drive, DriveTripped
 from bench.rig.envelope import Envelope
@@ -40,6 +36,10 @@ from bench.rig.restore import failures_of
 from bench.rig.runaway import RunawayGuard
 from bench.rig.settings import Settings
 from bench.rig.streams import configure, edge_rate
+from bench.signal.capture import Capture
+from bench.signal.channels import reference_angle, speed_channel
+from bench.signal.chunks import no_edge_stream
+from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.errors import HbpError
 from protocol.links import Link
@@ -515,7 +515,7 @@ class Rig:
 
     @property
     def speed_channel(self) -> str:
-        """See `bench.analysis.channels.speed_channel`."""
+        """See `bench.signal.channels.speed_channel`."""
         return speed_channel(self.channels, self.drive.parameters)
 
     def describe(self) -> dict[str, str]:

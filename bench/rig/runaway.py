@@ -20,12 +20,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.channels import flagged, reference_angle, speed_channel
-from bench.analysis.chunks import join, part
-from bench.analysis.position import states, wrap
-from bench.analysis.units import RPM, pole_pairs
-from bench.analysis.waveforms.sectors import SECTOR_WIDTH, steps_between
 from bench.device.client import Sink
+from bench.signal.channels import flagged, reference_angle, speed_channel
+from bench.signal.chunks import join, part
+from bench.signal.position import states, wrap
+from bench.signal.units import RPM, pole_pairs
+from bench.signal.waveforms.sectors import SECTOR_WIDTH, steps_between
 from protocol.messages import DriveState
 from protocol.signals import Flag, Unit
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig

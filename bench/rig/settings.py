@@ -31,9 +31,9 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from bench.analysis.limits import Limits
 from bench.device.simulator import configuration
 from bench.errors import BenchError
+from bench.signal.limits import Limits
 from protocol.errors import TargetError
 from protocol.links.target import parse_target
 from protocol.text import did_you_mean

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-from bench.analysis.units import pole_pairs
 from bench.device.node import MAX_LATENCY_MS, Node
 from bench.errors import BenchError, DoesNotFit
 from bench.rig.envelope import Envelope
+from bench.signal.units import pole_pairs
 from protocol.canmap.host import CanWire
 from protocol.descriptor import Channel
 from protocol.framing import encoded_length

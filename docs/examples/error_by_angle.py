@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.analysis.error_bins import ANGLES, ErrorByAngle, angle_bins
-from bench.reports.style import axis_labels, colour, legend_above, new_figure
+from bench.report.style import axis_labels, colour, legend_above, new_figure
+from bench.signal.error_bins import ANGLES, ErrorByAngle, angle_bins
 
 OBSERVERS = {
     "sector_centre": "theta_sc",

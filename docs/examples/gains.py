@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.reports.style import SERIES, axis_labels, legend_above, new_figure
+from bench.report.style import SERIES, axis_labels, legend_above, new_figure
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 with bench.connect("sim") as rig:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.analysis.waveforms import BACKWARDS, FORWARDS, edge_offsets
-from bench.reports.style import SERIES, axis_labels, legend_above, new_figure
+from bench.report.style import SERIES, axis_labels, legend_above, new_figure
+from bench.signal.waveforms import BACKWARDS, FORWARDS, edge_offsets
 
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".png")
 angles, edges = [], []

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.analysis.units import RPM
-from bench.reports.style import axis_labels, colour, legend_above, new_figure, time_axes
+from bench.report.style import axis_labels, colour, legend_above, new_figure, time_axes
+from bench.signal.units import RPM
 
 RPM_SET, TORQUE = 500, 0.15  # r/min, N·m
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.analysis.waveforms import spectrum, thd
-from bench.reports.style import axis_labels, colour, legend_above, new_figure
+from bench.report.style import axis_labels, colour, legend_above, new_figure
+from bench.signal.waveforms import spectrum, thd
 
 SOURCES = {"average-speed": "theta_avg", "vector-tracking": "theta_vt"}
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench.analysis.units import RPM
-from bench.analysis.waveforms import step_response
-from bench.reports.style import axis_labels, colour, legend_above, new_figure, time_axes
+from bench.report.style import axis_labels, colour, legend_above, new_figure, time_axes
+from bench.signal.units import RPM
+from bench.signal.waveforms import step_response
 
 FROM, TO = 300, 800  # r/min
 SOURCES = {"average-speed": "theta_avg", "vector-tracking": "theta_vt", "encoder": "theta_enc"}

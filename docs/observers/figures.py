@@ -14,8 +14,7 @@ from observers.measures import Seen, learned
 from observers.recordings import EVENTS, SPEEDS
 from PIL import Image
 
-from bench.analysis.colours import apart
-from bench.reports.style import (
+from bench.report.style import (
     BLACK,
     FONT_SIZE,
     GREY,
@@ -29,6 +28,7 @@ from bench.reports.style import (
     new_figure,
     save,
 )
+from bench.signal.colours import apart
 from sim.observers.catalogue import CATALOGUE
 
 COLOURS = 256  # of a figure on the page

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from observers import theory
 from observers.recordings import EVENTS, FULL, LEARNING, LIGHT, LOADS, SPEEDS, STAGES, edges, in_the_loop
 
-from bench.analysis.position import wrap
-from bench.analysis.units import RPM
-from bench.analysis.waveforms import thd_by_angle
-from bench.observers.estimators import Estimators
-from bench.recording.reader import Run
-from bench.recording.recording import readable
-from bench.scoring.phases import phases_of, speed_of
+from bench.record.reader import Run
+from bench.record.recording import readable
+from bench.replay.estimators import Estimators
+from bench.score.phases import phases_of, speed_of
+from bench.signal.position import wrap
+from bench.signal.units import RPM
+from bench.signal.waveforms import thd_by_angle
 from sim.config.params import load_params
 from sim.native import layout
 from sim.observers import sample

@@ -15,10 +15,10 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.analysis.sources import source_number
-from bench.analysis.units import RPM
 from bench.errors import NodeError
 from bench.rig.rig import Plan, Recording, Rig
+from bench.signal.sources import source_number
+from bench.signal.units import RPM
 from sim.config.params import BenchParams, load_params
 from sim.ports.virtual import VirtualLink
 

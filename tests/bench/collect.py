@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.analysis.chunks import join, part
 from bench.device.client import Client, Sink
 from bench.device.node import DRIVE, LOAD, Node
-from bench.recording.info import RunInfo
+from bench.record.info import RunInfo
 from bench.rig.streams import configure
+from bench.signal.chunks import join, part
 from protocol.links import Link
 from protocol.messages import DeviceEvent, DriveState, Heartbeat
 from protocol.streams import EdgeChunk, SampleChunk
 
 if TYPE_CHECKING:
-    from bench.observers.estimators import HostObservers
+    from bench.replay.estimators import HostObservers
 
 
 class Collector(Sink):

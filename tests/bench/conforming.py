@@ -10,11 +10,11 @@ from unittest.mock import patch
 from shared import table
 from virtual_run import RecordingScreen
 
-from bench.conforming import run as conforming
-from bench.conforming.catalogue import chosen
-from bench.conforming.checks import Check
-from bench.conforming.run import Options, Run, conform
-from bench.conforming.verdicts import Verdict
+from bench.conform import run as conforming
+from bench.conform.catalogue import chosen
+from bench.conform.checks import Check
+from bench.conform.run import Options, Run, conform
+from bench.conform.verdicts import Verdict
 from protocol.device.session import DeviceLink
 from protocol.device.tx import TxQueue
 from protocol.links import Link

@@ -12,7 +12,7 @@ from recorded import record_drive
 from shared import once
 from virtual_run import RecordingScreen
 
-from bench.acceptance.accept import AcceptOptions, accept
+from bench.accept.accept import AcceptOptions, accept
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.recording import layout
-from bench.recording.reader import NotARecordingError, Run
-from bench.recording.writer import RunWriter
+from bench.record import layout
+from bench.record.reader import NotARecordingError, Run
+from bench.record.writer import RunWriter
 from protocol.streams import EdgeChunk, SampleChunk
 
 _EDGES = ("tick", "hall_old", "hall_new", "illegal", "encoder")

@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bench.analysis.verdict import Verdict
-from bench.recording.info import Mark, RunInfo
-from bench.recording.writer import RunWriter
+from bench.record.info import Mark, RunInfo
+from bench.record.writer import RunWriter
+from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.messages import DeviceEvent, DriveState, EventCode, Fault, Heartbeat, StreamEvent
 from protocol.signals import Flag, RawType, Unit

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.analysis.capture import Capture
+from bench.signal.capture import Capture
 from protocol.codes import DriveState, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, Flag
 from protocol.streams import EdgeChunk, SampleChunk, StreamConfig

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.analysis.chunks import part
-from bench.recording.reader import Run
-from bench.recording.writer import RunWriter
+from bench.record.reader import Run
+from bench.record.writer import RunWriter
+from bench.signal.chunks import part
 
 KEPT = Path(__file__).parents[1] / "data"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.analysis.chunks import part
-from bench.recording.info import Mark, RunInfo
-from bench.recording.writer import RunWriter
+from bench.record.info import Mark, RunInfo
+from bench.record.writer import RunWriter
+from bench.signal.chunks import part
 from protocol.descriptor import Channel, Descriptor
 from protocol.messages import DeviceEvent, StreamEvent
 from protocol.signals import DRIVE_CHANNELS, RawType, Unit

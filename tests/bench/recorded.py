@@ -10,8 +10,8 @@ from collect import Bench
 from made_runs import N_P, PWM_HZ, RPM, make
 from virtual_run import WatchedLink, simulated
 
-from bench.analysis.verdict import Verdict
-from bench.recording.sink import RunSink
+from bench.record.sink import RunSink
+from bench.signal.verdict import Verdict
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Unit
 

@@ -415,7 +415,7 @@ def test_a_drive_that_falls_silent_before_the_end_is_not_ok() -> None:
 def test_a_recording_that_fails_ends_the_run_with_stop_and_a_summary(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.recording.sink.BACKLOG_LIMIT", -1)  # the disk is too slow from the start
+    monkeypatch.setattr("bench.record.sink.BACKLOG_LIMIT", -1)  # the disk is too slow from the start
     screen, link, path = RecordingScreen(), WatchedLink(simulated()), tmp_path / "a.run"
     ended = run(link, screen=screen, load_a=1.0, duration=60.0, save=path)
     assert ended.exit_code == 3
@@ -428,7 +428,7 @@ def test_a_recording_that_fails_ends_the_run_with_stop_and_a_summary(
 
 
 def test_a_recording_that_fails_at_its_end_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from bench.recording.sink import RunSink
+    from bench.record.sink import RunSink
 
     close = RunSink.close
 

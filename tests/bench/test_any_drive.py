@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from protocol.framing import encode_frame
 from tests.choice import sampled
 from tests.devices import FULL, OWN, build, serving

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 import bench
 from bench.cli import cli
-from bench.exports import ENDINGS
-from bench.recording.reader import BESIDE
-from bench.recording.recording import CapturedRun, Source
+from bench.export import ENDINGS
+from bench.record.reader import BESIDE
+from bench.record.recording import CapturedRun, Source
 
 DATA = Path(__file__).parents[1] / "data"
 STEADY, REVERSAL = DATA / "steady.run", DATA / "reversal.run"
@@ -135,7 +135,7 @@ def test_an_opened_recording_has_tables_of_all_that_was_said(tmp_path: Path) -> 
 def test_a_table_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = bench.open(STEADY)
     raw = recording.run.rows("samples") * (recording.read().samples.raw.itemsize + 16)
-    monkeypatch.setattr("bench.recording.reader.available", lambda: 2 * raw + BESIDE)
+    monkeypatch.setattr("bench.record.reader.available", lambda: 2 * raw + BESIDE)
     assert len(recording.read())
     with pytest.raises(bench.BenchError, match="do not fit into memory"):
         len(recording.samples)

@@ -9,8 +9,8 @@ import pytest
 from collect import Bench
 from virtual_run import WatchedLink, run, simulated
 
-from bench.observers.augment import Augmenter, host_channels
-from bench.recording.reader import Run
+from bench.record.reader import Run
+from bench.replay.augment import Augmenter, host_channels
 from protocol.descriptor import Channel
 from protocol.signals import ANGLE, DRIVE_CHANNELS, Flag, RawType, Status, Unit
 from protocol.streams import EdgeChunk, SampleChunk

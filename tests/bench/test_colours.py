@@ -18,15 +18,15 @@ import pytest
 from colorspacious import cspace_convert
 from colorspacious.cvd import machado_et_al_2009_matrix
 
-from bench.analysis.colours import GROUND, OBSERVERS, RGB, SPARES, TABLE, apart, look, rgb
-from bench.observers.augment import host_channels
-from bench.recording.info import RunInfo
-from bench.reports.style import SERIES
-from bench.rerunio import states
-from bench.rerunio.plane import Plane
-from bench.rerunio.plots import plots
-from bench.rerunio.schema import VECTORS
-from bench.scoring.plots import draw_error_by_speed
+from bench.record.info import RunInfo
+from bench.replay.augment import host_channels
+from bench.report.style import SERIES
+from bench.score.plots import draw_error_by_speed
+from bench.signal.colours import GROUND, OBSERVERS, RGB, SPARES, TABLE, apart, look, rgb
+from bench.view import states
+from bench.view.plane import Plane
+from bench.view.plots import plots
+from bench.view.schema import VECTORS
 from protocol.signals import DRIVE_CHANNELS, Flag
 from sim.observers.catalogue import CATALOGUE
 

@@ -16,15 +16,15 @@ from made_runs import N_P, PWM_HZ, RPM, TICK_HZ, make, tick, turning
 from rerun.chunk import RrdReader
 from scipy.signal import lfilter
 
-from bench.analysis.verdict import Verdict as MarkVerdict
 from bench.cli import cli
-from bench.comparing.alignment import aligned, zero_of
-from bench.comparing.batches import BATCHES, Batches, Verdict, of_means, of_rms, of_std, standard_error
-from bench.comparing.compare import Comparison, compare
+from bench.compare.alignment import aligned, zero_of
+from bench.compare.batches import BATCHES, Batches, Verdict, of_means, of_rms, of_std, standard_error
+from bench.compare.compare import Comparison, compare
 from bench.errors import BenchError
-from bench.recording.info import Mark
-from bench.recording.reader import Run
-from bench.rerunio import schema
+from bench.record.info import Mark
+from bench.record.reader import Run
+from bench.signal.verdict import Verdict as MarkVerdict
+from bench.view import schema
 from protocol.codes import DriveState, EventCode, Fault
 from protocol.messages import DeviceEvent
 from protocol.signals import Unit

@@ -19,13 +19,13 @@ from processes import Program, Sim
 from virtual_run import RecordingScreen, at_rest, physical, simulated
 
 from bench.cli import cli
-from bench.conforming import run as conforming
-from bench.conforming.catalogue import checks, chosen
-from bench.conforming.checks import Carrier
-from bench.conforming.claim import claim, outcome
-from bench.conforming.levels import CAN, MOTION, STATES, STREAMS
-from bench.conforming.run import Options, Run, conform
-from bench.conforming.verdicts import Verdict
+from bench.conform import run as conforming
+from bench.conform.catalogue import checks, chosen
+from bench.conform.checks import Carrier
+from bench.conform.claim import claim, outcome
+from bench.conform.levels import CAN, MOTION, STATES, STREAMS
+from bench.conform.run import Options, Run, conform
+from bench.conform.verdicts import Verdict
 from bench.errors import BenchError, UnsafeError
 from protocol.errors import LinkClosed, NoReply, Refused
 from protocol.links import Link

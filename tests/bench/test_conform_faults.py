@@ -9,10 +9,10 @@ from __future__ import annotations
 import pytest
 from conforming import ON_CAN, OVERLOADED, TO_MOTION, TO_STATES, TO_STREAMS, ended, on_device
 
-from bench.conforming.catalogue import checks
-from bench.conforming.checks import TABLE
-from bench.conforming.levels import MOTION, STATES, STREAMS
-from bench.conforming.verdicts import Verdict
+from bench.conform.catalogue import checks
+from bench.conform.checks import TABLE
+from bench.conform.levels import MOTION, STATES, STREAMS
+from bench.conform.verdicts import Verdict
 
 CASES = [
     *((fault, check, STREAMS, "bytes") for fault, check in TO_STREAMS.items()),

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hall_motor import L_S, PSI, R_S, Motor, capture
 
-from bench.analysis.chunks import part
-from bench.observers.current_error import CurrentError
+from bench.replay.current_error import CurrentError
+from bench.signal.chunks import part
 from protocol.streams import SampleChunk
 
 PWM_HZ, ALPHA, U_DC = 16_000, 2.0 * math.pi * 800.0, 24.0

@@ -10,11 +10,11 @@ import pytest
 from hall_motor import REAL, capture
 from virtual_run import RecordingScreen
 
-from bench.analysis.delays import Late, blame, delays
 from bench.hall.health import Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
-from bench.scoring.board import score
+from bench.score.board import score
+from bench.signal.delays import Late, blame, delays
 
 FAST = REAL.but(turns=((300.0, 0.6), (650.0, 0.6), (0.0, 0.05), (-300.0, 0.6), (-650.0, 0.6)))
 OTHER_MOTOR = """

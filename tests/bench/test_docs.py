@@ -68,7 +68,7 @@ def test_the_readme_has_commands_at_all() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_options_named_in_running_text_exist(page: Path) -> None:
-    plugin = (ROOT / "bench" / "acceptance" / "plugin.py").read_text()
+    plugin = (ROOT / "bench" / "accept" / "plugin.py").read_text()
     every = {"--version", *re.findall(r'"(--[a-z-]+)"', plugin)}
     for name in cli.list_commands(click.Context(cli)):
         command = cli.get_command(click.Context(cli), name)

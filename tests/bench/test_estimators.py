@@ -10,10 +10,10 @@ import pytest
 from collect import Bench, feed
 from virtual_run import WatchedLink, simulated
 
-from bench.analysis.chunks import part
 from bench.errors import BenchError
-from bench.observers.estimators import CHECKED, Estimators, HostObservers, all_for
-from bench.recording.reader import Run
+from bench.record.reader import Run
+from bench.replay.estimators import CHECKED, Estimators, HostObservers, all_for
+from bench.signal.chunks import part
 from protocol.signals import DRIVE_CHANNELS, AngleSource, Injection, Status
 from protocol.streams import EdgeChunk, Gap, SampleChunk
 from sim.observers.catalogue import CATALOGUE

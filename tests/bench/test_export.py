@@ -32,12 +32,12 @@ from scipy.io import loadmat
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.exports import memory, to_csv, to_mat
-from bench.exports.content import Content
-from bench.exports.export import export
-from bench.recording import layout
-from bench.recording.reader import Run
-from bench.recording.writer import RunWriter
+from bench.export import memory, to_csv, to_mat
+from bench.export.content import Content
+from bench.export.export import export
+from bench.record import layout
+from bench.record.reader import Run
+from bench.record.writer import RunWriter
 from tests.choice import sampled
 
 KEPT = Path(__file__).parents[1] / "data" / "steady.run"

@@ -15,20 +15,20 @@ import pytest
 from click.testing import CliRunner, Result
 from made_runs import CODES, N_P, PWM_HZ, RPM, TICK_HZ, make, turning
 
-from bench.analysis import windows
-from bench.analysis.chunks import part
-from bench.analysis.colours import OBSERVERS
-from bench.analysis.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorBySpeed, angle_bins
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.figures.current_plane import CurrentPlane
-from bench.figures.hall_edges import edges_of
-from bench.figures.looks import looks
-from bench.figures.motion import Motion
-from bench.figures.plot import NAMES, Plot, draw_all
-from bench.recording.reader import Run, captures
-from bench.recording.times import ticks_of
-from bench.recording.writer import RunWriter
+from bench.plot.current_plane import CurrentPlane
+from bench.plot.hall_edges import edges_of
+from bench.plot.looks import looks
+from bench.plot.motion import Motion
+from bench.plot.plot import NAMES, Plot, draw_all
+from bench.record.reader import Run, captures
+from bench.record.times import ticks_of
+from bench.record.writer import RunWriter
+from bench.signal import windows
+from bench.signal.chunks import part
+from bench.signal.colours import OBSERVERS
+from bench.signal.error_bins import ANGLES, BINS, MOST, ErrorByAngle, ErrorBySpeed, angle_bins
 
 DATA = Path(__file__).parents[1] / "data"
 N = PWM_HZ  # samples of a second
@@ -222,7 +222,7 @@ def test_of_very_many_edges_some_evenly_spread_are_measured(tmp_path: Path, monk
     theta = turning(rpm) + 0.5
     codes, edges = hall(theta, np.arange(len(rpm)) * (TICK_HZ // PWM_HZ))
     run = Run(make(tmp_path / "a.run", {"hall": codes, "theta_enc": theta}, edges))
-    monkeypatch.setattr("bench.analysis.trace.MOST_EDGES", 200)
+    monkeypatch.setattr("bench.signal.trace.MOST_EDGES", 200)
     found = edges_of(run, *run.span)
     assert found is not None
     kept = [passages.n for edge in found.edges for passages in (edge.up, edge.down)]

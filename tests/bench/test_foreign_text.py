@@ -20,7 +20,7 @@ import pytest
 from virtual_run import WatchedLink, reached_by, simulated
 
 from bench.cli import main
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from protocol.descriptor import Descriptor
 from protocol.messages import Feature
 from sim.ports.device import SimulatedDevice
@@ -115,7 +115,7 @@ def harmless(text: str) -> bool:
 
 
 OWN_TEST = """
-from bench.acceptance import energises, limit
+from bench.accept import energises, limit
 @limit("n_p", lo=1)
 @energises(rpm=100, current=4)
 def test_it(drive, record, measure):

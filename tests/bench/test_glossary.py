@@ -11,9 +11,9 @@ from typing import NamedTuple
 import click
 import pytest
 
-from bench.acceptance.results import run_from_json
+from bench.accept.results import run_from_json
 from bench.cli import cli
-from bench.figures.plot import NAMES
+from bench.plot.plot import NAMES
 from protocol.codes import ErrorCode, Fault
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, LOAD_PARAMETERS
 

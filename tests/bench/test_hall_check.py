@@ -27,7 +27,7 @@ from bench.errors import BenchError, OutputsMayBeOn, UnsafeError
 from bench.hall.health import Health, Outcome, examine
 from bench.hall.source import Options, opened
 from bench.hall.trace import trace
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from protocol.messages import DriveState, SetpointMode
 from sim.ports.device import SimulatedDevice
 from sim.ports.virtual import VirtualLink

@@ -8,11 +8,11 @@ import pytest
 from hall_motor import TABLE_I, Motor, capture
 from scipy import stats
 
-from bench.analysis.trace import PULSE
 from bench.errors import BenchError
 from bench.hall import pulses, reference
 from bench.hall.edges import measure
 from bench.hall.trace import trace
+from bench.signal.trace import PULSE
 
 
 def deltas(measured):

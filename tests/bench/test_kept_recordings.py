@@ -9,7 +9,7 @@ import pytest
 
 import bench
 from bench.cli import main
-from bench.scoring import expect
+from bench.score import expect
 
 DATA = Path(__file__).parents[1] / "data"
 RUNS = ("steady", "reversal")

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from processes import Program, Sim
 
-from bench.recording import space
-from bench.recording.reader import Run
+from bench.record import space
+from bench.record.reader import Run
 from tests.tools import require
 
 pytestmark = [pytest.mark.real_time, pytest.mark.slow]

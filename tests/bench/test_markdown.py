@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from bench.rerunio import markdown
+from bench.view import markdown
 from protocol.text import printable
 
 READER = MarkdownIt("commonmark").enable("table").enable("strikethrough")

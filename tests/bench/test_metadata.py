@@ -10,11 +10,11 @@ import pytest
 from virtual_run import WatchedLink, run, simulated
 
 from bench.cli import main
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from bench.rig.settings import Settings
 
 OWN_TEST = """
-from bench.acceptance import limit
+from bench.accept import limit
 @limit("x", hi=1.0)
 def test_it(drive, measure): measure("x", 0.0)
 """

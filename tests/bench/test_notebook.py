@@ -22,19 +22,19 @@ import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import PhysicalDrive
+from tests.bench.acceptance.accepting import SpoiltLink
 from virtual_run import WatchedLink, at_rest, physical, raising, simulated
 from virtual_run import run as live
 
 import bench
 from bench.cli import cli
 from bench.errors import BenchError, NodeError, UnsafeError
-from bench.observers.replay import replay
-from bench.recording.reader import Run
+from bench.record.reader import Run
+from bench.replay.replay import replay
 from bench.rig.settings import Settings
 from protocol.messages import DriveState, Fault
 from protocol.signals import DRIVE_CHANNELS, SOURCE_NAMES
 from sim.config.params import load_params
-from tests.bench.acceptance.accepting import SpoiltLink
 
 I_MAX, N_P = 8.0, 6
 NAMES = ("vt", "ek", "drive_vt")

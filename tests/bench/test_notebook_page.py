@@ -19,15 +19,15 @@ from scipy.io import loadmat
 from virtual_run import WatchedLink, at_rest, physical
 
 import bench
-from bench.analysis import waveforms
-from bench.comparing.compare import Comparison
-from bench.exports.export import Exported
-from bench.figures.plot import Plot
+from bench.compare.compare import Comparison
+from bench.export.export import Exported
 from bench.hall.health import Health, Outcome
+from bench.plot.plot import Plot
 from bench.rig.drive import Drive
 from bench.rig.loads import Load
 from bench.rig.notebook import Simulated
-from bench.scoring.board import Scoreboard
+from bench.score.board import Scoreboard
+from bench.signal import waveforms
 from protocol.messages import DriveState
 
 pytestmark = pytest.mark.slow

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from processes import ENVIRONMENT, LIMIT
 
-from bench.recording.reader import Run
-from bench.rerunio import plots
+from bench.record.reader import Run
+from bench.view import plots
 from protocol.signals import OTHER_SOURCE, STATUS_SOURCE_SHIFT, Status
 
 ROOT = Path(__file__).parents[2]

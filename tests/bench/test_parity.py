@@ -15,9 +15,9 @@ from collect import Bench
 from virtual_run import WatchedLink, simulated
 
 from bench.live.summary import RunStatistics
-from bench.observers.estimators import CHECKED, Estimators, HostObservers, raw_counts
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
+from bench.record.reader import Run
+from bench.record.sink import RunSink
+from bench.replay.estimators import CHECKED, Estimators, HostObservers, raw_counts
 from protocol.messages import Fault
 from protocol.signals import AngleSource, Status
 from sim.observers.catalogue import CATALOGUE

@@ -21,21 +21,21 @@ from hall_motor import Motor, capture
 from long_run import KEPT, repeated
 
 import bench
-from bench.analysis import trace as trace_of_analysis
-from bench.analysis import windows
-from bench.analysis.chunks import join, part
-from bench.analysis.delays import delays_of
-from bench.analysis.trace import INPUTS
 from bench.cli import cli
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.hall import trace as tracing
 from bench.hall.health import examine
 from bench.hall.trace import Recorded, trace
-from bench.recording import writer
-from bench.recording.reader import Run
-from bench.recording.writer import RunWriter
-from bench.scoring.board import score
+from bench.record import writer
+from bench.record.reader import Run
+from bench.record.writer import RunWriter
+from bench.score.board import score
+from bench.signal import trace as trace_of_analysis
+from bench.signal import windows
+from bench.signal.chunks import join, part
+from bench.signal.delays import delays_of
+from bench.signal.trace import INPUTS
 from tests.choice import sampled
 
 STEADY, REVERSAL = KEPT / "steady.run", KEPT / "reversal.run"
@@ -174,7 +174,7 @@ def test_what_cannot_be_read_is_said(in_groups: Path) -> None:
 LIMITED = """
 import resource, sys
 import bench
-from bench.recording.reader import Run
+from bench.record.reader import Run
 path = sys.argv[1]
 assert len(bench.read(path, 0.2, 0.5))  # everything is imported
 taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

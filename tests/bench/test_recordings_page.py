@@ -15,7 +15,7 @@ import pytest
 from damage import flip
 
 from bench.cli import main
-from bench.recording import layout
+from bench.record import layout
 
 PAGE = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text()
 KEPT = Path(__file__).parents[1] / "data" / "steady.run"

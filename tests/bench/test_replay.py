@@ -13,15 +13,15 @@ from click.testing import CliRunner
 from damage import flip
 
 import bench
-from bench.analysis.chunks import part
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.observers.estimators import Estimators, raw_counts
-from bench.observers.replay import replay
-from bench.recording.folder import SegmentFile
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
-from bench.scoring.board import score
+from bench.record.folder import SegmentFile
+from bench.record.reader import Run
+from bench.record.sink import RunSink
+from bench.replay.estimators import Estimators, raw_counts
+from bench.replay.replay import replay
+from bench.score.board import score
+from bench.signal.chunks import part
 from protocol.signals import Status
 from protocol.streams import Gap
 

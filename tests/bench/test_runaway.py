@@ -19,11 +19,11 @@ from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
 from virtual_run import NETWORKS, WatchedLink, at_rest, run, simulated
 
 import bench
-from bench.analysis.chunks import narrowed, of_channels, part
-from bench.conforming.claim import outcome
-from bench.conforming.levels import MOTION
+from bench.conform.claim import outcome
+from bench.conform.levels import MOTION
 from bench.rig.drive import RanAway
 from bench.rig.runaway import RunawayGuard
+from bench.signal.chunks import narrowed, of_channels, part
 from protocol.messages import DriveState
 from sim.ports.device import SimulatedDevice
 

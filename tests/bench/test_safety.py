@@ -10,7 +10,6 @@ from dataclasses import replace
 import pytest
 from virtual_run import RecordingScreen, WatchedLink, at_rest, physical, run, simulated
 
-from bench.analysis.position import position_errors
 from bench.cli import main
 from bench.device.client import Client
 from bench.device.node import Node
@@ -20,6 +19,7 @@ from bench.live.summary import run_rows
 from bench.rig.interrupts import signals_as_exceptions, undisturbed
 from bench.rig.lock import alone_on
 from bench.rig.settings import Settings
+from bench.signal.position import position_errors
 from protocol.errors import LinkClosed
 from protocol.framing import Deframer, parse_frame
 from protocol.links import Link

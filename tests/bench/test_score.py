@@ -15,17 +15,17 @@ import pytest
 from click.testing import CliRunner, Result
 from recorded import N_P, PWM_HZ, record_made_up
 
-from bench.analysis.chunks import part
-from bench.analysis.position import wrap
 from bench.cli import cli
 from bench.errors import BenchError
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
-from bench.scoring import expect
-from bench.scoring.board import Scoreboard, flat, score
-from bench.scoring.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
-from bench.scoring.report import as_html
-from bench.scoring.table import HEADERS, LEGEND, as_text
+from bench.record.reader import Run
+from bench.record.sink import RunSink
+from bench.score import expect
+from bench.score.board import Scoreboard, flat, score
+from bench.score.plots import draw_error_by_angle, draw_error_by_speed, draw_error_over_time
+from bench.score.report import as_html
+from bench.score.table import HEADERS, LEGEND, as_text
+from bench.signal.chunks import part
+from bench.signal.position import wrap
 from protocol.streams import Gap
 from sim.observers.catalogue import CATALOGUE
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from bench.analysis.error_bins import Errors
-from bench.analysis.percentiles import Percentiles
-from bench.scoring.metrics import Changes, LagBySpeed, LagInTime, reach
-from bench.scoring.phases import phases_of, speed_bins, speed_of
+from bench.score.metrics import Changes, LagBySpeed, LagInTime, reach
+from bench.score.phases import phases_of, speed_bins, speed_of
+from bench.signal.error_bins import Errors
+from bench.signal.percentiles import Percentiles
 
 RATE = 16_000.0
 N_P = 6

@@ -9,7 +9,7 @@ import pytest
 from virtual_run import WatchedLink, run, simulated
 
 from bench.live.manoeuvres import Act, show, timed
-from bench.recording.reader import Run
+from bench.record.reader import Run
 
 SHOW = show(330.0, 8.0)  # the paper's motor
 WHOLE = sum(act.seconds for act in SHOW)

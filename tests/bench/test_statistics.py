@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from bench.analysis.percentiles import Percentiles
-from bench.analysis.position import Moments, wrap
 from bench.device.counters import DeviceCounters
-from tests.bench.rerunio.synthetic import heartbeat
+from bench.signal.percentiles import Percentiles
+from bench.signal.position import Moments, wrap
+from tests.bench.view.synthetic import heartbeat
 
 
 def test_moments_merged_in_chunks_are_those_of_the_whole() -> None:

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bench.observers.estimators import Estimate
-from bench.scoring.phases import phases_of
-from bench.scoring.tally import ANGLE_BINS, Block, ByAngle, Envelope, OverTime, Tally, error_of
+from bench.replay.estimators import Estimate
+from bench.score.phases import phases_of
+from bench.score.tally import ANGLE_BINS, Block, ByAngle, Envelope, OverTime, Tally, error_of
 
 RATE, N_P, N = 1000.0, 6, 4000
 OMEGA = 120.0  # electrical rad/s

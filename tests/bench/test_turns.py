@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hall_motor import PWM_HZ, TABLE_I, TICK_HZ, Motor, capture
 
-from bench.analysis.waveforms.sectors import steps_between
 from bench.live.causes import Turns
+from bench.signal.waveforms.sectors import steps_between
 from protocol.streams import Gap, SampleChunk
 
 CHUNK = 320  # samples, 20 ms

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from bench.analysis.channels import flagged, reference_angle, role, speed_channel
-from bench.analysis.sources import source_name, source_names, source_number, source_short
-from bench.analysis.versions import versions
-from bench.reports.words import date, labelled, plain
+from bench.report.words import date, labelled, plain
+from bench.signal.channels import flagged, reference_angle, role, speed_channel
+from bench.signal.sources import source_name, source_names, source_number, source_short
+from bench.signal.versions import versions
 from protocol.descriptor import Channel
 from protocol.signals import Flag, RawType, Unit
 

@@ -11,8 +11,8 @@ import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
+from bench.record.reader import Run
+from bench.record.sink import RunSink
 from sim.config.params import load_params
 from sim.ports.virtual import VirtualLink
 from tests.bench.collect import Bench
@@ -25,7 +25,7 @@ RECORD = """
 import sys, time
 sys.path[:0] = [{tests!r}]
 import synthetic
-from bench.recording import sink, writer
+from bench.record import sink, writer
 writer.ROW_GROUP, writer.SEGMENT, writer.PIECE = 0.2, 0.5, 0.05
 made = synthetic.SyntheticRun(20.0)
 file = sink.RunSink(sys.argv[1], synthetic.run_info())
@@ -48,7 +48,7 @@ def killed(times: int, folder: Path) -> Iterator[Row]:
             lacks.append(each.short)
     yield Row(f"kill -9 of bench live, {times} times: most that a recording lacks", max(lacks), "s", SHORT, True)
     lacks.clear()
-    code = RECORD.format(tests=str(Path(__file__).parents[1] / "bench" / "rerunio"))
+    code = RECORD.format(tests=str(Path(__file__).parents[1] / "bench" / "view"))
     for n in range(times):
         file = folder / f"short{n}.run"
         recorder = subprocess.Popen([sys.executable, "-c", code, str(file)], stdout=subprocess.PIPE, text=True)

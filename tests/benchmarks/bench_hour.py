@@ -15,7 +15,7 @@ from contextlib import closing
 from pathlib import Path
 from threading import Thread
 
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from tests.bench.processes import Sim
 from tests.benchmarks.bench_live import account
 from tests.benchmarks.memory import FLAT, MB, Memory

@@ -21,8 +21,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.recording.folder import remove
-from bench.recording.reader import Run
+from bench.record.folder import remove
+from bench.record.reader import Run
 from protocol.framing import Deframer, parse_frame
 from protocol.links.target import split_host_port
 from protocol.messages import Heartbeat, MessageType

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from bench.recording.reader import Run
+from bench.record.reader import Run
 from protocol.signals import DRIVE_CHANNELS
 from tests.bench.processes import Sim
 from tests.benchmarks.commands import output

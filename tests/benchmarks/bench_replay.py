@@ -10,13 +10,13 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.analysis.chunks import part
-from bench.observers.estimators import Estimators
-from bench.observers.replay import replay
-from bench.recording.info import RunInfo
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
-from bench.scoring.board import score
+from bench.record.info import RunInfo
+from bench.record.reader import Run
+from bench.record.sink import RunSink
+from bench.replay.estimators import Estimators
+from bench.replay.replay import replay
+from bench.score.board import score
+from bench.signal.chunks import part
 from sim.config.params import load_params
 from sim.observers.catalogue import CATALOGUE
 from sim.ports.virtual import VirtualLink

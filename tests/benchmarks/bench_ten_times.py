@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bench.recording.reader import Run
-from bench.recording.sink import RunSink
+from bench.record.reader import Run
+from bench.record.sink import RunSink
 from sim.config.params import load_params
 from sim.ports.virtual import VirtualLink
 from tests.bench.collect import Bench

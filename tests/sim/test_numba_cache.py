@@ -164,7 +164,7 @@ def test_a_division_by_zero_raises_nothing_in_compiled_code() -> None:
 
 STORM = """
 import random, signal, sys, time
-from bench.observers.estimators import HostObservers
+from bench.replay.estimators import HostObservers
 from protocol.messages import StreamEvent
 from protocol.signals import DRIVE_CHANNELS
 from protocol.streams import StreamConfig

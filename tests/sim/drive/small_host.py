@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bench.analysis.chunks import join
 from bench.device.client import POLL, Client
 from bench.device.node import DRIVE, LOAD, Node
+from bench.signal.chunks import join
 from protocol.links import Link
 from protocol.messages import (
     Alive,

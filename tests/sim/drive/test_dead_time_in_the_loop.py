@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from tests.bench.acceptance.benches import drawn
 
 from sim.config.params import load_params
-from tests.bench.acceptance.benches import drawn
 from tests.sim.observers.proving import BENCH_24V, Proving, thd, worst
 
 LESSONS = ((100, 4, 1.5), (150, 8, 1.5), (200, 2, 1.0), (120, 6, 1.5))
@@ -57,7 +57,7 @@ def test_of_a_motor_that_nobody_looked_at_it_makes_vector_tracking_no_worse(numb
         bench.set_param("dead_time_learn", learn)
         bench.teach()
         points = [(speed * bench.top, load * bench.i_max) for speed in (0.05, 0.1, 0.3) for load in (0.25, 1.0)]
-        return worst([bench.figures(bench.at(*point)) for point in points]).std
+        return worst([bench.plot(bench.at(*point)) for point in points]).std
 
     assert found(1) < 1.02 * found(0)
 

@@ -1,0 +1,243 @@
+"""`bench accept` without the command line: the shipped suite, or tests of the user's own, run by pytest.
+
+pytest does the running, the selecting (`-k`) and the JUnit file; this module gives it the words to say meanwhile. It
+knows no drive and no measurement.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.accept import plugin
+from bench.accept.collected import RESULT, SCREEN, Screen, is_acceptance_test
+from bench.accept.measuring import value_text
+from bench.accept.results import Measurement, RunResult, Verdict, tightest, untested
+from bench.accept.session import LIMITS_ELSEWHERE
+from bench.errors import BenchError
+from bench.rig.connection import SIM, target_of
+from bench.rig.settings import read_settings
+from bench.signal.verdict import WORDS
+from protocol.text import counted
+
+SUITE = Path(__file__).with_name("suite")
+FOREIGN = ("PYTEST_ADDOPTS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")  # what a user's environment asks of another pytest
+WITHOUT = ("terminal", "cacheprovider", "unraisableexception")
+"""Plug-ins of pytest: the teller speaks, nothing is kept, and what Python drops may be a Ctrl-C (`none_dropped`)."""
+MOST_BAD = 8  # measurements of a test that are told one by one
+
+
+@dataclass(frozen=True)
+class AcceptOptions:
+    """What `bench accept` was asked for."""
+
+    target: str | None = None
+    tests: tuple[Path, ...] = ()
+    """Files or directories of the user's own; empty: the shipped suite."""
+    keyword: str | None = None
+    report: Path | None = None
+    junit: Path | None = None
+    json: Path | None = None
+    bench_toml: Path | None = None
+    config: Path | None = None
+    operator: str | None = None
+    motor: str | None = None
+    jobs: int = 1
+    yes: bool = False
+    allow_skipped: bool = False
+    list_only: bool = False
+
+
+class _Teller:
+    """Listens to pytest and tells the screen, one line a test and one for each measurement that did not pass."""
+
+    def __init__(self, screen: Screen, list_only: bool) -> None:
+        self.screen = screen
+        self.run: RunResult | None = None
+        self.problems: list[str] = []
+        """What kept pytest from running tests, in one line each."""
+        self.listed = False
+        self._list_only = list_only
+        self._total = 0
+        self._done = 0
+
+    def pytest_configure(self, config: pytest.Config) -> None:
+        """Who asks something needs the screen."""
+        config.stash[SCREEN] = self.screen
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """A file that cannot be read as tests."""
+        if report.failed:
+            lines = [line for line in report.longreprtext.splitlines() if line.strip()]
+            self.problems.append(
+                f"{report.nodeid}: {lines[-1].removeprefix('E ').strip() if lines else 'no reason given'}"
+            )
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Show what there is, where only that was asked for."""
+        items = [item for item in session.items if is_acceptance_test(item)]
+        self._total = len(items)
+        if self._list_only and items:
+            try:
+                if plugin.session_of(session.config).target == SIM:
+                    plugin.session_of(session.config).look()
+                for name, limits in plugin.session_of(session.config).declared(items):
+                    self.screen.listed(name, limits)
+                    self.listed = True
+                plugin.session_of(session.config).check_names()
+            except BenchError as error:
+                self.problems.append(str(error))
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Say which test runs."""
+        self.screen.progress(f"{self._done + 1} of {self._total or '?'}: {nodeid.rpartition('::')[2]}")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Say how it ended."""
+        carried = getattr(report, RESULT, None)
+        if carried is None:
+            if report.failed and not hasattr(report, RESULT):
+                self.screen.note(f"ERROR   {report.nodeid}: not an acceptance test, but it failed")
+            return
+        self._done += 1
+        result = carried.result
+        text = f"{result.verdict:7} {result.name}"
+        if result.verdict is Verdict.PASS:
+            text += _tightest(result.measurements)
+        elif result.why:
+            text += f": {result.why}"
+        self.screen.note(text)
+        bad = [
+            m for m in result.measurements if m.verdict not in (Verdict.PASS, Verdict.SKIPPED) and m.value is not None
+        ]
+        for measurement in bad[:MOST_BAD]:
+            self.screen.note(f"        {measurement.name} = {value_text(measurement)}")
+        if len(bad) > MOST_BAD:
+            self.screen.note(f"        … and {len(bad) - MOST_BAD} more")
+
+    def pytest_internalerror(self, excrepr: Any) -> None:
+        """A defect of ours, or of a plug-in."""
+        self.problems.append(str(excrepr).strip().splitlines()[-1])
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(self, config: pytest.Config) -> None:
+        """Take the result out of the session."""
+        if plugin.SESSION in config.stash:
+            self.run = config.stash[plugin.SESSION].run
+
+
+def accept(options: AcceptOptions, screen: Screen) -> tuple[RunResult | None, int]:
+    """Run; returns the result (None where only names were asked for) and the exit code.
+
+    Raises BenchError when no test could be run.
+    """
+    for path in options.tests:
+        if not path.exists():
+            raise BenchError(f"no tests at {path}")
+    target = target_of(options.target, read_settings(options.bench_toml))
+    if options.jobs > 1 and target != SIM:
+        raise BenchError(f"{target} cannot be tested by {options.jobs} processes at once: leave out --jobs")
+    if options.jobs > 1 and find_spec("xdist") is None:
+        raise BenchError("--jobs needs pytest-xdist: pip install pytest-xdist")
+    teller = _Teller(screen, options.list_only)
+    with _no_foreign_settings():
+        code = pytest.main(_arguments(options), plugins=[teller])
+    if teller.problems:
+        raise BenchError("; ".join(teller.problems))
+    if options.list_only and teller.listed:
+        return None, 0
+    if teller.run is None or not teller.run.tests:
+        if teller.run is not None and teller.run.error:
+            raise BenchError(teller.run.error)
+        if code == pytest.ExitCode.INTERRUPTED:
+            raise KeyboardInterrupt
+        if code in (pytest.ExitCode.NO_TESTS_COLLECTED, pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            chosen = f" matches -k '{options.keyword}'" if options.keyword else " uses the bench's fixtures"
+            raise BenchError(f"no test{chosen}; bench accept --list shows all")
+        raise BenchError(f"pytest could not start (exit code {int(code)}): see above")
+    # pytest may have failed where no acceptance test did: in another test, or in writing a file
+    return teller.run, teller.run.exit_code or (0 if code == pytest.ExitCode.OK else 2)
+
+
+@contextmanager
+def _no_foreign_settings() -> Iterator[None]:
+    """Without what the environment asks of the user's own pytest: some of it stops this one."""
+    taken = {name: os.environ.pop(name) for name in FOREIGN if name in os.environ}
+    try:
+        yield
+    finally:
+        os.environ.update(taken)
+
+
+def _arguments(options: AcceptOptions) -> list[str]:
+    paths = [path.absolute() for path in options.tests or (SUITE,)]
+    inside = all(path.is_relative_to(Path.cwd()) for path in paths)
+    root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
+    # no capture: a person may be asked; no settings of another project
+    arguments = [word for name in WITHOUT for word in ("-p", f"no:{name}")]
+    arguments += ["-s", "-c", os.devnull, "--rootdir", root, *map(str, paths)]
+    given: tuple[tuple[str, object], ...] = (
+        ("--bench-target", options.target),
+        ("-k", options.keyword),
+        ("--bench-report", options.report),
+        ("--junitxml", options.junit),
+        ("--bench-json", options.json),
+        ("--bench-toml", options.bench_toml),
+        ("--bench-config", options.config),
+        ("--bench-operator", options.operator),
+        ("--bench-motor", options.motor),
+        ("-n", options.jobs if options.jobs > 1 else None),
+    )
+    for name, value in given:
+        if value is not None:
+            arguments += [name, str(value)]
+    flags = {
+        "--bench-yes": options.yes,
+        "--bench-allow-skipped": options.allow_skipped,
+        "--collect-only": options.list_only,
+    }
+    return arguments + [name for name, wanted in flags.items() if wanted]
+
+
+def _tightest(measurements: tuple[Measurement, ...]) -> str:
+    text = f"  {counted(len(measurements), 'measurement')}"
+    if (closest := tightest(measurements)) is None:
+        return text
+    return f"{text}, tightest {closest.limits.name} = {closest.value:.4g} [{closest.limits}]"
+
+
+def closing_lines(run: RunResult) -> list[str]:
+    """How the run ended, in a few lines; what was not tested, and unsafe outputs, come before all else."""
+    tests = _counted([test.verdict for test in run.tests], "test")
+    if all(test.verdict is Verdict.PASS for test in run.tests):
+        tests += " passed"
+    measured = _counted([m.verdict for m in run.measurements], "measurement")
+    lines = [run.unsafe] if run.unsafe else []
+    lines += [f"not tested: {words}" for words in untested(run)]
+    lines.append(f"{run.verdict}: {tests}, {measured}, {run.wall_seconds:.0f} s on {run.target}")
+    if run.verdict is Verdict.INCOMPLETE:
+        nothing = all(test.verdict is Verdict.SKIPPED for test in run.tests)
+        passed = "all that was tested passed; --allow-skipped makes that a PASS"
+        lines.append("nothing was tested" if nothing else passed)
+    if LIMITS_ELSEWHERE in run.rig:
+        lines.append(f"bench.toml has limits for tests that are not in this run, {run.rig[LIMITS_ELSEWHERE]}")
+    if run.error and run.error != run.unsafe:
+        lines.append(f"error: {run.error}")
+    return lines
+
+
+def _counted(verdicts: list[Verdict], what: str) -> str:
+    """How many, and unless all passed how many of each verdict, the worst first."""
+    text = counted(len(verdicts), what)
+    if all(verdict is Verdict.PASS for verdict in verdicts):
+        return text
+    counts = Counter(verdicts)
+    return f"{text} ({', '.join(f'{counts[v]} {WORDS[v]}' for v in WORDS if v in counts)})"

@@ -1,0 +1,27 @@
+"""What the fixture `record` gives: the test's way to let time pass and to take it down."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bench.signal.capture import Capture
+
+if TYPE_CHECKING:
+    from bench.rig.rig import Rig
+
+
+class Record:
+    """Calls wait on the bench's clock: virtual for the simulated drive, real on hardware.
+
+    `with record.stretch() as s: …` records what happens inside; after it `s.capture` holds it. `wait(seconds)`,
+    `until(condition, timeout)`, `latest(channel)` and `note(text)` are those of the `rig`.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.stretch = rig.recording
+        self.wait, self.until, self.latest, self.note = rig.wait, rig.until, rig.latest, rig.note
+
+    def __call__(self, seconds: float) -> Capture:
+        """The next `seconds`. Raises DriveTripped, and BenchError when no samples come."""
+        return self.rig.record(seconds)

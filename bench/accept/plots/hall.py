@@ -1,0 +1,112 @@
+"""Where the Hall edges lie, and what misplaced ones make of the average-speed estimate: Table I and Fig. 2.
+
+Angles are electrical. Nothing here measures: offsets come in as `waveforms.edge_offsets` found them.
+
+Source: Kim et al. 2011, DOI 10.1109/TIE.2010.2098367.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from bench.report import style
+from bench.report.plots import edge_circle
+from bench.report.style import FONT_SIZE, LIGHT, LINE_WIDTH, SERIES
+from bench.signal.capture import F64, Capture
+from bench.signal.waveforms import BACKWARDS, FORWARDS, EdgeOffsets
+from bench.signal.waveforms.sectors import NUMERALS
+
+
+def draw_edge_offsets(offsets: EdgeOffsets, expected: F64, tolerance: float) -> Figure:
+    """The six edges on the circle, and their offsets over the sector that they open, with the figures below.
+
+    `expected` (6,) and `tolerance` in rad: the offsets that they should have, halfway between both directions.
+    """
+    figure = Figure(figsize=(style.WIDTH, 4.0), layout="constrained", facecolor="white")
+    grid = figure.add_gridspec(2, 2, height_ratios=[2.6, 1.0])
+    circle = figure.add_subplot(grid[0, 0], projection="polar")
+    chart = figure.add_subplot(grid[0, 1])
+    below = figure.add_subplot(grid[1, :])
+    middle = offsets.mean.mean(axis=1)
+
+    ideal = edge_circle(circle, NUMERALS, style.BLACK, 3.0)
+    circle.vlines(ideal - middle, 0, 1, color=SERIES[0], linewidth=LINE_WIDTH, label="measured")
+    circle.legend(loc="upper center", bbox_to_anchor=(0.5, 1.3), ncols=2, frameon=False, fontsize=FONT_SIZE)
+
+    x = np.arange(6)
+    wanted = np.degrees(expected)
+    chart.bar(x, 2 * np.degrees(tolerance), 0.8, wanted - np.degrees(tolerance), color=LIGHT, label="allowed")
+    for values, mark, hue, words in (
+        (offsets.mean[:, FORWARDS], ">", SERIES[1], "forward"),
+        (offsets.mean[:, BACKWARDS], "<", SERIES[2], "reverse"),
+        (middle, "o", SERIES[0], "middle"),
+    ):
+        chart.plot(x, np.degrees(values), mark, color=hue, markersize=4.5, label=words)
+    chart.axhline(0.0, color=style.BLACK, linewidth=0.6)
+    chart.set_xticks(x, NUMERALS)
+    chart.set_xlim(-0.6, 5.6)
+    style.plain(chart)
+    chart.grid(False, axis="x")
+    style.axis_labels(chart, "edge that opens the sector", "ideal − measured", unit_y="el. °")
+    style.legend_above(chart)
+
+    below.set_axis_off()
+    rows = {
+        "Table I": wanted,
+        "forward": np.degrees(offsets.mean[:, FORWARDS]),
+        "reverse": np.degrees(offsets.mean[:, BACKWARDS]),
+        "middle": np.degrees(middle),
+    }
+    table = below.table(
+        [[f"{value:.2f}°".replace("-", "−") for value in values] for values in rows.values()],
+        rowLabels=list(rows),
+        colLabels=NUMERALS,
+        cellLoc="center",
+        bbox=Bbox.from_bounds(0.12, 0.0, 0.88, 1.0),
+        edges="horizontal",
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(FONT_SIZE)
+    for cell in table.get_celld().values():
+        cell.set_linewidth(0.4)
+    return figure
+
+
+def draw_misaligned_hall(capture: Capture) -> Figure:
+    """The outputs of the three Hall sensors, actual and estimated position, and the error, over the actual angle.
+
+    The paper's Fig. 2 over the angle in place of the time: at the grid lines a well placed sensor would switch. It
+    shows the first two whole electrical turns of `capture`, which must turn forwards.
+    """
+    shown = 720.0  # deg
+    theta = np.degrees(capture.theta)
+    start = 360.0 * np.ceil(theta[0] / 360.0)
+    part = (theta >= start) & (theta <= start + shown)
+    x = theta[part] - start
+    figure, (codes, position, error) = style.new_figure(3, height=5.2)
+    if (grid := codes.get_gridspec()) is not None:
+        grid.set_height_ratios([1.1, 1.6, 1.2])
+
+    hall = capture["hall"].astype(int)[part]
+    for bit, name in enumerate("abc"):
+        level = 2 - bit
+        codes.plot(x, level + 0.7 * ((hall >> bit) & 1), color=style.colour(f"i_{name}"), linewidth=LINE_WIDTH)
+        codes.text(-0.008, (level + 0.35 + 0.15) / 3.0, f"Hall {name}", ha="right", va="center", fontsize=FONT_SIZE,
+                   transform=codes.transAxes)  # fmt: skip
+    codes.set_ylim(-0.15, 2.85)
+    codes.set_yticks([])
+
+    style.line(position, x, style.wrapped_degrees(capture["theta_enc"][part]), capture.reference, label="actual")
+    style.line(position, x, style.wrapped_degrees(capture["theta_avg"][part]), "theta_avg", label="estimated")
+    style.degrees_axis(position, "position", 180)
+    style.legend_above(position)
+    style.line(error, x, np.degrees(capture.position_error("theta_avg"))[part], "theta_avg")
+    style.degrees_axis(error, "error", 40)
+
+    error.set_xlim(0, shown)
+    error.set_xticks(np.arange(0, shown + 1, 60))
+    style.axis_labels(error, "actual angle", "error", "el. °", "el. °")
+    figure.align_ylabels([position, error])
+    return figure

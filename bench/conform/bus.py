@@ -1,0 +1,110 @@
+"""The language of a CAN bus, for frames of any kind: transfers, valid and damaged, and stream frames as they come."""
+
+from __future__ import annotations
+
+from bench.conform.probe import BusFrame, Heard
+from protocol.canmap.frame import RECORD, RECORD_BYTES, REMOTE, BusRates
+from protocol.canmap.host import stop_record
+from protocol.canmap.ids import BROADCAST, STATUS_SLOTS, CanClass, CanId, parse_id
+from protocol.canmap.transport import CanCounters, Reassembler, TransferEncoder, pack_record
+from protocol.codes import MessageType
+from protocol.framing import Frame, parse_frame
+
+DEVICE_STATUS = {STATUS_SLOTS[kind] for kind in (MessageType.HEARTBEAT, MessageType.EVENT, MessageType.LOG)}
+
+
+class BusLine:
+    """HBP on CAN, as host number `host` on a bus of these `rates`; node 0 of a frame means the device `node`."""
+
+    bus = True
+
+    def __init__(self, rates: BusRates, node: int, extended: bool, host: int) -> None:
+        self.rates = rates
+        self.extended = extended
+        self.node = node
+        self.host = host
+        self._encoder = TransferEncoder(rates.fd, extended)
+        self._counters = CanCounters()
+        self._reassemblers: dict[CanId, Reassembler] = {}
+        self.records: list[tuple[float, CanId, bytes]] = []
+        """The frames of HBP that came since it was emptied, and when each did."""
+
+    @property
+    def damaged(self) -> int:
+        """See `Line`."""
+        return self._counters.bad
+
+    def preamble(self) -> bytes:
+        """See `Line`."""
+        self.records.clear()
+        return b""
+
+    def encode(self, frame: Frame, reserved: int = 0) -> bytes:
+        """See `Line`; a transfer has no byte that is reserved."""
+        node = frame.node or self.node
+        return self.transfer(self.address(frame), frame._replace(node=node))
+
+    def address(self, frame: Frame) -> CanId:
+        """The identifier on which a message of this type goes to a device."""
+        node = frame.node or self.node
+        slot = STATUS_SLOTS.get(frame.type)
+        return CanId(CanClass.TO_DEVICE, node, self.host) if slot is None else CanId(CanClass.STATUS, node, slot)
+
+    def transfer(self, can_id: CanId, frame: Frame) -> bytes:
+        """The records of a message on this identifier."""
+        return self._encoder.encode(can_id, frame._replace(node=can_id.node).pack())
+
+    def broadcast(self, frame: Frame) -> bytes:
+        """The records of a message to node 0."""
+        return self.transfer(CanId(CanClass.TO_DEVICE, BROADCAST, self.host), frame)
+
+    def stop(self, node: int) -> bytes:
+        """A frame of class 0."""
+        return stop_record(node, self.extended, self.rates.fd)
+
+    def record(self, can_id: CanId, data: bytes) -> bytes:
+        """One frame."""
+        return pack_record(can_id.pack(self.extended), data, self.rates.fd)
+
+    def feed(self, data: bytes, at: float) -> list[Heard | BusFrame]:
+        """See `Line`."""
+        found: list[Heard | BusFrame] = []
+        for number, length, _, _, _, room in RECORD.iter_unpack(data):
+            parts = parse_id(number, self.extended)
+            if parts is None:
+                continue
+            part = room[:length]
+            self.records.append((at, parts, part))
+            if parts.kind in (CanClass.EDGES, CanClass.SAMPLES, CanClass.SAMPLES_2):
+                slot = parts.slot + (16 if parts.kind == CanClass.SAMPLES_2 else 0)
+                if parts.node == self.node:
+                    found.append(BusFrame(at, parts.kind == CanClass.EDGES, slot, part))
+                continue
+            status = parts.kind == CanClass.STATUS and parts.slot in DEVICE_STATUS
+            if not status and parts.kind != CanClass.TO_HOST:
+                continue
+            if parts not in self._reassemblers:
+                self._reassemblers[parts] = Reassembler(parts.node, self._counters)
+            message = self._reassemblers[parts].feed(part)
+            if message is not None:
+                found.append(Heard(at, parse_frame(message), part[-1] & 31))
+        return found
+
+
+def cut(wire: bytes) -> list[bytes]:
+    """Records, one by one."""
+    return [wire[at : at + RECORD_BYTES] for at in range(0, len(wire), RECORD_BYTES)]
+
+
+def changed(record: bytes, at: int, bits: int) -> bytes:
+    """A record with these bits of one data byte inverted; `at` counts from the end if negative."""
+    number, length, flags, reserved, time, data = RECORD.unpack(record)
+    place = at % length
+    data = data[:place] + bytes([data[place] ^ bits]) + data[place + 1 :]
+    return RECORD.pack(number, length, flags, reserved, time, data)
+
+
+def remote(record: bytes) -> bytes:
+    """The same as a remote frame."""
+    number, length, flags, reserved, time, data = RECORD.unpack(record)
+    return RECORD.pack(number | REMOTE, length, flags, reserved, time, bytes(len(data)))

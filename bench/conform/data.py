@@ -1,0 +1,518 @@
+"""Level 2, second part: streamed data. Chapters 5, 10 and 11 of SPEC."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from bench.conform.checks import Carrier, Group
+from bench.conform.device import Block, Configured, Device, ids, width
+from bench.conform.levels import MOTION, STREAMS
+from bench.conform.probe import MOST_QUEUED, read, steps
+from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.canmap.layout import sample_layout
+from protocol.codes import MessageType
+from protocol.descriptor import Channel
+from protocol.messages import TimeSyncReply
+from protocol.streams import DISCONTINUITY, OVERRUN
+from protocol.text import counted
+
+check = Group("stream", STREAMS, Carrier.BYTES)
+either = Group("stream", STREAMS)
+
+RATE = 400.0  # Hz of samples that are looked at one by one
+WATCHED = 0.4  # s
+SYNCED = 0.005  # s between two TIME_SYNCs
+AHEAD, BEHIND = 0.002, 0.005  # s that a device may need from a sample to its frame, and from a frame to the link
+MASK = 0xFFFFFFFF
+UNREAD = (0.6, 2.0, 4.0)  # s for which the link is not read, one after the other, until frames are dropped
+SETTLE = 0.5  # s after that in which what waited is read
+SLOWED = 8  # times at most that a rate is lowered until a stream takes no more than its share of the link
+HALF = 0.4  # of the link, that each of two streams may take
+LOADED = 0.6  # of the link, that one may take which is to lose nothing while it is read, beside heartbeats
+EDGES_FIRST = "Every edge with a tick not later than that of a DATA frame's last record is sent before that DATA frame"
+SLOWEST = 64  # decimation beyond which a link is too slow to be loaded
+
+
+@check("cfg-id-in-frames", 11, "from STREAM_SET; a host drops frames with any other")
+def cfg_id_in_frames(device: Device) -> str:
+    """Frames carry the cfg_id of the present configuration."""
+    told = device.stream(device.channels[:1], RATE)
+    device.streamed(0, WATCHED / 2)
+    device.stop_streams()
+    since = len(device.probe.heard)
+    again = device.stream(device.channels[:1], RATE)
+    blocks = [block for block in device.streamed(0, WATCHED / 2) if block.place >= since]
+    if not blocks:
+        raise Unknown("no frame received of the second configuration")
+    wrong = {block.cfg_id for block in blocks} - {again.reply.cfg_id}
+    if wrong:
+        raise Failed(
+            f"frames carry cfg_id {sorted(wrong)}; STREAM_SET gave {told.reply.cfg_id}, then {again.reply.cfg_id}"
+        )
+    return f"{len(blocks)} frames with cfg_id {again.reply.cfg_id}, none with {told.reply.cfg_id}"
+
+
+@check("frame-fields", 11, "number of records, never 0")
+def frame_fields(device: Device) -> str:
+    """Frames hold whole records, at most a block of them, and seq starts at 0."""
+    chosen = device.channels[:3]
+    told = device.stream(chosen, RATE)
+    blocks = device.streamed(0, WATCHED)
+    size = sum(map(width, chosen))
+    for block in blocks:
+        if not 0 < block.n <= told.reply.block or len(block.data) != block.n * size:
+            raise Failed(
+                f"a frame has {len(block.data)} bytes, n {block.n}; a record is {size} bytes, block {told.reply.block}"
+            )
+    if blocks[0].seq != 0 and not blocks[0].flags & OVERRUN:
+        raise Failed(f"the first frame has seq {blocks[0].seq}, not 0")
+    most = max(block.n for block in blocks)
+    seqs = f"seq from {blocks[0].seq} to {blocks[-1].seq}"
+    return f"{len(blocks)} frames of up to {most} records ({size} bytes each), {seqs}"
+
+
+def periods(device: Device, told: Configured) -> int:
+    """PWM periods since boot, by a heartbeat."""
+    return (device.fresh().tick - told.reply.tick0) // device.ticks_per_period
+
+
+def unwrapped(index: int, now: int) -> int:
+    """The number with these low 32 bits that is nearest to `now`."""
+    return now + _signed(index - now)
+
+
+@check("index-divisible", 11, "Periods whose index is divisible by `decimation` (1..65535) are sampled")
+def index_divisible(device: Device) -> str:
+    """The index of every sample is divisible by the decimation."""
+    words = []
+    for rate in (min(RATE, device.pwm_hz / 2), min(RATE / 7, device.pwm_hz / 3)):
+        told = device.stream(device.channels[:1], rate)
+        blocks = device.streamed(0, WATCHED)
+        decimation = told.asked.decimation
+        now = periods(device, told)
+        wrong = [index for block in blocks if (index := unwrapped(block.index, now)) % decimation]
+        if wrong:
+            raise Failed(f"index {wrong[0]} is not divisible by {decimation}")
+        words.append(f"{len(blocks)} frames from index {blocks[0].index}, divisible by {decimation}")
+        device.stop_streams()
+        device.probe.heard.clear()
+    return "; ".join(words)
+
+
+@check("tick-of-index", 5, "tick of PWM period 0")
+def tick_of_index(device: Device) -> str:
+    """The tick of a sample is tick0 plus its index times the ticks of a PWM period."""
+    told = device.stream(device.channels[:1], RATE)
+    blocks = device.streamed(0, 2 * WATCHED)
+    ticks, tick0, now = device.ticks_per_period, told.reply.tick0, periods(device, told)
+    for block in blocks:
+        index = unwrapped(block.index, now)
+        off = _signed(block.tick - tick0 - index * ticks)
+        if off:
+            raise Failed(f"index {block.index} has tick {block.tick}: {off} off from tick0 {tick0} + index * {ticks}")
+    newest = now - unwrapped(blocks[-1].index, now)
+    rule = f"tick = tick0 {tick0} + index * {ticks}"
+    return f"{len(blocks)} frames to index {blocks[-1].index}: {rule}, {newest} periods before the heartbeat"
+
+
+@check("tick-is-now", 11, "A sample's tick is the time at which it was taken, by the clock of TIME_SYNC")
+def tick_is_now(device: Device) -> str:
+    """The newest samples lie between the TIME_SYNCs before and after them."""
+    told = device.stream(device.channels[:1], RATE)
+    step = told.asked.decimation * device.ticks_per_period
+    asked: list[tuple[int, int]] = []  # the place of its answer, and its tick
+    for _ in range(round(2 * WATCHED / SYNCED)):
+        answer = device.probe.ask(MessageType.TIME_SYNC)
+        place = next(n for n, each in enumerate(device.probe.heard) if each is answer.heard)
+        asked.append((place, read(answer.frame, TimeSyncReply).tx_tick))
+        device.probe.listen(SYNCED)
+    if any(after < before for (_, before), (_, after) in pairwise(asked)):
+        raise Unknown("the tick of TIME_SYNC goes back")
+    ahead, behind = [], []
+    for block in device.streamed(0, SYNCED):
+        newest = block.tick + (block.n - 1) * step
+        before = [tick for place, tick in asked if place <= block.place]
+        after = [tick for place, tick in asked if place > block.place]
+        behind += [_signed(before[-1] - newest)] if before else []
+        ahead += [_signed(newest - after[0])] if after else []
+    if not ahead or not behind:
+        raise Unknown("no frame received between two TIME_SYNCs")
+    period, early, late = device.ticks_per_period, max(ahead), min(behind)
+    if early > period + AHEAD * device.hz:
+        raise Failed(
+            f"the tick of a sample is {1e3 * early / device.hz:.1f} ms later than that of a TIME_SYNC after it"
+        )
+    if late > period + BEHIND * device.hz:
+        raise Failed(
+            f"the newest sample of every frame is at least {1e3 * late / device.hz:.1f} ms older than a TIME_SYNC "
+            "before it"
+        )
+    return f"the newest sample of {len(behind)} frames lies between the TIME_SYNCs before and after it"
+
+
+def _signed(ticks: int) -> int:
+    """A difference of ticks of 32 bits."""
+    return ((ticks + (1 << 31)) & MASK) - (1 << 31)
+
+
+@check("no-gaps", 11, "DISCONTINUITY means that the index jumps although no frame was lost")
+def no_gaps(device: Device) -> str:
+    """Without losses, the index continues from frame to frame."""
+    told = device.stream(device.channels[:1], RATE)
+    blocks = device.streamed(0, 2 * WATCHED)
+    for before, after in pairwise(blocks):
+        if after.seq != (before.seq + 1) & 0xFFFF or after.flags & DISCONTINUITY:
+            continue
+        if (due := (before.index + before.n * told.asked.decimation) & MASK) != after.index:
+            raise Failed(f"seq {after.seq} begins at index {after.index}, expected {due}, without DISCONTINUITY")
+    if len(blocks) < 2:
+        raise Unknown("only one frame received")
+    return f"{len(blocks)} frames, {sum(block.n for block in blocks)} samples without a gap"
+
+
+# -- what is in the samples -------------------------------------------------------------------------------------------
+
+
+def _instants(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+    """The samples of a stream that came whole, by index, or by counter on CAN."""
+    if device.probe.line.bus:
+        return bus_samples(device, told, chosen)
+    size, decimation = sum(map(width, chosen)), told.asked.decimation
+    return {
+        block.index + k * decimation: block.data[k * size : (k + 1) * size]
+        for block in device.blocks(told.asked.stream)
+        for k in range(block.n)
+    }
+
+
+def bus_samples(device: Device, told: Configured, chosen: tuple[Channel, ...]) -> dict[int, bytes]:
+    """The samples of a stream on CAN of which all groups came, by number (classic) or index (FD)."""
+    fd = device.bus.rates.fd
+    layout = sample_layout([width(channel) for channel in chosen], fd, told.reply.block)
+    parts: dict[int, dict[int, bytes]] = {}
+    size = layout.groups[-1][1]
+    for frame in device.probe.stream_frames:
+        group = (frame.slot - told.reply.slot) % 32
+        if frame.edges or group >= len(layout.groups):
+            continue
+        counter = int.from_bytes(frame.data[: layout.counter], "little")
+        step = told.asked.decimation if fd else 1
+        body = frame.data[layout.counter : layout.used(group)]
+        if len(layout.groups) > 1:
+            parts.setdefault(counter, {})[group] = body
+            continue
+        for k in range(layout.samples):
+            parts.setdefault(counter + k * step, {})[0] = body[k * size : (k + 1) * size]
+    whole = {counter: found for counter, found in parts.items() if len(found) == len(layout.groups)}
+    return {counter: b"".join(found[n] for n in sorted(found)) for counter, found in whole.items()}
+
+
+@either("same-instants", 11, "two streams with the same decimation are sampled at the same instants")
+def same_instants(device: Device) -> str:
+    """Two streams with the same decimation are sampled at the same instants."""
+    forth, _, there, backwards = _both_ways(device)
+    first, last = max(min(there), min(backwards)), min(max(there), max(backwards))
+    here = {n for n in there if first <= n <= last}
+    other = {n for n in backwards if first <= n <= last}
+    if here ^ other and any(len(set(steps(sorted(each)))) > 1 for each in (there, backwards)):
+        raise Unknown(f"{len(here ^ other)} instants are missing from one of two streams, and the streams have gaps")
+    if here ^ other:
+        raise Failed(
+            f"instants in only one stream, both with decimation {forth.asked.decimation}: {sorted(here ^ other)[:5]}"
+        )
+    return f"{len(here)} instants from {first} to {last} in both streams"
+
+
+@either("channel-order", 11, "in the order in which STREAM_SET names them")
+def channel_order(device: Device) -> str:
+    """Channels are in the order in which STREAM_SET names them, also in the opposite order."""
+    chosen = _few(device)
+    if len(chosen) < 2:
+        raise NotApplicable("the device has only one channel")
+    _, _, there, backwards = _both_ways(device)
+    common = sorted(set(there) & set(backwards))
+    if not common:
+        raise Unknown("the two streams have no sample in common")
+    differ = False
+    for n in common:
+        values, reversed_ = _split(there[n], chosen), _split(backwards[n], chosen[::-1])
+        differ = differ or values != reversed_
+        for channel, one, other in zip(chosen, values, reversed_[::-1], strict=True):
+            if one != other:
+                raise Failed(f"{channel.name} at {n} is {one.hex()} in one order, {other.hex()} in the opposite order")
+    if not differ:
+        raise Unknown("all channels had the same values, so their order is not visible")
+    return f"{len(common)} samples of {counted(len(chosen), 'channel')} in both orders: the same values"
+
+
+def _few(device: Device) -> tuple[Channel, ...]:
+    """Channels that a slow link carries too."""
+    return device.channels[: 3 if device.probe.line.bus else 8]
+
+
+def _split(sample: bytes, chosen: tuple[Channel, ...]) -> list[bytes]:
+    found, at = [], 0
+    for channel in chosen:
+        found.append(sample[at : at + width(channel)])
+        at += width(channel)
+    return found
+
+
+Both = tuple[Configured, Configured, dict[int, bytes], dict[int, bytes]]
+
+
+def _both_ways(device: Device) -> Both:
+    """The same channels in both orders, streamed once: how both are configured, and their samples."""
+    return device.once("both", lambda: _streamed_both_ways(device))
+
+
+def _within(device: Device, chosen: Sequence[Channel], rate: float, share: float) -> tuple[Configured, float]:
+    """Stream 0 at `rate`, or at a lower one at which it takes no more than `share` of the link; and that rate."""
+    told = device.configure(0, ids(chosen), rate)
+    for _ in range(SLOWED):
+        if told.reply.load <= share:
+            break
+        rate = device.pwm_hz / told.asked.decimation * share / told.reply.load
+        told = device.configure(0, ids(chosen), rate)
+    return told, rate
+
+
+def _streamed_both_ways(device: Device) -> Both:
+    chosen = _few(device)
+    rate = min(RATE, device.pwm_hz / 4)
+    forth, rate = _within(device, chosen, rate, HALF)
+    back = device.configure(1, ids(chosen[::-1]), rate)
+    if forth.asked.decimation != back.asked.decimation:
+        raise Unknown(f"the second stream fits only with decimation {back.asked.decimation}")
+    device.start_streams(3)
+    device.probe.listen(2 * WATCHED)
+    there, backwards = _instants(device, forth, chosen), _instants(device, back, chosen[::-1])
+    if not there or not backwards:
+        raise Unknown(f"{len(there)} and {len(backwards)} samples received of two streams")
+    return forth, back, there, backwards
+
+
+@check("stop-sends", 11, "STREAM_STOP sends pending records and frees the stream")
+def stop_sends(device: Device) -> str:
+    """STREAM_STOP sends an incomplete block."""
+    narrow = min(device.channels, key=width)
+    told = device.configure(0, [narrow.id], RATE, latency_ms=3000)
+    if told.reply.block < 0.4 * device.pwm_hz / told.asked.decimation:
+        raise Unknown(f"a block holds {told.reply.block} samples: it would be full before STREAM_STOP")
+    device.start_streams(1)
+    device.probe.listen(0.2)
+    early = len(device.blocks(0))
+    device.stop_streams()
+    device.probe.until(lambda: bool(device.blocks(0)), WATCHED)
+    blocks = device.blocks(0)
+    if early:
+        raise Unknown("a frame was sent before STREAM_STOP")
+    if not blocks:
+        raise Failed(f"0.2 s at {RATE:g} Hz, then STREAM_STOP: nothing was sent")
+    return f"{sum(block.n for block in blocks)} samples, of {told.reply.block} in a block, were sent at STREAM_STOP"
+
+
+# -- loss -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Overload:
+    """A stream that was not read for a while: its frames, and what the device counted meanwhile."""
+
+    words: str
+    decimation: int
+    block: int
+    frames: list[Block]
+    dropped: int
+    damaged: int
+
+    @property
+    def jumps(self) -> list[tuple[Block, Block, int]]:
+        """Neighbours between which samples are missing, and how many blocks they make, rounded up."""
+        found = []
+        for before, after in pairwise(self.frames):
+            lacking = (after.index - before.index) % (1 << 32) - before.n * self.decimation
+            if lacking and not after.flags & DISCONTINUITY:
+                found.append((before, after, -(-lacking // (self.decimation * self.block))))
+        return found
+
+    @property
+    def lost_by_seq(self) -> int:
+        """Frames that are missing by seq."""
+        return sum((after.seq - before.seq - 1) & 0xFFFF for before, after in pairwise(self.frames))
+
+
+def overload(device: Device) -> Overload:
+    """As many channels as fit, as often as the link carries, and not read for a while. Raises Unknown."""
+    if "overload" not in device.kept:
+        try:
+            device.kept["overload"] = _overload(device)
+        except Unknown as nothing:
+            device.kept["overload"] = nothing
+    found = device.kept["overload"]
+    if isinstance(found, Unknown):
+        raise found
+    assert isinstance(found, Overload)
+    return found
+
+
+def _overload(device: Device) -> Overload:
+    told, rate = _heaviest(device)
+    probe = device.probe
+    damaged, before = probe.line.damaged, _dropped(device)
+    probe.heard.clear()
+    device.start_streams(1)
+    device.streamed(0, 0.2)
+    for seconds in UNREAD:
+        probe.idle(seconds)
+        _settle(device)
+        if _dropped(device) != before:
+            break
+    probe.listen(SETTLE)
+    beat = device.fresh()
+    counted = (beat.tx_dropped - before) & MASK
+    frames = _up_to(device, beat.tick)
+    device.stop_streams()
+    if not counted and not any((b.seq - a.seq - 1) & 0xFFFF for a, b in pairwise(frames)) and not _jumped(frames, told):
+        raise Unknown(f"nothing was dropped in {UNREAD[-1]:g} s without reading the link, {rate}")
+    words = f"{rate}, {len(frames)} frames"
+    return Overload(words, told.asked.decimation, told.reply.block, frames, counted, probe.line.damaged - damaged)
+
+
+def _up_to(device: Device, tick: int) -> list[Block]:
+    """The frames of stream 0, of which the last one is not older than `tick`: a slow link has a long queue."""
+
+    def there() -> bool:
+        blocks = device.blocks(0)
+        return bool(blocks) and _signed(blocks[-1].tick - tick) >= 0
+
+    device.probe.until(there, MOST_QUEUED)
+    return device.blocks(0)
+
+
+def _jumped(frames: list[Block], told: Configured) -> bool:
+    return any(b.index != (a.index + a.n * told.asked.decimation) & MASK for a, b in pairwise(frames))
+
+
+def _heaviest(device: Device) -> tuple[Configured, str]:
+    """All channels that fit in a frame, at the highest rate at which nothing is dropped while the link is read."""
+    chosen = device.fitting(device.channels)
+    rate = float(device.pwm_hz)
+    while True:
+        told, rate = _within(device, chosen, rate, LOADED)
+        before = _dropped(device)
+        device.start_streams(1)
+        device.streamed(0, 0.3)
+        _settle(device)
+        dropped = _dropped(device) != before
+        device.stop_streams()
+        if not dropped:
+            told = device.configure(0, ids(chosen), rate)
+            actual = device.pwm_hz / told.asked.decimation
+            return told, f"{counted(len(chosen), 'channel')} ({told.reply.sample_bytes} bytes) at {actual:g} Hz"
+        if told.asked.decimation >= SLOWEST:
+            raise Unknown(f"the link drops frames even at {device.pwm_hz / told.asked.decimation:g} Hz")
+        rate = device.pwm_hz / (2 * told.asked.decimation)
+
+
+def _settle(device: Device) -> None:
+    """Read what has waited, until heartbeats are no older than the clock."""
+    probe = device.probe
+    for _ in range(20):
+        now = probe.tick()[1]
+        probe.listen(0.12)
+        beats = probe.beats
+        if beats and beats[-1][1].tick >= now:
+            return
+    raise Unknown("heartbeats stay delayed")
+
+
+def _dropped(device: Device) -> int:
+    return device.fresh().tx_dropped
+
+
+@check("seq-counts-dropped", 11, "counts every frame that the device *produced*, including those that it had to drop")
+def seq_counts_dropped(device: Device) -> str:
+    """Where samples are missing, seq has a gap."""
+    found = overload(device)
+    for before, after, _ in found.jumps:
+        if after.seq == (before.seq + 1) & 0xFFFF:
+            raise Failed(
+                f"the index jumps from {before.index} to {after.index}, but seq goes from {before.seq} to {after.seq}"
+            )
+    gaps = len(found.jumps)
+    if not gaps:
+        raise Unknown("no sample is missing")
+    return f"{found.words}: {gaps} gaps in both index and seq, {found.lost_by_seq} frames missing"
+
+
+@check("tx-dropped", 11, "Frames dropped by the device itself are counted in `tx_dropped`")
+def tx_dropped(device: Device) -> str:
+    """Frames lost by seq are those in tx_dropped plus those received damaged."""
+    found = overload(device)
+    by_seq, by_index = found.lost_by_seq, sum(blocks for _, _, blocks in found.jumps)
+    lost = by_seq if by_seq else by_index
+    by = "seq" if by_seq else "index"
+    words = f"{found.words}: {lost} lost by {by}, tx_dropped {found.dropped}, {found.damaged} received damaged"
+    if found.dropped <= lost <= found.dropped + found.damaged:
+        return words
+    if found.damaged and lost > found.dropped:
+        raise Unknown(f"{words}: the link loses bytes")
+    raise Failed(words)
+
+
+@check("overrun-flag", 11, "the next DATA or EDGES frame of that stream carries OVERRUN")
+def overrun_flag(device: Device) -> str:
+    """The first frame after a dropped one has OVERRUN, and no other has."""
+    found = overload(device)
+    behind = {after.place for _, after, _ in found.jumps}
+    flagged = {block.place for block in found.frames[1:] if block.flags & OVERRUN}
+    words = f"{found.words}: {len(behind)} after a gap, {len(flagged)} with OVERRUN"
+    if not behind:
+        raise Unknown("no frame is missing")
+    if found.damaged and flagged < behind:
+        raise Unknown(f"{words}; {found.damaged} received damaged")
+    if behind != flagged:
+        raise Failed(words)
+    return words
+
+
+# -- edges ------------------------------------------------------------------------------------------------------------
+
+
+@check("edges-before-samples", 11, EDGES_FIRST)
+def edges_before_samples(device: Device) -> str:
+    """Every edge comes before any sample taken at or after it."""
+    device.require_edges()
+    if device.level >= MOTION:
+        raise NotApplicable("checked while turning: motion.edges-before-samples")
+    device.configure_edges(0)
+    told = device.configure(1, ids(device.channels[:1]), RATE, latency_ms=10)
+    device.start_streams(3)
+    device.probe.listen(0.5)
+    return edges_ahead(device, told, "turn the shaft by hand, or use level 4")
+
+
+def edges_ahead(device: Device, told: Configured, advice: str) -> str:
+    """Evidence that no edge came after a sample that is not older; `told`: how the samples are configured.
+
+    Raises Failed, and Unknown with this advice.
+    """
+    newest: int | None = None
+    seen = 0
+    period = told.asked.decimation * device.ticks_per_period
+    for block in device.blocks():
+        if not block.edges:
+            newest = (block.tick + (block.n - 1) * period) & MASK
+            continue
+        for (tick,) in struct.iter_unpack("<I4x", block.data):
+            late = 0 if newest is None else (newest - tick) & MASK
+            if newest is not None and late < 1 << 31:
+                raise Failed(f"an edge with tick {tick} came after a sample with tick {newest}")
+            seen += newest is not None
+    if not seen:
+        raise Unknown(f"no edges received: {advice}")
+    return f"{seen} edges, each before the samples taken at or after it"

@@ -1,0 +1,142 @@
+"""Level 1, second part: PARAM_GET and PARAM_SET. Chapters 5 and 9 of SPEC. Every parameter is left as it was."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bench.conform.checks import Group
+from bench.conform.device import Device
+from bench.conform.levels import IDENTITY
+from bench.conform.probe import read, refusal
+from bench.conform.verdicts import Failed, NotApplicable
+from protocol.codes import ErrorCode, MessageType
+from protocol.descriptor import Channel
+from protocol.messages import ParamGet, ParamReply, ParamSet, ParamStored
+from protocol.signals import Flag
+
+check = Group("parameter", IDENTITY)
+
+ABSENT = 0xFFF0  # from here down, an unused id is looked for
+SOME = 6  # parameters whose refusals are checked: the others behave alike
+
+
+@check("read", 9, "A parameter is a finite float32")
+def read_all(device: Device) -> str:
+    """Each parameter is finite and within its range."""
+    records = device.parameters()
+    for record in records:
+        answer = device.probe.ask(MessageType.PARAM_GET, ParamGet(record.id).pack())
+        if answer.error is not None:
+            raise Failed(f"{record.name}: {answer}")
+        told = read(answer.frame, ParamReply)
+        words = f"{record.name} (id {record.id}) is {told.value:g}, from {told.lo:g} to {told.hi:g}"
+        if told.id != record.id:
+            raise Failed(f"{record.name}: the reply has id {told.id}, not {record.id}")
+        if not all(map(math.isfinite, (told.value, told.lo, told.hi, told.default))):
+            raise Failed(f"{words}, default {told.default:g}: not all finite")
+        if not told.lo <= told.value <= told.hi:
+            raise Failed(f"{words}: out of range")
+        if record.flags & Flag.WHOLE and told.value != round(told.value):
+            raise Failed(f"{words}: WHOLE, but not a whole number")
+    return f"{len(records)} parameters, all finite and within their ranges"
+
+
+@check("unknown-id", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
+def unknown_id(device: Device) -> str:
+    """An unknown id is refused with UNKNOWN_ID and the id."""
+    taken = {record.id for record in device.descriptor.parameters}
+    number = next(n for n in range(ABSENT, 0, -1) if n not in taken)
+    get = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_GET, ParamGet(number).pack())
+    put = device.probe.refused(ErrorCode.UNKNOWN_ID, number, MessageType.PARAM_SET, ParamSet(number, math.nan).pack())
+    return f"id {number}: {get}; {put} (with NaN)"
+
+
+@check("set-own-value", 5, "the value that the device now uses")
+def set_own_value(device: Device) -> str:
+    """Setting a parameter to its present value changes nothing."""
+    records = device.parameters(without=Flag.READ_ONLY)
+    for record in records:
+        before = device.parameter(record)
+        answer = device.set(record, before.value)
+        if answer.error is not None:
+            raise Failed(f"{record.name} = {before.value:g}, its present value: {answer}")
+        stored, after = read(answer.frame, ParamStored), device.parameter(record)
+        if (stored.id, stored.stored) != (record.id, before.value) or after != before:
+            raise Failed(f"{record.name} was {before.value:g}, stored {stored.stored:g}, is now {after.value:g}")
+    return f"{len(records)} parameters set to their present values, and unchanged"
+
+
+def _refused(device: Device, record: Channel, value: float, code: ErrorCode, detail: float) -> str:
+    """Evidence that a value is refused and nothing changes; the value is restored whatever happens."""
+    before = device.parameter(record).value
+    try:
+        words = refusal(device.set(record, value), code, detail, f"{record.name} = {value:.9g}")
+        if (after := device.parameter(record).value) != before:
+            raise Failed(f"{words}, but it changed from {before:g} to {after:g}")
+        return words
+    finally:
+        device.put_back(record, before)
+
+
+@check("read-only", 5, "Refused, in this order: UNKNOWN_ID; READ_ONLY; BAD_VALUE")
+def read_only(device: Device) -> str:
+    """A READ_ONLY parameter cannot be set: not to its present value, not to NaN, not beyond its range."""
+    record = device.parameters(Flag.READ_ONLY)[0]
+    told = device.parameter(record)
+    values = (told.value, math.nan, _beyond(told.hi, math.inf))
+    return "; ".join(_refused(device, record, value, ErrorCode.READ_ONLY, record.id) for value in values)
+
+
+@check("not-finite", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
+def not_finite(device: Device) -> str:
+    """NaN and infinity are refused before the range is checked."""
+    records = device.parameters(without=Flag.READ_ONLY)[:SOME]
+    return "; ".join(
+        _refused(device, record, value, ErrorCode.BAD_VALUE, value)
+        for record in records
+        for value in (math.nan, math.inf, -math.inf)
+    )
+
+
+@check("whole", 5, "BAD_VALUE (not finite, or not whole for a WHOLE parameter; `detail` = the value)")
+def whole(device: Device) -> str:
+    """A WHOLE parameter cannot be set to a fraction, whether within or beyond its range."""
+    words = []
+    for record in device.parameters(Flag.WHOLE, Flag.READ_ONLY)[:SOME]:
+        told = device.parameter(record)
+        values = [told.value + (0.5 if told.value < told.hi else -0.5), told.hi + 1.5]
+        words += [_refused(device, record, v, ErrorCode.BAD_VALUE, v) for v in values if abs(v) < 1 << 22]
+    return "; ".join(words)
+
+
+@check("beyond-range", 5, "OUT_OF_RANGE (`detail` = the violated limit)")
+def beyond_range(device: Device) -> str:
+    """The next value beyond either limit is refused with that limit, and never clipped."""
+    words = []
+    for record in device.parameters(without=Flag.READ_ONLY)[:SOME]:
+        told = device.parameter(record)
+        for limit, direction in ((told.hi, math.inf), (told.lo, -math.inf)):
+            whole_number = record.flags & Flag.WHOLE
+            value = limit + math.copysign(1.0, direction) if whole_number else _beyond(limit, direction)
+            if math.isfinite(value) and value != limit:
+                words.append(_refused(device, record, value, ErrorCode.OUT_OF_RANGE, limit))
+    if not words:
+        raise NotApplicable("every float32 is within range")
+    return "; ".join(words)
+
+
+def _beyond(limit: float, direction: float) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.nextafter(np.float32(limit), np.float32(direction)))
+
+
+@check("commit", 5, "Refused, in this order: WRONG_STATE while the outputs are on; NOT_SUPPORTED without a store")
+def commit(device: Device) -> str:
+    """Without the feature COMMIT, PARAM_COMMIT is refused; with it, nothing is tried."""
+    from protocol.messages import Feature
+
+    if device.hello.features & Feature.COMMIT:
+        raise NotApplicable("parameters can be stored: not tried")
+    return device.probe.refused(ErrorCode.NOT_SUPPORTED, None, MessageType.PARAM_COMMIT)

@@ -1,0 +1,133 @@
+"""Level 3, second part: SETPOINT. Chapters 5 and 8 of SPEC. Zero is the only valid setpoint sent."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from bench.conform.checks import Group
+from bench.conform.device import Device
+from bench.conform.levels import STATES
+from bench.conform.probe import refusal
+from bench.conform.verdicts import Failed, Unknown
+from protocol.codes import DriveState, ErrorCode, EventCode, MessageType, SetpointMode
+from protocol.messages import DeviceEvent, Heartbeat
+
+check = Group("setpoint", STATES)
+
+NO_MODE = 99
+MODES = (SetpointMode.CURRENT, SetpointMode.SPEED, SetpointMode.TORQUE)
+"""In the order in which zero is tried: no current is less than no speed."""
+
+
+def payload(mode: int, counter: int, value: float = 0.0, value2: float = 0.0) -> bytes:
+    """Of a SETPOINT."""
+    return struct.pack("<BxHff", mode, counter & 0xFFFF, value, value2)
+
+
+def send(device: Device, mode: int, counter: int, value: float = 0.0, value2: float = 0.0) -> Heartbeat:
+    """Send a setpoint; returns a heartbeat that was made after it."""
+    device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, counter, value, value2)))
+    return device.fresh()
+
+
+def accepted_mode(device: Device) -> SetpointMode:
+    """A mode in which zero is accepted, in RUNNING. Raises Unknown."""
+    for counter, mode in enumerate(MODES, 0x1201):
+        if send(device, mode, counter).setpoint_counter == counter:
+            return mode
+    raise Unknown("zero was not accepted in any of the modes SPEED, CURRENT, TORQUE")
+
+
+@check("length", 8, "Only a setpoint of the wrong length is also refused with an ErrorReply")
+def length(device: Device) -> str:
+    """A SETPOINT of 11 bytes is refused with tid 0, before the state is checked."""
+    answer = device.probe.ask_frame(device.probe.frame(MessageType.SETPOINT, payload(1, 1)[:11]), tries=1)
+    return refusal(answer, ErrorCode.BAD_LENGTH, 11, "SETPOINT of 11 bytes in IDLE")
+
+
+@check("accepted", 8, "The heartbeat contains the last accepted `counter`")
+def accepted(device: Device) -> str:
+    """Zero is accepted in RUNNING, and the heartbeat has its counter."""
+    device.run()
+    mode = accepted_mode(device)
+    beat = send(device, mode, 0xFEDC)
+    if beat.setpoint_counter != 0xFEDC:
+        raise Failed(f"setpoint_counter is {beat.setpoint_counter:#x}, the last setpoint had 0xfedc")
+    return f"{mode.name} 0 with counter 0xfedc: accepted, setpoint_counter 0x{beat.setpoint_counter:x}"
+
+
+@check(
+    "rejections", 8, "a setpoint is accepted as a whole, or rejected as a whole by the first of these checks that fails"
+)
+def rejections(device: Device) -> str:
+    """State, finite values, mode: an EVENT reports the first that is wrong."""
+    words = [_rejected(device, "zero in IDLE", (1, 7), ErrorCode.WRONG_STATE, DriveState.IDLE)]
+    words.append(_rejected(device, "NaN in IDLE", (1, 8, 0.0, math.nan), ErrorCode.WRONG_STATE, DriveState.IDLE))
+    device.run()
+    mode = accepted_mode(device)
+    nan = (mode, 9, 0.0, math.nan)
+    words.append(_rejected(device, f"{mode.name} 0 with value2 NaN", nan, ErrorCode.BAD_VALUE, math.nan))
+    unknown = (NO_MODE, 10, 0.0, math.inf)
+    words.append(_rejected(device, f"mode {NO_MODE} with value2 inf", unknown, ErrorCode.BAD_VALUE, math.inf))
+    words.append(_rejected(device, f"mode {NO_MODE}", (NO_MODE, 11), ErrorCode.NOT_SUPPORTED, NO_MODE))
+    return "; ".join(words)
+
+
+def _rejected(
+    device: Device, what: str, given: tuple[int, int] | tuple[int, int, float, float], code: ErrorCode, detail: float
+) -> str:
+    since = len(device.events(EventCode.SETPOINT_REJECTED))
+    send(device, *given)
+    events = device.events(EventCode.SETPOINT_REJECTED)[since:]
+    if not events:
+        raise Unknown(f"{what}: no EVENT SETPOINT_REJECTED received; a device may drop it")
+    if not _says(events[0], code, detail):
+        told = f"{code_name(events[0])}, detail {events[0].detail:.9g}"
+        raise Failed(f"{what}: {told}, not {code.name}, detail {detail:.9g}")
+    return f"{what}: {code.name}, detail {detail:.9g}"
+
+
+def code_name(event: DeviceEvent) -> str:
+    """The ErrorCode of a SETPOINT_REJECTED in words."""
+    return f"code {event.arg:g}" if event.number is None else ErrorCode(event.number).name
+
+
+def _says(event: DeviceEvent, code: ErrorCode, detail: float) -> bool:
+    return event.arg == code and (event.detail == detail or (math.isnan(detail) and math.isnan(event.detail)))
+
+
+@check(
+    "rejected-counted",
+    8,
+    "A rejected setpoint changes nothing and does not feed the watchdog; `setpoints_rejected` is incremented",
+)
+def rejected_counted(device: Device) -> str:
+    """Each rejected setpoint is counted, and setpoint_counter does not change."""
+    device.run()
+    before = send(device, accepted_mode(device), 0x0100)
+    for n in range(3):
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(NO_MODE, 0x0200 + n)))
+    after = device.fresh()
+    counted = (after.setpoints_rejected - before.setpoints_rejected) & 0xFFFF
+    if counted != 3 or after.setpoint_counter != before.setpoint_counter:
+        counters = f"setpoint_counter {after.setpoint_counter:#x}, was {before.setpoint_counter:#x}"
+        raise Failed(f"3 rejected: setpoints_rejected counted {counted}, {counters}")
+    return f"3 rejected: setpoints_rejected counted 3, setpoint_counter stays {after.setpoint_counter:#x}"
+
+
+@check("feeds", 7, "It is fed by ALIVE and by an *accepted* SETPOINT, and by nothing else")
+def feeds(device: Device) -> str:
+    """An accepted setpoint feeds the watchdog."""
+    device.run()
+    mode = accepted_mode(device)
+    device.probe.feed_every = None
+    sent, end = 0, device.probe.now() + 2.5 * device.watchdog
+    while device.probe.now() < end:
+        sent += 1
+        device.probe.send(device.probe.frame(MessageType.SETPOINT, payload(mode, sent)))
+        device.probe.listen(device.watchdog / 5)
+    beat = device.fresh()
+    if beat.state != DriveState.RUNNING:
+        raise Failed(f"{sent} setpoints in {2.5 * device.watchdog:.2f} s without ALIVE: the state is {beat.state.name}")
+    return f"{sent} setpoints of zero in {2.5 * device.watchdog:.2f} s without ALIVE: still RUNNING"

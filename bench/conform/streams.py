@@ -1,0 +1,242 @@
+"""Level 2, first part: stream requests and their replies. Chapters 5 and 11 of SPEC."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from bench.conform.checks import Carrier, Group
+from bench.conform.device import Configured, Device, ids, width
+from bench.conform.levels import STREAMS
+from bench.conform.probe import accepted, read, refusal
+from bench.conform.verdicts import Failed, NotApplicable, Unknown
+from protocol.codes import ErrorCode, MessageType, StreamEvent
+from protocol.messages import StreamGet, StreamInfo, StreamReply
+from protocol.streams import STREAM_HEADER
+from protocol.text import counted
+
+check = Group("stream", STREAMS)
+
+ORDER = "STREAM_SET is refused by the first of these checks that fails"
+ABSENT = 0xFFF0
+SLOW_HZ = 100.0
+CONFIGURATIONS = 6
+
+
+def absent(device: Device) -> int:
+    """An id that no channel has."""
+    taken = set(ids(device.descriptor.channels))
+    return next(n for n in range(ABSENT, 0, -1) if n not in taken)
+
+
+@check("set-refusals", 11, ORDER)
+def set_refusals(device: Device) -> str:
+    """Each error in STREAM_SET is refused with its code and detail."""
+    first, other = device.channels[0].id, absent(device)
+    rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode, float]] = [
+        ("stream 4", (4, [first], 1, 20, 0), ErrorCode.OUT_OF_RANGE, 3),
+        ("event 1 (SLOW)", (0, [first], 1, 20, 1), ErrorCode.NOT_SUPPORTED, 1),
+        ("event 9", (0, [first], 1, 20, 9), ErrorCode.NOT_SUPPORTED, 9),
+        ("decimation 0", (0, [first], 0, 20, 0), ErrorCode.BAD_VALUE, 0),
+        ("no channels", (0, [], 1, 20, 0), ErrorCode.BAD_VALUE, 0),
+        (f"channel {other}", (0, [first, other], 1, 20, 0), ErrorCode.UNKNOWN_ID, other),
+        (f"channel {first} twice", (0, [first, first], 1, 20, 0), ErrorCode.BAD_VALUE, first),
+    ]
+    if device.offers_edges:
+        rows.append(("edges with two channels", (0, [first, first], 1, 20, 2), ErrorCode.BAD_VALUE, 2))
+    else:
+        rows.append(("edges", (0, [], 1, 20, 2), ErrorCode.NOT_SUPPORTED, 2))
+    return "; ".join(refusal(device.stream_set(*asked), code, detail, words) for words, asked, code, detail in rows)
+
+
+@check("set-order", 11, ORDER)
+def set_order(device: Device) -> str:
+    """Of two errors in STREAM_SET, the one that is checked first is reported."""
+    first, other = device.channels[0].id, absent(device)
+    rows: list[tuple[str, tuple[int, Sequence[int], int, int, int], ErrorCode]] = [
+        ("stream 4 and event 9", (4, [first], 1, 20, 9), ErrorCode.OUT_OF_RANGE),
+        ("event 1 and decimation 0", (0, [first], 0, 20, 1), ErrorCode.NOT_SUPPORTED),
+        ("an unknown channel, then a repeated one", (0, [other, first, first], 1, 20, 0), ErrorCode.UNKNOWN_ID),
+        ("a repeated channel, then an unknown one", (0, [first, first, other], 1, 20, 0), ErrorCode.BAD_VALUE),
+    ]
+    found = [refusal(device.stream_set(*asked), code, None, words) for words, asked, code in rows]
+    device.stream(device.channels[:1], SLOW_HZ)
+    running = device.stream_set(0, [other], 1, 20, 0)
+    found.append(refusal(running, ErrorCode.UNKNOWN_ID, other, "a running stream and an unknown channel"))
+    return "; ".join(found)
+
+
+@check("busy", 11, "the stream is not running")
+def busy(device: Device) -> str:
+    """A running stream cannot be reconfigured."""
+    first = device.channels[0].id
+    device.stream(device.channels[:1], SLOW_HZ)
+    before = device.probe.get(StreamGet(0), StreamInfo)
+    words = refusal(device.stream_set(0, [first], 7), ErrorCode.BUSY, 0, "STREAM_SET of a running stream")
+    now = device.probe.get(StreamGet(0), StreamInfo)
+    if now != before:
+        raise Failed(f"{words}, but STREAM_GET gives cfg_id {now.cfg_id}, decimation {now.decimation}")
+    return words
+
+
+@check("too-long", 11, "a sample fits in a frame of tx_max", carrier=Carrier.BYTES)
+def too_long(device: Device) -> str:
+    """A sample too long for a frame is refused with the bytes that fit."""
+    tx_max = device.probe.hello(rx_max=128).tx_max
+    room = tx_max - STREAM_HEADER.size
+    most = (device.hello.rx_max - 8) // 2
+    chosen = device.channels[:most]
+    if sum(map(width, chosen)) <= room:
+        raise NotApplicable(f"all channels together have {sum(map(width, chosen))} bytes, {room} fit")
+    return refusal(device.stream_set(0, ids(chosen)), ErrorCode.DOES_NOT_FIT, room, counted(len(chosen), "channel"))
+
+
+@check("cfg-id", 5, "never 0; different for each configuration")
+def cfg_id(device: Device) -> str:
+    """Each configuration has its own cfg_id."""
+    first = device.channels[0].id
+    found = [device.configure(n % 2, [first], SLOW_HZ).reply.cfg_id for n in range(CONFIGURATIONS)]
+    if 0 in found or len(set(found)) < len(found):
+        raise Failed(f"{CONFIGURATIONS} configurations have cfg_ids {found}")
+    return f"{CONFIGURATIONS} configurations have cfg_ids {', '.join(map(str, found))}"
+
+
+@check("reply-fields", 5, "bytes of one record")
+def reply_fields(device: Device) -> str:
+    """The reply to STREAM_SET has the correct sample_bytes and block."""
+    words = []
+    for n in (1, 3, len(device.channels)):
+        chosen = device.fitting(device.channels[:n])
+        told = device.configure(0, ids(chosen), SLOW_HZ, latency_ms=200)
+        size = sum(map(width, chosen))
+        if told.reply.stream != 0 or told.reply.sample_bytes != size:
+            raise Failed(
+                f"{counted(len(chosen), 'channel')}: stream {told.reply.stream}, "
+                f"{told.reply.sample_bytes} bytes, not {size}"
+            )
+        words.append(f"{counted(len(chosen), 'channel')}: {size} bytes, {_block(device, told)}")
+    return "; ".join(words)
+
+
+def _block(device: Device, told: Configured) -> str:
+    reply, asked = told.reply, told.asked
+    in_time = max(1, asked.max_latency_ms * device.pwm_hz // (1000 * asked.decimation))
+    if device.probe.line.bus:
+        if not 1 <= reply.block <= in_time:
+            raise Failed(f"block is {reply.block}, but {in_time} samples are taken in {asked.max_latency_ms} ms")
+        return f"block {reply.block}"
+    fits = (device.hello.tx_max - STREAM_HEADER.size) // reply.sample_bytes
+    if reply.block != min(fits, in_time):
+        raise Failed(f"block is {reply.block}: {fits} fit in a frame, {in_time} are taken in {asked.max_latency_ms} ms")
+    return f"block {reply.block} ({fits} fit, {in_time} in time)"
+
+
+@check("get", 5, "How a stream is configured, whichever host did so")
+def get(device: Device) -> str:
+    """STREAM_GET returns the last configuration, and whether the stream is running."""
+    chosen = ids(device.channels[:2])
+    device.configure(0, chosen[:1], SLOW_HZ / 2)
+    told = device.configure(0, chosen, SLOW_HZ, latency_ms=30)
+    for running in (False, True):
+        if running:
+            device.start_streams(1)
+        info = device.probe.get(StreamGet(0), StreamInfo)
+        reply, asked = told.reply, told.asked
+        wanted = StreamInfo(
+            stream=0, running=running, event=asked.event, slot=reply.slot, decimation=asked.decimation,
+            max_latency_ms=asked.max_latency_ms, cfg_id=reply.cfg_id, sample_bytes=reply.sample_bytes,
+            block=reply.block, tick0=reply.tick0, channels=asked.channels,
+        )  # fmt: skip
+        if info != wanted:
+            raise Failed(f"STREAM_GET gives {info}, STREAM_SET gave {wanted}")
+    return f"cfg_id {told.reply.cfg_id}, decimation {told.asked.decimation}, channels {chosen}, running 0, then 1"
+
+
+@check(
+    "get-refusals",
+    5,
+    "Refused: OUT_OF_RANGE (a stream above 3, `detail` = 3), UNKNOWN_ID (a free stream, `detail` = its number)",
+)
+def get_refusals(device: Device) -> str:
+    """STREAM_GET is refused for a free stream and for one above 3."""
+    probe = device.probe
+    return "; ".join(
+        (
+            probe.refused(ErrorCode.OUT_OF_RANGE, 3, MessageType.STREAM_GET, StreamGet(4).pack()),
+            probe.refused(ErrorCode.UNKNOWN_ID, 2, MessageType.STREAM_GET, StreamGet(2).pack()),
+        )
+    )
+
+
+@check("start-free", 11, "STREAM_START of a free stream is refused")
+def start_free(device: Device) -> str:
+    """STREAM_START of a free stream is refused with its number, and starts none."""
+    probe = device.probe
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    words = []
+    for mask, lowest in ((0b100101, 2), (1 << 31 | 1, 31)):
+        answer = probe.ask(MessageType.STREAM_START, struct.pack("<I", mask))
+        words.append(refusal(answer, ErrorCode.UNKNOWN_ID, lowest, f"STREAM_START 0x{mask:x}"))
+    if probe.get(StreamGet(0), StreamInfo).running:
+        raise Failed(f"{words[0]}, but stream 0 is running")
+    return "; ".join(words)
+
+
+@check("mask-0", 11, "A mask of 0 starts or stops none")
+def mask_0(device: Device) -> str:
+    """A mask of 0 is answered and does nothing."""
+    probe = device.probe
+    device.configure(0, [device.channels[0].id], SLOW_HZ)
+    none = struct.pack("<I", 0)
+    started = accepted(probe.ask(MessageType.STREAM_START, none), "STREAM_START 0")
+    running = probe.get(StreamGet(0), StreamInfo).running
+    stopped = accepted(probe.ask(MessageType.STREAM_STOP, none), "STREAM_STOP 0")
+    there = probe.ask(MessageType.STREAM_GET, StreamGet(0).pack()).error is None
+    if running or not there:
+        raise Failed(f"running after START 0: {running}; configured after STOP 0: {there}")
+    return f"{started}; {stopped}; stream 0 stays configured and is not running"
+
+
+@check("stop-frees", 11, "STREAM_STOP sends pending records and frees the stream")
+def stop_frees(device: Device) -> str:
+    """STREAM_STOP frees a stream, and ignores streams that are not configured."""
+    probe = device.probe
+    device.stream(device.channels[:1], SLOW_HZ)
+    stopped = accepted(probe.ask(MessageType.STREAM_STOP, struct.pack("<I", 0xFFFFFFF3)), "STREAM_STOP FFFFFFF3")
+    return f"{stopped}; {probe.refused(ErrorCode.UNKNOWN_ID, 0, MessageType.STREAM_GET, StreamGet(0).pack())}"
+
+
+@check(
+    "start-again",
+    11,
+    "of a running stream is answered and changes nothing: the stream continues, and so does its `seq`",
+)
+def start_again(device: Device) -> str:
+    """STREAM_START of a running stream changes nothing."""
+    if device.probe.line.bus:
+        raise NotApplicable("frames on CAN have no seq")
+    device.stream(device.channels[:1], SLOW_HZ)
+    before = device.streamed(0, 0.2)[-1]
+    device.start_streams(1)
+    after = device.streamed(0, 0.2)
+    seqs = [block.seq for block in after if block.place > before.place]
+    if not seqs:
+        raise Unknown("no frame received after the second STREAM_START")
+    if seqs[0] != (before.seq + 1) & 0xFFFF:
+        raise Failed(f"seq was {before.seq}, then {seqs[0]} after the second STREAM_START")
+    return f"seq {before.seq}, then {seqs[0]} after the second STREAM_START"
+
+
+@check("edges-set", 11, "no channels, `sample_bytes` is 8, `decimation` is ignored")
+def edges_set(device: Device) -> str:
+    """A stream of edges accepts any decimation."""
+    device.require_edges()
+    words = []
+    for decimation in (0, 7):
+        answer = device.stream_set(1, (), decimation, 20, StreamEvent.EDGES)
+        accepted(answer, f"edges with decimation {decimation}")
+        reply = read(answer.frame, StreamReply)
+        if reply.sample_bytes != 8 or not reply.cfg_id:
+            raise Failed(f"edges: sample_bytes {reply.sample_bytes}, cfg_id {reply.cfg_id}")
+        words.append(f"decimation {decimation}: cfg_id {reply.cfg_id}, 8 bytes")
+    return "; ".join(words)

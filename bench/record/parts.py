@@ -1,0 +1,111 @@
+"""A recording as the runs that it becomes: one, or a part after the other where it is split."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from uuid import uuid4
+
+from bench.errors import RecordingError
+from bench.files import is_run
+from bench.record import layout
+from bench.record.folder import remove
+from bench.record.info import RunInfo
+from bench.record.ring import Stored
+from bench.record.writer import RunWriter
+from bench.signal.chunks import between
+from protocol.streams import EdgeChunk, SampleChunk
+
+AHEAD = 1000  # chunks of edges that may be ahead of their samples
+
+
+class Parts:
+    """Writers of the run `run` at `target`, one at a time: `writer` is the present one.
+
+    Raises RecordingError as RunWriter does, and where a part of an earlier run is in the way.
+    """
+
+    def __init__(
+        self, target: Path, run: RunInfo, stored: Stored, overwrite: bool, before_end: Callable[[], None]
+    ) -> None:
+        """`before_end` is called before a part ends and the next one begins."""
+        self._target, self._run, self._overwrite = target, run, overwrite
+        self._before_end = before_end
+        self._keep, self._split = stored.keep, stored.split
+        self._begun: int | None = None  # first tick of this part's samples
+        self._edges: deque[EdgeChunk] = deque(maxlen=AHEAD)
+        self._before = (0, 0)
+        self._ended: list[Path] = []
+        if self._split is not None:
+            self._clear()
+        self.writer = self._new_writer(run)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The runs that have been begun, oldest first; the last is being written."""
+        return *self._ended, self.writer.path
+
+    @property
+    def written(self) -> tuple[int, int]:
+        """Samples and edges so far, of all parts."""
+        return self._before[0] + self.writer.samples_written, self._before[1] + self.writer.edges_written
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Write samples. A new part begins with them where the old one has its length, or the drive has rebooted.
+
+        Edges that came ahead of their samples stand in both parts then.
+        """
+        if self._split is not None and len(chunk) and chunk.config.node == self._run.node:
+            first, newest = int(chunk.tick[0]), int(chunk.tick[-1])
+            self._begun = first if self._begun is None else self._begun
+            if not 0 <= first - self._begun < self._split * self._run.tick_hz:
+                self._next(first)
+            self._edges = deque((edges for edges in self._edges if int(edges.tick[-1]) > newest), AHEAD)
+        self.writer.samples(chunk)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Write edges."""
+        if self._split is not None and len(chunk) and chunk.config.node == self._run.node:
+            self._edges.append(chunk)
+        self.writer.edges(chunk)
+
+    def parameter(self, node: int, name: str, value: float) -> None:
+        """Write that a parameter has been set: the next part begins with it."""
+        if node == self._run.node:
+            self._run = replace(self._run, parameters={**self._run.parameters, name: value})
+        self.writer.parameter(node, name, value)
+
+    def _next(self, first: int) -> None:
+        """End this part and begin the next, at tick `first`."""
+        self._before_end()
+        old = self.writer
+        old.close()
+        samples, edges = self.written
+        self._begun = first
+        self._ended.append(old.path)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self.writer = self._new_writer(replace(self._run, recording_id=uuid4().hex, started=now), old)
+        for chunk in self._edges:
+            ahead = between(chunk, first, 1 << 62)
+            self.writer.edges(replace(ahead, gaps=()))
+        self._before = samples, edges - self.writer.edges_written
+
+    def _new_writer(self, run: RunInfo, old: RunWriter | None = None) -> RunWriter:
+        if self._split is None:
+            return RunWriter(self._target, run, self._overwrite, self._keep)
+        number = len(self._ended) + 1
+        run = replace(run, identity={**run.identity, "part": number})
+        account = None if old is None else old.account.following()
+        return RunWriter(layout.part_name(self._target, number), run, self._overwrite, account=account)
+
+    def _clear(self) -> None:
+        """Make room for the parts."""
+        found = layout.parts_of(self._target)
+        if found and not self._overwrite:
+            raise RecordingError(f"{min(found)} exists: choose another name, or --overwrite to replace it")
+        for part in found:
+            if is_run(part):
+                remove(part)

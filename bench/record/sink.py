@@ -1,0 +1,260 @@
+"""The recording of a run, for a client: what comes is queued and written by a thread of its own.
+
+The acquisition thread never waits for the disk. A recording that cannot be written (disk full, device gone) raises
+`RecordingError` out of `check` or `close`, once: the run ends with an error, and nothing is raised into the calls that
+stop the drive. kill -9 leaves a run that reads up to what was queued. A disk that is nearly full ends it the same way,
+while there is room to end it whole.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from bench.device.client import Sink
+from bench.errors import RecordingError
+from bench.record import space
+from bench.record.info import Mark, RunInfo
+from bench.record.marks import Inbox
+from bench.record.parts import Parts
+from bench.record.ring import FOR_EVER, Stored
+from bench.signal.percentiles import Percentiles
+from bench.signal.verdict import Verdict
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk
+
+SYNC_PERIOD = 1.0  # s: what a power cut can cost
+BACKLOG_LIMIT = 512 << 20  # bytes waiting for the disk: ten minutes of 16 kHz x 26 channels
+CLOSE_TIMEOUT = 60.0  # s for the disk to take what is left
+INBOX_PERIOD = 0.05  # s between looks for marks that were asked for
+SPACE_PERIOD = 2.0  # s between looks at the room on the disk
+
+Now = Callable[[], float]
+_Item = tuple[Callable[[Parts], None], int] | None  # what is to be done, and its bytes; None ends
+
+
+class RunSink(Sink):
+    """Records to the folder `path`. Raises RecordingError if that exists (unless `overwrite`) or cannot be made.
+
+    `news` is what a person should be told, text and level, oldest first: whoever shows it takes it out.
+
+    With `wait` a caller that is faster than the disk is held back instead of failing: for virtual time only. `latency`
+    holds, for every sample, the time in s until it was written: since the drive took the oldest sample of its chunk if
+    `host_time` (device tick to host time, as `now` counts it) is set, else since it came here. `host_time` is asked as
+    a chunk comes, and gives None while the drive's clock is not known: such samples are left out.
+    """
+
+    host_time: Callable[[float], float | None] | None = None
+
+    def __init__(
+        self,
+        path: str | Path,
+        run: RunInfo,
+        *,
+        overwrite: bool = False,
+        wait: bool = False,
+        now: Now = time.monotonic,
+        stored: Stored = FOR_EVER,
+        free: space.Free = space.free_bytes,
+    ) -> None:
+        """`free`: bytes that can be written to a place."""
+        self.path, self.run = Path(path), run
+        self.news: deque[tuple[str, str]] = deque()
+        self.stored, self._free = stored, free
+        self.latency = Percentiles()
+        self.error: RecordingError | None = None
+        self._raised = False
+        self._wait, self._now = wait, now
+        self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+        self._backlog = 0
+        self._taken = threading.Condition()
+        self._room = space.Room(stored.keep or math.inf)
+        if why := space.too_little(self.path, self._free_bytes()):
+            raise RecordingError(f"recording {self.path}: {why}")
+        self._inbox = Inbox()
+        self._parts = Parts(self.path, run, stored, overwrite, self._take_marks)
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._thread.start()
+
+    # -- what comes ---------------------------------------------------------------------------------------------
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Take samples."""
+        taken: float | None = self._now()
+        if self.host_time is not None and len(chunk):
+            taken = self.host_time(float(chunk.tick[0]))
+
+        def write(parts: Parts) -> None:
+            parts.samples(chunk)
+            if taken is not None:
+                self.latency.add(self._now() - taken, len(chunk))
+
+        self._put(write, chunk.raw.nbytes + chunk.index.nbytes + chunk.tick.nbytes)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take Hall edges."""
+        self._put(lambda parts: parts.edges(chunk), 21 * len(chunk))
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Take a heartbeat."""
+        self._put(lambda parts: parts.writer.heartbeat(node, heartbeat))
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Take an event of the drive."""
+        self._put(lambda parts: parts.writer.event(node, event))
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Take what was lost at the end of the streams."""
+        self._put(lambda parts: parts.writer.missing(node, samples, edges))
+
+    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
+        """Take a line of the host's for the log; `level`: INFO, WARN, ERROR.
+
+        It stands at the newest device time seen, or at `tick`.
+        """
+        self._put(lambda parts: parts.writer.note(text, level, tick))
+
+    def parameter(self, node: int, name: str, value: float) -> None:
+        """Take a parameter that was set."""
+        self._put(lambda parts: parts.parameter(node, name, value))
+
+    def summary(self, markdown: str) -> None:
+        """Take the summary, which replaces an earlier one."""
+        self._put(lambda parts: parts.writer.summary(markdown))
+
+    def mark(self, name: str, first_tick: int, last_tick: int, verdict: Verdict | None = None) -> None:
+        """Mark a stretch of the run: `name` was measured there, and ended so. From any thread; marks may overlap.
+
+        Raises ValueError for a stretch that ends before it begins.
+        """
+        mark = Mark(name, first_tick, last_tick, verdict)
+        self._put(lambda parts: parts.writer.mark(mark))
+
+    @property
+    def parts(self) -> tuple[Path, ...]:
+        """The runs that have been begun, oldest first; the last is being written."""
+        return self._parts.paths
+
+    # -- the end ------------------------------------------------------------------------------------------------
+
+    @property
+    def logged_samples(self) -> int:
+        """Samples that have been written."""
+        return self._parts.written[0]
+
+    @property
+    def logged_edges(self) -> int:
+        """Hall edges that have been written."""
+        return self._parts.written[1]
+
+    def close(self) -> None:
+        """Write what is left and end the run. Raises RecordingError if that fails and nothing was raised before."""
+        self._queue.put(None)
+        self._thread.join(CLOSE_TIMEOUT)
+        if self._thread.is_alive():
+            self._fail(f"{self._backlog >> 20} MiB could not be written within {CLOSE_TIMEOUT:g} s; the end is missing")
+        self.check()
+
+    def check(self) -> None:
+        """Raise RecordingError, once, if the recording has failed."""
+        if self.error is not None and not self._raised:
+            self._raised = True
+            raise self.error
+
+    # -- the thread ---------------------------------------------------------------------------------------------
+
+    def _put(self, write: Callable[[Parts], None], size: int = 0) -> None:
+        if self.error is not None:
+            return
+        with self._taken:
+            if self._wait:
+                self._taken.wait_for(lambda: self._backlog < BACKLOG_LIMIT or self.error is not None)
+            elif self._backlog > BACKLOG_LIMIT:
+                self._fail(f"{self._backlog >> 20} MiB wait to be written; use a faster disk, --rate or --channels")
+            self._backlog += size
+        self._queue.put((write, size))
+
+    def _work(self) -> None:
+        synced = looked = asked = time.monotonic()
+        try:
+            while True:
+                try:
+                    item = self._queue.get(timeout=INBOX_PERIOD)
+                except queue.Empty:
+                    item = (_nothing, 0)
+                if item is None:
+                    break
+                write, size = item
+                write(self._parts)
+                if size:
+                    with self._taken:
+                        self._backlog -= size
+                        self._taken.notify_all()
+                now = time.monotonic()
+                if now - asked >= INBOX_PERIOD:
+                    self._take_marks()
+                    asked = now
+                if now - synced >= SYNC_PERIOD:
+                    self._parts.writer.sync()
+                    synced = now
+                if now - looked >= SPACE_PERIOD:
+                    looked = now
+                    if why := self._look_at_space():
+                        self._parts.writer.close()
+                        self._fail(f"{why}; everything before is complete")
+                        return
+            self._take_marks()
+            self._parts.writer.close()
+        except Exception as error:
+            self._fail(_why(self.path, self._free_bytes(), error), error)
+        finally:
+            self._parts.writer.abandon()
+
+    def _take_marks(self) -> None:
+        """Write the marks that were asked for, at the device time of the moment in which they were."""
+        for asked in self._inbox.new(self._parts.writer.path):
+            tick, hz = self._parts.writer.newest, self.run.tick_hz
+            at = None if self.host_time is None else self.host_time(float(tick))
+            if at is not None:
+                tick = max(0, tick + round((asked.host - at) * hz))
+            self._parts.writer.mark(Mark(asked.text, tick, tick), asked.id)
+            self.news.append((f"mark: {asked.text}, at {tick / hz:.3f} s", "INFO"))
+
+    # -- the disk -----------------------------------------------------------------------------------------------
+
+    def _free_bytes(self) -> int:
+        """Free bytes; as many as can be where nobody knows."""
+        try:
+            return self._free(self.path.absolute().parent)
+        except OSError:
+            return 1 << 62
+
+    def _look_at_space(self) -> str:
+        """Say how long the disk lasts, where that is not long. Returns why the recording has to end, if it has to."""
+        free = self._free_bytes()
+        if words := self._room.words(free, *self._parts.writer.stored):
+            self.news.append((words, "WARN"))
+        return space.too_little(self.path, free)
+
+    def _fail(self, what: str, cause: Exception | None = None) -> None:
+        self.error = RecordingError(f"recording {self.path}: {what}")
+        self.error.__cause__ = cause
+        with self._taken:
+            self._taken.notify_all()
+
+
+def _nothing(parts: Parts) -> None:
+    """Done while nothing comes."""
+
+
+def _why(path: Path, free: int, error: Exception) -> str:
+    """What keeps a recording from being written, in words."""
+    if getattr(error, "errno", None) == errno.ENOSPC:
+        return f"the disk is full ({free >> 10} KiB free); free some space or record elsewhere"
+    return f"cannot be written ({error}); what was written before is readable"

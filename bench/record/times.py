@@ -1,0 +1,27 @@
+"""Times that a user gives, as device ticks of a run."""
+
+from __future__ import annotations
+
+from bench.errors import BenchError
+from bench.record.reader import Run
+
+
+def ticks_of(run: Run, begin: float | None, end: float | None) -> tuple[int, int]:
+    """First and last tick of the part of a run from `begin` to `end`, s of device time; None is its begin, or its end.
+
+    Raises BenchError for a run that holds nothing, and for a part of it that does.
+    """
+    if not run.segments:
+        raise BenchError(f"{run.path} has no samples and no Hall edges")
+    first, last = run.span
+    hz = run.info.tick_hz
+    wanted = first if begin is None else round(begin * hz), last if end is None else round(end * hz)
+    if wanted[0] > wanted[1] or wanted[0] > last or wanted[1] < first:
+        asked = f"{wanted[0] / hz:g} to {wanted[1] / hz:g} s"
+        raise BenchError(f"{run.path} has no data from {asked}: it covers {first / hz:.3f} to {last / hz:.3f} s")
+    return max(first, wanted[0]), min(last, wanted[1])
+
+
+def ticks_between(run: Run, begin: float | None, end: float | None) -> tuple[int | None, int | None]:
+    """The same, but None, None for all of a run, also of one that holds nothing: its reader says why."""
+    return (None, None) if begin is None and end is None else ticks_of(run, begin, end)

@@ -1,0 +1,294 @@
+"""Writes a run: chunks, events and marks in, files out. No thread, no queue, no clock of its own.
+
+Whatever arrives is appended at once: chunks to the journal, everything else to the log. Every ten seconds of device
+time become a row group, every minute a segment: a Parquet file for each stream, one line in the log, and a new journal.
+A device whose time goes back has rebooted, and begins a new segment. A ring lets old segments go, a whole one at a
+time: first its line `removed` is on the disk, then its files go.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.record import journal, layout
+from bench.record.folder import RunFolder, SegmentFile, append_to, write_all
+from bench.record.info import Mark, RunInfo, stream_to_json
+from bench.record.layout import Columns
+from bench.record.losses import LossAccount
+from bench.record.overview import BIN, Overview
+from bench.record.ring import Ring
+from bench.signal.chunks import join, part
+from protocol.messages import DeviceEvent, EventCode, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+PIECE = 0.5  # s of device time that become columns at once: what takes longer would keep the rest of a program waiting
+ROW_GROUP = 10.0  # s
+SEGMENT = 60.0  # s
+_TOLD = ("boot_id", "state", "outputs_on", "faults", "first_fault", "tx_dropped", "rx_bad", "setpoints_rejected")
+"""Of a heartbeat: it is logged where one of these has changed."""
+
+
+class RunWriter:
+    """Writes the run `info` to the folder `path`, which appears when it is a run.
+
+    Raises RecordingError where `path` exists (unless `overwrite`, which replaces a run and nothing else) or cannot be
+    made, and OSError out of every other call when the disk does not take what it is given.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        info: RunInfo,
+        overwrite: bool = False,
+        keep: float | None = None,
+        account: LossAccount | None = None,
+    ) -> None:
+        """`keep`: s of device time that a ring holds, see `bench.record.ring`; `account`: of what went before."""
+        self.path, self.info = path, info
+        self.account = account or LossAccount()
+        self.samples_written = self.edges_written = 0
+        self.stored = (0.0, 0)
+        """Seconds of device time in segments that have ended, and the bytes that their files took."""
+        self._ring = None if keep is None else Ring(keep, info.tick_hz)
+        self._streams: dict[object, _Stream] = {}
+        self._by_config: dict[int, tuple[StreamConfig, _Stream]] = {}
+        self._overview: Overview | None = None
+        self._overview_file: SegmentFile | None = None
+        self._number = 1  # of the segment that is being written
+        self._begun: int | None = None  # its first tick
+        self._newest = 0  # tick
+        self._told: dict[int, tuple[object, ...]] = {}  # of the last heartbeat that was logged, by node
+        self._folder = RunFolder(path, info, overwrite)
+        self._line = self._folder.line
+        self._journal = append_to(self._folder.path / layout.journal_name(1))
+        self._folder.put_in_place()
+
+    # -- what comes ---------------------------------------------------------------------------------------------
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Write samples."""
+        if len(chunk):
+            self._chunk(chunk)
+            self.samples_written += len(chunk)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Write Hall edges."""
+        if len(chunk):
+            self._chunk(chunk)
+            self.edges_written += len(chunk)
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Write an event of a device."""
+        self._seen(event.tick)
+        if event.code == EventCode.FAULT:
+            self._moment(event.tick, event.tick)
+        name = EventCode(event.code).name if event.code in list(EventCode) else str(event.code)
+        self._line({"kind": "event", **asdict(event), "node": node, "name": name})
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Write a heartbeat if it tells anything new."""
+        self._seen(heartbeat.tick)
+        self.account.heartbeat(node, heartbeat)
+        told = tuple(getattr(heartbeat, name) for name in _TOLD)
+        if self._told.get(node) != told:
+            if heartbeat.faults:  # its event may have been lost with the link
+                self._moment(heartbeat.tick, heartbeat.tick)
+            self._told[node] = told
+            self._line({"kind": "heartbeat", "from": node, **asdict(heartbeat)})
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Write that so many records did not come at the end of the streams."""
+        self.account.missing(samples, edges)
+        self._line({"kind": "missing", "tick": self._newest, "from": node, "samples": samples, "edges": edges})
+
+    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
+        """Write a line of the host's, at the newest device time seen or at `tick`."""
+        self._line({"kind": "note", "tick": self._newest if tick is None else tick, "level": level, "text": text})
+
+    def parameter(self, node: int, name: str, value: float) -> None:
+        """Write that a parameter has been set."""
+        self._line({"kind": "parameter", "tick": self._newest, "from": node, "name": name, "value": value})
+
+    def mark(self, mark: Mark, asked: str | None = None) -> None:
+        """Write a mark; `asked`: the number of what was asked for."""
+        self._moment(mark.first_tick, mark.last_tick)
+        self._line(layout.mark_record(mark) | ({} if asked is None else {"id": asked}))
+
+    @property
+    def newest(self) -> int:
+        """The newest device time seen, in ticks."""
+        return self._newest
+
+    def summary(self, markdown: str) -> None:
+        """Write the summary, which replaces an earlier one."""
+        self._line({"kind": "summary", "text": markdown})
+
+    def sync(self) -> None:
+        """Have the disk take what was written, so that a power cut costs no more than what comes after."""
+        os.fdatasync(self._journal)
+        self._folder.sync()
+
+    def close(self) -> None:
+        """End the run."""
+        if self._journal < 0:
+            return
+        try:
+            self._end_segment()
+            lost = {name: n for name, n in self.account.counters.items() if n}
+            self._line({"kind": "end", "samples": self.samples_written, "edges": self.edges_written, "lost": lost})
+            self.sync()
+            (self.path / layout.journal_name(self._number)).unlink()
+            (self.path / layout.ASKED).unlink(missing_ok=True)
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Let go of the files, as they are: the run stays readable up to here."""
+        for file in [stream.file for stream in self._streams.values()] + [self._overview_file]:
+            if file is not None:
+                file.discard()
+        if self._journal >= 0:
+            os.close(self._journal)
+            self._journal = -1
+        self._folder.close()
+
+    # -- chunks -------------------------------------------------------------------------------------------------
+
+    def _chunk(self, chunk: SampleChunk | EdgeChunk) -> None:
+        chunk = self.account.chunk(chunk)
+        first, last = int(chunk.tick[0]), int(chunk.tick[-1])
+        known = self._by_config.get(id(chunk.config))
+        stream = known[1] if known else self._stream_of(chunk.config)
+        hz = self.info.tick_hz
+        if first < stream.last or (self._begun is not None and first - self._begun >= SEGMENT * hz):
+            self._end_segment()
+        self._begun = first if self._begun is None else min(self._begun, first)
+        write_all(self._journal, journal.frame(stream.number, chunk))
+        stream.last = last
+        stream.pending.append(chunk)
+        self._seen(last)
+        if last - int(stream.pending[0].tick[0]) >= PIECE * hz:
+            self._piece(stream, last - last % round(BIN * hz))
+        if stream.pieces and last - stream.pieces[0].first >= ROW_GROUP * hz:
+            self._row_group(stream)
+
+    def _piece(self, stream: _Stream, end: int | None = None) -> None:
+        """Make columns of what waits, up to tick `end`: a bin of the overview is of one piece."""
+        if not stream.pending:
+            return
+        whole: SampleChunk | EdgeChunk = join(stream.pending)
+        stream.pending.clear()
+        if end is not None:
+            n = int(np.searchsorted(whole.tick, end))
+            if n < len(whole):
+                stream.pending.append(part(whole, n, len(whole)))
+            if not n:
+                return
+            whole = part(whole, 0, n)
+        overview = None
+        if stream.name == layout.SAMPLES and isinstance(whole, SampleChunk):
+            if self._overview is None:
+                self._overview = Overview(replace(self.info, channels=whole.config.channels))
+            overview = self._overview.table(whole)
+        table = layout.to_table(whole, stream.columns)
+        stream.pieces.append(_Piece(int(whole.tick[0]), int(whole.tick[-1]), table, overview))
+
+    def _row_group(self, stream: _Stream) -> None:
+        """Move the pieces of a stream to its file."""
+        if not stream.pieces:
+            return
+        pieces, stream.pieces = stream.pieces, []
+        span = pieces[0].first, pieces[-1].last
+        if stream.file is None:
+            stream.file = SegmentFile(self.path, stream.name, self._number, stream.columns)
+        stream.file.add(layout.joined([piece.table for piece in pieces]), *span)
+        overviews = [piece.overview for piece in pieces if piece.overview is not None]
+        if overviews and self._overview is not None:
+            if self._overview_file is None:
+                self._overview_file = SegmentFile(self.path, layout.OVERVIEW, self._number, self._overview.columns)
+            self._overview_file.add(layout.joined(overviews), *span)
+
+    def _end_segment(self) -> None:
+        """Close the files of this segment, log them, and begin the next."""
+        for stream in self._streams.values():
+            self._piece(stream)
+            self._row_group(stream)
+        open_files = [stream.file for stream in self._streams.values()] + [self._overview_file]
+        files = [file.finish() for file in open_files if file is not None]
+        self._overview_file = None
+        for stream in self._streams.values():
+            stream.file, stream.last = None, -1
+        if not files:
+            return
+        self._line({"kind": "segment", "number": self._number, "files": files})
+        self._folder.sync()
+        self._ended_segment(files)
+        done, self._journal = self._journal, append_to(self.path / layout.journal_name(self._number + 1))
+        os.close(done)
+        (self.path / layout.journal_name(self._number)).unlink()
+        self._number += 1
+        self._begun = None
+
+    def _ended_segment(self, files: Sequence[Mapping[str, Any]]) -> None:
+        """Count what a segment has taken, and let go of those that the ring does not hold."""
+        first = min(groups[0][0] for file in files if (groups := file["groups"]))
+        last = max(groups[-1][1] for file in files if (groups := file["groups"]))
+        seconds, size = self.stored
+        taken = sum(file["blocks"][-1][0] for file in files)
+        self.stored = seconds + (last - first) / self.info.tick_hz, size + taken
+        gone = self._ring.ended(self._number, first, last) if self._ring is not None else []
+        for number in gone:
+            self._line({"kind": "removed", "number": number})
+        if gone:
+            self._folder.sync()
+        for number in gone:
+            for file in self.path.glob(layout.file_name("*", number)):
+                file.unlink()
+
+    def _moment(self, first: int, last: int) -> None:
+        if self._ring is not None:
+            self._ring.moment(first, last)
+
+    def _stream_of(self, config: StreamConfig) -> _Stream:
+        key = layout.stream_key(config)
+        stream = self._streams.get(key)
+        if stream is None:
+            name = layout.stream_name(config, self.info.node, [known.name for known in self._streams.values()])
+            columns = layout.stream_columns(config, name, self.info)
+            stream = self._streams[key] = _Stream(name, len(self._streams), columns)
+            self._line({"kind": "stream", "number": stream.number, **stream_to_json(config, name)})
+        self._by_config[id(config)] = config, stream  # the configuration is kept alive, so that its id stays its own
+        return stream
+
+    def _seen(self, tick: int) -> None:
+        if tick > self._newest or tick + self.info.tick_hz < self._newest:  # going back: the drive has rebooted
+            self._newest = tick
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Half a second of a stream as columns, and what is seen of it from afar; its first and last tick."""
+
+    first: int
+    last: int
+    table: Any
+    overview: Any
+
+
+@dataclass
+class _Stream:
+    """A stream: what waits for the next row group, and the file that it goes to."""
+
+    name: str
+    number: int
+    columns: Columns
+    pending: list[Any] = field(default_factory=list)
+    pieces: list[_Piece] = field(default_factory=list)
+    file: SegmentFile | None = None
+    last: int = -1  # tick, in this segment

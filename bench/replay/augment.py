@@ -1,0 +1,76 @@
+"""Puts the host's own estimates beside the drive's: chunks in, the same chunks with more channels out.
+
+The channels are `theta_<short>_host` and `omega_<short>_host`, flagged ESTIMATE like the drive's, in the raw format of
+its estimates, so dashboard, recording and statistics treat them alike. Every sample has a value, because observers are
+initialised anew after a loss (see `bench.replay.estimators`). Nothing that the drive sent is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bench.record.info import HOST_SUFFIX
+from bench.replay.estimators import Estimators, raw_counts
+from protocol.descriptor import Channel
+from protocol.signals import ANGLE, SPEED, Flag, RawType, Signal, Unit
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+
+_FIRST_ID = 0xFF00  # past the ids of any drive's channels
+
+
+def host_channels(shorts: Sequence[str], beside: Sequence[Channel | Signal]) -> tuple[Channel, ...]:
+    """Angle and speed of each observer, by short name; their format is that of the estimates among `beside`."""
+    angle = _like(beside, Unit.RAD, Channel(0, "", Unit.RAD, RawType.I16, ANGLE, Flag.WRAPS))
+    speed = _like(beside, Unit.RAD_PER_S, Channel(0, "", Unit.RAD_PER_S, RawType.I16, SPEED, Flag(0)))
+    return tuple(
+        replace(like, id=_FIRST_ID + 2 * k + second, name=f"{what}_{short}{HOST_SUFFIX}")
+        for k, short in enumerate(shorts)
+        for second, (what, like) in enumerate((("theta", angle), ("omega", speed)))
+    )
+
+
+def _like(channels: Sequence[Channel | Signal], unit: Unit, otherwise: Channel) -> Channel:
+    known = [c for c in channels if c.unit == unit and c.flags & Flag.ESTIMATE and not c.name.endswith(HOST_SUFFIX)]
+    chosen = known[0] if known else otherwise
+    flags = Flag.CHANNEL | Flag.ESTIMATE | (chosen.flags & Flag.WRAPS)
+    return Channel(0, "", unit, chosen.raw, chosen.scale, flags, chosen.offset)
+
+
+class Augmenter:
+    """Runs the `observers` over the chunks of a drive that streams `stream`, and adds what they find."""
+
+    def __init__(self, observers: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        self.estimators = Estimators(observers, parameters, stream)
+        self.channels = host_channels([entry.short for entry in self.estimators.entries], stream.channels)
+        self._node = stream.node
+        self._configs: dict[int, tuple[StreamConfig, StreamConfig]] = {}  # by id: as it came, which keeps it alive
+
+    def take(self, chunk: SampleChunk | EdgeChunk) -> SampleChunk | EdgeChunk:
+        """Samples of the drive with the estimates, after its edges up to them; all else as it is."""
+        if chunk.config.node != self._node or not len(chunk):
+            return chunk
+        if isinstance(chunk, SampleChunk):
+            return self.samples(chunk)
+        self.estimators.edges(chunk)
+        return chunk
+
+    def samples(self, chunk: SampleChunk) -> SampleChunk:
+        """The chunk, one sample or more, with the host's estimates as further channels."""
+        config = self._config(chunk.config)
+        n, width = len(chunk), chunk.raw.dtype.itemsize
+        raw = np.empty(n, config.dtype)
+        # Records as bytes: numpy copies field by field otherwise.
+        raw.view(np.uint8).reshape(n, -1)[:, :width] = np.ascontiguousarray(chunk.raw).view(np.uint8).reshape(n, width)
+        found = self.estimators.samples(chunk)
+        columns = [column for entry in self.estimators.entries for column in found[entry.name]]
+        for channel, column in zip(self.channels, columns, strict=True):
+            raw[channel.name] = raw_counts(channel, column)
+        return replace(chunk, config=config, raw=raw)
+
+    def _config(self, config: StreamConfig) -> StreamConfig:
+        if id(config) not in self._configs:
+            self._configs[id(config)] = config, replace(config, channels=(*config.channels, *self.channels))
+        return self._configs[id(config)][1]

@@ -1,0 +1,279 @@
+"""Position observers run on the host, from what the drive measured: live on chunks, or over a whole recording.
+
+The kernels are those of the simulated drive, `sim.observers`. `HostObservers` runs those that the drive runs, too; fed
+with the raw values that telemetry carries they give the same estimates, bit for bit, so a difference means that the
+drive's firmware differs. `Estimators` runs any observers of the catalogue. Neither ever touches a link, and neither
+runs ahead of its input: an edge is used once a sample at or after it has arrived.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from bench.replay.current_error import CurrentError
+from bench.signal.chunks import breaks
+from protocol.descriptor import Channel
+from protocol.signals import Flag, RawType, Signal, Status
+from protocol.streams import EdgeChunk, SampleChunk, StreamConfig
+from protocol.text import did_you_mean
+from sim.native import layout
+from sim.observers import hall_speed, sample
+from sim.observers.catalogue import BROKEN, CATALOGUE
+from sim.observers.entry import Entry, chosen, missing
+
+INPUTS = ("hall", "status", "u_alpha", "u_beta", "i_a", "i_b", "i_c", "i_q_ref", "i_q")
+OPTIONAL_INPUTS = ("status", "i_q_ref", "i_q")
+"""Inputs that `Estimators` can do without: no resets are known then, and the drive's current error is taken as 0."""
+CHECKED = {channel: (entry.name, field) for entry in CATALOGUE.values() for channel, field in entry.channels.items()}
+"""The channels that carry an observer's results: its name, and the field of its estimates."""
+WORTH_THREADS = 8000  # samples from which on it pays to run observers side by side
+MEASURED, EDGE = layout(sample.Measured), layout(hall_speed.Edge)
+F64 = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Records = NDArray[np.void]
+
+
+def _drive_resets(chunk: SampleChunk) -> Flags:
+    """Where the drive says that it initialised its observers, shape (n,)."""
+    if "status" not in (chunk.raw.dtype.names or ()):
+        return np.zeros(len(chunk), bool)
+    flags: Flags = (chunk.raw["status"] & Status.OBSERVERS_RESET) != 0
+    return flags
+
+
+class HostObservers:
+    """Runs the observers whose estimates a drive streams, over its chunks: edges first, then the samples they cover.
+
+    `stream`: what is streamed; the estimates among it are compared. The observers start when the drive initialises
+    its own (the `status` bit OBSERVERS_RESET); after a gap they wait for the next time, because what they would have
+    remembered is lost. Raises BenchError for a parameter that one of them cannot do without.
+    """
+
+    def __init__(self, parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        self.checked = {c.name: CHECKED[c.name] for c in stream.channels if c.name in CHECKED}
+        names = dict.fromkeys(observer for observer, _ in self.checked.values())
+        self._kernels = _Kernels([CATALOGUE[name] for name in names], parameters, stream)
+        self._synchronised = False
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take edges; they wait for the samples that cover them."""
+        if chunk.gaps:
+            self._synchronised = False
+        self._kernels.edges(chunk)
+
+    def samples(self, chunk: SampleChunk) -> tuple[dict[str, F64], Flags]:
+        """The estimates at the samples of `chunk` by channel, and where they are valid; arrays of shape (n,).
+
+        The chunk must have what `compared_inputs` names at full rate.
+        """
+        reset = _drive_resets(chunk)
+        before = -1 if self._synchronised else -3
+        last_reset = np.maximum.accumulate(np.where(reset, np.arange(len(reset)), before))
+        last_gap = np.full(len(reset), -2)
+        for gap in chunk.gaps:
+            last_gap[gap.position :] = gap.position
+        valid: Flags = last_reset >= last_gap
+        self._synchronised = bool(valid[-1])
+        found = self._kernels.run(chunk, reset)
+        return {name: found[observer][field] for name, (observer, field) in self.checked.items()}, valid
+
+    def compare(self, chunk: SampleChunk) -> tuple[int, int]:
+        """Number of samples compared with the drive's own estimates, and of those that differ in any raw bit."""
+        estimates, valid = self.samples(chunk)
+        differ = np.zeros(len(valid), dtype=bool)
+        for name, values in estimates.items():
+            differ |= raw_counts(chunk.config.channel(name), values) != chunk.raw[name]
+        return int(valid.sum()), int((differ & valid).sum())
+
+
+class _Kernels:
+    """Observers behind one front end: their constants, their states, and the time that each of them took.
+
+    Chunks go in: edges wait here for the samples that cover them.
+
+    `seconds` is the processor's time that each observer took for `steps` samples, `front_seconds` what the front end
+    took, which is all that the average-speed approach needs.
+    """
+
+    def __init__(self, entries: Sequence[Entry], parameters: Mapping[str, float], stream: StreamConfig) -> None:
+        _require("the Hall front end", missing(sample.Settings, parameters))
+        for entry in entries:
+            _require(entry.name, entry.missing(parameters))
+        self._front = sample.FrontEnd(sample.make_params(stream.tick_hz, chosen(sample.Settings, parameters)))
+        self._observers = {entry.name: entry.start(entry.make_params(stream.pwm_hz, parameters)) for entry in entries}
+        self._current_error = CurrentError(parameters, stream.pwm_hz)
+        self._edges: Records = np.empty(0, EDGE)
+        self.seconds = dict.fromkeys(self._observers, 0.0)
+        self.front_seconds = 0.0
+        self.steps = 0
+
+    def edges(self, chunk: EdgeChunk) -> bool:
+        """Take edges. A clock that goes back is that of a drive that has started anew: older edges are of no use.
+
+        Whether such older edges were dropped.
+        """
+        anew = bool(len(chunk) and len(self._edges) and chunk.tick[0] < self._edges["tick"][-1])
+        new = np.empty(len(chunk), EDGE)
+        new["tick"], new["code"] = chunk.tick, chunk.hall_new
+        self._edges = new if anew else np.concatenate([self._edges, new])
+        return anew
+
+    def run(self, chunk: SampleChunk, reset: Flags) -> dict[str, Records]:
+        """The observers' estimates at the samples of `chunk` by name; `reset` (n,): where they are initialised."""
+        measured = np.empty(len(chunk), MEASURED)
+        measured["tick"], measured["hall"] = chunk.tick, chunk.raw["hall"]
+        for name in ("u_alpha", "u_beta", "i_a", "i_b", "i_c"):
+            measured[name] = chunk.physical(name)
+        measured["i_q_err"] = self._current_error.of(chunk, reset)
+        used = int(np.searchsorted(self._edges["tick"], chunk.tick[-1], side="right"))
+        due, self._edges = self._edges[:used], self._edges[used:]
+        begun = time.thread_time()
+        samples = self._front.run(measured, due, reset)
+        self.front_seconds += time.thread_time() - begun
+
+        def observe(name: str) -> Records:
+            begun = time.thread_time()
+            found = self._observers[name].run(samples, reset)
+            self.seconds[name] += time.thread_time() - begun
+            return found
+
+        # the first time they are compiled or loaded, which is this thread's to do
+        side_by_side = self.steps > 0 and len(reset) >= WORTH_THREADS
+        found = _threads().map(observe, self._observers) if side_by_side else map(observe, self._observers)
+        estimates = dict(zip(self._observers, found, strict=True))
+        self.steps += len(reset)
+        return estimates
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count())
+
+
+class Estimate(NamedTuple):
+    """What an observer makes of n samples, (n,) each."""
+
+    theta: F64  # electrical rad in [-pi, pi)
+    omega: F64  # electrical rad/s
+
+
+class Estimators:
+    """Runs observers of the catalogue over a drive's chunks: edges first, then the samples that cover them.
+
+    All of them share one front end. They are initialised anew with the first sample, where the drive initialises its
+    own, and after every loss: with the first sample after lost samples, or at or after the first edge that follows
+    lost edges. `restarts` counts these; `kernels` knows what the observers took. Without `follow` they go on where the
+    drive initialises its own.
+
+    Raises BenchError for a name that the catalogue does not have, and for a parameter that an observer cannot do
+    without.
+    """
+
+    def __init__(
+        self, names: Sequence[str], parameters: Mapping[str, float], stream: StreamConfig, follow: bool = True
+    ) -> None:
+        self._follow = follow
+        self.entries = tuple({entry.name: entry for entry in map(entry_of, names)}.values())
+        self.kernels = _Kernels(self.entries, parameters, stream)
+        self._next_index: int | None = None
+        self._next_edge: int | None = None
+        self._edges_lost = np.empty(0, np.int64)  # ticks of the edges that follow a loss
+        self.restarts = {"start": 0, "drive": 0, "lost_samples": 0, "lost_edges": 0}
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take edges; they wait for the samples that cover them."""
+        if len(chunk):
+            if self.kernels.edges(chunk):
+                self._edges_lost = self._edges_lost[:0]
+            self._edges_lost = np.concatenate(
+                [self._edges_lost, chunk.tick[breaks(chunk.index, expected=self._next_edge)]]
+            )
+            self._next_edge = int(chunk.index[-1]) + 1
+
+    def samples(self, chunk: SampleChunk) -> dict[str, Estimate]:
+        """Estimates at the samples of `chunk`, one or more, by observer; what `unfit` says must not hold for it."""
+        found = self.records(chunk)
+        return {name: Estimate(estimates["theta"], estimates["omega"]) for name, estimates in found.items()}
+
+    def records(self, chunk: SampleChunk) -> dict[str, Records]:
+        """The same with all that an observer says of itself: records of its own `Estimate`, (n,) each."""
+        reset = _drive_resets(chunk) if self._follow else np.zeros(len(chunk), bool)
+        self.restarts["drive"] += int(reset.sum())
+        if self._next_index is None:
+            self.restarts["start"] += 1
+            reset[0] = True
+        lost = breaks(chunk.index, expected=self._next_index)
+        self._next_index = int(chunk.index[-1]) + 1
+        known = int(np.searchsorted(self._edges_lost, chunk.tick[-1], side="right"))
+        after = np.searchsorted(chunk.tick, self._edges_lost[:known])
+        self._edges_lost = self._edges_lost[known:]
+        self.restarts["lost_samples"] += len(lost)
+        self.restarts["lost_edges"] += len(after)
+        reset[lost] = reset[after] = True
+        return self.kernels.run(chunk, reset)
+
+
+def compared_inputs(channels: Collection[str], load_angle_comp: bool) -> tuple[str, ...]:
+    """What must be streamed, with these channels, that their estimates can be compared.
+
+    `load_angle_comp`: whether the drive compensates the load angle, with its own current error.
+    """
+    compensated = load_angle_comp or any(CHECKED.get(name, ("",))[0] == "load_angle" for name in channels)
+    return INPUTS if compensated else tuple(name for name in INPUTS if name not in ("i_q_ref", "i_q"))
+
+
+def all_for(parameters: Mapping[str, float]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of all observers that a drive with these parameters has what it takes for, and of the others in words."""
+    front = missing(sample.Settings, parameters)
+    lacking = {name: dict.fromkeys((*front, *entry.missing(parameters))) for name, entry in CATALOGUE.items()}
+    left_out = (f"{name}: it needs {', '.join(needs)}" for name, needs in lacking.items() if needs)
+    return tuple(name for name, needs in lacking.items() if not needs), tuple(left_out)
+
+
+def entry_of(name: str) -> Entry:
+    """The observer of that name, or of that short name; - stands for _. BenchError, naming what there is, if none."""
+    known = {name: entry for entry in CATALOGUE.values() for name in (entry.name, entry.short)}
+    wanted = name.replace("-", "_")
+    if wanted in known:
+        return known[wanted]
+    if wanted in BROKEN:
+        raise BenchError(f"observer '{name}' cannot be used: {BROKEN[wanted]}")
+    there = ", ".join(f"{entry.name} ({entry.short})" for entry in CATALOGUE.values())
+    near = did_you_mean(wanted, known, form=" (did you mean {}?)")
+    raise BenchError(f"no observer '{name}'{near}; available: {there}")
+
+
+def unfit(config: StreamConfig) -> str:
+    """Why observers cannot run on a stream, in words; empty if they can."""
+    names = {channel.name for channel in config.channels}
+    if missing := [name for name in INPUTS if name not in names and name not in OPTIONAL_INPUTS]:
+        return f"it has no channel {', '.join(missing)}"
+    if config.decimation == 1:
+        return ""
+    return f"the stream is decimated by {config.decimation}; observers need every PWM period"
+
+
+def raw_counts(channel: Channel | Signal, values: F64) -> NDArray[np.generic]:
+    """Raw values of physical ones, as the simulated drive rounds them: half to even; angles wrap, others saturate."""
+    dtype = np.dtype(channel.raw.dtype)
+    if channel.raw == RawType.F32:
+        return ((values - channel.offset) / channel.scale).astype(dtype)
+    counts = np.rint((values - channel.offset) * (1.0 / channel.scale))
+    if not channel.flags & Flag.WRAPS:
+        info = np.iinfo(dtype)
+        counts = np.clip(counts, info.min, info.max)
+    return counts.astype(np.int64).astype(dtype)
+
+
+def _require(what: str, names: Sequence[str]) -> None:
+    if names:
+        raise BenchError(f"{what} needs {', '.join(names)}, which the drive does not have")

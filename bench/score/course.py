@@ -1,0 +1,112 @@
+"""What the shaft did over a whole recording, from its angle, speed and status alone: a first pass over these channels.
+
+When it starts and turns round depends on all that came before, and what counts depends on whether the drive was ever
+RUNNING: that has to be known before the first sample is scored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bench.score.phases import CONTEXT, Turns, changes, direction_of, speed_of, turns_of
+from bench.signal.capture import Capture
+from bench.signal.position import running, states
+from bench.signal.windows import windows
+from protocol.streams import SampleChunk
+
+
+@dataclass
+class _Growing:
+    """A stretch as it is found: where its direction changes, from its first sample on."""
+
+    first: int
+    t: float
+    n: int = 0
+    begins: list[int] = field(default_factory=list)
+    directions: list[int] = field(default_factory=list)
+    running: list[bool] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """n samples without a gap."""
+
+    first: int
+    """Its first sample, counted from the recording's."""
+    t: float
+    """Device time of that, s."""
+    n: int
+    turns: Turns
+    """By its own samples, from 0."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A whole recording."""
+
+    stretches: tuple[Stretch, ...]
+    samples: int
+    edges: int
+    lost: int
+    """Samples, before its first too, if that is told."""
+    ran: bool | None
+    """Whether the drive was RUNNING at any sample; None where it does not tell."""
+    fastest: dict[str, float]
+    """The largest magnitude of each of the speeds that were asked for, rad/s."""
+
+    def usable(self, samples: SampleChunk) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which of some samples count, (n,)."""
+        return running(samples) if self.ran else np.ones(len(samples), bool)
+
+
+def survey(captures: Iterable[Capture], reference: str, speeds: Iterable[str], pole_pairs: int) -> Course:
+    """Go through captures that follow each other. `reference`: the encoder's angle; `speeds`: channels."""
+    found: list[_Growing] = []
+    fastest = dict.fromkeys(speeds, 0.0)
+    samples = edges = lost = 0
+    ran: bool | None = None
+    rate = 1.0
+    for window in windows(captures, CONTEXT):
+        whole, own = window.capture.samples, window.samples
+        rate = window.capture.rate
+        lost += sum(gap.lost_samples for gap in own.gaps)
+        edges += len(window.capture.edges)
+        for name in fastest:
+            fastest[name] = max(fastest[name], float(np.abs(own.physical(name)).max()))
+        now = running(whole)
+        if states(own) is not None:
+            ran = bool(ran) or bool(now[window.own].any())
+        theta = whole.physical(reference)
+        for rows, part in window.stretches():
+            if part.start == rows.start:
+                found.append(_Growing(samples + part.start - window.own.start, float(window.capture.t[part.start])))
+            growing = found[-1]
+            direction = direction_of(speed_of(theta[rows], rate), pole_pairs)[part.start - rows.start :][
+                : part.stop - part.start
+            ]
+            for at in changes(direction).tolist():
+                if not growing.directions or growing.directions[-1] != direction[at]:
+                    growing.begins.append(growing.n + at)
+                    growing.directions.append(int(direction[at]))
+                    growing.running.append(bool(now[part.start + at]))
+            growing.n += len(direction)
+        samples += len(own)
+    stretches = tuple(
+        Stretch(
+            g.first,
+            g.t,
+            g.n,
+            turns_of(
+                np.array(g.begins, np.int64),
+                np.array(g.directions, np.int8),
+                np.array(g.running) if ran else np.ones(len(g.begins), bool),
+                g.n,
+                rate,
+            ),
+        )
+        for g in found
+    )
+    return Course(stretches, samples, edges, lost, ran, fastest)

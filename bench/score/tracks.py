@@ -1,0 +1,269 @@
+"""A recording as the scoreboard sees it: every estimate against the encoder's angle, by what the shaft does.
+
+The estimates are the drive's own channels, those that a replay has added, and those of observers that are run here. A
+recording is gone through twice, piece by piece: `bench.score.course` first, then the estimates. Nothing keeps its
+samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from bench.record.info import HOST_SUFFIX
+from bench.record.reader import Run, captures
+from bench.record.recording import Source, readable
+from bench.record.times import ticks_between
+from bench.replay.estimators import INPUTS, Estimate, Estimators, all_for
+from bench.replay.replay import ENDS_EARLY, not_replayable
+from bench.score.course import Course, Stretch, survey
+from bench.score.phases import CONTEXT, phases_with, speed_of
+from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
+from bench.signal.capture import Capture
+from bench.signal.channels import reference_angle
+from bench.signal.delays import blame, delays_of
+from bench.signal.trace import STATOR, Trace
+from bench.signal.units import pole_pairs
+from bench.signal.windows import Window, windows
+from protocol.signals import Flag, Unit
+from protocol.streams import SampleChunk, StreamConfig
+
+F64 = NDArray[np.float64]
+POINTS = 6000  # of a plot over time, about
+LEAST = 0.1  # s, shorter stretches between two losses are left out
+DRIVE, REPLAYED, HOST = "drive", "replayed", "host"
+Pieces = Callable[..., Iterable[Capture]]
+"""Gives captures that follow each other, with the `channels` that are asked for, as often as it is called."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One recording. `kinds`: who made each estimate."""
+
+    path: str
+    rate: float
+    """Samples a second."""
+    pole_pairs: int
+    stretches: tuple[Stretch, ...]
+    """Those that are scored: without a gap."""
+    kinds: dict[str, str]
+    tallies: dict[str, Tally]
+    step_ns: dict[str, float]
+    """What a step of each observer run here took on this machine, beside the front end's."""
+    front_ns: float | None
+    dropped: int
+    """Samples in stretches too short to be of use."""
+    lost: int
+    every: int
+    """Samples to a point of a plot over time; a stretch begins with a new point."""
+    encoder: Envelope
+    """Speed by the encoder over time, r/min."""
+    over_time: dict[str, OverTime]
+    started: str = ""
+    """Date and time of the recording, as it tells them."""
+    recorded_by: str = ""
+    """Version of the host that recorded it; empty if it does not tell."""
+    restarts: dict[str, int] = field(default_factory=dict)
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    """What the recording says of the drive and the bench."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """How many are scored, those at rest included."""
+        return sum(stretch.n for stretch in self.stretches)
+
+    @property
+    def starts(self) -> int:
+        """How often the shaft started."""
+        return sum(len(stretch.turns.starts) for stretch in self.stretches)
+
+    @property
+    def reversals(self) -> int:
+        """How often it turned round."""
+        return sum(len(stretch.turns.reversals) for stretch in self.stretches)
+
+
+def load(source: Source, names: Sequence[str] | None, begin: float | None = None, end: float | None = None) -> Track:
+    """Take a recording or a capture and run the observers `names` on it; None: all that its parameters suffice for.
+
+    `begin`, `end`: device time in s. Raises BenchError where it has no encoder, no samples, or a clock
+    that goes back.
+    """
+    run = readable(source)
+    return _track(run, partial(captures, run, *ticks_between(run, begin, end)), names)
+
+
+def _track(run: Run, pieces: Pieces, names: Sequence[str] | None) -> Track:
+    (config, edges), parameters, path = run.drive_streams, run.info.parameters, str(run.path)
+    reference = reference_angle(config.channels)
+    if not reference:
+        raise BenchError(f"{path} cannot be scored: no reference angle: it needs an encoder; record theta_enc")
+    n_p = pole_pairs(parameters)
+    there = [channel.name for channel in config.channels]
+    status = [name for name in ("status",) if name in there]
+    speeds = _speeds(config)
+    course = survey(pieces(channels={reference, *speeds, *status}), reference, speeds, n_p or 1)
+    _require_unambiguous(course, path, config.rate, (n_p or 1) * parameters.get("omega_m_max", 0.0))
+    notes: list[str] = []
+    recorded = _recorded(config)
+    kinds = {name: kind for name, (kind, _, _) in recorded.items()}
+    estimators = None
+    if why := not_replayable(config, edges):
+        notes.append(f"no observer can run on it: {why}")
+    else:
+        if names is None:
+            names, left_out = all_for(parameters)
+            notes += [f"not run: {words}" for words in left_out]
+        if names:
+            estimators = Estimators(names, parameters, config)
+            kinds |= dict.fromkeys((entry.name for entry in estimators.entries), HOST)
+    if not kinds:
+        raise BenchError(f"{path} cannot be scored: {'; '.join(notes) or 'it has no estimate of the angle'}")
+    if course.ran is False:
+        notes.append("the drive was never RUNNING: all samples count")
+    estimates = {name for _, angle, speed in recorded.values() for name in (angle, speed) if name}
+    wanted = {reference, *estimates, *status, *(name for name in (*INPUTS, *STATOR) if name in there)}
+    scored = _Scored(course, kinds, reference, config.rate, n_p or 1)
+    trace = Trace(course.samples, course.edges)
+    for window in windows(pieces(channels=wanted), CONTEXT):
+        trace.add(window)
+        found = _estimates(window.samples, recorded)
+        if estimators is not None:
+            estimators.edges(window.capture.edges)
+            found |= estimators.samples(window.samples)
+        scored.add(window, found)
+    if words := blame(delays_of(trace))[1]:
+        notes.append(f"angles differ in time: {words}")
+    if n_p is None:
+        notes.append("the number of pole pairs is unknown: r/min are electrical")
+    kernels = None if estimators is None else estimators.kernels
+    return Track(
+        path=path,
+        rate=config.rate,
+        pole_pairs=n_p or 1,
+        stretches=tuple(stretch for stretch in course.stretches if scored.takes(stretch)),
+        kinds=kinds,
+        tallies=scored.tallies,
+        step_ns={} if kernels is None else {name: 1e9 * s / kernels.steps for name, s in kernels.seconds.items()},
+        front_ns=None if kernels is None else 1e9 * kernels.front_seconds / kernels.steps,
+        dropped=sum(stretch.n for stretch in course.stretches if not scored.takes(stretch)),
+        lost=course.lost,
+        every=scored.every,
+        encoder=scored.encoder,
+        over_time=scored.over_time,
+        started=run.info.started,
+        recorded_by=str(run.info.identity.get("hallbench", "")),
+        restarts={} if estimators is None else estimators.restarts,
+        identity=run.info.identity,
+        notes=(*([] if run.ended else [ENDS_EARLY]), *run.damage, *notes),
+    )
+
+
+class _Scored:
+    """The estimates of a recording against its encoder, window by window."""
+
+    def __init__(self, course: Course, kinds: Iterable[str], reference: str, rate: float, n_p: int) -> None:
+        self._course, self._reference, self._rate, self._pole_pairs = course, reference, rate, n_p
+        self._seen = 0  # samples
+        self._number = -1  # of the stretch
+        self.every = max(1, sum(stretch.n for stretch in course.stretches if self.takes(stretch)) // POINTS)
+        points = [-(-stretch.n // self.every) if self.takes(stretch) else 0 for stretch in course.stretches]
+        self._first_points = np.cumsum([0, *points])
+        self.tallies = {name: Tally() for name in kinds}
+        self.over_time = {name: OverTime(sum(points)) for name in kinds}
+        self.encoder = Envelope(sum(points))
+
+    def takes(self, stretch: Stretch) -> bool:
+        """Whether it is long enough."""
+        return stretch.n >= LEAST * self._rate
+
+    def add(self, window: Window, estimates: Mapping[str, Estimate]) -> None:
+        """Add a window, with the estimates of its own samples."""
+        theta = window.capture.samples.physical(self._reference)
+        usable = self._course.usable(window.capture.samples)
+        begin = window.own.start
+        for rows, own in window.stretches():
+            self._number += own.start == rows.start
+            stretch = self._course.stretches[self._number]
+            if self.takes(stretch):
+                block = self._block(stretch, theta[rows], usable[rows], rows, own, self._seen + own.start - begin)
+                self.encoder.add(block.points, block.omega[block.own] * block.rpm_by)
+                for name, estimate in estimates.items():
+                    part = Estimate(*(values[own.start - begin : own.stop - begin] for values in estimate))
+                    degrees = error_of(block, part)
+                    self.tallies[name].add(block, part, degrees)
+                    self.over_time[name].add(block, part, degrees)
+        self._seen += window.own.stop - begin
+
+    def _block(
+        self, stretch: Stretch, theta: F64, usable: NDArray[np.bool_], rows: slice, own: slice, first: int
+    ) -> Block:
+        """`first`: number of the first of its `own` rows, counted from the recording's first sample."""
+        since = first - stretch.first  # of its own rows, in the stretch
+        omega = speed_of(theta, self._rate)
+        turns = stretch.turns.since(since - (own.start - rows.start))
+        number = since + np.arange(own.stop - own.start)
+        return Block(
+            theta,
+            omega,
+            phases_with(turns, omega, usable, self._rate, self._pole_pairs),
+            slice(own.start - rows.start, own.stop - rows.start),
+            self._rate,
+            self._pole_pairs,
+            stretch.t + since / self._rate,
+            self._first_points[self._number] + number // self.every,
+        )
+
+
+def _require_unambiguous(course: Course, path: str, rate: float, allowed: float) -> None:
+    """BenchError where the angle may turn half a turn from sample to sample.
+
+    By the largest speed that the recording tells: the reference's, or the largest estimate; without either by that
+    which the drive allows, electrical rad/s.
+    """
+    fastest = max(course.fastest.values(), default=allowed)
+    if fastest >= math.pi * rate:
+        raise BenchError(
+            f"{path} cannot be scored: at {rate:g} samples/s, an electrical speed of {fastest:.0f} rad/s is half "
+            f"a revolution or more per sample, which is ambiguous: record at --rate {fastest / 2:.0f} or more"
+        )
+
+
+def _speeds(config: StreamConfig) -> list[str]:
+    """The channels that tell the largest speed: the reference's, else the estimates'."""
+    channels = [c for c in config.channels if c.unit == Unit.RAD_PER_S]
+    flagged = ([c.name for c in channels if c.flags & flag] for flag in (Flag.REFERENCE, Flag.ESTIMATE))
+    return next((names for names in flagged if names), [])
+
+
+def _recorded(config: StreamConfig) -> dict[str, tuple[str, str, str]]:
+    """The estimates that are in a stream: who made it, channels of its angle and its speed, or "" for none.
+
+    Those of the drive are named drive_<short>, a replay's replayed_<short>.
+    """
+    speeds = {c.name for c in config.channels if c.flags & Flag.ESTIMATE and c.unit == Unit.RAD_PER_S}
+    found: dict[str, tuple[str, str, str]] = {}
+    for channel in config.channels:
+        if channel.flags & Flag.ESTIMATE and channel.unit == Unit.RAD:
+            short = channel.name.removeprefix("theta_")
+            kind = REPLAYED if short.endswith(HOST_SUFFIX) else DRIVE
+            omega = f"omega_{short}"
+            name = f"{kind}_{short.removesuffix(HOST_SUFFIX)}"
+            found[name] = kind, channel.name, omega if omega in speeds else ""
+    return found
+
+
+def _estimates(samples: SampleChunk, recorded: Mapping[str, tuple[str, str, str]]) -> dict[str, Estimate]:
+    unknown = np.full(len(samples), np.nan)
+    return {
+        name: Estimate(samples.physical(angle), samples.physical(speed) if speed else unknown)
+        for name, (_, angle, speed) in recorded.items()
+    }

@@ -1,0 +1,289 @@
+"""What a shaft and its Hall sensors did, put together window by window: edges with angle, speed and current.
+
+A false pulse is an input that changes and is back within `PULSE` seconds: no shaft passes two edges so quickly. Its two
+edges are taken out of the others and kept as a pulse. Edges of which no angle is known (beside a gap, or before the
+first sample) and edges of a shaft that hardly moves are left out, and counted. Nothing here judges.
+
+What is counted is counted over all of it; of more than `MOST` samples and `MOST_EDGES` edges so many evenly spread ones
+are kept to measure from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.signal.capture import Capture
+from bench.signal.channels import reference_angle
+from bench.signal.position import running
+from bench.signal.waveforms.sectors import SECTORS
+from bench.signal.windows import Window
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STATOR = ("u_alpha", "u_beta", "i_a", "i_b")
+"""Channels that the back-EMF is made of."""
+SLOW = 5.0
+"""Electrical rad/s, below which the direction of a shaft is not sure."""
+SLOPE = 8e-3
+"""s on either side of a sample over which the speed is taken."""
+MOST, MOST_EDGES = 500_000, 300_000
+PULSE = 20e-6
+"""s between the two edges of a false pulse, at most: a shaft at 30 000 electrical r/min takes 330 us a sector."""
+INPUTS = "abc"
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges of the Hall inputs, each array (m,)."""
+
+    tick: Ints
+    old: Ints
+    """Code before, 0..7."""
+    new: Ints
+    theta: Floats
+    """Electrical angle by the encoder, rad, unwrapped; NaN without an encoder."""
+    omega: Floats
+    """Electrical speed by the encoder, rad/s; NaN without an encoder."""
+
+
+@dataclass(frozen=True)
+class FalsePulses:
+    """False pulses, each array (k,)."""
+
+    input: Ints
+    """0..2: a, b, c."""
+    width: Floats
+    """s."""
+    current: Floats
+    """Size of the current vector then, A; NaN where no current was recorded."""
+
+
+@dataclass(frozen=True)
+class Some:
+    """Some of the samples, evenly spread, each array (k,)."""
+
+    hall: Ints
+    """Codes."""
+    theta: Floats
+    """Electrical angle by the encoder, rad, unwrapped; NaN without an encoder."""
+    omega: Floats
+    """Electrical speed by the encoder, rad/s; NaN without an encoder."""
+    current: Floats
+    """Size of the current vector, A; NaN where no current was recorded."""
+    u: NDArray[np.complex128]
+    i: NDArray[np.complex128]
+    """Voltage and current vectors, V and A; NaN where they were not recorded."""
+    settled: NDArray[np.bool_]
+    """Whether the outputs were on, and had been for eight samples."""
+
+
+Arrays = TypeVar("Arrays", Some, Edges, FalsePulses)
+
+
+class Trace:
+    """A stretch of time in which a shaft turned, put together window by window.
+
+    `samples`, `edges`: about how many there will be. `some`, `edges` and `pulses` are read when all has been added.
+    """
+
+    def __init__(self, samples: int, edges: int) -> None:
+        self._every, self._every_turn = -(-samples // MOST) or 1, -(-edges // MOST_EDGES) or 1
+        self.samples = 0
+        """How many there are."""
+        self.codes = np.zeros(8, np.int64)
+        """(8,) how many samples had each code; 0 where the channel `hall` was not recorded."""
+        self.encoder = False
+        """Whether there is one."""
+        self.up = self.down = 0.0
+        """Electrical turns by the encoder, each way; 0 without one."""
+        self.sample_time = 0.0
+        """s from sample to sample."""
+        self.changed = np.zeros((8, 8), np.int64)
+        """(8, 8) how many edges there are, of all, from each code to each."""
+        self.unplaced = self.slow = 0
+        """Edges left out: their angle is not known, beside a gap or without samples; the shaft hardly moved."""
+        self.parameters: Mapping[str, float] = {}
+        """The drive's, by name."""
+        self.pwm_hz = 0
+        self.dropped: list[tuple[int, int, str]] = []
+        """What was lost, as a `Capture` has it."""
+        self._some: list[Some] = []
+        self._edges: list[Edges] = []
+        self._pulses: list[FalsePulses] = []
+        self._angle: float | None = None  # the last one, unwrapped
+
+    @cached_property
+    def some(self) -> Some:
+        """Some of the samples, evenly spread."""
+        return _together(Some, self._some)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Some of the edges, evenly spread, of whole turns."""
+        return _together(Edges, self._edges)
+
+    @cached_property
+    def pulses(self) -> FalsePulses:
+        """All false pulses."""
+        return _together(FalsePulses, self._pulses)
+
+    def add(self, window: Window) -> None:
+        """Add a window, which has `SLOPE` on either side of its own samples, or more."""
+        capture, own = window.capture, window.own
+        config, tick = capture.samples.config, capture.samples.tick
+        self.parameters, self.pwm_hz = capture.parameters, config.pwm_hz
+        self.encoder = bool(reference_angle(config.channels))
+        period = float(np.median(np.diff(tick))) if len(capture) > 1 else 1.0
+        self.sample_time = self.sample_time or period / capture.tick_hz
+        self.dropped += capture.dropped
+        hall = np.zeros(len(capture), np.int64)
+        if "hall" in capture:
+            hall = capture.samples.raw["hall"].astype(np.int64)
+            self.codes += np.bincount(np.clip(hall[own], 0, 7), minlength=8)
+        theta = omega = np.full(len(capture), math.nan)
+        if self.encoder:
+            theta = self._unwrapped(capture.theta, own)
+            omega = speed(theta, capture.t)
+            way = omega[own] * self.sample_time / math.tau
+            moving = np.abs(omega[own]) >= SLOW
+            self.up += float(way[moving & (way > 0)].sum())
+            self.down -= float(way[moving & (way < 0)].sum())
+        current = _current(capture)
+        self._add_some(capture, own, hall, theta, omega, current)
+        self._add_edges(capture, theta, omega, current)
+        self.samples += own.stop - own.start
+
+    def _unwrapped(self, theta: Floats, own: slice) -> Floats:
+        """The angle as it goes on from the window before: what does not repeat with it does so over all of them."""
+        if self._angle is not None and own.start:
+            theta = theta + math.tau * round((self._angle - theta[own.start - 1]) / math.tau)
+        self._angle = float(theta[own.stop - 1])
+        return theta
+
+    def _add_some(
+        self, capture: Capture, own: slice, hall: Ints, theta: Floats, omega: Floats, current: Floats
+    ) -> None:
+        at = np.arange(len(hall))[own][-self.samples % self._every :: self._every]
+        u = i = np.full(len(hall), complex(math.nan, math.nan))
+        if all(name in capture for name in STATOR):
+            u, i = stator(capture)
+        columns = (hall, theta, omega, current, u, i, driven(capture))
+        self._some.append(Some(*(column[at] for column in columns)))  # type: ignore[arg-type]
+
+    def _add_edges(self, capture: Capture, theta: Floats, omega: Floats, current: Floats) -> None:
+        raw = capture.edges
+        tick, old, new = raw.tick, raw.hall_old.astype(np.int64) & 7, raw.hall_new.astype(np.int64) & 7
+        first = _pulse_starts(tick, old, new, PULSE * capture.tick_hz)
+        free = np.ones(len(tick), bool)
+        free[first] = free[first + 1] = False
+        self._pulses.append(
+            FalsePulses(
+                np.array([int(bits).bit_length() - 1 for bits in old[first] ^ new[first]], np.int64),
+                (tick[first + 1] - tick[first]) / capture.tick_hz,
+                current[np.clip(np.searchsorted(capture.samples.tick, tick[first]), 0, len(current) - 1)],
+            )
+        )
+        tick, old, new, kept = tick[free], old[free], new[free], (raw.index // SECTORS % self._every_turn == 0)[free]
+        angle = rate = np.full(len(tick), math.nan)
+        used = np.ones(len(tick), bool)
+        if self.encoder:
+            angle, rate = (np.interp(tick, capture.samples.tick, values) for values in (theta, omega))
+            known = _known(capture.samples.tick, tick, self.sample_time * capture.tick_hz)
+            used = known & (np.abs(rate) >= SLOW)
+            self.unplaced += int(np.count_nonzero(~known))
+            self.slow += int(np.count_nonzero(known & ~used))
+        np.add.at(self.changed, (old[used], new[used]), 1)
+        kept &= used
+        self._edges.append(Edges(tick[kept], old[kept], new[kept], angle[kept], rate[kept]))
+
+    @property
+    def seconds(self) -> float:
+        """Time covered by samples."""
+        return self.samples * self.sample_time
+
+    def changes(self) -> list[int]:
+        """How often each input changed."""
+        both = np.arange(8)
+        flips = both[:, None] ^ both
+        return [int(self.changed[flips >> number & 1 == 1].sum()) for number in range(len(INPUTS))]
+
+    def back_emf(self, use: NDArray[np.bool_], backwards: bool = False) -> NDArray[np.complex128] | None:
+        """The back-EMF e = u - (R_s + j omega L_s) i of `some`, those to `use`, in the encoder's frame, V, (k,).
+
+        It is real and above 0 where the encoder is right; `backwards`: an encoder that counts down is. None where
+        voltage, current, R_s_hat or L_s_hat are not known.
+        """
+        resistance, inductance = (self.parameters.get(name) for name in ("R_s_hat", "L_s_hat"))
+        some, way = self.some, -1.0 if backwards else 1.0
+        if resistance is None or inductance is None or np.isnan(some.u).all():
+            return None
+        omega = way * some.omega[use]
+        e = some.u[use] - (resistance + 1j * omega * inductance) * some.i[use]
+        # the voltage is that of the period that ends at the sample: it is half a period old
+        angle = way * some.theta[use] - 0.5 * omega / self.pwm_hz
+        still: NDArray[np.complex128] = e * np.exp(-1j * angle) * np.sign(omega) / 1j
+        return still
+
+
+def _together(kind: type[Arrays], parts: list[Arrays]) -> Arrays:
+    return kind(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(kind)))
+
+
+def _known(at: Ints, tick: Ints, period: float) -> NDArray[np.bool_]:
+    """Which edges lie between two samples, at ticks `at`, that follow each other."""
+    if len(at) < 2:
+        return np.zeros(len(tick), bool)
+    after = np.clip(np.searchsorted(at, tick), 1, len(at) - 1)
+    known: NDArray[np.bool_] = (
+        (tick >= at[after - 1]) & (tick <= at[after]) & (at[after] - at[after - 1] < 1.5 * period)
+    )
+    return known
+
+
+def _current(capture: Capture) -> Floats:
+    """Size of the current vector: by its dq components, else by two phases."""
+    if "i_d" in capture and "i_q" in capture:
+        return np.hypot(capture["i_d"], capture["i_q"])
+    if "i_a" in capture and "i_b" in capture:
+        return np.hypot(capture["i_a"], (capture["i_a"] + 2.0 * capture["i_b"]) / math.sqrt(3.0))
+    return np.full(len(capture), math.nan)
+
+
+def _pulse_starts(tick: Ints, old: Ints, new: Ints, width: float) -> Ints:
+    """Indices of edges that the next one undoes within `width` ticks; no edge is in two pulses."""
+    single = np.isin(old ^ new, (1, 2, 4))
+    candidates = np.flatnonzero(single[:-1] & (new[1:] == old[:-1]) & (np.diff(tick) <= width))
+    starts: list[int] = []
+    for k in candidates.tolist():
+        if not starts or k > starts[-1] + 1:
+            starts.append(k)
+    return np.array(starts, np.int64)
+
+
+def speed(theta: Floats, t: Floats) -> Floats:
+    """Speed at each sample from the samples `SLOPE` before and after it."""
+    n = len(theta)
+    reach = max(1, round(SLOPE / float(np.median(np.diff(t))))) if n > 1 else 1
+    before, after = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
+    slope: Floats = (theta[after] - theta[before]) / np.maximum(t[after] - t[before], 1e-9)
+    return slope
+
+
+def stator(capture: Capture) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Voltage and current vectors, (n,) each, V and A."""
+    i_a, i_b = capture["i_a"], capture["i_b"]
+    return capture["u_alpha"] + 1j * capture["u_beta"], i_a + 1j * (i_a + 2.0 * i_b) / math.sqrt(3.0)
+
+
+def driven(capture: Capture) -> NDArray[np.bool_]:
+    """Where the outputs were on, and had been for eight samples."""
+    on = running(capture.samples)
+    return np.convolve(on, np.ones(9), "full")[: len(on)] > 8.5

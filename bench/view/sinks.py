@@ -1,0 +1,206 @@
+"""The live view of a run: a sink with a thread and a rerun stream of its own.
+
+The acquisition thread calls `samples`, `edges`, … here and never waits: rerun is only called from the sink's thread.
+The queue is short, and what does not fit is dropped and counted. So a slow, stopped or dead viewer costs live frames,
+never recorded samples.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from bench.device.client import Sink
+from bench.record.info import RunInfo
+from bench.signal.percentiles import Percentiles
+from bench.view import schema
+from bench.view.blocks import Block, BlockBuilder
+from protocol.messages import DeviceEvent, Heartbeat
+from protocol.streams import EdgeChunk, SampleChunk
+from sim.interrupts import Held
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from bench.view.log import RunLog
+
+BLOCK_PERIOD = 0.055  # s of signal a message to a live view
+READY_TIMEOUT = 10.0  # s for rerun to be imported
+HELD = 0.25  # s of samples of each such message: what is in sight, and not what a browser would choke on
+HOLD_PERIOD = 3.0  # s of signal a message of a live view that holds still in between
+TOUCH_PERIOD = 0.4  # s between touches of one that does
+LIVE_QUEUE, HOLD_QUEUE = 20, 3  # blocks
+LIVE_CLOSE_TIMEOUT = 2.0  # s for a viewer to take what is left
+
+Now = Callable[[], float]
+_Item = Block | str  # a block, or the text of the summary
+
+
+class LiveSink(Sink):
+    """Serves a run to viewers on this machine, at `url`, from a gRPC server in this process on `port`.
+
+    Viewers may come, stall and go at any time; `dropped_blocks` and `dropped_samples` tell what they did not get. With
+    `hold` the view is updated every three seconds, all at once, and stands still in between; of the samples it is given
+    those of the last quarter of a second, which are in sight: a browser without a GPU draws a frame or two a second.
+
+    `latency` holds, for every sample, the time in s until it was handed to rerun: since the drive took the oldest
+    sample of its chunk if `host_time` (device tick to host time, as `now` counts it) is set, else since it came here.
+    `host_time` is asked as a chunk comes, and gives None while the drive's clock is not known: such samples are left
+    out. What is held back on purpose counts until it came here.
+    """
+
+    host_time: Callable[[float], float | None] | None = None
+
+    def __init__(
+        self, run: RunInfo, port: int, *, hold: bool = False, now: Now = time.monotonic, sector: float | None = None
+    ) -> None:
+        self.run = run
+        self.latency = Percentiles()
+        self.logged_samples = 0
+        self.logged_edges = 0
+        self._now = now
+        self._ready = threading.Event()
+        self._builder = BlockBuilder(HOLD_PERIOD if hold else BLOCK_PERIOD, run.tick_hz)
+        self.dropped_blocks = 0
+        self.dropped_samples = 0
+        self.error: str | None = None
+        self._queue: queue.Queue[_Item] = queue.Queue(HOLD_QUEUE if hold else LIVE_QUEUE)
+        self._closing = threading.Event()
+        self._hold = hold
+        self._stream, self.url = _serve(run, port, sector)
+        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
+        self._thread.start()
+        self._ready.wait(READY_TIMEOUT)  # until it has imported what it needs, because streaming data would not wait
+
+    def samples(self, chunk: SampleChunk) -> None:
+        """Take samples."""
+        now = self._now()
+        taken: float | None = now
+        if self.host_time is not None and len(chunk):
+            taken = self.host_time(float(chunk.tick[0]))
+        self._builder.samples(chunk, now, taken)
+        self._pass_on(now)
+
+    def edges(self, chunk: EdgeChunk) -> None:
+        """Take Hall edges; they go out no later than the samples that follow them."""
+        self._builder.edges(chunk, self._now())
+
+    def heartbeat(self, node: int, heartbeat: Heartbeat) -> None:
+        """Take a heartbeat."""
+        now = self._now()
+        self._builder.heartbeat(node, heartbeat, now)
+        self._pass_on(now)
+
+    def event(self, node: int, event: DeviceEvent) -> None:
+        """Take an event of the drive."""
+        self._builder.event(node, event, self._now())
+
+    def missing(self, node: int, samples: int, edges: int) -> None:
+        """Take what was lost at the end of the streams into the account of losses."""
+        self._builder.missing(samples, edges, self._now())
+
+    def note(self, text: str, level: str = "INFO", tick: int | None = None) -> None:
+        """Take a line of the host's for the log; `level` as rerun's: INFO, WARN, ERROR.
+
+        It stands at the newest device time seen, or at `tick`.
+        """
+        self._builder.note(text, level, self._now(), tick)
+
+    def summary(self, markdown: str) -> None:
+        """Take the summary, which replaces an earlier one."""
+        self._put(markdown)
+
+    def _pass_on(self, now: float, everything: bool = False) -> None:
+        block = self._builder.take(now, everything)
+        if block is not None:
+            self._put(block)
+
+    def close(self) -> bool:
+        """Give viewers what is queued and end the server; False if a stalled viewer keeps it from ending in time."""
+        self._pass_on(self._now(), everything=True)
+        self._closing.set()
+        self._thread.join(LIVE_CLOSE_TIMEOUT)
+        return not self._thread.is_alive()
+
+    def _log(self, log: RunLog, item: _Item) -> None:
+        """Hand one item to rerun; on the sink's own thread."""
+        if isinstance(item, str):
+            log.summary(item)
+            return
+        item.losses["lost:live_blocks"] = self.dropped_blocks
+        log.block(item)
+        now = self._now()
+        for chunk, arrived, taken in zip(item.samples, item.arrivals, item.taken, strict=True):
+            if taken is not None:
+                self.latency.add((arrived if self._hold else now) - taken, len(chunk))
+        self.logged_samples += item.n_samples
+        self.logged_edges += item.n_edges
+
+    def _put(self, item: _Item) -> None:
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            if isinstance(item, Block):
+                self.dropped_blocks += 1
+                self.dropped_samples += item.n_samples
+
+    def _work(self) -> None:
+        from bench.view.log import RunLog
+
+        try:
+            log = RunLog(self._stream, self.run, live=True, newest=HELD if self._hold else math.inf)
+            log.start()
+            self._ready.set()
+            while True:
+                try:
+                    item = self._queue.get(timeout=TOUCH_PERIOD if self._hold else 0.1)
+                except queue.Empty:
+                    if self._closing.is_set():
+                        break
+                    if self._hold:
+                        log.touch()
+                    continue
+                self._log(log, item)
+            log.finish()
+            self._stream.flush(timeout_sec=LIVE_CLOSE_TIMEOUT)
+            self._stream.disconnect()
+        except Exception as error:  # the live view is a convenience: the run goes on without it
+            self.error = str(error)
+        finally:
+            self._ready.set()
+
+
+def new_stream(run: RunInfo) -> rr.RecordingStream:
+    """A rerun stream of a run, with the device's time as its only time."""
+    import rerun as rr
+
+    with Held():  # an unfinished one complains when it is dropped
+        stream = rr.RecordingStream(schema.APPLICATION, recording_id=run.recording_id)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
+
+
+def abandon(stream: rr.RecordingStream) -> None:
+    """Let nobody tidy `stream` up: rerun (0.41) may wait for a dead writer for ever, at exit or when it is deleted."""
+    import rerun as rr
+
+    rr.unregister_shutdown()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
+
+
+def _serve(run: RunInfo, port: int, sector: float | None) -> tuple[rr.RecordingStream, str]:
+    import rerun as rr
+
+    from bench.view import dashboard
+
+    stream = new_stream(run)
+    server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="128MiB")
+    stream.set_sinks(server)
+    stream.send_blueprint(dashboard.blueprint(run, sector=sector))
+    return stream, server.uri

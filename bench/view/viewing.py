@@ -1,0 +1,272 @@
+"""A recorded run in rerun: the dashboard that it had live, of any part of it.
+
+A short part is shown sample by sample. A long one is shown as minima and maxima, which the run has ready, and sample by
+sample only around faults, marks and the end: rerun's memory holds minutes of samples, not hours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from bench.errors import RecordingError
+from bench.files import part_of
+from bench.record.info import RunInfo
+from bench.record.layout import EDGES, numbers
+from bench.record.losses import LossAccount
+from bench.record.overview import BIN, coarser
+from bench.record.reader import Run, Segment, overviews
+from bench.signal.chunks import between
+from bench.view import dashboard, schema
+from bench.view.blocks import Block
+from bench.view.log import RunLog
+from bench.view.plots import plots
+from bench.view.sinks import abandon, new_stream
+from protocol.messages import EventCode
+from protocol.streams import EdgeChunk, SampleChunk
+
+WINDOW = 0.05  # s that go to rerun in one piece
+LOT = 0.25  # s of signal a message; with longer ones a file is half as large again
+LOT_BROWSER = 2.0  # the same for a browser: without a GPU it draws a frame in seconds, and reads few messages a frame
+CLOSE = 60.0  # s that are shown sample by sample
+AROUND = 0.5  # s before and after a fault or a mark that are, in a longer run
+MOST_CLOSE = 30  # of those
+BINS = 36_000  # that a long run is shown as, at most: half an hour of 50 ms
+LOOK, LOOKED_BACK, ENOUGH = 3, 45, 12  # s, s, sectors: from what the length of a sector is found
+FLUSH_TIMEOUT = 60.0  # s
+
+Span = tuple[int, int]
+
+
+def lot_for(kind: str) -> float:
+    """`lot` of a file for a `native` viewer, or for a browser (`web`)."""
+    return LOT_BROWSER if kind == "web" else LOT
+
+
+def write_rrd(
+    run: Run, path: Path, first: int | None = None, last: int | None = None, page: int = 0, lot: float = LOT
+) -> None:
+    """Write the part of a run from tick `first` to `last` for rerun's viewer, opened at a page of the dashboard.
+
+    `lot`: s of signal a message; long ones make a larger file.
+
+    Raises RecordingError.
+    The file appears, or replaces an earlier one, when it is whole.
+    """
+    begin, end = -1 if first is None else first, 1 << 62 if last is None else last
+    near = closeups(run, begin, end, and_end=True)
+    with rrd_file(path, run.info) as stream:
+        whole = (max(begin, run.span[0]), min(end, run.span[1])) if run.segments else None
+        sector = None if whole is None else sector_time(run, *whole)
+        # a viewer that reads along needs a layout now; how far the plots reach is known when all has been read
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, page=page))
+        log = RunLog(stream, run.info, lot)
+        log.start()
+        show(run, log, begin, end, near)
+        log.finish()
+        assert log.extents is not None
+        found = {key: log.extents.of(plot) for key, plot in plots(run.info).items() if plot.entity == schema.TREND}
+        extents = {key: extent for key, extent in found.items() if extent is not None}
+        stream.send_blueprint(dashboard.blueprint(run.info, run.marks, whole, near is not None, sector, extents, page))
+
+
+@contextmanager
+def rrd_file(path: Path, info: RunInfo) -> Iterator[rr.RecordingStream]:
+    """A rerun stream of the run `info` to a file, which appears, or replaces an earlier one, when it is whole.
+
+    Raises RecordingError.
+    """
+    part = part_of(path)
+    stream = new_stream(info)
+    try:
+        stream.save(part)
+        yield stream
+        stream.flush(timeout_sec=FLUSH_TIMEOUT)
+        stream.disconnect()
+        part.replace(path)
+    except (RuntimeError, OSError) as error:
+        abandon(stream)
+        raise RecordingError(f"{path} cannot be written: {error}") from None
+    except BaseException:
+        abandon(stream)
+        raise
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def sector_time(run: Run, first: int, last: int) -> float | None:
+    """How long the Hall sectors from tick `first` to `last` lasted when the shaft last turned, s; None if it did not.
+
+    The last three quarters of a minute are looked at.
+    """
+    second = run.info.tick_hz
+    if EDGES not in run.names:
+        return None
+    for back in range(LOOKED_BACK // LOOK):
+        end = last - back * LOOK * second
+        begin = max(first, end - LOOK * second)
+        ticks = [chunk.tick for segment in run.segments for chunk in segment.pieces(EDGES, begin, end)]
+        found = np.diff(np.concatenate(ticks)) if ticks else np.zeros(0)
+        if len(found) >= ENOUGH:
+            return float(np.median(found)) / second
+        if begin == first:
+            break
+    return None
+
+
+def closeups(run: Run, first: int, last: int, and_end: bool = False) -> list[Span] | None:
+    """What of the ticks `first` to `last` of a long run is shown sample by sample: what is near a fault or a mark.
+
+    With `and_end` also the end, where a viewer opens.
+
+    None where it is short, and all of it is.
+    """
+    second = run.info.tick_hz
+    lengths = [min(last, segment.span[1]) - max(first, segment.span[0]) for segment in run.segments]
+    if sum(max(0, length) for length in lengths) <= CLOSE * second:
+        return None
+    faults = [event.tick for event in run.events if event.code == EventCode.FAULT]
+    ticks = sorted({*faults, *(mark.first_tick for mark in run.marks)})
+    around = round(AROUND * second)
+    found: list[Span] = []
+    chosen = [tick for tick in ticks if first <= tick <= last][:MOST_CLOSE]
+    for tick in sorted({*chosen, min(last, run.span[1])}) if and_end else chosen:
+        span = max(first, tick - around), min(last, tick + around)
+        if found and span[0] <= found[-1][1]:
+            found[-1] = found[-1][0], span[1]
+        else:
+            found.append(span)
+    return found
+
+
+def show(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span] | None) -> None:
+    """Log the ticks `first` to `last` of a run: sample by sample within the spans `near`, or all where that is None."""
+    for mark in run.marks:
+        if mark.first_tick <= last and mark.last_tick >= first:
+            log.mark(mark)
+    if near is None:
+        for block in _blocks(run, first, last):
+            log.block(block)
+    else:
+        _from_afar(run, log, first, last, near)
+    if run.summary:
+        log.summary(run.summary)
+
+
+def _from_afar(run: Run, log: RunLog, first: int, last: int, near: Sequence[Span]) -> None:
+    """Log an overview of a long run, the samples within the spans `near`, and all that was said."""
+    bin_ticks = round(BIN * run.info.tick_hz)
+    length = min(last, run.span[1]) - max(first, run.span[0])
+    together = max(1, -(-length // (bin_ticks * BINS)))  # bins that are shown as one
+    account, said = LossAccount(), _Said(run, first, last)
+    if run.lost is not None:
+        account.counters |= run.lost
+    for segment in run.segments:
+        begin, end = max(first, segment.span[0]), min(last, segment.span[1])
+        if begin > end:
+            continue
+        for table in overviews(run, segment):
+            ticks = numbers(table.column("tick"))
+            shown = (ticks >= begin) & (ticks <= end)
+            for a, b in near:
+                shown &= (ticks < a - bin_ticks) | (ticks > b)
+            if shown.any():
+                log.overview(coarser(table.filter(pa.array(shown)), together), round(BIN * 1e9) * together)
+        for a, b in near:
+            if a <= end and b >= begin:
+                for block in _windows(run, segment, max(a, begin), min(b, end)):
+                    log.block(block)
+        block = Block()
+        said.add(block, account, end)
+        log.block(block)
+    rest = Block()
+    said.add(rest, account, 1 << 62)
+    if run.lost is None:
+        rest.notes.append((min(last, run.span[1]), "losses are not counted: the run came to no end", "WARN"))
+    log.block(rest)
+
+
+def _blocks(run: Run, first: int, last: int) -> Iterator[Block]:
+    """Everything from tick `first` to `last`, a window at a time; what happened before the samples comes first."""
+    account = LossAccount()
+    said = _Said(run, first, last)
+    for segment in run.segments:
+        begin, end = max(first, segment.span[0]), min(last, segment.span[1])
+        if begin > end:
+            continue
+        if segment.after_removed:
+            account.not_kept()
+        for block in _windows(run, segment, begin, end):
+            block.samples = [account.chunk(chunk) for chunk in block.samples]
+            block.edges = [account.chunk(chunk) for chunk in block.edges]
+            before = Block()
+            said.add(before, account, min(int(tick[0]) for tick in _ticks(block)) - 1)
+            yield before
+            said.add(block, account, max(int(tick[-1]) for tick in _ticks(block)))
+            yield block
+    rest = Block()
+    said.add(rest, account, 1 << 62)
+    for _, _, samples, edges in run.missing:
+        account.missing(samples, edges)
+    rest.losses = _losses(account)
+    yield rest
+
+
+def _windows(run: Run, segment: Segment, begin: int, end: int) -> Iterator[Block]:
+    """The samples and edges of a segment, a window at a time."""
+    step = round(WINDOW * run.info.tick_hz)
+    waiting = {name: segment.pieces(name, begin, end) for name in run.names}
+    held: dict[str, SampleChunk | EdgeChunk | None] = {name: next(pieces, None) for name, pieces in waiting.items()}
+    for at in range(begin, end + 1, step):
+        block = Block()
+        for name, pieces in waiting.items():
+            while (chunk := held[name]) is not None and int(chunk.tick[0]) < at + step:
+                now = between(chunk, at, at + step - 1)
+                if isinstance(now, SampleChunk):
+                    block.samples.append(now)
+                else:
+                    block.edges.append(now)
+                if int(chunk.tick[-1]) >= at + step:
+                    held[name] = between(chunk, at + step, 1 << 62)
+                    break
+                held[name] = next(pieces, None)
+        if block.samples or block.edges:
+            yield block
+
+
+def _ticks(block: Block) -> list[NDArray[np.int64]]:
+    """Of its chunks."""
+    return [chunk.tick for chunk in block.samples] + [chunk.tick for chunk in block.edges]
+
+
+class _Said:
+    """Events, heartbeats and notes of a run, handed out with the samples that they came with."""
+
+    def __init__(self, run: Run, first: int, last: int) -> None:
+        notes = [(tick, text, level) for (tick, text), level in zip(run.notes, run.levels, strict=True)]
+        self._events = [event for event in run.events if first <= event.tick <= last]
+        self._heartbeats = [pair for pair in run.heartbeats if first <= pair[1].tick <= last]
+        self._notes = [note for note in notes if first <= note[0] <= last]
+
+    def add(self, block: Block, account: LossAccount, upto: int) -> None:
+        """Put what was said up to tick `upto` into `block`, with the losses up to then."""
+        while self._events and self._events[0].tick <= upto:
+            event = self._events.pop(0)
+            block.events.append((event.node, event))
+        while self._heartbeats and self._heartbeats[0][1].tick <= upto:
+            pair = self._heartbeats.pop(0)
+            account.heartbeat(*pair)
+            block.heartbeats.append(pair)
+        while self._notes and self._notes[0][0] <= upto:
+            block.notes.append(self._notes.pop(0))
+        block.losses = _losses(account)
+
+
+def _losses(account: LossAccount) -> dict[str, int]:
+    return {f"lost:{name}": n for name, n in account.counters.items()}

@@ -1,0 +1,287 @@
+"""Sabotage proves the suite: a broken drive fails in the measurements that should notice, by name.
+
+`sabotage.toml` names what must notice a broken configuration, and says why. The holes that the suite once had are each
+held shut on two motors: protection that is dead, observers that are wrong in one line. A sabotage runs what must
+notice and a few tests that must not. Whether currents stayed in bounds and the outputs went off is asked of the
+simulated drive.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from itertools import product
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+from zlib import crc32
+
+import numpy as np
+import pytest
+from accepting import Accepting, Run, SpoiltLink
+from mutants import mutant
+from virtual_run import at_rest
+
+from bench.accept.results import Verdict
+from bench.device.simulator import motors
+from protocol.device.state import StateMachine
+from protocol.signals import MILLI
+from sim.config.params import load_params
+from sim.drive import tick_protection as protection
+from sim.drive.machine import Recorded, SimulatedBench
+from sim.ports.device import SimulatedDevice
+from tests.choice import sampled
+
+pytestmark = [pytest.mark.slow, pytest.mark.long("a good part of the suite for each sabotage")]
+
+SABOTAGES = tomllib.loads(Path(__file__).with_name("sabotage.toml").read_text())
+BROKEN_CONFIGS = [name for name, sabotage in SABOTAGES.items() if "config" in sabotage]
+QUIET = ("current_offsets", "watchdog", "stop", "trip")
+MOTORS = ("", "anaheim-bly172s-24v")  # the paper's, and one of four pole pairs
+
+
+class WatchedBench(SpoiltLink):
+    """A simulated bench that loses a frame of samples at `lose_at` s, and keeps how it stood when it was left."""
+
+    def __init__(self, device: SimulatedDevice, lose_at: float) -> None:
+        super().__init__(device)
+        self.lose_at = lose_at
+        self.left_at_rest = False
+
+    def read(self, timeout: float, settle: float = 0.0) -> bytes:
+        if self.clock() >= self.lose_at:
+            self.lose_at, self.lose = math.inf, 1
+        return super().read(timeout, settle)
+
+    def close(self) -> None:
+        self.left_at_rest = at_rest(self.device)
+        super().close()
+
+
+@dataclass
+class Workshop:
+    """Runs the suite on a drive that is broken by `config`, or that loses a frame at a time, by test."""
+
+    accepting: Accepting
+    opened: list[WatchedBench] = field(default_factory=list)
+    i_trip: float = 0.0
+    largest: float = 0.0
+    """Phase current in A, of all tests and control periods."""
+
+    def run(
+        self, config: str = "", lose_at: Mapping[str, float] | None = None, keyword: str | None = None, motor: str = ""
+    ) -> Run:
+        file = self.accepting.directory / "sabotage.toml"
+        file.write_text((motors()[motor].read_text() if motor else "") + config)
+        self.i_trip = load_params(file).firmware.protection.i_trip
+        by_seed = {crc32(test.encode()): at for test, at in (lose_at or {}).items()}
+
+        def open_virtual(config: Path, overrides: Mapping[str, float], seed: int) -> WatchedBench:
+            device = SimulatedDevice(load_params(config, overrides), seed)
+            self.opened.append(WatchedBench(device, by_seed.get(seed, math.inf)))
+            return self.opened[-1]
+
+        advance = SimulatedBench.advance
+
+        def watched(bench: SimulatedBench, n: int) -> Recorded:
+            recorded = advance(bench, n)
+            currents = [np.abs(recorded.samples[phase].astype(int)).max() for phase in ("i_a", "i_b", "i_c")]
+            self.largest = max(self.largest, MILLI * float(max(currents)))
+            return recorded
+
+        with (
+            patch("sim.ports.virtual.open_virtual", open_virtual),
+            patch.object(SimulatedBench, "advance", watched),
+        ):
+            return self.accepting(config=file, keyword=keyword)
+
+    def require_safe(self) -> None:
+        """Outputs were off at each test's end, and no current came to the one at which the drive trips."""
+        assert {bench.left_at_rest for bench in self.opened} == {True}
+        assert 0.0 < self.largest < self.i_trip
+
+
+@pytest.fixture
+def workshop(accepting: Accepting) -> Workshop:
+    return Workshop(accepting)
+
+
+def named(patterns_by_test: Mapping[str, list[str]], run: Run) -> set[str]:
+    """Full names of the measurements that are meant."""
+    found: set[str] = set()
+    for test, patterns in patterns_by_test.items():
+        names = {measurement.limits.name for measurement in run[test].measurements}
+        meant: set[str] = set()
+        for pattern in patterns:
+            matched = {name for name in names if fnmatchcase(name, pattern.removeprefix("!"))}
+            assert matched, f"{test} measures nothing like '{pattern}'"
+            meant = meant - matched if pattern.startswith("!") else meant | matched
+        found |= {f"{test}.{name}" for name in meant}
+    return found
+
+
+def _family(test: str) -> str:
+    return test.partition("[")[0]
+
+
+def concerned(sabotage: Mapping[str, Any]) -> str:
+    """Keyword of the tests that must notice, and of some that must not."""
+    tests = {*sabotage["must"], *sabotage.get("at", {}), *QUIET}
+    return " or ".join(sorted({_family(test) for test in tests}))
+
+
+def assert_noticed(sabotage: Mapping[str, Any], run: Run, verdict: Verdict) -> None:
+    """What must notice did, and said so by `verdict`; in no test but those that are named."""
+    must = named(sabotage["must"], run)
+    noticed = {name: m.verdict for name, m in run.measured.items() if m.verdict is not Verdict.PASS}
+    assert must - noticed.keys() == set(), "should have noticed"
+    strangers = {
+        test.name
+        for test in run.result.tests
+        if test.verdict is not Verdict.PASS
+        and test.name not in sabotage["must"]
+        and _family(test.name) not in sabotage.get("may", ())
+    }
+    assert strangers == set(), "should not have noticed"
+    assert set(noticed.values()) == {verdict}
+
+
+@pytest.mark.parametrize("name", sampled("config", BROKEN_CONFIGS, 1, campaign="sabotage"))
+def test_a_broken_drive_fails_where_it_should(name: str, workshop: Workshop) -> None:
+    run = workshop.run(SABOTAGES[name]["config"], keyword=concerned(SABOTAGES[name]))
+    assert_noticed(SABOTAGES[name], run, Verdict.FAIL)
+    assert run.code == 1
+    workshop.require_safe()
+
+
+DEAD = {
+    "over-current": {"i_trip": math.inf},
+    "over-speed": {"omega_trip": math.inf},
+    "under-voltage": {"u_dc_min": 0.0},
+    "over-voltage": {"u_dc_max": math.inf},
+}
+
+
+@pytest.mark.parametrize(("trip", "motor"), sampled("dead", product(DEAD, MOTORS), 2, campaign="sabotage"))
+def test_a_protection_that_is_dead_fails_in_its_own_test(trip: str, motor: str, workshop: Workshop) -> None:
+    make_params = protection.make_params
+
+    def dead(*arguments: Any) -> protection.Params:
+        return make_params(*arguments)._replace(**DEAD[trip])
+
+    with patch.object(protection, "make_params", dead):
+        run = workshop.run(keyword="trip", motor=motor)
+    assert run.tests == {f"trip[{name}]": "FAIL" if name == trip else "PASS" for name in DEAD}
+    failed = {name.rpartition(".")[2] for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
+    assert failed >= {"named", "trip_time"}
+    workshop.require_safe()
+
+
+def test_a_threshold_that_nothing_reaches_is_none(workshop: Workshop) -> None:
+    run = workshop.run(
+        "[firmware.protection]\ni_trip = 900.0\nomega_m_trip = 9000.0\nu_dc_min = 0.0\nu_dc_max = 900.0", keyword="trip"
+    )
+    failed = {name for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
+    assert failed == {f"trip[{trip}].threshold" for trip in DEAD} | {"trip[over-current].seen"}
+
+
+BACKWARDS = "+ (0.0873 if {} < 0.0 else 0.0)"  # 5 deg
+WRONG = {
+    "vector-tracking": (
+        ("vector_tracking", "Estimate(theta, omega_lpf,", f"Estimate(theta {BACKWARDS.format('omega_h')}, omega_lpf,"),
+        ["error_mean.slow.backwards", "error_mean.fast.backwards"],
+    ),
+    "sector-centre": (
+        ("sector_centre", "Estimate(theta, hall", f"Estimate(theta {BACKWARDS.format('hall.omega')}, hall"),
+        ["error_mean.slow.backwards", "error_mean.fast.backwards"],
+    ),
+    "hall-vector-decoupled": (
+        ("hall_vector_decoupled", "return math.sin(sixfold)", "return -math.sin(sixfold)"), ["ratio.slow"],
+    ),
+    "lookup-table": (
+        ("lookup_table", "omega = hall.omega * (passed / SECTOR_WIDTH)", "omega = hall.omega"),
+        ["error_std.slow.forwards", "error_std.fast.backwards"],
+    ),
+    "edge-kalman": (
+        ("edge_kalman", "Estimate(theta, omega_lpf, bel", "Estimate(theta + 0.08, omega_lpf, bel"),
+        ["error_mean.fast.forwards", "error_mean.fast.backwards"],
+    ),
+}  # fmt: skip
+"""By test: what is wrong in one line of the observer, and the measurements that must notice."""
+MORE = {"hall-vector-decoupled": {"module": "hall_vector", "decouple": True}}
+
+
+QUICK = [*product(("sector-centre", "lookup-table", "hall-vector-decoupled"), MOTORS)]
+COMPILED = [*product(("vector-tracking", "edge-kalman"), MOTORS)]
+
+
+@pytest.mark.parametrize(
+    ("name", "motor"),
+    [*sampled("quick", QUICK, 2, campaign="sabotage"), *sampled("compiled", COMPILED, 0, campaign="sabotage")],
+)
+def test_an_observer_that_is_wrong_in_one_line_fails_in_its_own_test(name, motor, workshop, tmp_path_factory) -> None:
+    change, must = WRONG[name]
+    with mutant(*change, tmp_path_factory.getbasetemp(), **MORE.get(name, {})):
+        run = workshop.run(keyword=f"observer and {name} or observer and average", motor=motor)
+    failed = {name for name, m in run.measured.items() if m.verdict is Verdict.FAIL}
+    assert failed >= {f"observer[{name}].{measurement}" for measurement in must}
+    assert run.tests["observer[average-speed]"] == "PASS"
+    workshop.require_safe()
+
+
+NAMED = {
+    "pole pairs": ("[firmware]\nn_p = 5\n", "back_emf_and_encoder.encoder_turns"),
+    "flux linkage": ("[firmware]\npsi_f_hat = 4e-3\n", "back_emf_and_encoder.psi_f_deviation"),
+    "wiring": ("[wiring]\nhall_swap = 2\n", "hall_edges.wiring_as_specified"),
+}
+
+
+@pytest.mark.parametrize(("wrong", "motor"), sampled("named", product(NAMED, MOTORS), 2, campaign="sabotage"))
+def test_what_is_described_wrongly_is_named(wrong: str, motor: str, workshop: Workshop) -> None:
+    config, measurement = NAMED[wrong]
+    run = workshop.run(config, keyword="back_emf_and_encoder or hall_edges and not table1", motor=motor)
+    assert run.measured[measurement].verdict is Verdict.FAIL
+    workshop.require_safe()
+
+
+def test_a_watchdog_that_does_not_trip_fails_in_its_own_test_and_the_drive_ends_idle_all_the_same(workshop: Workshop):
+    sabotage = SABOTAGES["watchdog_does_not_trip"]
+    with patch.object(StateMachine, "_watchdog_ticks", lambda machine: 1 << 60):
+        run = workshop.run(keyword=concerned(sabotage))
+    assert_noticed(sabotage, run, Verdict.FAIL)
+    assert run.code == 1
+    workshop.require_safe()
+
+
+@pytest.mark.campaign("sabotage")
+def test_samples_that_are_lost_make_invalid_what_was_made_from_them(workshop: Workshop) -> None:
+    sabotage = SABOTAGES["dropped_samples"]
+    undisturbed = workshop.run(keyword=" or ".join(sabotage["at"]))
+    moments = {}
+    for test, name in sabotage["at"].items():
+        span = undisturbed.measured[f"{test}.{name}"].span
+        assert span is not None
+        moments[test] = sum(span) / 2.0
+    run = workshop.run(lose_at=moments, keyword=concerned(sabotage))
+    assert_noticed(sabotage, run, Verdict.INVALID)
+    assert (run.code, {test for test in run.tests if run[test].quality.lost_samples}) == (2, moments.keys())
+    workshop.require_safe()
+
+
+def test_without_an_encoder_every_test_passes_or_says_that_it_needs_one(workshop: Workshop) -> None:
+    run = workshop.run("[encoder]\npresent = 0\n")
+    skipped = {test.name for test in run.result.tests if test.verdict is Verdict.SKIPPED}
+    assert run.result.verdict is Verdict.INCOMPLETE
+    assert run.code == 6
+    assert all("needs an encoder" in run[name].why for name in skipped)
+    assert {test.name for test in run.result.tests if test.verdict is Verdict.PASS} == set(run.tests) - skipped
+    # those that no encoder is needed for, by what they do
+    assert set(run.tests) - skipped == {
+        "hall_wire_broken[a]", "hall_wire_broken[b]", "hall_wire_broken[c]", "hall_glitches", "watchdog",
+        "watchdog_under_load", "current_offsets", "full_speed", "stall_and_restart", "stop",
+        "trip[over-current]", "trip[over-speed]", "trip[under-voltage]", "trip[over-voltage]",
+    }  # fmt: skip
+    workshop.require_safe()
