@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 from unittest.mock import patch
 
@@ -50,17 +51,15 @@ def _notebook(link: SpoiltLink) -> None:
         rig.record(0.1)
 
 
+SPIN = "--speed 300 --load 1 --observer average-speed --current 3 --duration 0.2 --channels status,i_q --rate 1000"
+
+
 def _command(line: str) -> Callable[[SpoiltLink], None]:
-    few = "" if "live" not in line else " --channels status,i_q --rate 1000"
-    return lambda link: main(
-        line.replace("TARGET", TARGET).replace("OWN", f"own_{Path.cwd().name}.py").split() + few.split()
-    )
+    return lambda link: main(line.replace("TARGET", TARGET).replace("OWN", f"own_{Path.cwd().name}.py").split())
 
 
 COMMANDS: dict[str, Callable[[SpoiltLink], None]] = {
-    "live": _command(
-        "live TARGET --speed 300 --load 1 --observer average-speed --current 3 --duration 0.2 --yes --viewer none"
-    ),
+    "live": _command(f"live TARGET {SPIN} --yes --viewer none"),
     "accept": _command("accept TARGET --tests OWN --yes"),
     "hall": _command("hall check TARGET --speed 480 --yes"),
     "conform": _command("conform TARGET --level 4 --yes"),
@@ -111,14 +110,10 @@ def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / f"own_{tmp_path.name}.py").write_text(HEAD + ACCEPTED)
 
 
-def _without(link: SpoiltLink, number: int) -> None:
-    """Nothing happens."""
-
-
 @cache
 def _states(command: str, network: str) -> tuple[DriveState, ...]:
     """Of the drive at each call of a run that ends of itself."""
-    ended = _run(command, simulated(network=network), _without)
+    ended = _run(command, simulated(network=network), lambda link, number: None)
     assert ended.code == 0, ended.text
     return tuple(ended.link.states)
 
@@ -138,16 +133,11 @@ def _at(command: str, network: str) -> dict[str, int]:
 
 
 LATE = [pytest.mark.campaign("ends"), pytest.mark.long("thousands of CAN frames a second of virtual time")]
+SLOW = {("hall", "CAN"), ("accept", "CAN")}
+RUNS = [pytest.param(*each, marks=LATE if each in SLOW else ()) for each in product(COMMANDS, LINKS)]
 
 
-@pytest.mark.parametrize(
-    ("command", "network"),
-    [
-        pytest.param(command, network, marks=LATE if network == "CAN" and command in ("hall", "accept") else ())
-        for command in COMMANDS
-        for network in LINKS
-    ],
-)
+@pytest.mark.parametrize(("command", "network"), RUNS)
 def test_whoever_ends_it_and_when_all_is_off_and_as_it_was(command: str, network: str) -> None:
     kinds = (signal.SIGINT,) * 3 if command == "notebook" else (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     moments = _at(command, network)

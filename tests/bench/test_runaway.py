@@ -161,14 +161,9 @@ TOO_FAST = ((FULL, 0.3), (3 * FULL, 1.0))
 
 
 def looked_at(
-    turns: tuple[tuple[float, float], ...],
-    encoder: float | None = 1.0,
-    own: float | None = 1.0,
-    edges: float | None = 1.0,
-    late: float = 0.0,
-    lost: range = range(0),
-    noise: float = 0.0,
-) -> tuple[str, float]:
+    turns: tuple[tuple[float, float], ...], encoder: float | None = 1.0, own: float | None = 1.0,
+    edges: float | None = 1.0, late: float = 0.0, lost: range = range(0), noise: float = 0.0,
+) -> tuple[str, float]:  # fmt: skip
     """What was seen and when, s after it went wrong, of a shaft that was asked for `FULL` from the beginning.
 
     `encoder`, `own`, `edges`: what they tell over what is true, None: not streamed. `late`: s after samples that edges
