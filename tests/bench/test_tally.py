@@ -10,7 +10,8 @@ import pytest
 
 from bench.replay.estimators import Estimate
 from bench.score.phases import phases_of
-from bench.score.tally import ANGLE_BINS, Block, ByAngle, Envelope, OverTime, Tally, error_of
+from bench.score.tally import Block, Envelope, OverTime, Tally, error_of
+from bench.signal.error_bins import BINS, ErrorByAngle
 
 RATE, N_P, N = 1000.0, 6, 4000
 OMEGA = 120.0  # electrical rad/s
@@ -51,9 +52,9 @@ def test_figures_are_those_of_the_whole_however_it_is_cut(cuts: tuple[int, ...])
     for k in range(6):
         there = found["by_sector"][str(k + 1)]
         assert (there["n"], there["bias"]) == ((sector == k).sum(), pytest.approx(WAVE[sector == k].mean()))
-    bins = (np.mod(THETA, math.tau) // (math.tau / ANGLE_BINS)).astype(int)
-    assert tally.by_angle.n.tolist() == np.bincount(bins, minlength=ANGLE_BINS).tolist()
-    assert tally.by_angle.sum == pytest.approx(np.bincount(bins, WAVE, ANGLE_BINS))
+    bins = (np.mod(THETA, math.tau) // (math.tau / BINS)).astype(int)
+    assert tally.by_angle.n.tolist() == [np.bincount(bins, minlength=BINS).tolist(), [0] * BINS]
+    assert tally.by_angle.band()[0][0] == pytest.approx(np.bincount(bins, WAVE, BINS) / np.bincount(bins))
     parts = WAVE.reshape(-1, 100)
     assert (over_time.error.lo, over_time.error.hi) == (pytest.approx(parts.min(1)), pytest.approx(parts.max(1)))
     assert over_time.speed.lo == pytest.approx(np.full(N // 100, (OMEGA - 10.0) * 60 / math.tau / N_P))
@@ -62,16 +63,20 @@ def test_figures_are_those_of_the_whole_however_it_is_cut(cuts: tuple[int, ...])
 
 def test_extremes_stay_those_of_all_that_was_added() -> None:
     rng = np.random.default_rng(1)
-    bins, values = rng.integers(0, ANGLE_BINS, 5000), rng.normal(size=5000)
-    whole, one, other = ByAngle(), ByAngle(), ByAngle()
+    bins, values = rng.integers(0, BINS, 5000), rng.normal(size=5000)
+    whole, one, other = ErrorByAngle(), ErrorByAngle(), ErrorByAngle()
+    reverse = rng.integers(0, 2, 5000) > 0
     for sums, part in ((whole, slice(None)), (one, slice(0, 2000)), (other, slice(2000, None))):
-        sums.add(bins[part], values[part])
+        sums.add(bins[part], values[part], reverse[part])
     one.merge(other)
     envelope = Envelope(50)
     for part in np.split(np.arange(5000), [1, 99, 101, 3000]):
         envelope.add(part // 100, values[part])
     for sums in (whole, one):
-        assert sums.squares == pytest.approx(np.bincount(bins, values**2, ANGLE_BINS))
-        assert sums.hi.tolist() == [values[bins == k].max() for k in range(ANGLE_BINS)]
-        assert sums.lo.tolist() == [values[bins == k].min() for k in range(ANGLE_BINS)]
+        assert sums.both()[1] == pytest.approx([values[bins == k].std() for k in range(BINS)])
+        for way in (0, 1):
+            there = [values[(bins == k) & (reverse == way)] for k in range(BINS)]
+            assert sums.n[way].tolist() == [len(of) for of in there]
+            assert sums.hi[way].tolist() == [of.max() for of in there]
+            assert sums.lo[way].tolist() == [of.min() for of in there]
     assert envelope.hi.tolist() == values.reshape(-1, 100).max(1).tolist()

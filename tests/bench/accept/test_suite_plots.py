@@ -91,9 +91,7 @@ def test_curves_over_speed_and_frequency_are_those_that_were_given() -> None:
     speeds, loads = (100.0, 120.0, 200.0), (1.0, 4.0)
     values = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     (ax,) = draw_by_speed(speeds, loads, [Panel("(a)", "std", "°", values, 2 * values, 7.0)], "other").axes
-    assert [line.get_ydata() for line in ax.lines[:4]] == [
-        pytest.approx(row) for k in (0, 1) for row in (2 * values[k], values[k])
-    ]
+    assert [line.get_ydata() for line in ax.lines[:4]] == [pytest.approx(row) for row in (*2 * values, *values)]
     assert (ax.lines[4].get_ydata()[0], list(ax.get_xticks())) == (7.0, [120.0, 200.0])  # 100 is too near to 120
     left, right = draw_thd_map(loads, speeds, {"one": values, "two": 10 * values}).axes
     assert left.get_ylim() == right.get_ylim() == pytest.approx((0.8, 75.0))
