@@ -113,17 +113,16 @@ class _Watch:
         told = {name: device.parameter(record).value for name in names if (record := device.named(name))}
         self._runaway = Runaway(pole_pairs(told), lambda: told.get("omega_m_max", 0.0))
         self._runaway.ask(device.speed_rpm * RPM)
-        self._heard = self._frames = 0  # how many of them were looked at
+        self._seen = (0, 0)  # how many messages, and frames of streams on a bus, were looked at
         self._edge: tuple[int, int] | None = None  # tick and codes of the last one
         self._angles = np.zeros(0)
 
     def look(self) -> None:
         """Look at what has come since. Raises Failed, with the motor stopped, where it runs away."""
         device, now = self._device, self._device.probe.now()
-        heard, frames = len(device.probe.heard), len(device.probe.stream_frames)
-        if (heard, frames) == (self._heard, self._frames):
+        since, self._seen = self._seen, (len(device.probe.heard), len(device.probe.stream_frames))
+        if since == self._seen:
             return
-        since, (self._heard, self._frames) = (self._heard, self._frames), (heard, frames)
         slot, edge_slot = self._slots
         edges = [(tick, codes) for _, tick, codes in _edges(device, edge_slot, since)]
         if edges and self._edge is not None and (ticks := (edges[-1][0] - self._edge[0]) & 0xFFFFFFFF) < 1 << 31:

@@ -274,9 +274,8 @@ class Rig:
     def guard(self) -> RunawayGuard:
         """A sink by which `drive` sees that its motor runs away; the streams are configured, the parameters known."""
         assert self.samples is not None
-        edges = self.drive.node.offers_edges
         forced = lambda: getattr(self.load, "forced", None)  # noqa: E731
-        self.drive.guard = RunawayGuard(self.samples, edges, self.drive.parameters, forced)
+        self.drive.guard = RunawayGuard(self.samples, self.drive.node.offers_edges, self.drive.parameters, forced)
         return self.drive.guard
 
     # -- the end ------------------------------------------------------------------------------------------------

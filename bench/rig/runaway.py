@@ -150,19 +150,15 @@ class Runaway:
         if self._asked is None or self.verdict or self._n_p is None:
             return
         with_care = math.inf if self.most is None else self.most * self._n_p
+        main = self._encoder if self._encoder in self._there else self._own  # taken for the shaft's own speed
         for sensor in self._there:
             far = TOO_FAR_ALONE if sensor is self._own and len(self._there) > 1 else TOO_FAR
             too_far = max(sensor.over, sensor.under) > far and self._believed(sensor, now)
-            if too_far or (sensor is not self._hall and sensor is self._main and abs(sensor.speed) > with_care):
+            if too_far or (sensor is main and abs(sensor.speed) > with_care):
                 asked, seen = (speed / self._n_p / RPM for speed in (self._asked, sensor.speed))
                 seen_by = f"{seen:.0f} r/min by {sensor.words} at {now:.3f} s of device time"
                 self.verdict = f"let its motor run away: {asked:g} r/min asked for, {seen_by}"
                 return
-
-    @property
-    def _main(self) -> _Sensor:
-        """The one whose speed is taken for the shaft's where nothing is known to be wrong."""
-        return self._encoder if self._encoder in self._there else self._own
 
     def _believed(self, sensor: _Sensor, now: float) -> bool:
         """Whether no other one says otherwise: one that measures, and sees the shaft turn as it should."""
@@ -190,8 +186,7 @@ class RunawayGuard(Runaway, Sink):
         super().__init__(pole_pairs(parameters), lambda: parameters.get("omega_m_max", 0.0))
         self._stream, self._parameters, self._forced, self._has_edges = stream, parameters, forced, edges
         self._omega = flagged(stream.channels, Unit.RAD_PER_S, Flag.REFERENCE)
-        self._theta = "" if self._omega else reference_angle(stream.channels)
-        self._estimate = ""
+        self._theta, self._estimate = "" if self._omega else reference_angle(stream.channels), ""
         self._waiting: list[SampleChunk] = []
         self._held = 0  # samples in them
         self._last_edge: int | None = None

@@ -22,7 +22,6 @@ import pytest
 from click.testing import CliRunner
 from processes import ENVIRONMENT, LIMIT
 from test_prompt import PhysicalDrive
-from tests.bench.acceptance.accepting import SpoiltLink
 from virtual_run import WatchedLink, at_rest, physical, raising, simulated
 from virtual_run import run as live
 
@@ -35,6 +34,7 @@ from bench.rig.settings import Settings
 from protocol.messages import DriveState, Fault
 from protocol.signals import DRIVE_CHANNELS, SOURCE_NAMES
 from sim.config.params import load_params
+from tests.bench.accept.accepting import SpoiltLink
 
 I_MAX, N_P = 8.0, 6
 NAMES = ("vt", "ek", "drive_vt")

@@ -18,7 +18,6 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from tests.bench.acceptance.accepting import HEAD, SpoiltLink
 from virtual_run import simulated
 
 import bench
@@ -28,6 +27,7 @@ from bench.conform.catalogue import chosen
 from protocol.errors import LinkClosed
 from protocol.messages import DriveState, Fault
 from sim.ports.device import SimulatedDevice
+from tests.bench.accept.accepting import HEAD, SpoiltLink
 
 TARGET = f"serial:/dev/ttyEND{os.getpid()}"  # a target is locked: no two processes of the tests have one
 LINKS = ("bytes", "CAN")

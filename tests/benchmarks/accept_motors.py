@@ -20,7 +20,7 @@ from typing import Any
 from bench.device.simulator import motors
 from sim.config.params import load_params
 from sim.config.sections import Motor
-from tests.bench.acceptance.benches import configured, drawn, on_an_unkind_bench
+from tests.bench.accept.benches import configured, drawn, on_an_unkind_bench
 
 WRONG = {
     "wrong n_p": ("back_emf", "back_emf_and_encoder.encoder_turns"),

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tests.bench.acceptance.benches import drawn
 
 from sim.config.params import load_params
+from tests.bench.accept.benches import drawn
 from tests.sim.observers.proving import BENCH_24V, Proving, thd, worst
 
 LESSONS = ((100, 4, 1.5), (150, 8, 1.5), (200, 2, 1.0), (120, 6, 1.5))
