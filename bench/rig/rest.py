@@ -11,7 +11,7 @@ from protocol.messages import DriveState
 def require_rest(node: Node, target: str, or_fault: bool = False) -> None:
     """Raise BenchError unless `node` says that its outputs are off and, unless `or_fault`, that it has no fault.
 
-    NodeError where it says nothing of them.
+    NodeError where it says nothing of them, or names a state that there is not.
     """
     heartbeat = node.next_heartbeat()
     if heartbeat is None:
@@ -21,5 +21,7 @@ def require_rest(node: Node, target: str, or_fault: bool = False) -> None:
             f"{target} has a latched fault ({node.fault_text()}): find the cause, then clear it "
             "(bench live TARGET --clear-faults --duration 1 --viewer none)"
         )
-    if not is_off(heartbeat):
+    if heartbeat.outputs_on or heartbeat.state in (DriveState.ARMED, DriveState.RUNNING):
         raise BenchError(f"{target} is not at rest ({says(heartbeat)}): another host is using it")
+    if not is_off(heartbeat):  # a state that no drive has
+        raise NodeError(f"{target}: not known whether its outputs are off: {says(heartbeat)}")

@@ -89,6 +89,7 @@ def test_a_notebook_stops_a_motor_that_runs_away_before_it_says_so() -> None:
         rig.wait(0.3)  # and it may be used again
 
 
+@pytest.mark.long("a whole level of checks of a drive that turns")
 @pytest.mark.parametrize("network", NETWORKS)
 def test_conform_stops_a_motor_that_runs_away_and_turns_it_no_more(network: str) -> None:
     device = simulated(network=network, **INVERTED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 from dataclasses import replace
@@ -245,13 +246,14 @@ def test_a_trip_during_the_run_ends_with_the_fault_named() -> None:
 # -- alone on its target ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("target", ["tcp:127.0.0.1:9", "can:virtual/locked"])
+@pytest.mark.parametrize("target", ["tcp:127.0.0.1:{}", "can:virtual/locked{}"])
 @pytest.mark.parametrize(
     "command", ["live {}", "live {} --speed 300 --yes", "accept {} --yes", "hall check {} --yes", "conform {}"]
 )
 def test_a_target_that_another_run_holds_is_refused_by_every_command(
     command: str, target: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    target = target.format(os.getpid() % 60_000 + 1)  # not that of a test beside this one
     with alone_on(target), pytest.raises(SystemExit) as ended:
         main(command.format(target).split())
     printed = capsys.readouterr()

@@ -52,7 +52,7 @@ def _source(name: str, source: str, short: bool) -> Iterator[Row]:
         bench.teach()
         points = [(rpm, i_q) for rpm in (SPEEDS[-1:] if short else SPEEDS) for i_q in AMPS]
         seen = "vector_tracking" if source == "encoder" else source
-        found.append(worst([bench.plot(bench.at(*point), seen) for point in points]).std)
+        found.append(worst([bench.figures(bench.at(*point), seen) for point in points]).std)
         distorted.append(thd(bench.at(500, 4)))
     title = "vector_tracking beside the encoder" if source == "encoder" else source
     yield Row(f"{name}, {title}: std without", found[0], "deg")

@@ -131,9 +131,9 @@ def _constant(short: bool) -> Iterator[Row]:
     seconds = 1.0 if short else 60.0
     bench = bench_24v(OBSERVER, SEEDS[0])
     bench.forced(500, 4, 5.0)
-    early = bench.plot(bench.forced(500, 4, 1.0))
+    early = bench.figures(bench.forced(500, 4, 1.0))
     bench.forced(500, 4, seconds)
-    late = bench.plot(bench.forced(500, 4, 1.0))
+    late = bench.figures(bench.forced(500, 4, 1.0))
     yield Row("constant 500 r/min, 4 A, nothing learned before: mean after 60 s", abs(late.mean), "deg", 0.5, True)
     yield Row("the same: its drift in that time", abs(late.mean - early.mean), "deg", 0.1, at_most=True)
 

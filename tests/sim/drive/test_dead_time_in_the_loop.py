@@ -57,7 +57,7 @@ def test_of_a_motor_that_nobody_looked_at_it_makes_vector_tracking_no_worse(numb
         bench.set_param("dead_time_learn", learn)
         bench.teach()
         points = [(speed * bench.top, load * bench.i_max) for speed in (0.05, 0.1, 0.3) for load in (0.25, 1.0)]
-        return worst([bench.plot(bench.at(*point)) for point in points]).std
+        return worst([bench.figures(bench.at(*point)) for point in points]).std
 
     assert found(1) < 1.02 * found(0)
 

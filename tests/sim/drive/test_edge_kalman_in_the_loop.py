@@ -116,7 +116,7 @@ def test_one_speed_and_one_load_for_a_minute_teach_nothing_wrong():
     bench.forced(500, 4, 5.0)
     means = []
     for _ in range(4):
-        means.append(bench.plot(bench.forced(500, 4, 1.0)).mean)
+        means.append(bench.figures(bench.forced(500, 4, 1.0)).mean)
         bench.forced(500, 4, 15.0)
     assert np.abs(means).max() < 0.5
     assert np.ptp(means) < 0.1
@@ -149,8 +149,8 @@ def test_a_voltage_drop_that_is_taken_away_bit_by_bit_is_forgotten():
         bench.set_param("dead_time_comp", share)
         bench.forced(150, 8, 0.05)
     bench.forced(200, 2, 0.3)
-    assert bench.plot(bench.forced(200, 2, 0.7)).largest < 4.0
-    assert bench.plot(bench.forced(500, 2, 0.7)).largest < 10.0
+    assert bench.figures(bench.forced(200, 2, 0.7)).largest < 4.0
+    assert bench.figures(bench.forced(500, 2, 0.7)).largest < 10.0
 
 
 @pytest.mark.parametrize("motor", sampled("edges known", MOTORS, 1, campaign="kalman"))
@@ -185,6 +185,6 @@ def test_edges_that_one_drive_has_learned_serve_another_from_its_first_turn():
                 bench.load_enter_state(state)
                 bench.advance(1)
         bench.forced(100, 2, 0.1)
-        largest[knows] = bench.plot(bench.forced(100, 2, 0.2)).largest
+        largest[knows] = bench.figures(bench.forced(100, 2, 0.2)).largest
     assert largest[True] < 0.5 * largest[False]
     assert largest[True] < 1.5

@@ -193,7 +193,7 @@ def sweep(bench: Proving, speeds: Sequence[float] = SPEEDS, amps: Sequence[float
     for rpm in speeds:
         for i_q in amps:
             run = bench.at(rpm, i_q)
-            found[rpm, i_q] = Compared(bench.plot(run), bench.plot(run, "vector_tracking"))
+            found[rpm, i_q] = Compared(bench.figures(run), bench.figures(run, "vector_tracking"))
     return found
 
 
