@@ -49,13 +49,7 @@ _HOMES = {
     "Settings": "bench.rig.settings", "__version__": "protocol",
 }  # fmt: skip
 
-for _folder in (
-    "compare",
-    "export",
-    "hall",
-    "plot",
-    "score",
-):  # importing one binds its name: before the function that stays
+for _folder in ("compare", "export", "hall", "plot", "score"):  # binds its name, before the function that stays
     import_module(f"{__name__}.{_folder}")
 
 
