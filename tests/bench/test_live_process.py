@@ -20,7 +20,7 @@ from bench.record import space
 from bench.record.reader import Run
 from tests.tools import require
 
-pytestmark = [pytest.mark.real_time, pytest.mark.slow]
+pytestmark = [pytest.mark.real_time, pytest.mark.slow, pytest.mark.long("drive and host in real time")]
 
 Start = Callable[..., Program]
 StartSim = Callable[..., Sim]

@@ -43,15 +43,16 @@ class Server:
             threading.Thread(target=self._serve, args=(client,), daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
-        client.sendall(self._greeting)
-        for wanted in (b"< open can0 >", b"< rawmode >"):
-            said = client.recv(200)
-            if not said:
-                return
-            client.sendall(b"< ok >" if said == wanted else b"< error could not open bus >")
-        self.heard = b""
-        while said := client.recv(4096):
-            self.heard += said
+        with suppress(OSError):  # it was stopped meanwhile
+            client.sendall(self._greeting)
+            for wanted in (b"< open can0 >", b"< rawmode >"):
+                said = client.recv(200)
+                if not said:
+                    return
+                client.sendall(b"< ok >" if said == wanted else b"< error could not open bus >")
+            self.heard = b""
+            while said := client.recv(4096):
+                self.heard += said
 
     def says(self, text: bytes) -> None:
         """Send text to the last client."""
