@@ -57,9 +57,9 @@ def draw(found: Mapping[str, BySpeed], unit: str) -> Figure:
     axes[0].set_ylim(-reach, reach)
     for ax, what in zip(axes, ("mean", "rms", f"{PERCENT:g} %"), strict=True):
         axis_labels(ax, "", f"error, {what}", unit_y="el. °")
-        if what != "mean":
-            ax.set_ylim(bottom=0)
         ax.margins(x=0.04)
+        if what != "mean":
+            ax.set_ylim(0, 1.08 * max(ax.dataLim.y1, 1e-3))  # a mark at the top is whole
     rpm = np.concatenate([of.rpm for of in found.values()])
     if np.ptp(rpm) == 0:  # a single speed: not at an edge of nothing
         axes[-1].set_xlim(rpm[0] - 0.2 * abs(rpm[0]) - 1, rpm[0] + 0.2 * abs(rpm[0]) + 1)
