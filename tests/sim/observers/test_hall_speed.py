@@ -42,33 +42,6 @@ def feed(events, until=None, params=PARAMS):
     return tick, front(tick, hall, at, codes, params)
 
 
-@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
-def test_speed_and_direction_at_constant_speed(speed):
-    omega = rpm(speed)
-    s = signals(constant(omega), 8 * WIDTH / abs(omega))
-    state, out = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
-    passed = np.searchsorted(s.edge_tick, s.tick, side="right")
-    assert set(out.direction[passed == 0]) == {0}
-    assert set(out.omega[passed < 2]) == {0.0}  # one edge gives no speed
-    assert set(out.direction[passed >= 1]) == {np.sign(speed)}
-    # two captured ticks make the interval: (1) to within one tick in the interval
-    np.testing.assert_allclose(out.omega[passed >= 2], omega, rtol=1.01 * abs(omega) / WIDTH / TICK_HZ)
-    assert np.array_equal(CODES[out.sector], s.hall)
-    assert (state.illegal, state.skipped) == (0, 0)
-    assert out.edge.sum() == s.edge_tick.size
-
-
-def test_ripple_of_the_misplaced_sensors_is_that_of_the_sector_widths():
-    omega = rpm(500)
-    s = signals(constant(omega), 1.0, edges_deg=PAPER_EDGES)
-    _, out = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
-    width = np.diff(np.r_[PAPER_EDGES, 360 + PAPER_EDGES[0]])  # deg, of sector 0..5
-    settled = s.tick > s.edge_tick[1]
-    expected = omega * 60.0 / width[(out.sector - 1) % 6]  # the sector just passed made the speed
-    overdue = WIDTH / np.maximum(out.age, 1e-9)
-    np.testing.assert_allclose(out.omega[settled], np.minimum(expected, overdue)[settled], rtol=1e-4)
-
-
 def test_an_overdue_edge_bounds_the_speed_and_a_timeout_ends_it():
     interval = 40 * TICKS
     tick, (_, out) = feed([(interval, CODES[1]), (2 * interval, CODES[2])], until=TICK_HZ // 4)
