@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from protocol.messages import DriveState, SetpointMode
+from protocol.messages import SetpointMode
 from protocol.signals import Status
 from tests.sim.drive.rig import PWM_HZ, RPM, Rig, column, error_deg, physical
 
@@ -75,37 +75,6 @@ def test_start_up_from_30_degrees_of_error(source, rpm):
         started = np.argmax((recorded.samples["status"] & Status.CORRECTION_ON) != 0)
         assert started < 0.1 * PWM_HZ
         assert np.abs(vector[started:]).max() < 10  # right from the second edge on
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("sector", range(6))
-def test_start_up_in_each_sector_both_ways(sector, sign):
-    bench = running(VECTOR, {"mechanics.theta_0_deg": 60.0 * sector + 30.0 - 20.0 * sign})
-    recorded = bench.spin(400 * sign, 0.6)
-    assert not bench.faults
-    assert error_deg(recorded, "theta_vt")[-3200:].std() < 3.3
-    assert speed_rpm(recorded)[-1600:].mean() == pytest.approx(400 * sign, rel=0.01)
-
-
-@pytest.mark.parametrize("slope", [1000.0, 20000.0])
-def test_reversal_through_zero(slope):
-    bench = running(VECTOR, alpha_m_max=slope)
-    bench.spin(500, 1.0)
-    recorded = bench.spin(-500, 1.0)
-    assert not bench.faults
-    vector = error_deg(recorded, "theta_vt")
-    assert np.abs(vector).max() < 40
-    assert vector[-8000:].std() < 3.3
-    assert speed_rpm(recorded)[-4000:].mean() == pytest.approx(-500, rel=0.002)
-
-
-def test_stop_and_start_again():
-    bench = running(VECTOR)
-    bench.spin(500, 0.8)
-    bench.spin(0, 0.8)
-    recorded = bench.spin(500, 0.8)
-    assert not bench.faults
-    assert error_deg(recorded, "theta_vt")[-4000:].std() < 3.3
 
 
 def test_speed_and_load_steps_keep_the_error_small():
@@ -175,12 +144,3 @@ def test_load_angle_does_not_wind_up_at_the_voltage_limit(observer):
     assert abs(delta) < 0.15
     _, delta, _ = after(500, 8.0, 0.5)
     assert delta == pytest.approx(8.0 * ampere, abs=0.15)
-
-
-def test_a_coasting_rotor_is_followed_by_its_edges():
-    bench = running(VECTOR)
-    bench.spin(800, 0.8)
-    bench.enter_state(DriveState.IDLE)
-    recorded = bench.advance(PWM_HZ // 2)
-    assert np.abs(error_deg(recorded, "theta_vt")[1600:]).max() < 20
-    assert not np.any(recorded.samples["status"][1:] & Status.CORRECTION_ON)

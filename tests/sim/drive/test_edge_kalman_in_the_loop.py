@@ -27,7 +27,6 @@ from tests.sim.observers.proving import (
     of_motor,
     steps,
     sweep,
-    thd,
     worst,
 )
 
@@ -120,24 +119,6 @@ def test_one_speed_and_one_load_for_a_minute_teach_nothing_wrong():
         bench.forced(500, 4, 15.0)
     assert np.abs(means).max() < 0.5
     assert np.ptp(means) < 0.1
-
-
-@pytest.mark.campaign("kalman")
-def test_what_its_angle_adds_to_the_distortion_of_the_current():
-    for rpm in (500, 3000):
-        own, encoder = (thd(taught(altered(observer, "nothing", 46)).at(rpm, 4)) for observer in (KALMAN, "encoder"))
-        assert 0.2 < own < encoder + 0.3
-
-
-@pytest.mark.campaign("kalman")
-@pytest.mark.parametrize("seed", SEEDS[:2])
-def test_wrong_parameters_leave_it_better_than_the_papers_observer_with_true_ones(seed):
-    wrong = {"R_s_hat": 1.3, "L_s_hat": 1.2, "psi_f_hat": 0.9}
-    mine = sweep(taught(Proving(KALMAN, load_params(None, {}), seed, wrong)), (200, 500, 1000, 3000), (1, 8))
-    papers = sweep(taught(Proving(KALMAN, load_params(None, {}), seed)), (200, 500, 1000, 3000), (1, 8))
-    for point, figures in mine.items():
-        assert figures.own.std < papers[point].other.std, point
-        assert figures.own.largest < papers[point].other.largest, point
 
 
 @pytest.mark.campaign("kalman")

@@ -60,14 +60,6 @@ def test_states_show_in_the_status_and_arming_initialises_the_observers():
     assert set(running.samples["status"] >> STATUS_SOURCE_SHIFT) == {2}
 
 
-def test_running_without_a_setpoint_makes_no_torque():
-    bench = Rig()
-    bench.enable()
-    recorded = bench.advance(1600)
-    assert current(recorded).max() < 0.2
-    assert bench.truth.omega_m == 0.0
-
-
 def test_speed_control_reaches_its_reference_on_its_ramp():
     bench = spinning(100.0, 0.05)
     assert bench.truth.omega_m == pytest.approx(50.0, abs=8.0)  # 1000 rad/s2
@@ -231,19 +223,6 @@ def test_the_largest_resistance_leaves_the_plant_sound():
     bench.setpoint(SetpointMode.CURRENT, 4.0)
     bench.advance(8000)
     assert np.isfinite(bench.truth).all()
-
-
-def test_load_torque_step_is_held_by_the_speed_loop():
-    bench = spinning(52.36, 1.0)
-    bench.load(SetpointMode.TORQUE, 0.236)
-    recorded = bench.advance(16000)
-    assert bench.truth.omega_m == pytest.approx(52.36, abs=1.0)
-    assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.236 + 0.01, abs=2e-3)
-    assert recorded.samples["tau_load_true"][-1] / 16384 == pytest.approx(0.236, abs=1e-4)
-    bench.load_enter_state(DriveState.IDLE)
-    recorded = bench.advance(16000)
-    assert recorded.samples["tau_load_true"][-1] == 0
-    assert recorded.samples["tau_e_true"][-4000:].mean() / 16384 == pytest.approx(0.01, abs=2e-3)
 
 
 def test_truth_is_the_plants_state_at_the_last_sample():

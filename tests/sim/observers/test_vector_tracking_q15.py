@@ -73,8 +73,8 @@ def recording(name):
     s = quantised(s)
     reset = resets(s.tick.size) & (name == "busy")
     seen = samples(s, reset)
-    rows = [[again, *q15.counts(PARAMS, value(Sample, seen[k]))] for k, again in enumerate(reset)]
-    return np.array(rows[2000:5400] if name == "busy" else rows, np.int64)
+    window = range(2000, 5400) if name == "busy" else range(len(reset))
+    return np.array([[reset[k], *q15.counts(PARAMS, value(Sample, seen[k]))] for k in window], np.int64)
 
 
 RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
