@@ -222,20 +222,3 @@ def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:
         for way, offsets in (("up", offsets_deg), ("down", downwards_deg))
         for s in range(6)
     }
-
-
-def glitch(s: Signals, edge: int, delay: float, ahead: int = 1) -> Signals:
-    """The signals with a false pulse of 40 us on one sensor over a sample, to the next sector's code (-1: the last's).
-
-    The sample is the first at least `delay` s after an edge; it lies in the middle of the pulse.
-    """
-    k = int(np.searchsorted(s.tick, s.edge_tick[edge] + delay * TICK_HZ))
-    half = TICK_HZ // 50_000
-    false = s.edge_hall[edge + ahead]
-    hall = s.hall.copy()
-    hall[k] = false
-    return s._replace(
-        hall=hall,
-        edge_tick=np.insert(s.edge_tick, edge + 1, [s.tick[k] - half, s.tick[k] + half]),
-        edge_hall=np.insert(s.edge_hall, edge + 1, [false, s.edge_hall[edge]]),
-    )
