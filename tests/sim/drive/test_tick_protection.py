@@ -161,19 +161,6 @@ def test_exchanged_wires_on_a_shaft_turned_from_outside_trip_within_a_second(obs
     assert bench.faults == Fault.HALL
 
 
-@pytest.mark.parametrize("swap", [1, 2, 3])
-def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
-    for theta_0 in (0.0, 60.0, 110.0, 200.0, 300.0):
-        bench = drive(**{"wiring.hall_swap": swap, "mechanics.theta_0_deg": theta_0})
-        bench.setpoint(SetpointMode.SPEED, 100 * RPM)
-        recorded = bench.advance(32_000)
-        assert (
-            abs(recorded["theta_true"][-1] - recorded["theta_true"][0]) < 20 * 2 * np.pi
-        )  # one turn of the shaft would be 6
-        assert max(np.abs(recorded.samples[f"i_{x}"] / 1024).max() for x in "abc") < 10.0
-        assert bench.faults in (0, Fault.HALL)
-
-
 def test_skipped_sectors_alone_trip():
     bench = Rig(1, **{"mechanics.theta_0_deg": 30.0})  # code 1; 2 with a and b exchanged
     bench.enter_state(DriveState.ARMED)
