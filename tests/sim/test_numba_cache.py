@@ -139,6 +139,7 @@ CATALOGUE["sector_centre"].function.load()
 """
 
 
+@pytest.mark.campaign("kernels")  # tests/bench/test_embedded.py has a child that compiles, a bare machine all of it
 def test_a_child_compiles_and_tells_how_far_it_is(tmp_path: Path) -> None:
     env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     ended = subprocess.run([sys.executable, "-c", COLD], capture_output=True, text=True, check=False, env=env)

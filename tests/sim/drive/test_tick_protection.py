@@ -40,11 +40,11 @@ def back_emf(omega, samples, size=1.0, direction=1):
 def test_the_noise_of_differentiated_currents_turns_no_way():
     """A back-EMF at its threshold under 0.2 V rms: 12 mA of noise through 0.5 mH at 16 kHz, 1.5 times."""
     rng, slow = np.random.default_rng(1), 40.0
-    noise = np.diff(rng.normal(0.0, 0.14, (2, 60_001)))
+    noise = np.diff(rng.normal(0.0, 0.14, (2, 30_001)))
     for size in (0.25, 0.4):
         noisy = [
             sensed._replace(e_alpha=sensed.e_alpha + x, e_beta=sensed.e_beta + y)
-            for sensed, x, y in zip(back_emf(slow, 60_000, size), *noise, strict=True)
+            for sensed, x, y in zip(back_emf(slow, 30_000, size), *noise, strict=True)
         ]
         assert tripped(noisy, on=True) is None
     turns = 6 * 2 * np.pi / slow * 16000
