@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from ideal_motor import CODES, PAPER_EDGES, TICK_HZ, TICKS, Signals, constant, rpm, signals
+from ideal_motor import CODES, TICK_HZ, TICKS, Signals
 
 from sim.observers import average_speed, hall_speed, sample
 
@@ -89,11 +89,6 @@ def test_a_glitch_inside_a_sector_leaves_nothing_behind(shown, across):
     assert (state.skipped, state.undone) == (0, 1)
 
 
-def test_an_edge_taken_back_later_is_a_reversal():
-    _, (state, out) = feed([*forwards(3), (3 * STEP + TICKS, CODES[2])])
-    assert (out.direction[-1], state.undone) == (-1, 0)
-
-
 def test_illegal_codes_are_counted_and_change_nothing():
     events = forwards(8)
     tick, (clean_state, clean) = feed(events)
@@ -103,18 +98,6 @@ def test_illegal_codes_are_counted_and_change_nothing():
     _, (state, out) = feed(events + glitches, until=tick[-1])
     agree(out, clean)
     assert (clean_state.illegal, state.illegal) == (0, 8)
-
-
-def test_illegal_samples_are_counted_and_change_nothing():
-    s = signals(constant(rpm(500)), 0.1)
-    _, clean = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
-    hall = s.hall.copy()
-    hall[100::50] = 0
-    hall[101::50] = 7
-    state, out = front(s.tick, hall, s.edge_tick, s.edge_hall)
-    assert np.array_equal(out.omega, clean.omega)
-    assert np.array_equal(out.sector, clean.sector)
-    assert state.illegal == hall[100::50].size + hall[101::50].size
 
 
 def test_a_skipped_sector_holds_the_speed_and_makes_none():
@@ -153,14 +136,6 @@ def test_several_edges_in_one_period():
     np.testing.assert_allclose(out.omega[2:-1], WIDTH * TICK_HZ / gap)
     assert state.skipped == 0
     assert set(out.edge[1:-1]) == {1}
-
-
-def test_only_differences_of_ticks_count():
-    s = signals(constant(rpm(300)), 0.2, edges_deg=PAPER_EDGES)
-    _, near = front(s.tick, s.hall, s.edge_tick, s.edge_hall)
-    far = 1 << 60
-    _, out = front(s.tick + far, s.hall, s.edge_tick + far, s.edge_hall)
-    agree(out, near)
 
 
 def test_an_edge_between_samples_is_taken_with_the_next_sample_and_later_ones_are_left():

@@ -9,12 +9,11 @@ from ideal_motor import (
     T_S,
     constant,
     error_deg,
-    own,
+    estimate,
     ramp,
     rpm,
     sectors,
     signals,
-    track,
 )
 
 from sim.observers import hall_vector
@@ -23,10 +22,6 @@ J = 2e-4
 BW = 10.0
 W = 2 * math.pi * BW
 PER_AMPERE = 1.5 * N_P**2 * PSI_F / J  # rad/s2 of electrical acceleration
-
-
-def estimate(s, reset=None, observer=hall_vector, **model):
-    return track(observer, observer.make_params(PWM_HZ, own(observer, **model)), s, reset)
 
 
 def loop(omega, w=W):
@@ -49,7 +44,7 @@ def test_ripple_at_constant_speed(speed, bw):
     """With ideal sensors: no mean, and the sixth harmonic of the Hall vector through the loop."""
     omega = rpm(speed)
     s = signals(constant(omega), 1.0)
-    out = estimate(s, bw_hall_vector=bw)
+    out = estimate(hall_vector, s, bw_hall_vector=bw)
     error = error_deg(s.theta, out.theta)[PWM_HZ // 2 :]
     a_period = np.degrees(abs(omega)) * T_S
     assert abs(error.mean()) < 0.02 + 0.2 * a_period  # codes are sampled: the sectors' edges are that coarse
@@ -69,11 +64,11 @@ def test_no_lag_while_the_current_accelerates_the_rotor(sign):
     s = signals(angle, 0.6, i_q=np.where(t >= start, sign * 4.0, 0.0))
     later = slice(round(start * PWM_HZ), None)
     ripple = np.degrees(12 / 35 * abs(loop(6 * omega)))
-    out = estimate(s)
+    out = estimate(hall_vector, s)
     assert np.abs(error_deg(s.theta, out.theta))[later].max() < 1.7 * ripple
     assert abs(out.tau_load[-1]) < 0.03
     for wrong, share in ((2.0, 0.5), (0.8, -0.25)):
-        error = sign * error_deg(s.theta, estimate(s, J_hat=wrong * J).theta)[later]
+        error = sign * error_deg(s.theta, estimate(hall_vector, s, J_hat=wrong * J).theta)[later]
         peak = np.degrees(share * abs(a) * 2 * math.exp(-2) / W**2)
         assert error[np.argmax(np.abs(error))] == pytest.approx(peak, abs=2.0 + 0.1 * abs(peak))
 
@@ -84,7 +79,7 @@ def test_a_step_of_the_load_is_found(sign):
     a = sign * 0.15 * N_P / J
     start = 0.5
     s = signals(lambda t: 0.3 + rpm(2000) * t + a / 2 * np.maximum(t - start, 0) ** 2, 0.65, i_q=0.0)
-    out = estimate(s)
+    out = estimate(hall_vector, s)
     later = slice(round(start * PWM_HZ), None)
     error = sign * error_deg(s.theta, out.theta)[later]
     assert error.max() == pytest.approx(np.degrees(abs(a) * 2 * math.exp(-2) / W**2), rel=0.15)
@@ -103,7 +98,7 @@ def test_a_load_too_big_for_the_loop_is_caught_up_with():
         fine=10,
     )
     assert s.theta[-1] - s.theta[-2] > rpm(200) * T_S
-    out = estimate(s)
+    out = estimate(hall_vector, s)
     centre = np.radians(60 * sectors(s.theta) + 30)
     away = np.abs(error_deg(centre, out.theta))
     beyond = away > 60 + 1e-9  # more than 30 deg outside the sector

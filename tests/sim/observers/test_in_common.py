@@ -15,14 +15,13 @@ from ideal_motor import (
     TICKS,
     constant,
     error_deg,
-    own,
+    estimate,
     quantised,
     ramp,
     rpm,
     samples,
     signals,
     table,
-    track,
 )
 
 from sim.observers import (
@@ -51,10 +50,9 @@ EXACT = {  # where the edges are, deg, and told; of the angle, ticks and deg; of
 BY_BACK_EMF = (vector_tracking, programmable_filter, vector_tracking_q15)
 
 
-def estimate(observer, s, **drive):
-    """Over the signals, which a drive's telemetry has rounded for the observer in integers."""
-    given = quantised(s) if observer is vector_tracking_q15 else s
-    return track(observer, observer.make_params(PWM_HZ, own(observer, **drive)), given)
+def observed(observer, s, **drive):
+    """Estimates over the signals, which a drive's telemetry has rounded for the observer in integers."""
+    return estimate(observer, quantised(s) if observer is vector_tracking_q15 else s, **drive)
 
 
 def named(module):
@@ -70,7 +68,7 @@ def test_exact_on_ideal_signals(observer, speed):
     edges_deg, told, ticks, deg, omega_ticks, share = EXACT[observer]
     omega = rpm(speed)
     s = signals(constant(omega), 0.2 + 5 * 2 * np.pi / abs(omega), edges_deg=edges_deg, i_q=4.0)
-    out = estimate(observer, s, **told)
+    out = observed(observer, s, **told)
     settled = s.tick > TICK_HZ // 10 + 2 * 2 * np.pi / abs(omega) * TICK_HZ
     tick_deg = np.degrees(abs(omega)) / TICK_HZ
     assert np.abs(error_deg(s.theta, out.theta))[settled].max() < ticks * tick_deg + deg
@@ -86,7 +84,7 @@ def test_a_wrong_inductance_is_a_load_angle_and_a_wrong_resistance_is_none(obser
     expected = np.degrees(math.atan((factor - 1) * L_S * 8.0 / PSI_F))
     assert abs(expected) > 0.9
     for wrong, shift in (({"L_s_hat": factor * L_S}, expected), ({"R_s_hat": (3 * factor - 2) * R_S}, 0.0)):
-        out = estimate(observer, s, **wrong)
+        out = observed(observer, s, **wrong)
         assert out.on[-800:].all()
         assert error_deg(s.theta, out.theta)[-800:].mean() == pytest.approx(shift, abs=0.03)
 
@@ -95,7 +93,7 @@ def test_a_wrong_inductance_is_a_load_angle_and_a_wrong_resistance_is_none(obser
 def test_back_emf_is_used_from_one_speed_on_and_until_another(observer):
     """Slowly up through omega_on and down through omega_off; what it does before and after stays inside the sector."""
     s = signals(ramp((0, 0), (3, 30), (6, 0)), 5.9, i_q=1.0)
-    out, seen = estimate(observer, s), samples(s)
+    out, seen = observed(observer, s), samples(s)
     started, stopped = np.flatnonzero(np.diff(out.on)) + 1
     assert seen.hall.omega[started] >= 20.0 > seen.hall.omega[started - 2]
     assert s.tick[started] - s.edge_tick[np.searchsorted(s.edge_tick, s.tick[started]) - 1] <= 2 * TICKS
@@ -110,7 +108,7 @@ def test_without_a_reference_voltage_the_edges_lead(observer):
     """Outputs off, the rotor coasting: no current, and a voltage at the motor that nobody commanded."""
     s = signals(constant(rpm(500)), 0.6, i_q=0.0, edges_deg=PAPER_EDGES, noise=0.02)
     off = s.tick > 0.3 * TICK_HZ
-    out = estimate(observer, s._replace(u_alpha=np.where(off, 0, s.u_alpha), u_beta=np.where(off, 0, s.u_beta)))
+    out = observed(observer, s._replace(u_alpha=np.where(off, 0, s.u_alpha), u_beta=np.where(off, 0, s.u_beta)))
     assert out.on[4000:].tolist() == (~off[4000:]).tolist()
     later = s.tick > 0.35 * TICK_HZ
     assert np.abs(error_deg(samples(s).theta_avg, out.theta))[later].max() < 0.01
@@ -127,7 +125,7 @@ def test_the_centre_of_the_sector_leaves_a_sawtooth_over_each(edges_deg, speed):
     largest = max(np.abs(begin).max(), np.abs(end).max())
     turn = 2 * np.pi / abs(rpm(speed))
     s = signals(constant(rpm(speed)), 10.7 * turn, edges_deg=edges_deg)
-    out = track(sector_centre, sector_centre.make_params(PWM_HZ, sector_centre.Settings()), s)
+    out = estimate(sector_centre, s)
     error = error_deg(s.theta, out.theta)[s.tick < 10 * turn * TICK_HZ]
     a_period = np.degrees(abs(rpm(speed))) / PWM_HZ
     assert error.mean() == pytest.approx(mean, abs=0.02 + 0.2 * a_period)
@@ -141,6 +139,6 @@ def test_no_angle_before_a_legal_code_and_none_lost_by_a_gap():
     hall, reset = s.hall.copy(), np.arange(s.hall.size) == 100
     hall[:3] = 7
     seen = s._replace(hall=hall)
-    out = track(sector_centre, sector_centre.make_params(PWM_HZ, sector_centre.Settings()), seen, reset)
+    out = estimate(sector_centre, seen, reset)
     assert set(out.theta[:3]) == {0.0}
     np.testing.assert_allclose(out.theta[3:], np.pi / 2, rtol=1e-12)

@@ -2,27 +2,21 @@ import numpy as np
 import pytest
 from ideal_motor import (
     PAPER_EDGES,
-    PWM_HZ,
     T_S,
     TABLE_I,
     TICK_HZ,
     constant,
     error_deg,
-    own,
+    estimate,
     rpm,
     samples,
     signals,
     table,
-    track,
 )
 
 from sim.observers import lookup_table
 
 WIDTH = np.diff(np.r_[PAPER_EDGES, 360 + PAPER_EDGES[0]])  # deg, of sector 0..5
-
-
-def params(offsets_deg=TABLE_I, downwards_deg=None):
-    return lookup_table.make_params(PWM_HZ, own(lookup_table, **table(offsets_deg, downwards_deg)))
 
 
 def passed_edges(s):
@@ -35,9 +29,9 @@ def test_each_way_has_its_own_boundaries():
     hysteresis = 2.0
     s = signals(constant(rpm(-500)), 0.3, edges_deg=PAPER_EDGES - hysteresis)
     settled = passed_edges(s) >= 2
-    right = error_deg(s.theta, track(lookup_table, params(TABLE_I, TABLE_I + hysteresis), s).theta)[settled]
+    right = error_deg(s.theta, estimate(lookup_table, s, **table(TABLE_I, TABLE_I + hysteresis)).theta)[settled]
     assert np.abs(right).max() < 0.01
-    wrong = error_deg(s.theta, track(lookup_table, params(TABLE_I), s).theta)[settled]
+    wrong = error_deg(s.theta, estimate(lookup_table, s, **table()).theta)[settled]
     np.testing.assert_allclose(wrong, -hysteresis, atol=0.01)
 
 
@@ -55,7 +49,7 @@ def test_an_empty_table_is_the_average_speed(way):
     """So what is proved here of a standstill, an edge that is overdue and the two bounds is true of that, too."""
     s = signals(way, 0.4, edges_deg=PAPER_EDGES, fine=10)
     seen = samples(s)
-    out = track(lookup_table, params(np.zeros(6)), s)
+    out = estimate(lookup_table, s)
     np.testing.assert_allclose(error_deg(seen.theta_avg, out.theta), 0, atol=1e-9)
     np.testing.assert_allclose(out.omega, seen.hall.omega, rtol=1e-12)
 
@@ -66,7 +60,7 @@ def test_an_overdue_edge_and_standstill(sector):
     omega = rpm(200)
     stop = (PAPER_EDGES[sector] + 360 + WIDTH[sector] / 2 - np.degrees(0.3)) / np.degrees(omega)
     s = signals(lambda t: 0.3 + omega * np.minimum(t, stop), stop + 0.3, edges_deg=PAPER_EDGES, fine=10)
-    out = track(lookup_table, params(), s)
+    out = estimate(lookup_table, s, **table())
     age = (s.tick - s.edge_tick[-1]) / TICK_HZ
     waiting = (age > np.radians(WIDTH[sector]) / omega + T_S) & (age < 0.2)
     over = age > 0.2 + T_S
@@ -83,7 +77,7 @@ def test_a_table_that_leaves_a_sector_no_width():
     """Boundaries on top of each other, and even crossed: the speed of such a sector is zero, and nothing divides."""
     for offset in (30.0, 60.0):
         s = signals(constant(rpm(500)), 0.1)
-        out = track(lookup_table, params(np.array([offset, -offset, offset, 0, 0, 0])), s)
+        out = estimate(lookup_table, s, **table(np.array([offset, -offset, offset, 0, 0, 0])))
         assert np.isfinite(out.theta).all()
         settled = passed_edges(s) >= 2
         assert out.omega[settled].min() == 0.0

@@ -4,28 +4,22 @@ import numpy as np
 import pytest
 from ideal_motor import (
     DRIVE,
-    L_S,
-    PSI_F,
     PWM_HZ,
-    R_S,
     T_S,
     constant,
     error_deg,
+    estimate,
     own,
     rpm,
     run,
     samples,
     signals,
-    track,
+    voltage,
 )
 
 from sim.native import Cells
 from sim.observers import back_emf, vector_tracking
 from sim.observers.sample import Sample
-
-
-def estimate(s, **drive):
-    return track(vector_tracking, vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive)), s)
 
 
 def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **drive):
@@ -37,8 +31,7 @@ def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **d
     params = vector_tracking.make_params(PWM_HZ, own(vector_tracking, **drive))
     rotor = np.exp(1j * theta)
     i = 1j * np.broadcast_to(i_q, n) * rotor
-    before = np.r_[0, np.arange(n - 1)]
-    u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
+    u = voltage(i, rotor)
     omega_h = np.broadcast_to(np.asarray(omega_h, float), n).copy()
     sector = (np.floor(theta / (np.pi / 3)) % 6).astype(np.int64)
     seen = Cells(Sample, n).array.view(np.recarray)
@@ -61,7 +54,7 @@ def locked(omega_h, theta, *, start=None, direction=1, i_q=0.0, i_q_ref=0.0, **d
 @pytest.mark.parametrize("speed", [500.0, 1000.0, 2000.0, -1000.0])
 def test_the_filter_of_the_back_emf_leaves_no_bias(speed):
     s = signals(constant(rpm(speed)), 0.4)
-    assert abs(error_deg(s.theta, estimate(s, tau_max=1e-3).theta)[-800:].mean()) < 0.002
+    assert abs(error_deg(s.theta, estimate(vector_tracking, s, tau_max=1e-3).theta)[-800:].mean()) < 0.002
 
 
 @pytest.mark.parametrize("hertz", [5.0, 37.0, 100.0, 202.0, 500.0, 1000.0])
