@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
+
 import numpy as np
 
 from protocol.device.compiled import CompiledLink, CompiledSession
@@ -11,6 +14,12 @@ from protocol.framing import MAJOR, Deframer, Frame, encode_frame, parse_frame
 from protocol.messages import DriveState, ErrorCode, Fault, Feature, Request, Role, SetpointMode
 from protocol.signals import Flag, Parameter, RawType, Signal, Unit
 from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
+from tests.devices import FULL
+from tests.devices import build as build_device
+from tests.devices import vocabulary as words
+from tests.devices.carriers import ByteCarrier
+from tests.devices.device import TICK_HZ
+from tests.devices.virtual import MemoryPort, turn
 
 TICKS = 1250  # in a PWM period
 CHANNELS = (
@@ -92,6 +101,64 @@ def small_link_in_c(**changes: object) -> tuple[CompiledLink, CompiledSession, S
     session = link.add(app, identity(**changes))
     link.advance(0)
     return link, session, app
+
+
+class AloneLink:
+    """The same drive by SPEC.md alone, as a link, its session and its app in one; 1000 PWM periods a second."""
+
+    def __init__(self, features: Feature = Feature.EDGES) -> None:
+        self._tick = 0
+        self._port = MemoryPort(bounded=False)
+        vocabulary = replace(
+            FULL, name="small", firmware="1.0", serial="", build="", modes=FULL.modes[:1], features=features,
+            channels=tuple(
+                words.Channel(each.id, each.name, each.raw, each.unit, each.flags, each.scale, lambda s: s.hall)
+                for each in CHANNELS
+            ),
+            parameters=tuple(
+                words.Parameter(p.id, p.name, default, *map(float, np.float32([p.lo, p.hi])), p.unit, p.flags)
+                for p, default in zip(PARAMETERS, SmallDrive().values.values(), strict=True)
+            ),
+        )  # fmt: skip
+        self.device = build_device(vocabulary, pwm_hz=1000, clock=lambda: Fraction(self._tick, TICK_HZ))
+        self.device.boot_id = 0xB0071D
+        self.device.attach(ByteCarrier(self._port))
+
+    def receive(self, data: bytes) -> None:
+        self._port.to_device += data
+        turn(self.device)
+
+    def advance(self, tick: int) -> None:
+        self._tick = tick
+        self.device.advance()
+
+    def data_to_send(self) -> bytes:
+        data = bytes(self._port.to_host)
+        self._port.to_host.clear()
+        return data
+
+    @property
+    def values(self) -> dict[int, float]:
+        return self.device.values
+
+    @property
+    def states(self) -> list[DriveState]:
+        """The present one."""
+        return [self.device.state]
+
+    @property
+    def outputs_on(self) -> bool:
+        return self.device.outputs_on
+
+    def fault(self, bits: Fault) -> None:
+        self.device.trip(bits)
+
+
+def small_link_alone(**changes: Feature) -> tuple[AloneLink, AloneLink, AloneLink]:
+    """Return the same by SPEC.md alone."""
+    made = AloneLink(**changes)
+    made.advance(0)
+    return made, made, made
 
 
 def wire_of(message: Request, tid: int = 0, node: int = 1) -> bytes:

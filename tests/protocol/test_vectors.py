@@ -12,7 +12,7 @@ import can_rows
 import make_vectors
 import numpy as np
 import pytest
-from small_drive import frames_in, small_link, small_link_in_c
+from small_drive import frames_in, small_link, small_link_alone, small_link_in_c
 from test_spec import KINDS
 from test_streams import decode_all, joined
 
@@ -67,7 +67,10 @@ def batches(request: pytest.FixtureRequest) -> Callable[[Sequence], list]:
     return cut
 
 
-@pytest.fixture(params=[small_link, pytest.param(small_link_in_c, marks=needs("C compiler"))], ids=["Python", "C"])
+@pytest.fixture(
+    params=[small_link, pytest.param(small_link_in_c, marks=needs("C compiler")), small_link_alone],
+    ids=["Python", "C", "SPEC alone"],
+)
 def make(request: pytest.FixtureRequest) -> Callable[..., tuple]:
     """A link with a small drive, behind each device side."""
     return request.param
