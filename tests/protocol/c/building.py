@@ -50,5 +50,5 @@ def run(*command: str | Path, text: str | None = None) -> str:
 def build(to: Path, name: str, main: str, *flags: str, can: bool = True) -> Path:
     """A program of `main` in this folder and the device side, by the compiler `name`."""
     files = [HERE / main, SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
-    run(compiler(name, *flags), "-std=c99", *flags, *files, "-o", to)
+    run(compiler(name, *flags), "-std=c99", "-Wall", "-Wextra", "-Werror", *flags, *files, "-o", to)
     return to
