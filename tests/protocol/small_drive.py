@@ -17,9 +17,9 @@ from protocol.streams import EDGE_ILLEGAL, EDGE_RECORD
 from tests.devices import FULL
 from tests.devices import build as build_device
 from tests.devices import vocabulary as words
-from tests.devices.carriers import ByteCarrier
 from tests.devices.device import TICK_HZ
-from tests.devices.virtual import MemoryPort, turn
+from tests.devices.virtual import VirtualLink
+from tests.devices.vocabulary import Vocabulary
 
 TICKS = 1250  # in a PWM period
 CHANNELS = (
@@ -103,38 +103,40 @@ def small_link_in_c(**changes: object) -> tuple[CompiledLink, CompiledSession, S
     return link, session, app
 
 
-class AloneLink:
-    """The same drive by SPEC.md alone, as a link, its session and its app in one; 1000 PWM periods a second."""
+SMALL = replace(
+    FULL, name="small", firmware="1.0", serial="", build="", modes=FULL.modes[:1],
+    channels=tuple(
+        words.Channel(each.id, each.name, each.raw, each.unit, each.flags, each.scale, lambda s: s.hall)
+        for each in CHANNELS
+    ),
+    parameters=tuple(
+        words.Parameter(p.id, p.name, *map(float, np.float32([DEFAULTS[p.name], p.lo, p.hi])), p.unit, p.flags)
+        for p in PARAMETERS
+    ),
+)  # fmt: skip
+"""The same drive for `tests.devices`."""
 
-    def __init__(self, features: Feature = Feature.EDGES) -> None:
-        self._tick = 0
-        self._port = MemoryPort(bounded=False)
-        vocabulary = replace(
-            FULL, name="small", firmware="1.0", serial="", build="", modes=FULL.modes[:1], features=features,
-            channels=tuple(
-                words.Channel(each.id, each.name, each.raw, each.unit, each.flags, each.scale, lambda s: s.hall)
-                for each in CHANNELS
-            ),
-            parameters=tuple(
-                words.Parameter(p.id, p.name, default, *map(float, np.float32([p.lo, p.hi])), p.unit, p.flags)
-                for p, default in zip(PARAMETERS, SmallDrive().values.values(), strict=True)
-            ),
-        )  # fmt: skip
-        self.device = build_device(vocabulary, pwm_hz=1000, clock=lambda: Fraction(self._tick, TICK_HZ))
+
+class AloneLink(VirtualLink):
+    """A drive by SPEC.md alone: a link, its session and its app in one."""
+
+    def __init__(self, vocabulary: Vocabulary = SMALL) -> None:
+        super().__init__(can=False)
+        self._now = Fraction(0)
+        self.device = build_device(vocabulary, clock=self.clock)
         self.device.boot_id = 0xB0071D
-        self.device.attach(ByteCarrier(self._port))
+        self.device.attach(self.carrier)
 
     def receive(self, data: bytes) -> None:
-        self._port.to_device += data
-        turn(self.device)
+        self.write(data)
 
     def advance(self, tick: int) -> None:
-        self._tick = tick
+        self._now = Fraction(tick, TICK_HZ)
         self.device.advance()
 
     def data_to_send(self) -> bytes:
-        data = bytes(self._port.to_host)
-        self._port.to_host.clear()
+        data = bytes(self.port.to_host)
+        self.port.to_host.clear()
         return data
 
     @property
@@ -154,9 +156,9 @@ class AloneLink:
         self.device.trip(bits)
 
 
-def small_link_alone(**changes: Feature) -> tuple[AloneLink, AloneLink, AloneLink]:
+def small_link_alone(features: Feature = SMALL.features) -> tuple[AloneLink, AloneLink, AloneLink]:
     """Return the same by SPEC.md alone."""
-    made = AloneLink(**changes)
+    made = AloneLink(SMALL.without(features=features))
     made.advance(0)
     return made, made, made
 
