@@ -108,9 +108,14 @@ class FirstSignal:
 
     def __init__(self) -> None:
         self.number = 0
+        self.interrupt: BaseException | None = None
+        """What it came as: KeyboardInterrupt or Interrupted."""
+        self.came: list[int] = []
+        """Signals that have come in what is, or was last, not to be interrupted."""
 
     def remember(self, interrupt: BaseException) -> None:
-        """That came as this exception: KeyboardInterrupt or Interrupted."""
+        """That came as this exception."""
+        self.interrupt = self.interrupt or interrupt
         self.number = self.number or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
 
     def uninterrupted(self, action: Callable[[], object]) -> None:
@@ -118,7 +123,7 @@ class FirstSignal:
         begun = False
         while not begun:
             try:
-                with undisturbed():
+                with undisturbed() as self.came:
                     begun = True
                     action()
             except (KeyboardInterrupt, Interrupted) as interrupt:

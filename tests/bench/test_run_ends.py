@@ -196,6 +196,8 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
     with patch("bench.live.run.RECONNECT", 1.0), patch("bench.device.client.REOPEN_PERIOD", 0.0):
         ended = _run(command, simulated(), happens)
     assert (ended.code, words in ended.text) == (codes[command], True), ended.text
+    if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit
+        assert ended.link.left()[1]["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
     device = ended.link.device
     device.advance(16000)  # a second: what nobody feeds any more
     if way != "nor does the watchdog switch off":
