@@ -103,6 +103,11 @@ def _again(number: int) -> None:
     _thread.start_new_thread(send, ())
 
 
+def signal_of(interrupt: BaseException) -> int:
+    """The number of the signal that came as this exception: KeyboardInterrupt or Interrupted."""
+    return interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT
+
+
 class FirstSignal:
     """The number of the first signal that came in a run that goes on to its regular end all the same; 0: none."""
 
@@ -116,7 +121,7 @@ class FirstSignal:
     def remember(self, interrupt: BaseException) -> None:
         """That came as this exception."""
         self.interrupt = self.interrupt or interrupt
-        self.number = self.number or (interrupt.signum if isinstance(interrupt, Interrupted) else signal.SIGINT)
+        self.number = self.number or signal_of(interrupt)
 
     def uninterrupted(self, action: Callable[[], object]) -> None:
         """Do it undisturbed, once. A signal that comes before, meanwhile or after is remembered."""

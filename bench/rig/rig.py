@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Self
 
 from bench.device.client import POLL, Client, Sink
-from bench.device.node import ClockFit
+from bench.device.node import ClockFit, Node
 from bench.device.safety import is_off, says
 from bench.errors import BenchError, DriveFailed, OutputsMayBeOn
 from bench.record.ring import FOR_EVER, Stored
@@ -67,6 +67,8 @@ class Plan:
     """None where nobody can be asked."""
     virtual: bool = False
     """Time passes as fast as it can be computed."""
+    find: Callable[[Client, str], Node] = find_drive
+    """What finds, on a link, the drive of a target."""
     reconnect: float = 0.0
     """s that a lost link is waited for."""
     goes_on: bool = False
@@ -133,7 +135,7 @@ class Rig:
             stack.callback(link.close)
             self.client = Client(link, plan.reconnect)
             self.client.on_reboot = self._rebooted.add
-            node = find_drive(self.client, plan.target)
+            node = plan.find(self.client, plan.target)
             self.drive = Drive(node, plan.envelope)
             if plan.goes_on:
                 self.drive.advice = ""  # nobody computes here
@@ -169,16 +171,13 @@ class Rig:
             self.record_to(recording or Recording(), [self.recorder])
             self.drive.node.start_streams()
             self.wait(2 * POLL)
-        except BaseException:
-            self._stack.close()
-            raise
-        self._prepared = True
-        if not self.plan.passive:
-            try:
+            self._prepared = True
+            if not self.plan.passive:
                 self.drive.limit_current()
-            except BaseException:
-                self.close()
-                raise
+        except BaseException:
+            failures_of([self.finish, self._stack.close])  # why it is closed matters more
+            self._failures = []
+            raise
         return self
 
     def take(self, or_fault: bool = False) -> None:
@@ -322,7 +321,7 @@ class Rig:
         drive, passive, tells = self.drive, self.plan.passive, self.plan.goes_on
         off = failures_of([drive.stop] if drive.on or (self._prepared and not passive) else [])
         stopped = not off
-        if stopped and not passive and (late := drive.untold()):
+        if stopped and self._taken and not passive and (late := drive.untold()):
             self.tripped = self.tripped or late
         off += failures_of([self.load.off])
         clear_faults = stopped and not (passive or tells)
