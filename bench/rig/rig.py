@@ -319,13 +319,13 @@ class Rig:
 
     def _finish(self) -> None:
         drive, passive, tells = self.drive, self.plan.passive, self.plan.goes_on
-        off = failures_of([drive.stop] if drive.on or (self._prepared and not passive) else [])
+        ours = self._prepared and not passive
+        off = failures_of([drive.stop] if drive.on or ours else [])
         stopped = not off
         if stopped and self._taken and not passive and (late := drive.untold()):
             self.tripped = self.tripped or late
         off += failures_of([self.load.off])
-        clear_faults = stopped and not (passive or tells)
-        restored = failures_of([*self.at_end, partial(drive.restore, clear_faults)])
+        restored = failures_of([*self.at_end, partial(drive.restore, clear_faults=ours and stopped and not tells)])
         streams = failures_of([drive.node.stop_streams] if self._taken else [])
         if not (passive or tells):
             restored += streams
