@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 STRICT = (
     "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wcast-align", "-Wshadow", "-Werror",
 )  # fmt: skip
-SANITIZED = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror")
 SMALL = {
     "RX_MAX": 128, "TX_MAX": 128, "TX_BYTES": 512, "CHANNELS": 5, "POOLS": 1, "POOL_BYTES": 264, "EDGES": 1,
     "CAN_MESSAGES": 64, "CAN_STREAMED": 16, "CAN_TRANSFERS": 2,
@@ -50,5 +50,5 @@ def run(*command: str | Path, text: str | None = None) -> str:
 def build(to: Path, name: str, main: str, *flags: str, can: bool = True) -> Path:
     """A program of `main` in this folder and the device side, by the compiler `name`."""
     files = [HERE / main, SOURCE / "hbp.c", *([SOURCE / "hbp_can.c"] if can else [])]
-    run(compiler(name, *flags), "-std=c99", "-Wall", "-Wextra", "-Werror", *flags, *files, "-o", to)
+    run(compiler(name, *flags), "-std=c99", *flags, *files, "-o", to)
     return to

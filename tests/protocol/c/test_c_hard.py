@@ -108,7 +108,7 @@ def test_a_fuzzer_that_looks_for_new_paths(built: Callable[..., Path], tmp_path:
 
 @pytest.fixture
 def interrupts(built: Callable[..., Path]) -> Path:
-    return built("gcc", "interrupts.c", "-O2", "-g", "-DHBP_CHANNELS=8", can=False)
+    return built("gcc", "interrupts.c", "-O2", "-Wall", "-Wextra", "-Werror", "-g", "-DHBP_CHANNELS=8", can=False)
 
 
 @pytest.mark.parametrize("steps", ["60000", pytest.param("300000", marks=pytest.mark.campaign("c"))])
