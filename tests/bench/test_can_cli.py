@@ -12,10 +12,10 @@ from unittest.mock import patch
 import can
 import can.interfaces
 import pytest
+from against import said as bench
 from virtual_bus import on_virtual_bus
 from virtual_run import RecordingScreen, WatchedLink
 
-from bench.cli import main
 from bench.device.bus import BusMeter, bus_rows
 from bench.device.client import Client
 from bench.device.scan import scan
@@ -68,17 +68,6 @@ def fd() -> Iterator[str]:
 def real() -> Iterator[str]:
     with on_virtual_bus("cli") as target:
         yield target
-
-
-def bench(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
-    got = 0
-    try:
-        main(list(arguments))
-    except SystemExit as ended:
-        got = int(ended.code or 0)
-    read = capsys.readouterr()
-    assert got == code, read
-    return read.out, read.err
 
 
 def run(target: str, **options: object) -> tuple[Summary, list[str]]:

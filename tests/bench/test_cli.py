@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import subprocess
 import sys
@@ -11,24 +10,17 @@ from unittest.mock import patch
 
 import click
 import pytest
+from against import said as bench
 from processes import ENVIRONMENT, LIMIT
 from virtual_run import WatchedLink, reached_by, simulated
 
-from bench.cli import cli, main
+from bench.cli import cli
 from bench.cli.live import Observer
 from protocol import __version__
 from protocol.signals import DRIVE_CHANNELS, DRIVE_PARAMETERS, LOAD_CHANNELS, SOURCE_NAMES
 
 COMMANDS = ["live", "view", "mark", "plot", "compare", "export", "accept", "conform", "hall", "replay", "score", "sim"]
 COMMANDS += ["devices", "info", "protocol", "completion"]
-
-
-def bench(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[str, str]:
-    with contextlib.suppress(SystemExit):
-        main(list(arguments))
-    read = capsys.readouterr()
-    assert "error:" not in read.err
-    return read.out, read.err
 
 
 def test_the_commands_are_these() -> None:

@@ -330,7 +330,7 @@ def test_plain(): pass
 """
 
 
-@pytest.mark.long("two processes of a suite, ended")
+@pytest.mark.campaign("terminal")
 def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_finished(
     accepting: Accepting, start: Callable[..., Program]
 ) -> None:
