@@ -94,7 +94,7 @@ class Run:
         self.ended = False
         """Whether it came to its end: it was not cut short, and is not being written."""
         self.lost: dict[str, int] | None = None
-        """What was missing of it by its end, see `bench.record.losses`; None where it came to no end."""
+        """What was missing of it by its end, see `bench.device.losses`; None where it came to no end."""
         self.summary = ""
         """Markdown."""
 
