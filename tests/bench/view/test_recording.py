@@ -48,7 +48,7 @@ def test_what_was_said_comes_back(recording: Path, made: synthetic.SyntheticRun)
     assert (run.info.parameters, run.info.identity["drive"]) == ({"n_p": 6.0, "i_max": 8.0}, "synthetic")
     assert run.info.channels == synthetic.CHANNELS
     assert run.events == (DeviceEvent(int(made.tick[0]), EventCode.STATE_CHANGED, 1, 3.0),)
-    assert [text for _, text in run.notes] == ["all of it"]
+    assert [note.text for note in run.notes] == ["all of it"]
     assert run.summary == "# Summary\n\nall well"
 
 
@@ -88,7 +88,7 @@ def test_after_a_reboot_of_the_drive_everything_is_logged_as_before(tmp_path: Pa
     for entity in ("/samples", "/stator/vectors", "/trend", "/health"):
         assert max(twice[entity].values()) >= 2 * max(once[entity].values()) - 2 > 0, entity
     last = [(start * synthetic.PWM_HZ + 47_999) * synthetic.TICKS for start in (100, 0.5)]
-    assert [at for at, _ in Run(paths[1]).notes] == last
+    assert [note.tick for note in Run(paths[1]).notes] == last
 
 
 def test_an_infinite_sample_costs_a_picture_not_the_recording(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_run_that_ends_in_an_error_leaves_a_whole_file(tmp_path: Path, made: s
     made.feed(*outputs.sinks)
     outputs.close()  # with no end_recording before it
     run = Run(tmp_path / "a.run")
-    assert (run.samples.raw.tobytes(), [text for _, text in run.notes]) == (made.raw.tobytes(), ["all of it"])
+    assert (run.samples.raw.tobytes(), [note.text for note in run.notes]) == (made.raw.tobytes(), ["all of it"])
 
 
 def test_streams_of_two_nodes_and_of_fewer_channels_are_kept_apart(tmp_path: Path) -> None:
