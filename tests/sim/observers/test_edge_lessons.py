@@ -98,18 +98,6 @@ def test_the_common_place_is_told_from_load_and_speed_as_by_least_squares():
     assert np.degrees(found[0]) == pytest.approx(2.0, abs=0.7)
 
 
-def test_one_speed_and_one_load_leave_unsure_what_they_do_not_tell_apart():
-    """The place together with the load is found; each of the two is left as unsure as it was, but for their sum."""
-    _, before = common_of([(600.0, 4.0, 3.0 * DEG)] * 5)
-    often, after = common_of([(600.0, 4.0, 3.0 * DEG)] * 400)
-    for state in (before, after):
-        assert np.sqrt(state.common_P[9]) > 0.5 * el.C_1 / SCALE.i
-    assert often[0] + 4.0 * (often[2] + often[3] / 4.0) + 600.0 * often[4] == pytest.approx(3.0 * DEG, abs=0.05 * DEG)
-    assert abs(often[2]) < el.C_1 / SCALE.i
-    other, _ = common_of([(600.0, 4.0, 3.0 * DEG)] * 400 + [(600.0, 1.0, 0.0)] * 40)
-    assert other[2] != pytest.approx(often[2], rel=0.2)  # another load tells
-
-
 def test_the_drop_along_the_current_is_told_from_the_flux_as_by_least_squares():
     psi, drop, R = 1.05 * SCALE.psi_f, 0.15, 0.02
     rng = np.random.default_rng(2)
