@@ -187,7 +187,7 @@ action()
 longest = 2.0 * (time.perf_counter() - begun) + 1e-4
 signal.signal(signal.SIGALRM, stop)
 stopped = 0
-while stopped < 100:
+while stopped < 60:
     try:
         signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-5, longest))
         while True:
