@@ -151,12 +151,9 @@ def test_a_division_by_zero_raises_nothing_in_compiled_code() -> None:
 
 STORM = """
 import random, signal, sys, time
-from bench.replay.estimators import HostObservers
-from protocol.messages import StreamEvent
-from protocol.signals import DRIVE_CHANNELS
-from protocol.streams import StreamConfig
 from sim.config.params import load_params
 from sim.drive.machine import SimulatedBench
+from sim.observers.catalogue import CATALOGUE
 
 class Stop(BaseException):
     pass
@@ -173,12 +170,11 @@ def advance():
 
 params = load_params()
 bench = SimulatedBench(params)
-streamed = tuple(channel for channel in DRIVE_CHANNELS if channel.name in ("theta_vt", "theta_ek"))
-config = StreamConfig(1, 0, 1, StreamEvent.PWM, 1, streamed, 9, tick_hz=20_000_000, pwm_hz=16_000)
+observing = CATALOGUE["edge_kalman"].make_params(16_000, params.drive_parameters())
 action = {
     "advance": advance,
     "make a drive": lambda: SimulatedBench(params),
-    "make observers": lambda: HostObservers(params.drive_parameters(), config),
+    "make an observer": lambda: CATALOGUE["edge_kalman"].start(observing),
 }[sys.argv[1]]
 begun = time.perf_counter()
 action()
@@ -198,7 +194,7 @@ while stopped < 60:
 
 
 @pytest.mark.parametrize(
-    "action", sampled("storm", ("advance", "make a drive", "make observers"), 1, campaign="kernels")
+    "action", sampled("storm", ("advance", "make a drive", "make an observer"), 1, campaign="kernels")
 )
 def test_a_handler_that_raises_while_a_kernel_runs_does_no_harm(action: str) -> None:
     """Without `Held` some of them end in a segmentation fault: numba makes NamedTuples by Python code."""
