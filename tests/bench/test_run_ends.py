@@ -171,6 +171,19 @@ def _states(command: str, network: str) -> tuple[DriveState, ...]:
     return tuple(ended.link.states)
 
 
+@pytest.mark.parametrize(("command", "most"), {"live": 3.0, "accept": 3.0, "hall": 2.0, "notebook": 3.0}.items())
+def test_the_drives_own_limit_is_lowered_from_the_first_moment_on(command: str, most: float) -> None:
+    """Of the current, to what was announced."""
+    limits = set()
+
+    def look(link: SpoiltLink, number: int) -> None:
+        if link.device.drive.state in (DriveState.ARMED, DriveState.RUNNING):
+            limits.add(link.device.bench.parameters["i_max"])
+
+    assert _run(command, simulated(), look).code == 0
+    assert limits == {most}
+
+
 def _at(command: str, network: str) -> dict[str, int]:
     """Calls at which something may happen."""
     states = _states(command, network)
@@ -260,6 +273,8 @@ def test_what_the_drive_or_the_link_does_leaves_nothing_on_unsaid(way: str, comm
     assert (ended.code, words in ended.text) == (codes[command], True), ended.text
     if way == "nor does the watchdog switch off":  # what may still be on keeps its lowered limit
         assert ended.link.left()[1]["1.i_max"] == {"hall": 2.0, "conform": 8.0}.get(command, 3.0)
+    if way == "the cable is pulled" and command != "conform":  # which changes nothing
+        assert re.search(r"not restored: (k_p_vt \(was 1268\), )?i_max \(was 8\)", ended.text), ended.text
     device = ended.link.device
     if way in ("the link fails once", "an error of this program"):  # STOP did it
         assert (ended.link.left(), device.drive.machine.faults) == (ended.before, Fault(0))
