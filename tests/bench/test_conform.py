@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 from conforming import OVERLOADED, RICH, TARGET, ended, narrow, on_device, on_simulated, on_uart, options, run_on
 from processes import Program, Sim
-from virtual_run import RecordingScreen, at_rest, physical, simulated
+from virtual_run import NETWORKS, RecordingScreen, at_rest, physical, simulated
 
 from bench.cli import cli
 from bench.conform import run as conforming
@@ -30,6 +30,7 @@ from protocol.errors import NoReply, Refused
 from protocol.links import Link
 from protocol.messages import DriveState, ErrorCode
 from sim.ports.virtual import VirtualLink
+from tests.choice import sampled
 from tests.devices import FULL, serving
 from tests.devices.spec import State
 from tests.tools import needs
@@ -59,8 +60,14 @@ def test_the_device_written_from_spec_passes_every_level(vocabulary: str, carrie
     assert device.values == pytest.approx({row.id: row.value for row in device.vocabulary.parameters}, rel=1e-7)
 
 
-@pytest.mark.parametrize("network", ["bytes", "CAN", "CAN FD"])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs("C compiler"))], ids=["Python", "C"])
+SIMULATED = [
+    pytest.param(network, compiled, id=f"{network}, {'C' if compiled else 'Python'}",
+                 marks=needs("C compiler") if compiled else ())
+    for network in NETWORKS for compiled in (False, True)
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("network", "compiled"), sampled("simulated drive", SIMULATED, 3, campaign="conform"))
 def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) -> None:
     device = narrow() if network == "bytes" and not compiled else simulated(network=network, compiled=compiled)
     before = dict(device.bench.parameters)
@@ -72,7 +79,7 @@ def test_the_simulated_drive_passes_every_level(network: str, compiled: bool) ->
     assert device.bench.parameters == before
 
 
-@pytest.mark.parametrize("baud", [57_600, 115_200])
+@pytest.mark.parametrize("baud", sampled("baud", (57_600, 115_200), 1, campaign="conform"))
 def test_a_slow_uart_is_no_fault_of_the_device(baud: int) -> None:
     run = on_uart(STREAMS, baud)
     assert not ended(run, Verdict.FAIL)
