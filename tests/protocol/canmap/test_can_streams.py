@@ -16,7 +16,7 @@ from protocol.canmap.host import MAX_HELD
 from protocol.canmap.layout import sample_layout
 from protocol.canmap.plan import BusPlan
 from protocol.host import Rebooted
-from protocol.messages import DriveState, StreamEvent, StreamGet, StreamInfo, StreamSet, StreamStop
+from protocol.messages import DriveState, StreamEvent, StreamSet, StreamStop
 from protocol.signals import RawType
 from protocol.streams import Beat, LossCounters
 from tests.choice import examples
@@ -328,17 +328,6 @@ def test_a_forged_edge_far_ahead_does_not_stop_the_edges() -> None:
 
 
 # -- what a device answers --------------------------------------------------------------------------------------------
-
-
-def test_stream_get_tells_what_is_configured() -> None:
-    bus = pair(CLASSIC, ("hall", "theta"), 10)
-    info = bus.ask(StreamGet(0))
-    config = bus.decoders[0].config
-    assert (info.running, info.event, info.decimation, info.max_latency_ms) == (True, StreamEvent.PWM, 10, 20)
-    assert (info.slot, info.cfg_id, info.block, info.channels) == (config.slot, config.cfg_id, config.block, (1, 3))
-    assert StreamInfo.unpack(info.pack()) == info
-    free = bus.ask(StreamGet(2))
-    assert free.detail == 2
 
 
 def test_what_does_not_fit_the_bus_is_refused_with_what_would() -> None:
