@@ -4,7 +4,7 @@
     blocks      collects what arrives into blocks of about 50 ms
     log         writes blocks as rerun data
     dashboard   the views (blueprint)
-    sinks       FileSink and LiveSink: a thread and a stream of their own each
+    sinks       LiveSink: a thread and a stream of its own
     viewer      starts, watches and ends viewer processes
     salvage     finds the end of what was written whole in a file that was cut short
     recording   reads a recorded run back, exactly
