@@ -76,8 +76,9 @@ def failing_after(samples: int, error: Exception, times: int = 1):
     return fails
 
 
-@pytest.mark.parametrize("error", [BenchError("the disk is full"), ValueError("a bug"), OSError(5, "EIO")])
-@pytest.mark.parametrize("times", [1, 2, 1000])
+@pytest.mark.parametrize(
+    ("error", "times"), [(BenchError("the disk is full"), 1), (ValueError("a bug"), 2), (OSError(5, "EIO"), 1000)]
+)
 def test_an_exception_inside_the_run_ends_in_stop(
     monkeypatch: pytest.MonkeyPatch, error: Exception, times: int
 ) -> None:
