@@ -203,10 +203,10 @@ def looked_at(
         chunk = part(samples, first, first + 320)
         until = int(np.searchsorted(came.tick, chunk.tick[-1] - late * TICK_HZ))
         if until > given and edges is not None:
-            guard.edges(part(came, given, until))
+            guard.take(part(came, given, until))
             given = until
         if n not in lost:
-            guard.samples(chunk)
+            guard.take(chunk)
         if guard.verdict:
             return guard.verdict, float(chunk.tick[-1]) / TICK_HZ
     return "", math.nan

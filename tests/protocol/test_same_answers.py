@@ -221,6 +221,8 @@ def test_c_says_what_python_says(steps: list, two_nodes: bool) -> None:
 
     def compare() -> None:
         assert said_by(c) == said_by(python)
+        for session in python.sessions.values():  # what they had their drives do
+            assert vars(c.sessions[session.identity.node].app) == vars(session.app)
 
     play(steps, [python, c], fault, compare)
 

@@ -264,7 +264,7 @@ def test_can_streams(case: dict, batches: Callable[[Sequence], list]) -> None:
         for n, channel in enumerate(channels):
             assert chunk.raw[channel.name].tolist() == ((chunk.index // c["decimation"] + n) % 65536).tolist()
     assert joined(chunks, "index") == case["index"]
-    assert [gap[:3] for gap in gaps] == [tuple(gap) for gap in case["gaps"]]
+    assert gaps == [(*gap, False) for gap in case["gaps"]]
     names = "samples lost_by_index frames lost_by_seq out_of_order malformed late"
     check_counts(decoder.counters, case["account"], names)
 
