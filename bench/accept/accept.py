@@ -183,9 +183,12 @@ def _arguments(options: AcceptOptions) -> list[str]:
     paths = [path.absolute() for path in options.tests or (SUITE,)]
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
     root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
-    # no capture: a person may be asked; no settings of another project; folders above are none of ours, nor looked into
+    absolute = Path(root).absolute()
+    top = [absolute, *(folder for folder in absolute.parents if (folder / "conftest.py").exists())][-1]
+    places = ["--rootdir", root, "--confcutdir", str(top)]  # else pytest lists every folder above
+    # no capture: a person may be asked; no settings of another project
     arguments = [word for name in WITHOUT for word in ("-p", f"no:{name}")]
-    arguments += ["-s", "-c", os.devnull, "--rootdir", root, "--confcutdir", root, *map(str, paths)]
+    arguments += ["-s", "-c", os.devnull, *places, *map(str, paths)]
     named = {f"--bench-{name}": getattr(options, name) for name in SAME_NAME}
     named |= {"--bench-toml": options.bench_toml, "-k": options.keyword, "--junitxml": options.junit}
     named |= {"-n": options.jobs if options.jobs > 1 else None}
