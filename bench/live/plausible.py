@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.device.client import Sink
+from bench.device.heard import Heard
 from bench.live.causes import BackEmf, Turns, Wires
 from bench.signal.channels import flagged, reference_angle, speed_channel
 from bench.signal.position import ErrorTable, Moments, states
@@ -66,7 +66,7 @@ class Came:
     """What the speed was seen by."""
 
 
-class Plausibility(Sink):
+class Plausibility:
     """Sink that judges the run of a drive by its `stream` of samples and, with `edges`, its Hall edges.
 
     `parameters`: the drive's, by name, in their units.
@@ -101,20 +101,21 @@ class Plausibility(Sink):
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
-    def edges(self, chunk: EdgeChunk) -> None:
-        """Follow the Hall sensors from sector to sector."""
-        if chunk.config.node != self._drive:
-            return
+    def take(self, item: Heard) -> None:
+        """Follow the Hall sensors from sector to sector; take in what was sampled while the drive was running."""
+        if isinstance(item, EdgeChunk) and item.config.node == self._drive:
+            self._edges_came(item)
+        elif isinstance(item, SampleChunk) and item.config.node == self._drive:
+            self._samples_came(item)
+
+    def _edges_came(self, chunk: EdgeChunk) -> None:
         steps = steps_between(chunk.hall_old, chunk.hall_new)
         self._sectors += float(steps.sum())
         if self._theta:
             self._turns.edges(chunk, steps)
 
-    def samples(self, chunk: SampleChunk) -> None:
-        """Take in what was sampled while the drive was running."""
+    def _samples_came(self, chunk: SampleChunk) -> None:
         gone, self._sectors = self._sectors, 0.0
-        if chunk.config.node != self._drive or not len(chunk):
-            return
         for channel in chunk.config.channels:
             if channel.raw.dtype == "<f4":
                 bad = int(np.count_nonzero(~np.isfinite(chunk.raw[channel.name])))

@@ -1,7 +1,7 @@
 """A drive that is not the simulated one: every command does what it can with what the drive says of itself.
 
 `own` has six channels and three parameters of its own names, no encoder, no edges, no currents; the others are the
-usual drive less something. The device itself is held to protocol/SPEC.md by the vectors.
+usual drive less something. The device itself is held to protocol/SPEC.md by tests/protocol.
 """
 
 from __future__ import annotations
@@ -12,22 +12,17 @@ from functools import partial
 from itertools import product
 from math import tau
 from pathlib import Path
-from typing import Any
 
 import pytest
 from against import ACCEPT, HALL, INFO, LINKS, LOOK, SPIN, WATCH, bench
 
 from bench.record.reader import Run
-from protocol.framing import encode_frame
 from tests.choice import sampled
-from tests.devices import FULL, OWN, build, serving
-from tests.devices.carriers import ByteCarrier
-from tests.devices.device import Device
-from tests.devices.spec import ERROR, REPLY, Event, Feature, Message, State, Type
+from tests.devices import FULL, OWN, serving
+from tests.devices.spec import Feature, State
 
 pytestmark = pytest.mark.slow
 
-VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 ROWS = ("v_bus", "w_target", "w_meas", "pos_e", "temp_fet", "duty", "kp_w", "ki_w", "vbus_min")
 UNTRUE = r"nan r/min|KeyError|did you mean"
 
@@ -51,60 +46,6 @@ LESS = {
 
 own = partial(serving, "own", (), watchdog=1.0)  # more than SPEC's 0.2 s: the machine may be busy
 usual = partial(serving, watchdog=1.0)
-
-
-class Kept(ByteCarrier):
-    """Keeps what it is given; nobody is connected."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.sent: list[Message] = []
-
-    def send(self, message: Message, host: int = 0, sent: bytes | None = None) -> bytes:
-        self.sent.append(message)
-        return b""
-
-
-# -- the device -------------------------------------------------------------------------------------------------
-
-
-def asked(device: Device, request_hex: str) -> tuple[str | None, list[bytes]]:
-    """What the device answers, in hex ("" for nothing), and the payloads of its SETPOINT_REJECTED."""
-    carrier = Kept()
-    device.carrier = carrier
-    (request,) = carrier.parse(bytes.fromhex(request_hex))
-    device.receive(request)
-    replies = [encode_frame(message).hex() for message in carrier.sent if message.flags & REPLY]
-    events = [message.payload for message in carrier.sent if message.type == Type.EVENT]
-    assert len(replies) <= 1
-    return "".join(replies), [event for event in events if event[8] == Event.SETPOINT_REJECTED]
-
-
-def vectors(name: str) -> list[dict[str, Any]]:
-    path = VECTORS / name
-    return json.loads(path.read_text()) if path.exists() else []
-
-
-@pytest.mark.parametrize("case", vectors("exchanges.json"), ids=lambda case: case["name"])
-def test_the_device_refuses_as_the_vectors_say(case: dict[str, str]) -> None:
-    device = build()
-    for _ in range(2):  # the answer to a repeated request is the same
-        assert asked(device, case["request_hex"])[0] == case["reply_hex"]
-
-
-@pytest.mark.parametrize("case", vectors("sequences.json"), ids=lambda case: case["name"])
-def test_the_device_answers_in_sequence_as_the_vectors_say(case: dict[str, Any]) -> None:
-    names = [str(row.name) for row in (*FULL.channels, *FULL.parameters) if row.name not in ("hall", "theta_enc")]
-    device = build(FULL.without(*names, features=Feature(case["features"])), clock=lambda: 0.0)
-    device.boot_id = 0x00B0071D
-    for step in case["steps"]:
-        reply, rejected = asked(device, step["request_hex"])
-        if step["reply_hex"] is None:
-            (answer,) = ByteCarrier().parse(bytes.fromhex(reply or ""))
-            assert not answer.flags & ERROR
-        else:
-            assert reply == step["reply_hex"]
-        assert [event[8:].hex() for event in rejected] == [step["rejected_hex"]] * bool(step["rejected_hex"])
 
 
 # -- a drive as it should be ------------------------------------------------------------------------------------

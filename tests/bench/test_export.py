@@ -269,7 +269,7 @@ def test_after_a_reboot_an_mdf_has_a_group_whose_time_begins_again(tmp_path: Pat
     once = exported.START + np.arange(500, dtype=np.int64) * exported.EVERY
     again = np.arange(300, dtype=np.int64) * exported.EVERY
     for index in (once, again):
-        writer.samples(exported.samples(exported.SAMPLES, index))
+        writer.take(exported.samples(exported.SAMPLES, index))
     writer.close()
     done = export(Run(tmp_path / "a.run"), tmp_path / "x.mf4")
     assert any("the device rebooted" in words for words in done.notes)
@@ -308,9 +308,9 @@ def test_a_part_of_the_time_and_of_the_channels(made: Path, reader: str, tmp_pat
 def test_a_stream_that_has_nothing_there_has_no_rows(tmp_path: Path) -> None:
     """Node 2 and the edges stop early; their columns are there."""
     writer = RunWriter(tmp_path / "a.run", exported.info())
-    writer.edges(exported.edges(np.arange(3, dtype=np.int64)))
+    writer.take(exported.edges(np.arange(3, dtype=np.int64)))
     index = exported.START + np.arange(800, dtype=np.int64) * exported.EVERY
-    writer.samples(exported.samples(exported.SAMPLES, index))
+    writer.take(exported.samples(exported.SAMPLES, index))
     writer.close()
     for reader in READERS:
         ending, read = READERS[reader]
@@ -327,7 +327,7 @@ def test_a_run_that_was_cut_short_is_exported_up_to_there(made: Path, tmp_path: 
     writer = RunWriter(tmp_path / "a.run", exported.info())
     index = exported.START + np.arange(50, dtype=np.int64) * exported.EVERY
     chunk = exported.samples(exported.SAMPLES, index)
-    writer.samples(chunk)
+    writer.take(chunk)
     writer.abandon()
     for reader in READERS:
         ending, read = READERS[reader]
@@ -339,7 +339,7 @@ def test_a_run_that_was_cut_short_is_exported_up_to_there(made: Path, tmp_path: 
 
 def test_a_run_of_edges_alone(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "a.run", exported.info())
-    writer.edges(exported.edges(np.arange(10, dtype=np.int64)))
+    writer.take(exported.edges(np.arange(10, dtype=np.int64)))
     writer.close()
     assert export(Run(tmp_path / "a.run"), tmp_path / "x.csv").files["edges"] == tmp_path / "x.csv"
     wanted = exported.expected(tmp_path / "a.run", "edges")
@@ -503,7 +503,7 @@ def test_a_mat_file_has_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str
         info = exported.RunInfo(1000, 100, channels)
         writer = RunWriter(tmp_path / f"{len(name)}.run", info)
         index = np.arange(5, dtype=np.int64)
-        writer.samples(exported.SampleChunk(config, index, index * 10, np.zeros(5, config.dtype), ()))
+        writer.take(exported.SampleChunk(config, index, index * 10, np.zeros(5, config.dtype), ()))
         writer.close()
     export(Run(tmp_path / "63.run"), tmp_path / "63.mat")
     assert "x" * 63 in loadmat(tmp_path / "63.mat", simplify_cells=True)["samples"]
@@ -527,7 +527,7 @@ def fast_run(path: Path, seconds: int) -> Path:
     chunk = exported.samples(config, np.arange(exported.PWM_HZ, dtype=np.int64))
     for second in range(seconds):
         index = chunk.index + second * exported.PWM_HZ
-        writer.samples(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
+        writer.take(exported.SampleChunk(config, index, index * exported.TICKS, chunk.raw, ()))
     writer.close()
     return path
 

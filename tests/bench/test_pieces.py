@@ -22,6 +22,8 @@ from long_run import KEPT, repeated
 
 import bench
 from bench.cli import cli
+from bench.device.heard import Missing
+from bench.device.losses import Continuity
 from bench.errors import BenchError
 from bench.files import leaves
 from bench.hall import trace as tracing
@@ -55,12 +57,13 @@ def in_groups(tmp_path: Path, small_groups: None) -> Path:
     """The kept reversal in many row groups, with 300 samples and 5 edges that are missing in its middle."""
     run = Run(REVERSAL)
     path = tmp_path / "groups.run"
-    out = RunWriter(path, run.info)
+    out, continuity = RunWriter(path, run.info), Continuity()
     for a in range(0, len(run.samples), 500):
         if a != 9000:
-            out.samples(part(run.samples, a + (300 if a == 9500 else 0), min(a + 500, len(run.samples))))
+            samples = part(run.samples, a + (300 if a == 9500 else 0), min(a + 500, len(run.samples)))
+            out.take(continuity.chunk(samples))
     for a in range(0, len(run.edges), 20):
-        out.edges(part(run.edges, a + (5 if a == 300 else 0), min(a + 20, len(run.edges))))
+        out.take(continuity.chunk(part(run.edges, a + (5 if a == 300 else 0), min(a + 20, len(run.edges)))))
     out.close()
     return path
 
@@ -141,9 +144,9 @@ def test_what_is_damaged_at_an_end_is_lost(in_groups: Path, stream: str, end: in
 def test_what_never_came_at_the_end_is_lost(tmp_path: Path) -> None:
     run = Run(STEADY)
     out = RunWriter(tmp_path / "a.run", run.info)
-    out.samples(run.samples)
-    out.missing(run.info.node, 40, 2)
-    out.missing(run.info.node + 1, 7, 0)
+    out.take(run.samples)
+    out.take(Missing(int(run.samples.tick[-1]), run.info.node, 40, 2))
+    out.take(Missing(int(run.samples.tick[-1]), run.info.node + 1, 7, 0))
     out.close()
     (lost,) = bench.read(tmp_path / "a.run").dropped
     assert lost[2].startswith("40 samples and 2 Hall edges did not come")
@@ -153,7 +156,7 @@ def test_what_never_came_at_the_end_is_lost(tmp_path: Path) -> None:
 def test_the_journal_is_read_by_part_and_channel_too(tmp_path: Path) -> None:
     run = Run(REVERSAL)
     out = RunWriter(tmp_path / "cut.run", run.info)
-    out.samples(run.samples)
+    out.take(run.samples)
     out.sync()
     out.abandon()
     read = bench.read(tmp_path / "cut.run", 0.5, 0.6, ["i_q"])
@@ -333,7 +336,7 @@ def test_a_run_without_edges_is_refused(tmp_path: Path) -> None:
     shutil.copytree(STEADY, tmp_path / "a.run")
     run = Run(tmp_path / "a.run")
     out = RunWriter(tmp_path / "b.run", replace(run.info))
-    out.samples(run.samples)
+    out.take(run.samples)
     out.close()
     with pytest.raises(BenchError, match="holds no samples or no Hall edges of a drive: record both"):
         Recorded(Run(tmp_path / "b.run"))
