@@ -344,7 +344,7 @@ class LiveRun:
         verdict, words = Verdict.FAIL, lost
         findings: tuple[str, ...] = (lost,)
         if not lost and rig.tripped:
-            findings = (rig.tripped, *(self._judge.causes() if self._judge else ()))
+            findings = (rig.tripped, *(found.line for found in (self._judge.causes() if self._judge else ())))
             words = "; ".join(findings) + (f". {self._advice}" if rig.drive.ran_away else "")
         elif not lost:
             verdict, words, findings = self._judged()
@@ -373,8 +373,8 @@ class LiveRun:
             return Verdict.FAIL, f"implausible: {misdated}", (misdated,)
         if self._judge is None:
             return Verdict.PASS, "ok", ()
-        if found := self._judge.implausible(stats.errors):
-            return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", tuple(found)
+        if found := tuple(found.line for found in self._judge.implausible(stats.errors)):
+            return Verdict.FAIL, f"implausible: {'; '.join(found)}. {self._advice}", found
         unseen = self._judge.unverified()
         return Verdict.PASS, f"ok as far as was seen; unverified: {'; '.join(unseen)}" if unseen else "ok", ()
 

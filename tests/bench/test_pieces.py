@@ -318,7 +318,7 @@ def test_of_many_samples_some_are_measured_and_all_are_counted(monkeypatch: pyte
     assert (some.samples, some.changes()) == (len(made), whole.changes())
     flips = made.edges.hall_old ^ made.edges.hall_new
     assert whole.changes() == [int(((flips >> k) & 1).sum()) - slow_flips(whole, made, k) for k in range(len(INPUTS))]
-    assert examine(some).outcome == examine(whole).outcome
+    assert examine(some).verdict == examine(whole).verdict
     for one, other in zip(examine(some).measured.edges, examine(whole).measured.edges, strict=True):
         assert one.up.angle == pytest.approx(other.up.angle, abs=1e-3)
 

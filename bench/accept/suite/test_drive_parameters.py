@@ -40,8 +40,9 @@ from bench.accept.suite.common import (
 )
 from bench.accept.suite.events import current
 from bench.errors import BenchError
+from bench.findings.late import Late, blame
 from bench.rig.loads import Load
-from bench.signal.delays import Late, blame, delays
+from bench.signal.delays import delays
 from bench.signal.trace import STATOR
 from bench.signal.waveforms import BACKWARDS, FORWARDS
 from bench.signal.waveforms.sectors import NUMERALS

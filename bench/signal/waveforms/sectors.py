@@ -1,7 +1,7 @@
 """Errors by electrical sector, and where the Hall edges lie.
 
 Angles are electrical rad, wrapped or not. Sector k is [k * 60 deg, (k + 1) * 60 deg). Nothing here knows a wiring other
-than the specified one: see `bench.signal.wiring`.
+than the specified one: see `bench.findings.wiring`.
 """
 
 from __future__ import annotations
