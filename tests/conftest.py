@@ -1,13 +1,14 @@
-"""Lets several workers share the suite (`pytest -n 2`), and tells at the end what was skipped and what took long.
+"""Lets several workers share the suite (`pytest -n 3`), and tells at the end what was skipped and what took long.
 
-A drive in real time, a watchdog or a viewer needs a core when its time has come, and a worker beside it that computes
-takes it away. So every test holds a lock of its kind while it runs, which others of that kind share. Those in real time
-come last, so that they run beside one another.
+A drive in real time, a watchdog or a viewer needs a core when its time has come. So the tests in real time, which
+mostly wait, go to one worker, one after the other, from the beginning; those that compute run beside them with a lower
+priority. A few need the machine for themselves, and wait until nothing else runs.
 """
 
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import signal
 import tempfile
@@ -19,10 +20,10 @@ from pathlib import Path
 import pytest
 
 from tests import campaign, choice, tools
+from tests.campaign import GROUP
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background begins without Ctrl-C
 
-KINDS = ("computing", "real-time")
 LONGEST = 5.0  # s that a test may take without a mark `long` that says why
 
 
@@ -36,25 +37,29 @@ def _locked(path: Path, how: int) -> Iterator[None]:
 def _kind(item: pytest.Item) -> str:
     if item.get_closest_marker("alone"):
         return "alone"
-    return "real-time" if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
+    return GROUP if item.get_closest_marker("real_time") or item.get_closest_marker("real_links") else "computing"
 
 
 @contextmanager
 def _turn(kind: str) -> Iterator[None]:
-    """Hold the machine for a test of this kind; who waits for it lets nobody else in meanwhile."""
+    """Hold the machine for a test of this kind; who waits for it alone lets nobody else in meanwhile."""
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
     if run is None:
         yield
         return
-    door, *rooms = (Path(tempfile.gettempdir()) / f"hallbench-tests-{run}.{name}" for name in ("door", *KINDS))
+    if kind != GROUP:
+        _step_back()
+    door, room = (Path(tempfile.gettempdir()) / f"hallbench-tests-{run}.{name}" for name in ("door", "room"))
     with ExitStack() as stack:
-        with _locked(door, fcntl.LOCK_EX), ExitStack() as waiting:
-            for room, others in zip(rooms, KINDS, strict=True):
-                if others == kind:
-                    stack.enter_context(_locked(room, fcntl.LOCK_SH))
-                else:  # until they are done
-                    (stack if kind == "alone" else waiting).enter_context(_locked(room, fcntl.LOCK_EX))
+        with _locked(door, fcntl.LOCK_EX):
+            stack.enter_context(_locked(room, fcntl.LOCK_EX if kind == "alone" else fcntl.LOCK_SH))
         yield
+
+
+@functools.cache
+def _step_back() -> None:
+    """From now on this worker gets what those in real time leave."""
+    os.nice(19)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -64,9 +69,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Hand the tests out one by one: two workers are then at the same place of the order, and end together."""
-    if getattr(config.option, "maxschedchunk", 1) is None:
-        config.option.maxschedchunk = 1
+    """Hand the tests out one by one, so that the workers end together, but those in real time to one of them."""
+    if getattr(config.option, "dist", "no") == "load":
+        config.option.dist = "loadgroup"
     if config.getoption("--campaign"):
         os.environ[choice.CAMPAIGN] = "1"
     config.pluginmanager.register(Order())
@@ -83,6 +88,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         kept = [item for item in kept if not item.get_closest_marker("real_links")]
     config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
     items[:] = kept
+    for item in kept:
+        if _kind(item) == GROUP:
+            item.add_marker(pytest.mark.xdist_group(GROUP))
 
 
 class Order:
@@ -90,9 +98,9 @@ class Order:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Long tests first, those in real time last."""
+        """Those in real time first, then long ones; last those that need the machine."""
         slow = {item for item in items if item.get_closest_marker("slow")}
-        items.sort(key=lambda item: (("computing", "real-time", "alone").index(_kind(item)), item not in slow))
+        items.sort(key=lambda item: ((GROUP, "computing", "alone").index(_kind(item)), item not in slow))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -87,7 +87,7 @@ def test_links_and_pictures_are_there(page: Path) -> None:
 
 def test_both_ci_commands_stand_in_the_readme() -> None:
     text = (ROOT / "README.md").read_text()
-    for name, ends in (("show", "bench live"), ("test", "pytest -n 2")):
+    for name, ends in (("show", "bench live"), ("test", "pytest -n 3")):
         match = re.search(rf"<!-- ci: {name} -->\n```sh\n(.+)\n```", text)
         assert match, name
         assert match.group(1).endswith(ends)
