@@ -12,8 +12,8 @@ from scipy import signal
 from scipy.optimize import brentq
 
 from bench.signal.waveforms import (
-    BACKWARDS,
-    FORWARDS,
+    FORWARD,
+    REVERSE,
     by_sector,
     constant,
     edge_offsets,
@@ -353,8 +353,8 @@ def edges_of_turns(delta_deg: tuple[float, ...], hysteresis_deg: float, turns: i
 def test_edge_offsets_are_those_of_table_one() -> None:
     theta, old, new = edges_of_turns(TABLE_I, 2.0, 5)
     found = edge_offsets(theta, old, new)
-    assert np.degrees(found.mean[:, FORWARDS]) == pytest.approx(np.array(TABLE_I) - 1.0)
-    assert np.degrees(found.mean[:, BACKWARDS]) == pytest.approx(np.array(TABLE_I) + 1.0)
+    assert np.degrees(found.mean[:, FORWARD]) == pytest.approx(np.array(TABLE_I) - 1.0)
+    assert np.degrees(found.mean[:, REVERSE]) == pytest.approx(np.array(TABLE_I) + 1.0)
     assert (found.std, found.n.tolist()) == (pytest.approx(np.zeros((6, 2)), abs=1e-12), [[5, 5]] * 6)
     assert found.dropped == 0
 
@@ -371,7 +371,7 @@ def test_edges_between_no_neighbours_are_dropped_and_counted() -> None:
     theta = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
     found = edge_offsets(theta, np.array([5, 1, 1, 0, 3]), np.array([1, 7, 2, 3, 3]))
     assert found.dropped == 4
-    assert found.n.sum() == found.n[0, FORWARDS] == 1
+    assert found.n.sum() == found.n[0, FORWARD] == 1
     assert np.isnan(found.mean).sum() == np.isnan(found.std).sum() == 11
     none = edge_offsets(np.empty(0), np.empty(0, np.uint8), np.empty(0, np.uint8))
     assert none.n.sum() == none.dropped == 0
