@@ -181,9 +181,9 @@ def _arguments(options: AcceptOptions) -> list[str]:
     paths = [path.absolute() for path in options.tests or (SUITE,)]
     inside = all(path.is_relative_to(Path.cwd()) for path in paths)
     root = "." if inside else os.path.commonpath([path if path.is_dir() else path.parent for path in paths])
-    # no capture: a person may be asked; no settings of another project
+    # no capture: a person may be asked; no settings of another project; folders above are none of ours, nor looked into
     arguments = [word for name in WITHOUT for word in ("-p", f"no:{name}")]
-    arguments += ["-s", "-c", os.devnull, "--rootdir", root, *map(str, paths)]
+    arguments += ["-s", "-c", os.devnull, "--rootdir", root, "--confcutdir", root, *map(str, paths)]
     given: tuple[tuple[str, object], ...] = (
         ("--bench-target", options.target),
         ("-k", options.keyword),

@@ -86,7 +86,8 @@ class Recorder(Sink):
         if not chunks:
             raise BenchError(f"no sample between {self._at(first)} and {self._at(last)}")
         samples = join([between(chunk, first, last) for chunk in chunks])
-        edges = join([between(chunk, first, last) for chunk in self._edges])
+        near = [c for c in self._edges if not len(c) or (c.tick[-1] >= first and c.tick[0] <= last)]
+        edges = join([between(chunk, first, last) for chunk in near or self._edges[:1]])
         dropped = [stretch for stretch in self.dropped if stretch[0] <= last and stretch[1] >= first]
         if self.newest < last:
             dropped.append((self.newest, last, f"no sample received after {self._at(self.newest)}"))

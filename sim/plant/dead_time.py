@@ -5,8 +5,8 @@ one where it flows in. So an edge is late or not by the sign of the current at t
 that reaches zero meanwhile stays there: the leg floats until a switch turns on, or until its voltage reaches a rail.
 
 The period is walked through from event to event, with the currents as straight lines in between, for the mean
-inductance and the back-EMF as it changes. That agrees with the exact solution (`tests/sim/plant/switched.py`) to
-1.2 % of the dead time's voltage in the fundamental. Where every phase keeps away from zero, all of that is the sign of
+inductance and the back-EMF as it changes. That agrees with legs in small steps (`test_dead_time_by_edges.py`) to
+0.8 % of the dead time's voltage in the fundamental. Where every phase keeps away from zero, all of that is the sign of
 its current. Where one alone comes near, and no other leg switches in its dead times, what its current is at its edges
 follows from the legs' voltages until then, and nothing is walked through.
 

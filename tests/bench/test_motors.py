@@ -24,6 +24,7 @@ from bench.rig.settings import read_settings
 from bench.signal.verdict import Verdict
 from sim.config.params import load_params
 from sim.ports.device import SimulatedDevice
+from tests.choice import chosen, sampled
 
 pytestmark = [pytest.mark.slow, pytest.mark.long("a whole show for each fault")]
 
@@ -40,10 +41,7 @@ NO_LOAD = {  # r/min at 24 V by the figures that the sources have
     "teknic-m-2310p": 60 * 24 / math.sqrt(3) / 0.0399353 / 4,
 }
 each_motor = pytest.mark.parametrize("name", NO_LOAD)
-turning_motor = pytest.mark.parametrize("name", [
-    name if name in ("linix-45zwn24-40", "gimbal-4310") else pytest.param(name, marks=pytest.mark.campaign("motors"))
-    for name in NO_LOAD
-])  # fmt: skip
+turning_motor = pytest.mark.parametrize("name", sampled("motor", NO_LOAD, 1, campaign="motors"))
 
 
 @contextmanager
@@ -111,11 +109,11 @@ def test_a_check_finds_its_hall_sensors_healthy_and_where_they_are(name: str) ->
 @turning_motor
 def test_wrong_pole_pairs_and_a_wrong_flux_linkage_are_named(name: str) -> None:
     motor = load_params(motors()[name]).motor
-    for n_p in (motor.n_p - 1, motor.n_p + 1):
+    for n_p in chosen("pole pairs", (motor.n_p - 1, motor.n_p + 1), 1):
         ended = show(name, firmware__n_p=n_p)
         assert f"n_p = {n_p} is wrong, or sensors or encoder are ({motor.n_p}.0 would fit)" in ended.summary.result
         assert ended.exit_code == 1
-    for factor in (0.5, 2.0):
+    for factor in chosen("flux linkage", (0.5, 2.0), 1):
         ended = show(name, firmware__psi_f_hat=factor * motor.psi_f)
         said = re.search(r"psi_f_hat = (\S+) mV s, but by back-EMF and encoder it is (\S+) mV s", ended.summary.result)
         assert float(said[1]) == pytest.approx(1e3 * factor * motor.psi_f, rel=0.01)
@@ -124,7 +122,7 @@ def test_wrong_pole_pairs_and_a_wrong_flux_linkage_are_named(name: str) -> None:
 
 @turning_motor
 def test_exchanged_and_broken_wires_are_never_ok(name: str) -> None:
-    for fault in ({"hall_swap": 1}, {"hall_swap": 4}, {"hall_open": 2}, {"hall_invert": 1}):
+    for fault in chosen("wires", ({"hall_swap": 1}, {"hall_swap": 4}, {"hall_open": 2}, {"hall_invert": 1}), 2):
         assert show(name, **{f"wiring__{key}": value for key, value in fault.items()}).exit_code == 1
     rotated = show(name, wiring__hall_swap=5)  # the one with which a motor turns: backwards, away
     assert "sensors rotated (a on c, b on a, c on b)" in rotated.summary.result

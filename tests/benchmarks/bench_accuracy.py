@@ -15,7 +15,7 @@ from tests.sim.test_accuracy import VECTOR, running, settled
 def rows(short: bool) -> Iterator[Row]:
     """Largest differences of the plant; standard deviations of the position errors at 4 A, speed forced."""
     seconds = 0.5 if short else 2.0
-    _, _, current, angle = voltage_steps(1, 176e-6)
+    _, _, current, angle, *_ = voltage_steps(1, 176e-6)
     yield Row("plant, one step a period: current", current, "A", 1e-6, at_most=True)
     yield Row("plant, one step a period: angle", angle, "rad", 1e-6, at_most=True)
     for rpm, limit in ((50, 3.5), (500, 3.3), (1000, 4.4)):

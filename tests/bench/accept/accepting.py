@@ -6,11 +6,12 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from unittest.mock import patch
 
+import pytest
 from processes import ENVIRONMENT
 from virtual_run import RecordingScreen, WatchedLink, at_rest
 
@@ -27,7 +28,7 @@ import math
 import signal
 import numpy as np
 import pytest
-from bench.accept import RPM, energises, limit, limits, needs, Limits
+from bench.accept import RPM, energises, limit, limits, needs, yes, Limits
 def turn(drive, record, rpm=300):
     drive.start("vector-tracking")
     drive.speed(rpm=rpm)
@@ -88,7 +89,8 @@ def _is(raw: bytes, kind: MessageType, first: int) -> bool:
 
 
 def plain_pytest(directory: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Pytest itself, in a process of its own; text of what it printed."""
+    """Pytest itself, in a process of its own, of a project in that directory; text of what it printed."""
+    (directory / "pytest.ini").write_text("[pytest]\n")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
     return subprocess.run(command, cwd=directory, env=ENVIRONMENT | environment, capture_output=True, text=True)
 
@@ -104,6 +106,7 @@ class Run:
     found: RunResult | None
     code: int
     screen: RecordingScreen
+    directory: Path
 
     @property
     def result(self) -> RunResult:
@@ -146,4 +149,13 @@ class Accepting:
                 options = {"target": f"serial:{self.directory}/tty"} | options
                 stack.enter_context(patch("bench.rig.connection.open_link", link.open))
             run, code = accept(AcceptOptions(**options), self.screen)  # type: ignore[arg-type]
-        return Run(run, code, self.screen)
+        return Run(run, code, self.screen, self.directory)
+
+
+@contextmanager
+def accepting_in(directory: Path) -> Iterator[Accepting]:
+    """In that directory, which is the present one meanwhile."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(directory)
+        patched.delenv("BENCH_TARGET", raising=False)
+        yield Accepting(directory)

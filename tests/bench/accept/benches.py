@@ -45,8 +45,7 @@ def drawn(number: int) -> dict[str, Value]:
     }
 
 
-def on_an_unkind_bench(motor: str, own: Mapping[str, Value] | None = None) -> str:
+def on_an_unkind_bench(motor: str, own: Mapping[str, Value]) -> str:
     """A motor, with overrides, with every effect that a real bench has."""
-    overrides = own or {}
-    kind = load_params(motors()[motor] if motor else None, overrides)
-    return configured(motor, {**overrides, **unkind(kind)})
+    kind = load_params(motors()[motor] if motor else None, own)
+    return configured(motor, {**own, **unkind(kind)})

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from accepting import Accepting, SpoiltLink
+from accepting import Accepting, SpoiltLink, accepting_in
 from virtual_run import simulated
 
 
 @pytest.fixture
-def accepting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Accepting:
+def accepting(tmp_path: Path) -> Iterator[Accepting]:
     """In a directory of its own, which is the present one."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_TARGET", raising=False)
-    return Accepting(tmp_path)
+    with accepting_in(tmp_path) as accepting:
+        yield accepting
 
 
 @pytest.fixture

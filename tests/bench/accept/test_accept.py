@@ -12,8 +12,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from accepting import Accepting, Run, SpoiltLink, plain_pytest
-from processes import ENVIRONMENT, Program
+from accepting import HEAD, Accepting, Run, SpoiltLink, accepting_in, plain_pytest
+from processes import Program
 from test_prompt import PhysicalDrive, on_terminal
 from virtual_run import simulated
 
@@ -22,6 +22,7 @@ from bench.accept.results import run_from_json, to_json
 from bench.errors import BenchError
 from bench.rig.lock import alone_on
 from protocol.messages import DriveState
+from tests.choice import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -63,18 +64,25 @@ def refusal(run: Callable[[], object]) -> str:
 # -- what is written --------------------------------------------------------------------------------------------
 
 
-def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
-    run = accepting(TESTS, json=Path("a.json"), junit=Path("a.xml"), report=Path("out/report"))
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """What `TESTS` find, with all files that are written of it."""
+    with accepting_in(tmp_path_factory.mktemp("written")) as accepting:
+        return accepting(TESTS, json=Path("a.json"), junit=Path("a.xml"), report=Path("out/report"))
+
+
+def test_what_is_written_holds_every_measurement(ran: Run) -> None:
+    run, folder = ran, ran.directory
     assert run.tests == {"good": "PASS", "bad": "FAIL", "cannot": "SKIPPED"}
-    assert json.loads(Path("a.json").read_text()) == to_json(run.result)
-    assert Path("out/report/report.html").is_file()
-    assert sorted(path.name for path in Path("out/report/recordings").iterdir()) == ["bad.run", "good.run"]
+    assert json.loads((folder / "a.json").read_text()) == to_json(run.result)
+    assert (folder / "out/report/report.html").is_file()
+    assert sorted(path.name for path in (folder / "out/report/recordings").iterdir()) == ["bad.run", "good.run"]
     assert (run["good"].recording, run["cannot"].recording) == ("recordings/good.run", "")
     assert (run["good"].title, run["good"].about) == ("It turns.", "And more.")
     assert run.result.identity["name"] == "simulated drive"
     assert {p.name: p.value for p in run.result.parameters}["n_p"] == 6
 
-    suite = ET.parse("a.xml").getroot().find("testsuite")
+    suite = ET.parse(folder / "a.xml").getroot().find("testsuite")
     assert suite is not None
     assert {key: suite.get(key) for key in ("tests", "failures", "errors", "skipped")} == {
         "tests": "3", "failures": "1", "errors": "0", "skipped": "1",
@@ -91,18 +99,18 @@ def test_what_is_written_holds_every_measurement(accepting: Accepting) -> None:
     assert "bad.nan = nan deg" in message
 
 
-def test_the_closing_line_counts(accepting: Accepting) -> None:
-    run = accepting(TESTS)
-    untested, line = closing_lines(run.result)
+def test_the_closing_line_counts(ran: Run, accepting: Accepting) -> None:
+    untested, line = closing_lines(ran.result)
     assert untested == "not tested: 1 measurement: needs the parameter no_such (cannot)"
     assert re.fullmatch(
         r"FAIL: 3 tests \(1 failed, 1 passed, 1 skipped\), "
         r"5 measurements \(2 failed, 2 passed, 1 skipped\), \d+ s on sim",
         line,
     )
-    good = accepting(TESTS, keyword="test_good")
+    good = accepting(TESTS, keyword="test_good", json=Path("/dev/full"))
     (line,) = closing_lines(good.result)
     assert re.fullmatch(r"PASS: 1 test passed, 2 measurements, \d+ s on sim", line)
+    assert good.code == 2  # a result that cannot be written is no success
 
 
 @pytest.mark.parametrize(
@@ -125,12 +133,6 @@ def test_a_load_machine_that_another_run_holds_is_left_alone(accepting: Acceptin
     with alone_on(machine):
         assert refusal(lambda: accepting(TESTS, link)).startswith(f"{machine} is in use by another run")
     assert link.opened == []
-
-
-def test_a_result_that_cannot_be_written_at_the_end_is_no_success(accepting: Accepting) -> None:
-    run = accepting(TESTS, keyword="test_good", json=Path("/dev/full"))
-    assert run.tests == {"good": "PASS"}
-    assert run.code == 2
 
 
 def files_in(directory: str) -> set[str]:
@@ -232,83 +234,6 @@ def test_another_test_that_fails_beside_them_is_no_success(accepting: Accepting)
     assert any("test_plain: not an acceptance test, but it failed" in note for note in run.screen.notes)
 
 
-def test_a_failure_of_an_acceptance_test_is_told_once_and_as_one(accepting: Accepting) -> None:
-    text = """
-@limit("x", hi=1)
-def test_bad(measure): measure("x", 2)
-
-@pytest.fixture
-def broken(): raise RuntimeError("broken")
-
-def test_error(drive, broken): pass
-"""
-    for jobs in (1, 2):
-        accepting.screen.notes.clear()
-        notes = accepting(text, jobs=jobs).screen.notes
-        assert sorted(notes) == [
-            "        bad.x = 2 [≤ 1] FAIL",
-            "ERROR   error: RuntimeError: broken",
-            "FAIL    bad: 1 of 1 measurements did not pass",
-        ]
-
-
-def test_a_test_that_skips_half_way_has_not_passed(accepting: Accepting) -> None:
-    text = """
-@limit("y", hi=1)
-@limit("x", hi=1)
-def test_half(measure):
-    measure("x", {})
-    pytest.skip("no more")
-"""
-    run = accepting(text.format(0))
-    assert run.tests == {"half": "SKIPPED"}
-    assert {name: str(m.verdict) for name, m in run.measured.items()} == {"half.x": "PASS", "half.y": "SKIPPED"}
-    assert run.code == 6
-    assert accepting(text.format(2)).tests == {"half": "FAIL"}
-
-
-def test_a_mark_for_failure_does_not_better_a_drive(accepting: Accepting) -> None:
-    text = """
-@pytest.mark.xfail(reason="weak magnets")
-@limit("x", hi=1)
-def test_out(measure): measure("x", 2)
-
-@pytest.mark.xfail(run=False, reason="it hangs")
-@limit("x", hi=1)
-def test_not_run(measure): measure("x", 2)
-
-@pytest.mark.xfail(strict=True, reason="weak magnets")
-@limit("x", hi=1)
-def test_strict(measure): measure("x", 0)
-
-@pytest.mark.xfail(strict=False, reason="weak magnets")
-@limit("x", hi=1)
-def test_passes(measure): measure("x", 0)
-"""
-    run = accepting(text)
-    assert run.tests == {"out": "FAIL", "not_run": "SKIPPED", "strict": "ERROR", "passes": "PASS"}
-    assert run["out"].why == "expected to fail (weak magnets), and did: 1 of 1 measurements did not pass"
-    assert run["not_run"].why == "expected to fail: [NOTRUN] it hangs"
-    assert run["strict"].why == "[XPASS(strict)] weak magnets"
-    assert run.code == 1
-
-
-# -- figures and recordings -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("report", [None, Path("report")])
-def test_two_figures_of_one_name_in_a_test_are_refused(accepting: Accepting, report: Path | None) -> None:
-    text = """
-from matplotlib.figure import Figure
-
-def test_fig(figure):
-    figure("pic", "one", Figure)
-    figure("pic", "two", Figure)
-"""
-    run = accepting(text, report=report)
-    assert (run["fig"].verdict, run["fig"].why) == ("ERROR", "fig draws 'pic' twice: rename one of them")
-
-
 def test_a_recording_of_an_earlier_run_is_not_taken_for_one_of_this(accepting: Accepting) -> None:
     text = """
 import os
@@ -338,15 +263,36 @@ def test_third(drive): pass
 # -- several processes ------------------------------------------------------------------------------------------
 
 
-def without_times(run: Run) -> str:
-    """Every value to its last bit."""
-    return repr([(test.name, test.verdict, test.why, test.measurements, test.quality) for test in run.result.tests])
+MANY = (
+    TESTS
+    + """
+import os
+
+@pytest.fixture
+def broken(): raise RuntimeError("broken")
+
+def test_error(drive, broken): pass
+
+@limit("x", hi=1)
+def test_crashes(measure): os._exit(3)
+"""
+)
 
 
-def test_two_processes_measure_the_same_in_the_same_order(accepting: Accepting) -> None:
-    file = accepting.write(TESTS)
-    one, two = accepting(file), accepting(file, jobs=2, json=Path("a.json"))
-    assert without_times(two) == without_times(one)
+@pytest.mark.long("two more processes that load the compiled simulation")
+def test_two_processes_find_what_one_does_and_one_that_crashes_is_an_error_of_its_test(accepting: Accepting) -> None:
+    file = accepting.write(MANY)
+    one = accepting(file, keyword="not crashes")
+    told = sorted(one.screen.notes)
+    assert [note for note in told if note.startswith("ERROR")] == ["ERROR   error: RuntimeError: broken"]
+    one.screen.notes.clear()
+    two = accepting(file, jobs=2, json=Path("a.json"))
+    assert two.tests == one.tests | {"crashes": "ERROR"}
+    assert re.match(r"worker 'gw\d' crashed while running 'own_", two["crashes"].why)
+    assert sorted(note for note in two.screen.notes if "crashes" not in note) == told
+    for name in one.tests:  # every value to its last bit
+        for what in ("why", "measurements", "quality"):
+            assert repr(getattr(two[name], what)) == repr(getattr(one[name], what))
     assert two.code == one.code == 1
     assert two.result.identity.keys() == one.result.identity.keys()
     assert two.result.parameters == one.result.parameters
@@ -402,24 +348,6 @@ def test_two_processes_that_are_ended_leave_a_result_that_names_what_had_not_fin
     assert not any("Traceback" in line for line in run.err)
 
 
-def test_a_process_that_crashes_is_an_error_of_the_test_that_it_ran(accepting: Accepting) -> None:
-    text = """
-import os
-
-@limit("x", hi=1)
-def test_crashes(measure): os._exit(3)
-
-@limit("x", hi=1)
-def test_goes_on(measure): measure("x", 0)
-"""
-    run = accepting(text, jobs=2, json=Path("a.json"))
-    assert run.tests == {"crashes": "ERROR", "goes_on": "PASS"}
-    assert re.match(r"worker 'gw\d' crashed while running 'own_", run["crashes"].why)
-    assert run.code == 2
-    assert [test["verdict"] for test in json.loads(Path("a.json").read_text())["tests"]] == ["ERROR", "PASS"]
-    assert any(note.startswith("ERROR   crashes: worker") for note in run.screen.notes)
-
-
 # -- the command ------------------------------------------------------------------------------------------------
 
 
@@ -432,7 +360,11 @@ def test_two(drive, record): turn(drive, record, 150)
 """
 
 
-@pytest.mark.parametrize(("reply", "code"), [(b"n\n", 2), (b"\x03", 130), (b"y\n", 0)], ids=("no", "Ctrl-C", "yes"))
+REPLIES = [pytest.param(b"n\n", 2, id="no"), pytest.param(b"\x03", 130, id="Ctrl-C"), pytest.param(b"y\n", 0, id="yes")]
+
+
+@pytest.mark.long("a drive in real time, and a process that asks")
+@pytest.mark.parametrize(("reply", "code"), sampled("reply", REPLIES, 1, campaign="terminal"))
 def test_the_question_is_asked_once_for_all_tests(accepting: Accepting, reply: bytes, code: int) -> None:
     file = accepting.write(TWO)
     # again after 10 s: a Ctrl-C in the very moment in which readline begins to wait is lost
@@ -471,17 +403,19 @@ def test_a_pytest_that_has_nothing_to_do_with_a_bench_is_left_alone(tmp_path: Pa
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "1 passed" in ended.stdout
     assert ended.stderr == ""
-    assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"bench.toml", "test_plain.py"}
+    assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {".ini", ".toml", ".py"}
 
 
-def test_what_the_environment_asks_of_another_pytest_does_not_matter(
-    start: Callable[..., Program], accepting: Accepting, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = accepting.write('@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
-    monkeypatch.setitem(ENVIRONMENT, "PYTEST_ADDOPTS", "--color=yes -v")
-    monkeypatch.setitem(ENVIRONMENT, "PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    run = start("accept", "sim", "--tests", str(file))
-    assert run.end() == 0, run.err
+def test_another_pytest_has_no_say(accepting: Accepting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the environment asks of it, and what stands above the tests."""
+    monkeypatch.setenv("PYTEST_ADDOPTS", "--color=yes -v")
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    (tmp_path / "conftest.py").write_text("raise RuntimeError('of another project')")
+    (tmp_path / "below").mkdir()
+    monkeypatch.chdir("below")
+    Path("test_own.py").write_text(HEAD + '@limit("x", hi=1)\ndef test_a(measure): measure("x", 0)\n')
+    assert accepting(Path("test_own.py")).code == 0
+    assert os.environ["PYTEST_ADDOPTS"] == "--color=yes -v"
 
 
 CONFTEST = """
@@ -492,41 +426,29 @@ def pytest_addoption(parser): parser.addoption("--target", choices=["staging", "
 @pytest.fixture
 def _rig(): return "of ours"
 """
-OURS = 'def test_of_ours(pytestconfig, _rig): assert (pytestconfig.option.target, _rig) == ({!r}, "of ours")\n'
+OURS = 'def test_of_ours(pytestconfig, _rig): assert (pytestconfig.option.target, _rig) == ("staging", "of ours")\n'
 BENCH = 'def test_of_the_bench(drive, bench_target): assert bench_target == "sim"\n'
+BY_NAME = "def test_by_name(request): request.getfixturevalue('drive')\n"
+NOWHERE = {"BENCH_TARGET": "tcp:nowhere:1"}  # an option that is not seen would be told
 
 
-@pytest.mark.parametrize(
-    ("conftest", "test", "arguments"),
-    [(CONFTEST, OURS.format(None), []),
-     (CONFTEST, OURS.format("staging") + BENCH, ["--target", "staging", "--bench-target", "sim"]),
-     ("", BENCH, ["--target=sim"]),
-     ("", BENCH, ["--target", "sim", "-n", "1"])],
-)  # fmt: skip
-def test_options_and_fixtures_of_others_stay_theirs(
-    tmp_path: Path, conftest: str, test: str, arguments: list[str]
-) -> None:
-    (tmp_path / "conftest.py").write_text(conftest)
-    (tmp_path / "test_own.py").write_text(test)
-    command = ("-q", "-c", os.devnull, "test_own.py", *arguments)
-    ended = plain_pytest(tmp_path, *command, BENCH_TARGET="tcp:nowhere:1")  # an option that is not seen would be told
+@pytest.mark.long("a pytest of its own, which loads the compiled simulation")
+def test_options_and_fixtures_of_others_stay_theirs(tmp_path: Path) -> None:
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    (tmp_path / "test_own.py").write_text(OURS + BENCH)
+    ended = plain_pytest(tmp_path, "-q", "--target", "staging", "--bench-target", "sim", **NOWHERE)
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
-def test_a_fixture_that_is_not_asked_for_by_argument_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "test_own.py").write_text("def test_a(request): request.getfixturevalue('drive')\n")
-    ended = plain_pytest(tmp_path, "-q", "-c", os.devnull, "test_own.py")
-    assert ended.returncode == 1
-    assert "test_a gets a fixture of the bench by getfixturevalue: ask for it by argument" in ended.stdout
-    assert "KeyError" not in ended.stdout
-
-
-def test_acceptance_tests_run_in_a_plain_pytest_too(accepting: Accepting) -> None:
-    file = accepting.write(TESTS)
-    ended = plain_pytest(Path.cwd(), str(file), "-c", os.devnull, "--bench-json", "a.json")
+@pytest.mark.long("a pytest of its own, which loads the compiled simulation")
+def test_acceptance_tests_run_in_a_plain_pytest_too(ran: Run, tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text(HEAD + TESTS + BENCH + BY_NAME)
+    ended = plain_pytest(tmp_path, "--target=sim", "-n", "1", "--bench-json", "a.json", **NOWHERE)
     assert ended.returncode == 1
     assert "bad.nan = nan deg [≤ 1 deg] FAIL" in ended.stdout
-    run = run_from_json(json.loads(Path("a.json").read_text()))
-    assert [str(test.verdict) for test in run.tests] == ["PASS", "FAIL", "SKIPPED"]
-    again = to_json(accepting(file).result)
-    assert [test["measurements"] for test in to_json(run)["tests"]] == [test["measurements"] for test in again["tests"]]
+    assert "test_by_name gets a fixture of the bench by getfixturevalue: ask for it by argument" in ended.stdout
+    assert "KeyError" not in ended.stdout
+    run = run_from_json(json.loads((tmp_path / "a.json").read_text()))
+    assert {test.name: str(test.verdict) for test in run.tests} == ran.tests | {"of_the_bench": "PASS"}
+    here, there = (to_json(each)["tests"] for each in (run, ran.result))
+    assert [test["measurements"] for test in here[:3]] == [test["measurements"] for test in there]

@@ -1,26 +1,33 @@
-"""The report says everything that a run found, in one file, as text; figures look the same every time."""
+"""The report says everything that a run found, in one file, as text, fit to be handed over; figures look the same."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import math
+import re
 import struct
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from accepting import Accepting
 from hypothesis import given
 from hypothesis import strategies as st
 from page import Page
 
+from bench.accept.marks import must_be_yes
+from bench.accept.naming import in_words
 from bench.accept.report import ReportError, words, write_report
 from bench.accept.results import Figure, Measurement, RunResult, TestResult, Verdict
 from bench.accept.results import tightest as closest
 from bench.errors import BenchError
 from bench.report import style
+from bench.report.html import css_string
 from bench.rig.quality import ParameterValue, Quality
-from bench.signal.limits import Limits
+from bench.signal.limits import YES_NO, Limits
+from tests.tools import chromium, needs
 
 EVIL = "<script>alert('&\"')</script>"
 
@@ -36,12 +43,117 @@ def a_test(name: str, verdict: Verdict = Verdict.PASS, *found: Measurement, **mo
     return TestResult(name, f"title of {name}", "", f"tests/x.py::{name}", verdict, measurements=found, **more)
 
 
+LETTERS = {verdict.value[0]: verdict for verdict in Verdict if verdict is not Verdict.INCOMPLETE}
+
+
+def made(name: str, verdict: str, verdicts: str = "", **more) -> TestResult:
+    """A test that ended so, and so many measurements of it, by the first letters of the verdicts."""
+    found = [
+        measurement(f"{name}.m{k}", 1.0 if letter == "P" else None, LETTERS[letter], 0, 2, why=more.get("why", ""))
+        for k, letter in enumerate(verdicts)
+    ]
+    return a_test(name, LETTERS[verdict], *found, **more)
+
+
 def a_run(*tests: TestResult, verdict: Verdict = Verdict.PASS, **more) -> RunResult:
-    return RunResult("2011-01-01T12:00:00+00:00", "sim://", verdict, tests, **more)
+    return RunResult("2026-03-01T14:05:06+01:00", "serial:/dev/ttyACM0", verdict, tests, **more)
 
 
 def written(run: RunResult, tmp_path: Path) -> Page:
     return Page(write_report(run, tmp_path))
+
+
+# -- what it is about -------------------------------------------------------------------------------------------
+
+IDENTITY = {"name": "BLDC-24", "serial": "33FF-0817", "firmware": "foc", "build": "1.4.2", "node": 1}
+MOTOR = (
+    ParameterValue("n_p", 4.0, 4.0, ""),
+    ParameterValue("R_s_hat", 0.8, 0.8, "Ω"),
+    ParameterValue("L_s_hat", 0.00017600000137463212, 0.0, "H"),
+    ParameterValue("k_p", 2.0, 2.0, ""),
+)
+
+
+def test_the_subject_is_what_was_tested_where_by_whom_and_with_what(tmp_path: Path) -> None:
+    run = a_run(
+        identity=IDENTITY,
+        parameters=MOTOR,
+        rig={"rated speed": "2000 r/min", "rated current": "5 A"},
+        versions={"hallbench": "0.1.0", "python": "3.12.1", "numpy": "2.4"},
+        station="bench 3",
+        operator="A. Person",
+        motor="BLY172S, no. 17",
+    )
+    page = written(run, tmp_path)
+    assert (page.subject["Drive"], page.subject["Serial number"]) == ("BLDC-24", "33FF-0817")
+    assert page.subject["Firmware"] == "foc, build 1.4.2"
+    assert page.subject["Motor"] == (
+        "BLY172S, no. 17 by the drive's parameters: pole pairs 4, resistance 0.8 Ω, inductance 0.176 mH, "
+        "rated speed 2000 r/min, rated current 5 A"
+    )
+    assert (page.subject["Station"], page.subject["Operator"]) == ("bench 3", "A. Person")
+    assert page.subject["Date and time"].startswith("2026-03-01 14:05:06 UTC+01:00")
+    assert page.subject["Link"] == "serial:/dev/ttyACM0"
+    assert page.subject["Software"] == "hallbench 0.1.0, Python 3.12.1"
+    assert "Tested by Name A. Person Date Signature Approved by Name Date Signature" in page.text
+    assert "not stated" not in page.text
+
+
+def test_what_nobody_has_said_is_a_line_to_write_on(tmp_path: Path) -> None:
+    page = written(a_run(identity={"name": "BLDC-24", "serial": ""}), tmp_path)
+    assert page.subject["Serial number"] == "not stated by the drive"
+    assert {page.subject[word] for word in ("Motor", "Station", "Operator")} == {"not stated"}
+    assert (tmp_path / "report.html").read_text().count('<span class="to-fill">') == 6  # and firmware and software
+    silent = written(a_run(verdict=Verdict.ERROR, error="nothing answers on /dev/ttyACM0"), tmp_path)
+    assert silent.subject["Drive"] == "no drive answered"
+    assert "nothing answers on /dev/ttyACM0" in silent.text
+    assert "No test was run." in silent.text
+
+
+def test_the_command_line_says_which_motor_it_is_before_the_file(accepting: Accepting) -> None:
+    Path("bench.toml").write_text('motor = "of the file"\n')
+    test = accepting.write("def test_it(drive): pass\n")
+    assert accepting(test).result.motor == "of the file"
+    run = accepting(test, motor="of the <b>day</b>", report=Path("out"))
+    assert run.result.motor == "of the <b>day</b>"
+    page = Page(Path("out/report.html"))
+    assert page.subject["Motor"].startswith("of the <b>day</b> by the drive's parameters: pole pairs 6, ")
+    assert page.subject["Serial number"] == "SIM-0001"
+
+
+@pytest.mark.parametrize(("key", "value", "text"), [
+    ("pwm_hz", "16000", "PWM 16000 Hz"),
+    ("tick_hz", 20_000_000, "tick 20 MHz"),
+    ("tick_hz", "84000001", "tick 84.000001 MHz"),
+    ("boot_id", "0000ffe5", "boot ID 0000ffe5"),
+    ("schema_crc", "4d977534", "schema CRC 4d977534"),
+    ("tick_hz", "unknown", "tick hz unknown"),
+    ("features", ["edges", "simulated"], "features edges, simulated"),
+    ("features", [], "features none"),
+    ("vendor", "", "vendor not told"),
+])  # fmt: skip
+def test_labels_of_plain_data(tmp_path: Path, key: str, value: object, text: str) -> None:
+    assert text in written(a_run(identity={key: value}), tmp_path).text
+
+
+def test_parameters_that_differ_from_their_defaults_come_first(tmp_path: Path) -> None:
+    parameters = (
+        ParameterValue("R_s", 0.158, 0.158, "ohm"),
+        ParameterValue("k_p", 1268.0, 1000.0, "rad/s", "gain"),
+    )
+    page = written(
+        a_run(a_test("test_a", parameters={"k_p": 500.0, "observer": 10.0}), parameters=parameters), tmp_path
+    )
+    assert "observer = 10 (edge-kalman)" in " ".join(page.text.split())
+    assert page.row("gain") == "k_p 1268 rad/s 1000 rad/s changed gain"
+    assert page.row("R_s") == "R_s 0.158 ohm 0.158 ohm"
+    assert page.text.index("1268") < page.text.index("0.158")
+    assert "k_p = 500 rad/s" in page.text
+    assert "What it is" in page.text
+    assert "What it is" not in written(a_run(parameters=parameters[:1]), tmp_path).text
+
+
+# -- what was found ---------------------------------------------------------------------------------------------
 
 
 def test_every_measurement_is_there_with_value_limits_margin_and_verdict(tmp_path: Path) -> None:
@@ -93,6 +205,42 @@ def test_what_was_not_tested_comes_first_and_what_failed_leads_to_its_test_and_r
     assert "no encoder" in page.text
 
 
+def test_what_was_not_tested_is_there_by_reason_before_any_count(tmp_path: Path) -> None:
+    run = a_run(
+        made("good", "P", "P"),
+        made("brake", "S", "SS", why="needs a load"),
+        made("half", "S", "PS", why="needs a load"),
+        made("last", "A", "AAAA", why="the run was ended"),
+        made("empty", "S", why="later"),
+        verdict=Verdict.ABORTED,
+        deselected={"other[2]": "Other, wire 2"},
+    )
+    page = written(run, tmp_path)
+    assert page.rows[1:5] == [
+        "the run was ended Last 4 ABORTED",
+        "needs a load Brake; Half 3 SKIPPED",
+        "later Empty SKIPPED",
+        "not selected for this run Other, wire 2",
+    ]
+    assert page.text.index("needs a load") < page.text.index("5 tests:")
+    assert "The run was ended early: 1 of 5 tests passed." in page.text
+
+
+@pytest.mark.parametrize(("verdict", "letters", "words"), [
+    ("PASS", "PP", "All measurements are within their limits."),
+    ("PASS", "PS", "All that was tested is within its limits: 1 of 2 tests passed, 1 was skipped."),
+    ("FAIL", "PFF", "The drive did not pass: 2 of 3 tests failed."),
+    ("FAIL", "FEI", "The drive did not pass: 1 of 3 tests failed, 2 could not be judged."),
+    ("INCOMPLETE", "PSS", "Not everything was tested: 1 of 3 tests passed, 2 were skipped."),
+    ("INCOMPLETE", "SS", "Nothing was tested."),
+    ("INVALID", "PI", "The data are insufficient for a verdict."),
+    ("ERROR", "PE", "The bench is at fault: there is no verdict on the drive."),
+])  # fmt: skip
+def test_a_verdict_is_said_in_a_sentence(tmp_path: Path, verdict: str, letters: str, words: str) -> None:
+    tests = [made(f"t{k}", letter) for k, letter in enumerate(letters)]
+    assert words in written(a_run(*tests, verdict=Verdict(verdict)), tmp_path).text
+
+
 def test_the_overview_has_a_row_for_each_test_with_its_tightest_margin(tmp_path: Path) -> None:
     wide = measurement("test_a.wide", 1.0, Verdict.PASS, 0, 2)
     tight = measurement("test_a.tight", 1.9, Verdict.PASS, 0, 2)
@@ -122,28 +270,21 @@ def test_the_tightest_margin(tightest: Measurement | None, others: list[Measurem
 
 
 def test_a_test_that_made_no_measurement_is_one_row(tmp_path: Path) -> None:
-    unmade = [measurement(f"test_a.m{k}", None, Verdict.ABORTED, hi=1.0, why="the run was ended") for k in range(28)]
-    some = [
-        measurement("test_b.made", 0.5, Verdict.PASS, hi=1.0),
-        measurement("test_b.not", None, Verdict.ERROR, hi=1.0),
-    ]
-    tests = a_test("test_a", Verdict.ABORTED, *unmade, why="the run was ended"), a_test("test_b", Verdict.ERROR, *some)
+    made_one = measurement("test_b.made", 0.5, Verdict.PASS, hi=1.0)
+    not_made = measurement("test_b.not", None, Verdict.ERROR, hi=1.0)
+    tests = made("test_a", "A", 28 * "A", why="the run was ended"), a_test("test_b", Verdict.ERROR, made_one, not_made)
     page = written(a_run(*tests, verdict=Verdict.ERROR), tmp_path)
-    assert page.rows[:4] == [
-        "Why, and which tests Measurements Verdict",
-        "the run was ended Test a 28 ABORTED",
-        "What and why Limits Value Margin Verdict",
-        "Test b: Not test_b.not ≤ 1 A – – ERROR",
-    ]
+    assert page.rows[1:4:2] == ["the run was ended Test a 28 ABORTED", "Test b: Not test_b.not ≤ 1 A – – ERROR"]
     assert page.text.count("28 measurements, none made") == 1
-    assert all(f"M{k}: ≤ 1 A" in page.text for k in range(28))
+    assert all(f"M{k}: 0 … 2 A" in page.text for k in range(28))
     assert page.tags.count("details") == 1
 
 
-def test_a_run_that_never_began_has_a_report(tmp_path: Path) -> None:
-    page = written(a_run(verdict=Verdict.ERROR, error="nothing answers on /dev/ttyACM0"), tmp_path)
-    assert "nothing answers on /dev/ttyACM0" in page.text
-    assert "No test was run." in page.text
+def test_quality_of_the_data_is_shown_and_remarked_on(tmp_path: Path) -> None:
+    quality = Quality(63000, 1100, 964, 3, 12, 2, 1, 15750.0, 4.0, ("the link was down for 60 ms",))
+    page = written(a_run(a_test("test_a", quality=quality), a_test("test_b")), tmp_path)
+    assert page.row("Test a", "964") == "Test a 63000 15750 4.00 1100 964 3 12 2 1"
+    assert page.row("the link was down for 60 ms") == "the link was down for 60 ms"
 
 
 def test_markup_in_what_others_say_is_text(tmp_path: Path) -> None:
@@ -166,6 +307,23 @@ def test_markup_in_what_others_say_is_text(tmp_path: Path) -> None:
     assert "script" not in page.tags
     assert page.text.count(EVIL) >= 20
     assert not any(link.startswith("javascript:") for link in page.links)
+
+
+@given(st.text())
+def test_a_string_in_a_style_sheet_ends_nothing(text: str) -> None:
+    written = css_string(text)
+    assert re.fullmatch(r'"([A-Za-z0-9 ]|\\[0-9a-f]{1,6} )*"', written)
+    read = re.sub(r"\\([0-9a-f]+) ", lambda found: chr(int(found[1], 16)), written[1:-1])
+    assert " ".join(text.split()).startswith(read)
+
+
+def test_the_style_sheet_stays_whole_whatever_a_drive_is_called(tmp_path: Path) -> None:
+    run = a_run(identity={"name": '</style><script>"}', "serial": "*/ } body { display: none"})
+    assert "script" not in written(run, tmp_path).tags
+    sheet = (tmp_path / "report.html").read_text().partition("<style>")[2].partition("</style>")[0]
+    assert "script" not in sheet.replace("\\", "")[sheet.index("@page :first") :]
+    assert sheet.count("{") == sheet.count("}")
+    assert "ellipsis" not in sheet
 
 
 def test_figures_are_in_the_file_and_nothing_is_fetched(tmp_path: Path) -> None:
@@ -194,43 +352,107 @@ def test_a_figure_or_a_directory_that_is_missing_is_named(tmp_path: Path) -> Non
         write_report(a_run(), tmp_path / "none")
 
 
-def test_parameters_that_differ_from_their_defaults_come_first(tmp_path: Path) -> None:
-    parameters = (
-        ParameterValue("R_s", 0.158, 0.158, "ohm"),
-        ParameterValue("k_p", 1268.0, 1000.0, "rad/s", "gain"),
-    )
-    page = written(
-        a_run(a_test("test_a", parameters={"k_p": 500.0, "observer": 10.0}), parameters=parameters), tmp_path
-    )
-    assert "observer = 10 (edge-kalman)" in " ".join(page.text.split())
-    assert page.row("gain") == "k_p 1268 rad/s 1000 rad/s changed gain"
-    assert page.row("R_s") == "R_s 0.158 ohm 0.158 ohm"
-    assert page.text.index("1268") < page.text.index("0.158")
-    assert "k_p = 500 rad/s" in page.text
-    assert "What it is" in page.text
-    assert "What it is" not in written(a_run(parameters=parameters[:1]), tmp_path).text
+@pytest.mark.slow
+@needs("chromium", "pdftotext")
+def test_on_paper_pages_are_numbered_nothing_is_folded_and_the_signatures_are_on_one_page(tmp_path: Path) -> None:
+    figure, (ax,) = style.new_figure()
+    style.line(ax, np.arange(2.0), np.arange(2.0), "i_q")
+    style.save(figure, tmp_path / "a.png")
+    tests = [made(f"t{k}", "P", 20 * "P", figures=(Figure("a.png", f"caption {k}"),), log=f"end {k}") for k in range(3)]
+    path = write_report(a_run(*tests, identity=IDENTITY), tmp_path)
+    pdf = tmp_path / "a.pdf"
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer", f"--user-data-dir={tmp_path}/c")
+    subprocess.run([chromium(), *options, f"--print-to-pdf={pdf}", path.as_uri()], check=True, capture_output=True)
+    text = subprocess.run(["pdftotext", "-layout", str(pdf), "-"], check=True, capture_output=True, text=True).stdout
+    pages = text.split("\f")[:-1]
+    assert [re.findall(r"page \d+ of \d+", page) for page in pages] == [
+        [f"page {k} of {len(pages)}"] for k in range(1, len(pages) + 1)
+    ]
+    assert ["BLDC-24, serial number 33FF-0817" in page for page in pages] == [True] * len(pages)
+    assert all(word in pages[0] for word in ("Subject", "Tested by", "Approved by", "Signature"))
+    assert all(f"m{m}" in text and f"end {k}" in text for m in range(20) for k in range(3))  # folded on a screen
 
 
-@pytest.mark.parametrize(("key", "value", "text"), [
-    ("pwm_hz", "16000", "PWM 16000 Hz"),
-    ("tick_hz", 20_000_000, "tick 20 MHz"),
-    ("tick_hz", "84000001", "tick 84.000001 MHz"),
-    ("boot_id", "0000ffe5", "boot ID 0000ffe5"),
-    ("schema_crc", "4d977534", "schema CRC 4d977534"),
-    ("tick_hz", "unknown", "tick hz unknown"),
-    ("features", ["edges", "simulated"], "features edges, simulated"),
-    ("features", [], "features none"),
-    ("vendor", "", "vendor not told"),
+# -- in words ---------------------------------------------------------------------------------------------------
+
+
+ANSWERS = """
+from bench.accept import yes
+@yes("named", about="the fault has a name")
+@yes("alone")
+@limit("count", lo=1, hi=1)
+def test_answers(drive, measure):
+    measure("named", True)
+    measure("alone", np.bool_({alone}))
+    measure("count", 1)
+"""
+
+
+def test_answers_are_yes_or_no_and_counts_are_numbers(accepting: Accepting) -> None:
+    run = accepting(ANSWERS.format(alone=False), report=Path("out"))
+    assert run.code == 1
+    page = Page(Path("out/report.html"))
+    assert page.row("Named named") == "Named named the fault has a name yes yes – PASS"
+    assert page.row("Alone alone") == "Alone alone yes no – FAIL"
+    assert page.row("Count count") == "Count count = 1 1 0 PASS"
+    assert "        answers.alone = no [yes] FAIL" in run.screen.notes
+    Path("bench.toml").write_text('[limits]\n"answers.alone" = { lo = 2, hi = 2 }\n')
+    with pytest.raises(BenchError, match="alone: the answer is 1 for yes or 0 for no, and the limit is 2"):
+        accepting(ANSWERS.format(alone=True))
+    assert str(must_be_yes("x")) == "yes"
+    assert [str(Limits("x", YES_NO, lo, hi)) for lo, hi in ((0, 1), (0, 0), (None, 0), (None, None), (0, None))] == [
+        "yes or no", "no", "no", "for information", "yes or no",
+    ]  # fmt: skip
+
+
+NAMES = """
+from bench.accept import called
+@pytest.mark.parametrize("factor", [2, pytest.param(3, id="three")])
+def test_low_speed_20_rpm(factor, drive): pass
+@pytest.mark.parametrize("case", [pytest.param(object(), id="over-current")])
+def test_trip(case, drive): pass
+@called("Hall wires {pair[0]} and {pair[1]} exchanged")
+@pytest.mark.parametrize("pair", ["ab"])
+def test_swap(pair, drive): pass
+@called("Observer: {id}")
+@pytest.mark.parametrize("case", [pytest.param(3, id="edge-kalman")])
+def test_observer(case, drive): pass
+"""
+
+
+def test_tests_have_names_that_a_person_reads(accepting: Accepting) -> None:
+    run = accepting(NAMES, keyword="not three", report=Path("out"), allow_skipped=True)
+    assert {test.name: test.label for test in run.result.tests} == {
+        "low_speed_20_rpm[2]": "Low speed 20 r/min, factor 2",
+        "trip[over-current]": "Trip, over-current",
+        "swap[ab]": "Hall wires a and b exchanged",
+        "observer[edge-kalman]": "Observer: edge-kalman",
+    }
+    assert run.result.deselected == {"low_speed_20_rpm[three]": "Low speed 20 r/min, factor 3"}
+    page = Page(Path("out/report.html"))
+    assert page.row("Low speed 20 r/min, factor 2 low_speed_20_rpm[2]")
+    assert page.row("not selected for this run") == "not selected for this run Low speed 20 r/min, factor 3"
+
+
+@pytest.mark.parametrize("name", ["Wire {wires}", "Wire {pair.x}", "Wire {", "Wire {}"])
+def test_a_name_with_braces_for_nothing_is_refused_before_anything_runs(accepting: Accepting, name: str) -> None:
+    with pytest.raises(BenchError, match=r"test_swap\[ab\]: called\('Wire .*'\) names no parameter of the test"):
+        accepting(NAMES.replace("Hall wires {pair[0]} and {pair[1]} exchanged", name))
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("error_std.fast.forwards", "Error standard deviation, fast, forward"),
+    ("thd.proposed.load25.speed8", "THD, proposed, load 25, speed 8"),
+    ("R_s_hat_low_shift_off", "R_s_hat low shift off"),
+    ("i_q_light", "i_q light"),
+    ("u_dc", "u_dc"),
+    ("ripple_d_ratio", "Ripple d ratio"),
+    ("open_a", "Open a"),
+    ("low_speed_20_rpm[2]", "Low speed 20 r/min, 2"),
+    ("", ""),
 ])  # fmt: skip
-def test_labels_of_plain_data(tmp_path: Path, key: str, value: object, text: str) -> None:
-    assert text in written(a_run(identity={key: value}), tmp_path).text
-
-
-def test_quality_of_the_data_is_shown_and_remarked_on(tmp_path: Path) -> None:
-    quality = Quality(63000, 1100, 964, 3, 12, 2, 1, 15750.0, 4.0, ("the link was down for 60 ms",))
-    page = written(a_run(a_test("test_a", quality=quality), a_test("test_b")), tmp_path)
-    assert page.row("Test a", "964") == "Test a 63000 15750 4.00 1100 964 3 12 2 1"
-    assert page.row("the link was down for 60 ms") == "the link was down for 60 ms"
+def test_names_in_words(name: str, words: str) -> None:
+    assert in_words(name) == words
 
 
 @pytest.mark.parametrize(("value", "lo", "hi", "unit", "text"), [
@@ -279,6 +501,9 @@ def test_docstrings_are_filled_but_lists_stay() -> None:
 
 def test_durations() -> None:
     assert [words.duration(s) for s in (1.25, 61, 3599.7, 7322)] == ["1.2 s", "1 min 1 s", "1 h 0 min", "2 h 2 min"]
+
+
+# -- figures ----------------------------------------------------------------------------------------------------
 
 
 def drawn(path: Path) -> bytes:

@@ -22,6 +22,7 @@ from zlib import crc32
 import numpy as np
 import pytest
 from accepting import Accepting, Run, SpoiltLink
+from benches import configured
 from mutants import mutant
 from virtual_run import at_rest
 
@@ -233,16 +234,17 @@ def test_an_observer_that_is_wrong_in_one_line_fails_in_its_own_test(name, motor
 
 
 NAMED = {
-    "pole pairs": ("[firmware]\nn_p = 5\n", "back_emf_and_encoder.encoder_turns"),
-    "flux linkage": ("[firmware]\npsi_f_hat = 4e-3\n", "back_emf_and_encoder.psi_f_deviation"),
-    "wiring": ("[wiring]\nhall_swap = 2\n", "hall_edges.wiring_as_specified"),
+    "pole pairs": ("firmware.n_p", lambda motor: motor.n_p + 1, "back_emf_and_encoder.encoder_turns"),
+    "flux linkage": ("firmware.psi_f_hat", lambda motor: 0.7 * motor.psi_f, "back_emf_and_encoder.psi_f_deviation"),
+    "wiring": ("wiring.hall_swap", lambda motor: 2, "hall_edges.wiring_as_specified"),
 }
 
 
-@pytest.mark.parametrize(("wrong", "motor"), sampled("named", product(NAMED, MOTORS), 2, campaign="sabotage"))
+@pytest.mark.parametrize(("wrong", "motor"), sampled("named", product(NAMED, ("", *motors())), 2, campaign="sabotage"))
 def test_what_is_described_wrongly_is_named(wrong: str, motor: str, workshop: Workshop) -> None:
-    config, measurement = NAMED[wrong]
-    run = workshop.run(config, keyword="back_emf_and_encoder or hall_edges and not table1", motor=motor)
+    key, value, measurement = NAMED[wrong]
+    config = configured(motor, {key: value(load_params(motors().get(motor)).motor)})
+    run = workshop.run(config, keyword="back_emf_and_encoder or hall_edges and not table1")
     assert run.measured[measurement].verdict is Verdict.FAIL
     workshop.require_safe()
 

@@ -8,15 +8,18 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Callable
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import bands
 import pytest
 from accepting import Accepting
-from benches import on_an_unkind_bench
+from benches import configured, drawn, on_an_unkind_bench
 from page import Page
 
 from bench.accept.results import RunResult, Verdict, run_from_json
+from bench.device.simulator import motors
 from protocol.device.compiled import CompiledLink
 from sim.config.params import BenchParams
 from sim.ports.device import SimulatedDevice
@@ -69,7 +72,7 @@ def test_its_report_has_every_measurement_and_goes_by_mail(untouched: RunResult,
     assert "All measurements are within their limits." in page.text
 
 
-@pytest.mark.long("the whole suite")
+@pytest.mark.campaign("suite")
 def test_some_of_it_in_two_processes_measures_the_same(untouched: RunResult, accepting: Accepting) -> None:
     some, whole = accepting(keyword=SOME, jobs=2).measured, {m.name: m for m in untouched.measurements}
     assert len(some) > 30
@@ -91,9 +94,39 @@ def test_a_drive_without_noise_behind_c_passes(keyword: str | None, accepting: A
 
 
 @pytest.mark.campaign("suite")
-@pytest.mark.parametrize("config", [IDEAL_HALL, on_an_unkind_bench("anaheim-bly172s-24v")], ids=["ideal", "unkind"])
-def test_other_drives_pass(config: str, accepting: Accepting) -> None:
-    assert_passes(accepting, config)
+def test_a_drive_with_ideal_sensors_passes(accepting: Accepting) -> None:
+    assert_passes(accepting, IDEAL_HALL)
+
+
+@pytest.mark.campaign("suite")
+@pytest.mark.parametrize("bench", [configured, on_an_unkind_bench], ids=["kind", "unkind"])
+@pytest.mark.parametrize("motor", [*motors(), *range(501, 505)])
+def test_other_motors_pass(motor: str | int, bench: Callable[..., str], accepting: Accepting) -> None:
+    """Those that are shipped, and some that nobody has looked at, drawn between two of them."""
+    assert_passes(accepting, bench(motor, {}) if isinstance(motor, str) else bench("", drawn(motor)))
+
+
+TOLERANCES = {
+    "hall_wire*": 1.0,  # where the rotor was when a wire broke, or from where it started with two exchanged
+    "hall_glitches*": 1.0,  # where the false pulses fell
+    "lowest_speed*": 1.0,  # the shaft sticks and slips
+    "fig06_frequency_response.high_pass_*": 0.7,  # the largest of ten deviations that are mostly noise
+    "*": 0.35,  # noise of another seed, and when commands came
+}
+"""How far real time may be from virtual time, by pattern of names: share of the room between the limits, or of one."""
+
+
+@pytest.mark.campaign("suite")
+@pytest.mark.real_time
+def test_in_real_time_it_measures_what_it_does_in_virtual_time(untouched: RunResult, start_sim, accepting) -> None:
+    real = accepting(target=start_sim("--pty", "--seed", "7").target).measured
+    assert real.keys() == {m.name for m in untouched.measurements}
+    for m in untouched.measurements:
+        assert real[m.name].verdict == m.verdict, m.name
+        if m.share:
+            room = abs(m.margin / m.share)
+            most = next(share for pattern, share in TOLERANCES.items() if fnmatchcase(m.name, pattern))
+            assert abs(real[m.name].value - m.value) <= most * room, m.name
 
 
 def assert_passes(accepting: Accepting, config: str, keyword: str | None = None) -> None:

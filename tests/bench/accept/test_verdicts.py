@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from accepting import Accepting, Run, SpoiltLink
+from accepting import Accepting, Run, SpoiltLink, accepting_in
 from shared import table
 from virtual_run import at_rest, simulated
 
@@ -44,11 +44,8 @@ def trips_later(drive, record):
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    with pytest.MonkeyPatch.context() as patched:
-        directory = tmp_path_factory.mktemp("verdicts")
-        patched.chdir(directory)
-        patched.delenv("BENCH_TARGET", raising=False)
-        return Accepting(directory)(TESTS)
+    with accepting_in(tmp_path_factory.mktemp("verdicts")) as accepting:
+        return accepting(TESTS)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
@@ -65,7 +62,7 @@ def test_every_test_has_its_verdict_in_the_order_of_the_file_and_the_worst_is_th
 def test_the_verdict_on_each_measurement(ran: Run) -> None:
     """What was measured before a test broke off keeps its verdict; what was not gets that of the test."""
     verdicts = {name: (str(m.verdict), m.value) for name, m in ran.measured.items()}
-    values = {name: value for name, value in verdicts.items() if not name.startswith("nan.")}
+    values = {name: value for name, value in verdicts.items() if not name.startswith("nan")}
     assert values == {
         "passes.told": ("PASS", -1e9), "passes.at_hi": ("PASS", 2.0), "passes.at_lo": ("PASS", 1.0),
         "out_of_limits.low": ("FAIL", 0.9), "out_of_limits.high": ("FAIL", 1.1), "out_of_limits.after": ("PASS", 1.0),
@@ -78,11 +75,15 @@ def test_the_verdict_on_each_measurement(ran: Run) -> None:
         "too_fast.x": ("ERROR", None), "too_much_current.x": ("ERROR", None),
         "lacks.x": ("SKIPPED", None), "lacks_nothing.x": ("PASS", 1.0), "at_standstill.x": ("PASS", 0.0),
         "samples_end_early.x": ("INVALID", 0.0),
+        "skips_half_way.x": ("PASS", 0.0), "skips_half_way.y": ("SKIPPED", None),
+        "skips_after_a_failure.x": ("FAIL", 2.0), "fails_as_expected.x": ("FAIL", 2.0),
+        "is_not_run.x": ("SKIPPED", None), "passes_against_its_mark.x": ("PASS", 0.0),
+        "passes_by_its_mark.x": ("PASS", 0.0), "answers_half.x": ("ERROR", None),
     }  # fmt: skip
-    nan = ran.measured["nan.x"]
-    assert nan.verdict is Verdict.FAIL
-    assert nan.value is not None
-    assert math.isnan(nan.value)
+    for name in ("nan.x", "nan_answer.x"):
+        assert (verdicts[name][0], math.isnan(verdicts[name][1] or 0.0), ran.measured[name].why) == (
+            "FAIL", True, "is not a number",
+        )  # fmt: skip
     assert ran.measured["never_measured.y"].why == "declared, but never measured"
     assert re.fullmatch(r"no sample received after \d\.\d{4} s", ran.measured["samples_end_early.x"].why)
 
@@ -101,18 +102,6 @@ def test_the_screen_names_each_test_and_each_measurement_that_did_not_pass(ran: 
     assert "out_of_limits.after" not in notes
     assert "PASS    passes  3 measurements" in ran.screen.notes  # those at a limit have no room to speak of
     assert "PASS    at_standstill  1 measurement, tightest x = 0 [≤ 1]" in ran.screen.notes
-
-
-@pytest.mark.parametrize(
-    ("which", "verdict", "code"),
-    [("test_passes", "PASS", 0), ("test_passes or test_lacks_rate", "INCOMPLETE", 6),
-     ("test_passes or test_twice", "ERROR", 2),
-     ("test_lacks_rate", "INCOMPLETE", 6), ("test_twice or test_nan", "FAIL", 1)],
-    ids=("good", "one skipped", "bench", "nothing to judge", "drive"),  # -k looks at names of directories too
-)  # fmt: skip
-def test_the_exit_code(accepting: Accepting, which: str, verdict: str, code: int) -> None:
-    run = accepting(TESTS, keyword=which)
-    assert (run.result.verdict, run.code) == (verdict, code)
 
 
 # -- data that cannot tell --------------------------------------------------------------------------------------

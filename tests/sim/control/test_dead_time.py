@@ -90,49 +90,27 @@ def learned(omegas, *, amps=4.0, error=0.2, at=0.3, **other):
     return state.left.full / T_S, state.left.near / T_S
 
 
-STEADY = np.full(16_000, 80.0)
+STEADY = np.full(8_000, 80.0)
+SWINGING = 80.0 + 25.0 * np.sin(np.arange(8_000) / 4000 * 9.0)
+CASES = {  # speeds, what else; what is left, V, at full current and near none
+    "backwards": (-STEADY, {}, 0.2, 0.0),
+    "too much compensation": (STEADY, {"error": -0.1}, -0.1, 0.0),
+    "there near zero current, as the ripple": (STEADY, {"at": None, "amps": 1.0}, 0.2, 0.2),
+    "1 A": (STEADY, {"amps": 1.0}, 0.2, 0.0),
+    "8 A": (STEADY, {"amps": 8.0}, 0.2, 0.0),
+    "a wrong resistance turns with the rotor": (STEADY, {"R_s_hat": 0.25}, 0.2, 0.0),
+    "a wrong inductance too": (STEADY, {"L_s_hat": 0.84e-3}, 0.2, 0.0),
+    "a speed that changes teaches nothing": (SWINGING, {}, 0.0, 0.0),
+    "no error": (STEADY, {"error": 0.0}, 0.0, 0.0),
+}
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_what_is_left_is_learned(way):
-    """0.2 V of 24 V."""
-    full, near = learned(way * STEADY)
-    assert full == pytest.approx(0.2 / 24, rel=0.05)
-    assert abs(near) < 6e-4
-
-
-def test_a_compensation_that_gives_too_much_is_taken_back():
-    assert learned(STEADY, error=-0.1)[0] == pytest.approx(-0.1 / 24, rel=0.05)
-
-
-def test_an_error_that_is_there_near_zero_current_has_its_own_shape():
-    """Saturated where the switching ripple is, at the motor's voltage here."""
-    full, near = learned(STEADY, at=None, amps=1.0)
-    assert full == pytest.approx(0.2 / 24, rel=0.15)
-    assert near == pytest.approx(0.2 / 24, rel=0.15)
-
-
-@pytest.mark.parametrize("amps", [1.0, 4.0, 8.0])
-def test_what_was_learned_at_one_current_holds_at_another(amps):
-    assert learned(STEADY, amps=amps) == pytest.approx((0.2 / 24, 0.0), abs=5e-4)
-
-
-@pytest.mark.parametrize("wrong", [{"R_s_hat": 0.25}, {"L_s_hat": 0.84e-3}])
-def test_wrong_parameters_turn_with_the_rotor_and_are_not_taken_for_it(wrong):
-    assert learned(STEADY, **wrong)[0] == pytest.approx(0.2 / 24, rel=0.1)
-
-
-def test_a_speed_that_changes_teaches_nothing():
-    swing = 80.0 + 25.0 * np.sin(np.arange(16_000) / 4000 * 9.0)
-    full, near = learned(swing)
-    assert abs(full) < 8e-4
-    assert abs(near) < 8e-4
-
-
-def test_a_motor_without_the_error_learns_none():
-    full, near = learned(STEADY, error=0.0)
-    assert abs(full) < 2e-5
-    assert abs(near) < 2e-5
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_left_is_learned(case):
+    """Of 24 V."""
+    omegas, how, full, near = CASES[case]
+    tolerance = 8e-4 if omegas is SWINGING else 5e-4
+    assert learned(omegas, **how) == pytest.approx((full / 24, near / 24), rel=0.15, abs=tolerance)
 
 
 def test_what_was_learned_is_given_back():

@@ -73,11 +73,6 @@ def test_the_oracle_has_the_published_crc() -> None:
     assert crc_15("".join(f"{byte:08b}" for byte in b"123456789")) == f"{0x059E:015b}"
 
 
-def test_the_oracle_stuffs_a_known_sequence() -> None:
-    assert stuff("0000011110000") == "000001" + "11110" + "0000" + "1"
-    assert stuff("111110000") == "111110" + "0000" + "1"
-
-
 # Data whose runs of equal bits touch and cross the limit, beside any bytes.
 runs = st.lists(st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0x1E, 0xE1, 0x3C, 0xC3, 0x78, 0x87, 0xF8, 0x07]), min_size=64)
 payloads = st.one_of(st.binary(min_size=64, max_size=64), runs.map(lambda each: bytes(each[:64])))
@@ -124,28 +119,12 @@ def test_random_frames_take_the_average_time(extended: int, rates: BusRates, fla
     assert frame_seconds(rows, rates).mean() == pytest.approx(expected, rel=0.006)
 
 
-def test_frame_without_five_equal_bits_has_its_nominal_length() -> None:
-    # SOF, ID, RTR, IDE, r0, DLC, data, CRC; the CRC by long division
-    data = "01011010" * 8
-    assert crc_15("0" + "10101010101" + "000" + "1000" + data) == "110110000111101"
-    assert bits_of(record(0x555, b"\x5a" * 8)) == (111, 0)
-
-
 def test_fd_frame_of_iso_16845_by_hand() -> None:
     # ISO 16845-1, 8.1.6, CAN FD case 1. Up to BRS stuff bits come behind 0 0000, 1111 and 000 0 (with the stuff bit
     # before): 17 + 3 + 13 bits. Then ESI 0, DLC 1110, and 11111000: one stuff bit. Each 01111000 then completes five
     # zeros and five ones: 47 x 2. CRC-21: 4 + 21 + 7.
     row = record(0x078, b"\xf8" + b"\x78" * 47, FDF | BRS)
     assert bits_of(row) == (17 + 3 + 13, 1 + 4 + 8 * 48 + 1 + 47 * 2 + 4 + 21 + 7)
-
-
-@pytest.mark.parametrize(
-    ("length", "crc_field"),
-    [(0, 27), (16, 27), (20, 32), (64, 32)],  # Linux, include/linux/can/length.h: 28 and 33 with the CRC delimiter
-)
-def test_crc_field_of_fd_frames(length: int, crc_field: int) -> None:
-    row = record(0x555, b"\x55" * length, FDF | BRS)
-    assert bits_of(row)[1] == 1 + 4 + 8 * length + crc_field  # no five equal bits in it
 
 
 def test_no_records_take_no_time() -> None:

@@ -35,12 +35,6 @@ def test_what_was_told_and_what_was_learned_make_up_the_plants(told):
     assert whole == pytest.approx(2e-6, rel=0.1)
 
 
-@pytest.mark.parametrize("wrong", [{"R_s_hat": 1.3}, {"R_s_hat": 0.7}, {"L_s_hat": 1.3}])
-def test_wrong_parameters_do_not_lead_it_astray(wrong):
-    _, run = taught("encoder", factors={"dead_time_comp": 0.0, **wrong})
-    assert run["dead_time_left"][-1] == pytest.approx(1e-6, rel=0.2)
-
-
 def test_an_error_by_the_current_at_each_edge_becomes_smaller_though_it_has_neither_shape():
     overrides = {"inverter.dead_time_by_edges": 1}
     bench, _ = taught("encoder", overrides)

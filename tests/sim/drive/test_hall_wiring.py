@@ -5,16 +5,10 @@ import pytest
 from rig import Rig, column
 
 from protocol.messages import SetpointMode
-from protocol.signals import HallSwap
 from protocol.streams import EDGE_ILLEGAL
 from sim.config.params import ConfigError
 
 CODE_OF_SECTOR = np.array([1, 3, 2, 6, 4, 5])
-SWAPPED = {  # the bits c b a of codes 0..7, written out with two of them exchanged
-    HallSwap.A_B: ["000", "010", "001", "011", "100", "110", "101", "111"],
-    HallSwap.B_C: ["000", "001", "100", "101", "010", "011", "110", "111"],
-    HallSwap.C_A: ["000", "100", "010", "110", "001", "101", "011", "111"],
-}
 PLAIN = {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_deg": 0.0, "mechanics.theta_0_deg": 30.0}
 
 
@@ -31,21 +25,6 @@ def sensor_codes(recorded):
 
 def old_and_new(recorded):
     return recorded.edges["codes"] & 7, recorded.edges["codes"] >> 3 & 7
-
-
-@pytest.mark.parametrize("omega_m", [60.0, -60.0])
-@pytest.mark.parametrize("swap", list(SWAPPED))
-def test_exchanged_wires_are_a_legal_sequence_backwards(swap, omega_m):
-    bench = turning(omega_m, **{"wiring.hall_swap": int(swap)})
-    recorded = bench.advance(8000)
-    table = np.array([int(bits, 2) for bits in SWAPPED[swap]])
-    assert np.array_equal(recorded.samples["hall"], table[sensor_codes(recorded)])
-    old, new = old_and_new(recorded)
-    assert len(old) > 50
-    assert not np.any(recorded.edges["codes"] & EDGE_ILLEGAL)
-    order = list(CODE_OF_SECTOR)
-    ways = {(order.index(b) - order.index(a)) % 6 for a, b in zip(old, new, strict=True)}
-    assert ways == {5 if omega_m > 0 else 1}
 
 
 @pytest.mark.parametrize("wires", range(1, 8))
@@ -119,15 +98,6 @@ def test_false_pulses_and_edges_of_the_sensors_are_captured_in_order():
     bench.advance(1)  # a pulse ends
     quiet = bench.advance(16_000)
     assert np.array_equal(quiet.samples["hall"], sensor_codes(quiet))
-
-
-def test_no_pulse_begins_once_they_are_off():
-    for seed in range(5):
-        bench = Rig(seed, **PLAIN | {"wiring.hall_glitch": 20.0})
-        bench.advance(160)
-        bench.set_load_param("hall_glitch", 0.0)
-        bench.advance(1)
-        assert len(bench.advance(16_000).edges) == 0
 
 
 def test_a_bench_without_pulses_draws_no_random_number_for_them():

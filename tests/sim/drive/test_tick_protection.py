@@ -40,11 +40,11 @@ def back_emf(omega, samples, size=1.0, direction=1):
 def test_the_noise_of_differentiated_currents_turns_no_way():
     """A back-EMF at its threshold under 0.2 V rms: 12 mA of noise through 0.5 mH at 16 kHz, 1.5 times."""
     rng, slow = np.random.default_rng(1), 40.0
-    noise = np.diff(rng.normal(0.0, 0.14, (2, 60_001)))
+    noise = np.diff(rng.normal(0.0, 0.14, (2, 30_001)))
     for size in (0.25, 0.4):
         noisy = [
             sensed._replace(e_alpha=sensed.e_alpha + x, e_beta=sensed.e_beta + y)
-            for sensed, x, y in zip(back_emf(slow, 60_000, size), *noise, strict=True)
+            for sensed, x, y in zip(back_emf(slow, 30_000, size), *noise, strict=True)
         ]
         assert tripped(noisy, on=True) is None
     turns = 6 * 2 * np.pi / slow * 16000
@@ -159,19 +159,6 @@ def test_exchanged_wires_on_a_shaft_turned_from_outside_trip_within_a_second(obs
     bench.set_load_param("hall_swap", swap)
     bench.advance(16_000)
     assert bench.faults == Fault.HALL
-
-
-@pytest.mark.parametrize("swap", [1, 2, 3])
-def test_a_drive_with_exchanged_wires_gets_nowhere_and_keeps_its_current(swap):
-    for theta_0 in (0.0, 60.0, 110.0, 200.0, 300.0):
-        bench = drive(**{"wiring.hall_swap": swap, "mechanics.theta_0_deg": theta_0})
-        bench.setpoint(SetpointMode.SPEED, 100 * RPM)
-        recorded = bench.advance(32_000)
-        assert (
-            abs(recorded["theta_true"][-1] - recorded["theta_true"][0]) < 20 * 2 * np.pi
-        )  # one turn of the shaft would be 6
-        assert max(np.abs(recorded.samples[f"i_{x}"] / 1024).max() for x in "abc") < 10.0
-        assert bench.faults in (0, Fault.HALL)
 
 
 def test_skipped_sectors_alone_trip():

@@ -113,6 +113,12 @@ def edges(theta: np.ndarray, edges_deg: np.ndarray = IDEAL_EDGES, fine: int = 1)
     return np.array(ticks, np.int64), np.array(codes, np.uint8)
 
 
+def voltage(i: np.ndarray, rotor: np.ndarray) -> np.ndarray:
+    """Mean over the period before each sample, V, by currents (A) and e^{j theta}, all of them complex (n,)."""
+    before = np.r_[0, np.arange(len(i) - 1)]
+    return R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
+
+
 def signals(
     theta_of_t,
     seconds: float,
@@ -131,8 +137,7 @@ def signals(
     i_q = np.broadcast_to(np.asarray(i_q, float), n)
     rotor = np.exp(1j * theta)
     i = 1j * i_q * rotor
-    before = np.r_[0, np.arange(n - 1)]
-    u = R_S * (i + i[before]) / 2 + (L_S * (i - i[before]) + PSI_F * (rotor - rotor[before])) / T_S
+    u = voltage(i, rotor)
     rng = np.random.default_rng(seed)
     phase = [(i * np.exp(-2j * np.pi / 3 * k)).real + noise * rng.standard_normal(n) for k in range(3)]
     return Signals(
@@ -209,9 +214,9 @@ def run(observer, params, seen, reset=None, state=None):
     return at_work.state.first, estimates.view(np.recarray)
 
 
-def track(observer, params, s: Signals, reset=None):
-    """Estimates of an observer over the signals."""
-    return run(observer, params, samples(s, reset), reset)[1]
+def estimate(observer, s: Signals, reset=None, **drive):
+    """Estimates of an observer over the signals, some parameters of the drive changed."""
+    return run(observer, observer.make_params(PWM_HZ, own(observer, **drive)), samples(s, reset), reset)[1]
 
 
 def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:
@@ -222,20 +227,3 @@ def table(offsets_deg=TABLE_I, downwards_deg=None) -> dict[str, float]:
         for way, offsets in (("up", offsets_deg), ("down", downwards_deg))
         for s in range(6)
     }
-
-
-def glitch(s: Signals, edge: int, delay: float, ahead: int = 1) -> Signals:
-    """The signals with a false pulse of 40 us on one sensor over a sample, to the next sector's code (-1: the last's).
-
-    The sample is the first at least `delay` s after an edge; it lies in the middle of the pulse.
-    """
-    k = int(np.searchsorted(s.tick, s.edge_tick[edge] + delay * TICK_HZ))
-    half = TICK_HZ // 50_000
-    false = s.edge_hall[edge + ahead]
-    hall = s.hall.copy()
-    hall[k] = false
-    return s._replace(
-        hall=hall,
-        edge_tick=np.insert(s.edge_tick, edge + 1, [s.tick[k] - half, s.tick[k] + half]),
-        edge_hall=np.insert(s.edge_hall, edge + 1, [false, s.edge_hall[edge]]),
-    )

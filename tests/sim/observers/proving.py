@@ -15,13 +15,12 @@ import numpy as np
 
 import sim
 from bench.device.simulator import motors
-from protocol.messages import DriveState, SetpointMode
 from sim.config.params import BenchParams, load_params
 from sim.config.unkind import unkind
 from sim.drive.machine import SOURCES, Recorded, SimulatedBench
 from sim.observers import edge_lessons
+from tests.sim.drive.rig import RPM, Rig
 
-RPM = math.tau / 60.0
 BENCH_24V = Path(sim.__file__).parent / "bench24v.toml"
 TAUGHT = (
     *((0.16, 0.125, 0.6), (0.32, 0.5, 0.6), (0.64, 0.125, 0.6), (0.32, 1.0, 0.6), (0.1, 0.5, 0.8)),
@@ -29,12 +28,9 @@ TAUGHT = (
 )
 """Lessons at mixed speeds and loads, 5 s: shares of the largest speed and current, s with the paper's motor."""
 PAPER_OMEGA = 1980.0  # rad/s, its largest electrical speed: lessons last as many turns with every motor
-PAPER_RPM = 330.0 / RPM  # r/min, and its largest speed
-PAPER_AMPS = 8.0
 SPEEDS = (100, 200, 500, 1000, 2000, 3000)  # r/min of the paper's motor
 SLOW = (20, 35, 50, 75)
 AMPS = (1, 4, 8)
-EDGES = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ALTERED: dict[str, Mapping[str, object]] = {
     "nothing": {},
     "dead time saturates at 0.05 A": {"inverter.i_smooth": 0.05, "clock.substeps": 2},
@@ -52,7 +48,7 @@ ALTERED: dict[str, Mapping[str, object]] = {
     "L_s_hat halved": {"L_s_hat": 0.5},
     "back-EMF with 5 % of 5th harmonic": {"motor.emf_harmonics": [0.05, 0.0, 0.0, 0.0]},
     "edges of each pole pair 1.5 deg": {"hall.pole_pair_deg": 1.5},
-    "ideal Hall sensors": {"hall.delta_deg": list(EDGES), "hall.hysteresis_deg": 0.0, "hall.jitter_deg": 0.0},
+    "ideal Hall sensors": {"hall.delta_deg": [0.0] * 6, "hall.hysteresis_deg": 0.0, "hall.jitter_deg": 0.0},
 }
 """What is changed of the kind bench, one at a time; a name without a section: a factor of the firmware's parameter."""
 
@@ -70,13 +66,13 @@ def figures(error: np.ndarray) -> Figures:
     return Figures(float(error.mean()), float(error.std()), float(np.abs(error).max()))
 
 
-class Proving(SimulatedBench):
+class Proving(Rig):
     """A bench whose control uses the angle of an observer, outputs on, load machine at work."""
 
     def __init__(
         self, observer: str, params: BenchParams, seed: int, factors: Mapping[str, float] | None = None
     ) -> None:
-        super().__init__(params, seed)
+        SimulatedBench.__init__(self, params, seed)
         self.columns = {entry.name: next(iter(entry.channels)) for entry in SOURCES.values()}
         self.columns["encoder"] = "theta_true"
         sources = {entry.name: source for source, entry in SOURCES.items()} | {"encoder": 0}
@@ -84,10 +80,7 @@ class Proving(SimulatedBench):
         self.set_param("observer", sources[observer])
         for name, factor in (factors or {}).items():
             self.set_param(name, factor * self.parameters[name])
-        for state in (DriveState.ARMED, DriveState.RUNNING):
-            self.enter_state(state)
-            self.load_enter_state(state)
-            self.advance(1)
+        self.start()
         self.top = params.firmware.omega_m_max / RPM
         """Largest speed, r/min."""
         self.i_max = params.motor.i_max
@@ -102,17 +95,9 @@ class Proving(SimulatedBench):
         assert not self.faults, self.faults
         return recorded
 
-    def forced(self, rpm: float, i_q: float, seconds: float) -> Recorded:
-        """Speed forced by the load machine, current by the drive."""
-        self.load_setpoint(SetpointMode.SPEED, rpm * RPM)
-        self.setpoint(SetpointMode.CURRENT, i_q)
-        return self.run(seconds)
-
     def spin(self, rpm: float, seconds: float, load: float = 0.0) -> Recorded:
         """Speed by the drive's own loop, against the torque of so many A."""
-        self.load_setpoint(SetpointMode.TORQUE, load * self.torque)
-        self.setpoint(SetpointMode.SPEED, rpm * RPM)
-        return self.run(seconds)
+        return super().spin(rpm, seconds, load * self.torque)
 
     def teach(self, lessons: Iterable[tuple[float, float, float]] = TAUGHT) -> None:
         """Turn it at mixed speeds and loads."""

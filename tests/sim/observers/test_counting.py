@@ -9,7 +9,7 @@ from ideal_motor import PAPER_EDGES, PWM_HZ, constant, own, rpm, run, samples, s
 from sim.native import with_item
 from sim.observers import back_emf, covariance, edge_kalman, hall_levels, hall_places, transforms, vector_tracking
 from sim.observers.catalogue import CATALOGUE
-from tests.sim.observers.counting import CYCLES, Counted, Int, Number, cost, counted, counting, stored
+from tests.sim.observers.counting import CYCLES, Int, Number, counted, counting, stored
 
 FIVE = tuple(map(Number, range(5)))
 FIFTEEN = tuple(map(Number, range(15)))
@@ -59,36 +59,9 @@ def test_a_kernel_counts_as_by_hand(function, arguments, by_hand):
     assert kinds(function, *arguments) == by_hand
 
 
-def test_cycles_are_those_of_the_manual():
-    with counting() as tally:
-        transforms.clarke(Number(1.0), Number(2.0), Number(4.0))
-    assert cost(tally) == 3 * 1 + 2 * 1 + 14 + 3 * 2
-    assert Counted([tally, Counter()], []).costs().tolist() == [25, 0]
-
-
-def test_a_comparison_with_zero_reads_nothing():
-    with counting() as tally:
-        assert Number(1.0) != 0.0
-        assert Number(1.0) < 2.0
-    assert list(tally.values()) == [2, 1]
-
-
-def test_the_first_step_writes_the_state_and_nothing_else():
-    """Two flags are asked, thirteen fields of the state are set anew, seven are estimated."""
-    seen = samples(signals(constant(rpm(500)), 0.01))
-    entry = CATALOGUE["vector_tracking"]
-    params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
-    (tally,) = counted(entry, params, vector_tracking.init(), seen[:1]).tallies
-    assert tally == {
-        ("vector_tracking.step", "integer compare"): 1,
-        ("back_emf.step", "integer compare"): 1,
-        ("state and estimate", "store"): 13 + 7,
-    }
-
-
 @pytest.mark.parametrize("observer", [edge_kalman, vector_tracking])
 def test_what_is_counted_is_what_the_compiled_kernel_does(observer):
-    """Bit for bit, over edges and lessons."""
+    """Bit for bit, over edges and lessons; the first step asks two flags and writes the state."""
     seen = samples(signals(constant(rpm(1500)), 0.1, i_q=5.0, edges_deg=PAPER_EDGES, noise=0.02, seed=7))
     params = observer.make_params(PWM_HZ, own(observer))
     state, _ = run(observer, params, seen[:-300])

@@ -1,6 +1,6 @@
 """The observer on signals straight from the motor's equations."""
 
-import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -25,8 +25,7 @@ from ideal_motor import (
 )
 
 from sim.observers import edge_kalman, edge_lessons
-
-RANDOM = np.arange(6) * 60.0 - np.random.default_rng(5).uniform(-15, 15, 6)
+from tests.choice import chosen
 
 
 def make(**drive):
@@ -47,33 +46,30 @@ def deltas(state, way=1):
     return -np.degrees(state.lessons.places.actual[:6] if way > 0 else state.lessons.places.actual[6:])
 
 
-@pytest.mark.parametrize("speed", [30.0, 100.0, 500.0, 1000.0, 3000.0, -30.0, -500.0, -3000.0])
-def test_exact_on_ideal_signals(speed):
-    omega = rpm(speed)
-    s = signals(constant(omega), 1.0 if abs(speed) >= 100 else 2.5, edges_deg=PAPER_EDGES)
+@pytest.mark.parametrize("speed", chosen("learned", (500.0, 1000.0, 3000.0, -500.0, -1000.0, -3000.0), 2))
+def test_edges_that_nobody_told_are_learned_and_leave_no_error(speed):
+    s = signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES)
     state, out = estimate(s)
     # one speed and one load: a seventh of the edges' mean misplacement of 1 deg may as well be L_s, saturation, delay
-    limit = 0.25 if abs(speed) >= 100 else 4.5
-    assert np.abs(errors(s, out)).max() < limit
-    assert out.omega[-1] == pytest.approx(omega, rel=1e-3 if abs(speed) >= 100 else 0.25)
-    assert out.unused[-1] == 0
-    assert out.sensors[-1] == 0
-    if abs(speed) >= 500:
-        assert deltas(state, int(np.sign(speed))) == pytest.approx(TABLE_I, abs=0.25)
-        assert np.count_nonzero(state.lessons.places.visits) == 6
+    assert np.abs(errors(s, out)).max() < 0.25
+    assert out.omega[-1] == pytest.approx(rpm(speed), rel=1e-3)
+    assert (out.unused[-1], out.sensors[-1]) == (0, 0)
+    assert deltas(state, int(np.sign(speed))) == pytest.approx(TABLE_I, abs=0.25)
+    assert np.count_nonzero(state.lessons.places.visits) == 6
 
 
-@pytest.mark.parametrize("edges_deg", [PAPER_EDGES, RANDOM], ids=["Table I", "random"])
-def test_learned_with_noise_at_speed_and_used_at_low_speed(edges_deg):
+@pytest.mark.parametrize("seed", chosen("edges to learn", range(20), 2))
+def test_learned_with_noise_at_speed_and_used_at_low_speed(seed):
     """20 mA of noise: learn at 1000 r/min, then 60 r/min, where the learned edges lead."""
+    edges_deg = np.arange(6) * 60.0 - np.random.default_rng(seed).uniform(-15, 15, 6)
     fast, slow = rpm(1000), rpm(60)
     s = signals(ramp((0, fast), (2, fast), (2.1, slow), (4, slow)), 3.9, edges_deg=edges_deg, noise=0.02)
     state, out = estimate(s)
-    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=0.3)
+    assert deltas(state) == pytest.approx(np.arange(6) * 60.0 - edges_deg, abs=0.8)
     assert np.count_nonzero(state.lessons.places.visits) == 6
     late = error_deg(s.theta, out.theta)[int(2.6 / T_S) :]
-    assert 0.01 < late.std() < 0.3
-    assert np.abs(late).max() < 0.8
+    assert 0.01 < late.std() < 0.1
+    assert np.abs(late).max() < 0.9
 
 
 def test_given_edges_are_used_at_once_and_held():
@@ -97,16 +93,6 @@ def test_edges_that_are_told_are_kept_by_how_sure_they_are():
     assert abs(off[5.0]) > 0.5
 
 
-def test_edges_that_are_told_wrongly_are_found_out_as_those_of_a_sensor_that_moved():
-    i_q = np.where(np.arange(round(4.0 * PWM_HZ)) // 8000 % 2 == 0, 1.0, 6.0)
-    s = signals(constant(rpm(1000)), 4.0, i_q=i_q, edges_deg=PAPER_EDGES)
-    wrong = table(TABLE_I + np.array([8.0, 0.0, 0.0, 8.0, 0.0, 0.0]))
-    state, out = estimate(s, **wrong)
-    assert out.sensors[-1] >> 3 in (1, 2, 4)
-    assert deltas(state) == pytest.approx(TABLE_I, abs=1.0)
-    assert deltas(state) - deltas(state).mean() == pytest.approx(TABLE_I - TABLE_I.mean(), abs=0.1)
-
-
 def lessons(out, every=1):
     """What came last of each, of a stream of every n-th sample."""
     return {
@@ -115,7 +101,7 @@ def lessons(out, every=1):
     }
 
 
-@pytest.mark.parametrize("every", [1, 2, 3, 5, 8, 10, 16, 20, 32, 50, 64, 100])
+@pytest.mark.parametrize("every", chosen("every", (1, 2, 3, 5, 8, 10, 16, 20, 32, 50, 64, 100), 4))
 def test_all_lessons_are_told_in_a_stream_of_every_nth_sample(every):
     s = signals(constant(rpm(1000)), 1.5, i_q=4.0, edges_deg=PAPER_EDGES)
     state, out = estimate(s, R_s_hat=1.2 * R_S)
@@ -151,29 +137,6 @@ def test_learning_held_learns_nothing():
     assert state.lessons.places == before.lessons.places._replace(pair=state.lessons.places.pair)
 
 
-def test_a_wrong_inductance_is_told_from_the_edges_once_the_load_varies():
-    n = round(4.0 * PWM_HZ)
-    i_q = np.where(np.arange(n) // 8000 % 2 == 0, 1.0, 6.0)
-    s = signals(constant(rpm(700)), 4.0, i_q=i_q, edges_deg=PAPER_EDGES, noise=0.02)
-    state, out = estimate(s, L_s_hat=1.2 * L_S)
-    scale = make(L_s_hat=1.2 * L_S).scale
-    turned = [edge_lessons.turned(state.lessons, scale, i) for i in (1.0, 6.0)]
-    assert turned[1] - turned[0] == pytest.approx(-0.2 * L_S / PSI_F * 5.0, rel=0.15)
-    assert deltas(state) == pytest.approx(TABLE_I, abs=0.4)
-    assert np.abs(errors(s, out, 0.6)).mean() < 0.4
-    steady, _ = estimate(signals(constant(rpm(700)), 1.0, i_q=6.0, edges_deg=PAPER_EDGES), L_s_hat=1.2 * L_S)
-    assert np.count_nonzero(steady.lessons.places.visits) == 6  # of one load: part of it counts as misplacement
-
-
-def test_a_wrong_resistance_is_learned_once_the_load_varies():
-    n = round(6.0 * PWM_HZ)
-    i_q = np.where(np.arange(n) // 8000 % 2 == 0, 2.0, 8.0)
-    s = signals(constant(rpm(150)), 6.0, i_q=i_q, noise=0.02)
-    state, out = estimate(s, R_s_hat=1.3 * R_S)
-    assert state.lessons.drop[2] == pytest.approx(-0.3 * R_S, rel=0.25)
-    assert np.abs(errors(s, out)).max() < 2.5  # at each step of the current: a free shaft would have sped up
-
-
 def test_a_current_that_steps_turns_no_shaft_whose_inertia_is_not_known():
     """And does where it is: a speed that stays is then the surprise."""
     n = round(4.0 * PWM_HZ)
@@ -182,36 +145,7 @@ def test_a_current_that_steps_turns_no_shaft_whose_inertia_is_not_known():
     assert np.abs(errors(s, estimate(s, J_hat=0.0)[1])).max() < 0.5
 
 
-def test_a_wrong_flux_linkage_turns_no_angle():
-    s = signals(constant(rpm(1000)), 1.0, edges_deg=PAPER_EDGES)
-    right = errors(s, estimate(s)[1]).mean()
-    for factor in (0.9, 1.1):
-        assert np.abs(errors(s, estimate(s, psi_f_hat=factor * PSI_F)[1]) - right).max() < 0.1
-
-
-def dead_time(s, v, i_fade=0.3):
-    """Signals of a drive that leaves `v` V a phase of its dead time uncompensated: its reference is higher by it."""
-    sign = []
-    for i in (s.i_a, s.i_b, s.i_c):
-        mean = np.r_[i[0], (i[1:] + i[:-1]) / 2]
-        sign.append(np.clip(mean / i_fade, -1, 1))
-    return s._replace(
-        u_alpha=s.u_alpha + v * (2 * sign[0] - sign[1] - sign[2]) / 3,
-        u_beta=s.u_beta + v * (sign[1] - sign[2]) / math.sqrt(3),
-    )
-
-
-@pytest.mark.parametrize("i_fade", [0.1, 0.3, 1.0])
-@pytest.mark.parametrize("v", [0.04, 0.15, -0.04])
-def test_what_the_dead_time_leaves_costs_little_whatever_its_shape(v, i_fade):
-    s = dead_time(signals(constant(rpm(120)), 4.0, edges_deg=PAPER_EDGES), v, i_fade)
-    _, out = estimate(s, **table())
-    assert errors(s, out, 0.75).std() < 0.15
-    assert np.abs(errors(s, out, 0.75)).max() < 0.5
-
-
-@pytest.mark.parametrize("speed", [100.0, -1000.0])
-@pytest.mark.parametrize("broken", [1, 2, 4, 3, 6])
+@pytest.mark.parametrize(("speed", "broken"), chosen("broken", product((100.0, -1000.0), (1, 2, 4, 3, 6)), 4))
 def test_runs_on_with_two_sensors_and_with_one(broken, speed):
     """Wires open from 1.5 s on: the inputs read 1."""
     s = signals(constant(rpm(speed)), 3.0, edges_deg=PAPER_EDGES, noise=0.02)

@@ -1,14 +1,9 @@
 """What all observers have in common: the same bits by step, by run and uncompiled, parameters that are zero."""
 
 import hashlib
-import os
-import pickle
-import subprocess
-import sys
 from functools import cache
 from importlib import import_module
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,8 +48,7 @@ def busy():
         steady = np.clip(t - 0.05 - up, 0, 0.1)
         turning = np.clip(t - 0.15 - up, 0, 2 * up)
         back = np.clip(t - 0.15 - 3 * up, 0, 0.1)
-        way = a * speed_up**2 / 2 + omega * steady + omega * turning - a * turning**2 / 2 - omega * back
-        return 0.4 + way
+        return 0.4 + a * (speed_up**2 - turning**2) / 2 + omega * (steady + turning - back)
 
     s = signals(angle, 0.6, i_q=5.0, edges_deg=PAPER_EDGES, fine=10, noise=0.02, seed=7)
     rng = np.random.default_rng(3)
@@ -114,31 +108,22 @@ def run_whole(observer, make):
     return run(observer, observer.make_params(PWM_HZ, own(observer, **TOLD)), *heard(make))
 
 
-def digests(windows):
-    """Of observers by name, each from a state on over samples and resets."""
-    found = []
-    for name, state, seen, reset in windows:
-        observer = OBSERVERS[MODULES.index(name)]
-        found.append(
-            bits(*reversed(run(observer, observer.make_params(PWM_HZ, own(observer, **TOLD)), seen, reset, state)))
-        )
-    return found
-
-
+@also_in(campaign="kernels")
 @EACH
 def test_step_and_run_agree_bit_for_bit(observer):
-    """From a reset on, over another one and over a missing Hall code."""
-    seen, reset = (of[2400:4200] for of in heard(busy))
+    """What is compiled and plain Python: some windows, from the state on in which the compiled kernel is by then."""
     params = observer.make_params(PWM_HZ, own(observer, **TOLD))
-    last, out = run(observer, params, seen, reset, state := observer.init())
-    estimates = []
-    for k in range(reset.size):
-        if reset[k]:
-            state = observer.init()
-        state, estimate = observer.step(params, state, value(Sample, seen[k]))
-        estimates.append(estimate)
-    assert reset.sum() == 3
-    assert bits(estimates, state) == bits(out, last)
+    every = [(make, start) for make in (busy, learning) for start in range(0, len(heard(make)[0]), WINDOW)]
+    for make, start in chosen(f"windows {observer.__name__}", every, 6):
+        seen, reset = heard(make)
+        state = run(observer, params, seen[:start], reset[:start])[0] if start else observer.init()
+        window = slice(start, start + WINDOW)
+        last, out = run(observer, params, seen[window], reset[window], state)
+        estimates = []
+        for one, again in zip(seen[window], reset[window], strict=True):
+            state, estimate = observer.step(params, observer.init() if again else state, value(Sample, one))
+            estimates.append(estimate)
+        assert bits(estimates, state) == bits(out, last)
 
 
 @EACH
@@ -163,24 +148,6 @@ def test_the_front_end_gives_the_same_bits_in_portions_with_edges_to_come(seed):
         parts.append(end.run(measured[first:last], edges[used : used + 50], reset[first:last]))
         used += int(np.searchsorted(s.edge_tick[used : used + 50], s.tick[last - 1], side="right"))
     assert np.array_equal(np.concatenate(parts), samples(s, reset))
-
-
-@also_in(campaign="kernels")
-def test_the_uncompiled_kernels_agree_bit_for_bit():
-    """Over some hundreds of samples, from the state on in which the compiled ones are by then."""
-    every = [(make, start) for make in (busy, learning) for start in range(0, len(heard(make)[0]), WINDOW)]
-    windows = []
-    for observer, name in zip(OBSERVERS, MODULES, strict=True):
-        params = observer.make_params(PWM_HZ, own(observer, **TOLD))
-        for make, start in chosen(f"uncompiled {name}", every, 4):
-            seen, reset = heard(make)
-            state = run(observer, params, seen[:start], reset[:start])[0] if start else observer.init()
-            windows.append((name, state, seen[start : start + WINDOW], reset[start : start + WINDOW]))
-    here = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    code = "import pickle, sys, test_kernels as t; print(*t.digests(pickle.load(sys.stdin.buffer)))"
-    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": here}
-    plain = subprocess.run([sys.executable, "-c", code], env=env, input=pickle.dumps(windows), capture_output=True)
-    assert plain.stdout.decode().split() == digests(windows), plain.stderr
 
 
 def test_what_can_be_learned_is_learned_where_the_bits_are_compared():

@@ -6,8 +6,8 @@ estimate can then stand still against the rotor where the two cancel, |sin(error
 
 import numpy as np
 import pytest
-from ideal_motor import DRIVE, PWM_HZ, T_S, TICK_HZ, error_deg, rpm, signals, turning_back
-from test_vector_tracking import estimate, locked
+from ideal_motor import DRIVE, PWM_HZ, T_S, error_deg, rpm
+from test_vector_tracking import locked
 
 
 def errors(speed, ahead_deg, literal):
@@ -31,22 +31,3 @@ def test_the_printed_form_locks_falsely_for_good_below_2000_rpm(speed):
 
 def test_above_that_speed_the_printed_form_finds_back():
     assert np.abs(errors(2100.0, 120.0, True)[-PWM_HZ:]).max() < 0.1
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_noise_of_the_currents_throws_the_printed_form_off_at_50_rpm(seed):
-    """A smooth start to 50 r/min, then steady, 20 mA of noise: nothing but that."""
-    s = signals(lambda t: 0.3 + rpm(50) * np.where(t < 0.2, t**2 / 0.4, t - 0.1), 2.0, noise=0.02, seed=seed, fine=4)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta))
-    ours = np.abs(error_deg(s.theta, estimate(s).theta))
-    settled = s.tick > TICK_HZ
-    assert literal[settled].mean() > 30
-    assert ours[settled].max() < 2.5
-
-
-def test_a_reversal_throws_the_printed_form_off():
-    s = signals(turning_back(rpm(500), 0.1, 3000.0), 1.0, i_q=-3.0, fine=20, noise=0.02)
-    literal = np.abs(error_deg(s.theta, estimate(s, literal_sgn=1.0).theta))
-    ours = np.abs(error_deg(s.theta, estimate(s).theta))
-    assert literal[-PWM_HZ // 2 :].mean() > 45
-    assert ours[-PWM_HZ // 2 :].max() < 1.0

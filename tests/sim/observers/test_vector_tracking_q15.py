@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from ideal_motor import (
     PAPER_EDGES,
     PWM_HZ,
-    changed,
     constant,
     error_deg,
     own,
@@ -28,7 +27,7 @@ from sim.native import value
 from sim.observers import vector_tracking
 from sim.observers import vector_tracking_q15 as q15
 from sim.observers.sample import Sample
-from tests.choice import examples
+from tests.choice import examples, sampled
 from tests.tools import needs
 
 pytestmark = pytest.mark.slow
@@ -37,12 +36,12 @@ PARAMS = q15.make_params(PWM_HZ, own(q15))
 TURN = 1 << 32
 
 
-def both(s, hall_factor=1.0):
-    """Estimates of the fixed-point and of the floating-point observer, the Hall speed wrong by a factor."""
-    seen, reset = samples(s), np.zeros(s.tick.size, np.bool_)
-    seen = changed(seen, hall__omega=hall_factor * seen.hall.omega)
-    params = vector_tracking.make_params(PWM_HZ, own(vector_tracking))
-    return (run(q15, PARAMS, seen, reset)[1], run(vector_tracking, params, seen, reset)[1])
+def both(s):
+    """Estimates of the fixed-point and of the floating-point observer."""
+    seen = samples(s)
+    return run(q15, PARAMS, seen)[1], run(
+        vector_tracking, vector_tracking.make_params(PWM_HZ, own(vector_tracking)), seen
+    )[1]
 
 
 def traced(constants, state, rows):
@@ -74,7 +73,8 @@ def recording(name):
     s = quantised(s)
     reset = resets(s.tick.size) & (name == "busy")
     seen = samples(s, reset)
-    return np.array([[again, *q15.counts(PARAMS, value(Sample, seen[k]))] for k, again in enumerate(reset)], np.int64)
+    window = range(2000, 5400) if name == "busy" else range(len(reset))
+    return np.array([[reset[k], *q15.counts(PARAMS, value(Sample, seen[k]))] for k in window], np.int64)
 
 
 RECORDINGS = ("busy", "start", "outputs off", "50", "-500", "3000")
@@ -100,7 +100,7 @@ def agreed(program, constants, rows, state):
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize("name", sampled("recordings", RECORDINGS, 2, campaign="c"))
 def test_c_and_kernel_agree_in_every_integer(program, name):
     mine = agreed(program, PARAMS.q, recording(name), q15.init())
     assert mine[:, q15.State._fields.index("on")].any()
@@ -257,43 +257,9 @@ def test_constants_that_do_not_fit_are_the_largest_that_do(name, value, largest)
 # --- how well it observes ---
 
 
-@pytest.mark.parametrize("speed", [50.0, 500.0, 3000.0, -50.0, -500.0, -3000.0])
-def test_exact_on_ideal_signals_but_for_the_counts(speed):
-    """The prescribed angle is the truth. A count is 1/1024 V: 0.3 degrees of the back-EMF at 50 r/min, before (6)."""
-    omega = rpm(speed)
-    s = quantised(signals(constant(omega), 0.2 + 3 * 2 * np.pi / abs(omega), i_q=4.0))
-    fixed, _ = both(s)
-    error = error_deg(s.theta, fixed.theta)[-800:]
-    assert fixed.on[-1] == 1
-    assert 0.0005 < np.abs(error).max() < 0.1
-    assert abs(error.mean()) < 0.03
-    assert fixed.omega[-800:].mean() == pytest.approx(omega, rel=3e-3)
-
-
-@pytest.mark.parametrize("speed", [50.0, 200.0, 1000.0, 3000.0, -1000.0])
-def test_it_follows_the_floating_point_observer(speed):
-    """Table I edges, 20 mA of noise: the same error but for hundredths of a degree, and not the same number."""
-    s = quantised(signals(constant(rpm(speed)), 1.0, edges_deg=PAPER_EDGES, noise=0.02))
-    fixed, exact = both(s)
-    difference = error_deg(fixed.theta, exact.theta)
-    assert np.array_equal(fixed.on, exact.on)
-    assert 1e-4 < difference.std() < 0.03
-    assert abs(difference.mean()) < 0.03
-    assert np.abs(difference).max() < 0.15
-    assert np.abs(fixed.omega - exact.omega).max() < 0.5
-
-
-def test_a_wrong_hall_speed_is_made_good_by_the_integral():
-    """At 3000 r/min 20 % are 377 rad/s: 0.7 degrees in half a period, which (8) must not see."""
-    s = quantised(signals(constant(rpm(3000)), 0.6))
-    fixed, exact = both(s, 0.8)
-    settled = slice(-1600, None)
-    assert np.abs(error_deg(fixed.theta, exact.theta))[settled].max() < 0.1
-    assert fixed.omega[-1] == pytest.approx(rpm(3000), rel=1e-3)
-
-
 HALF = 1.5
 HARD = {  # signals, and how far the two may be apart, deg
+    "constant speed": (lambda: signals(constant(rpm(1000)), 1.0, edges_deg=PAPER_EDGES, noise=0.02), 0.15),
     "starts, a reversal, lost edges": (busy, 0.5),
     "outputs off": (lambda: outputs_off(0.4, 4.0), 0.1),
     "26 rad/s and back in 3 s": (
@@ -314,15 +280,9 @@ def test_it_starts_stops_reverses_and_doubts_as_the_floating_point_observer_does
     s = quantised(make())
     fixed, exact = both(s)
     assert np.array_equal(fixed.on, exact.on)
-    assert 0.1 < fixed.on.mean() < 0.99
-    assert np.abs(error_deg(fixed.theta, exact.theta)).max() < limit
-    if name == "26 rad/s and back in 3 s":  # on from omega_on = 20, until omega_off = 12
-        speed = np.abs(samples(s).hall.omega)
-        start, stop = np.flatnonzero(np.diff(fixed.on)) + 1
-        assert 20 <= speed[start] < 24
-        assert speed[stop] < 12 <= speed[stop - 1]
-    elif name == "back between two edges":
-        assert np.abs(error_deg(s.theta, fixed.theta))[-1600:].max() < 1.0
+    assert fixed.on.mean() > 0.1
+    assert 1e-4 < np.abs(error_deg(fixed.theta, exact.theta)).max() < limit
+    assert np.abs(fixed.omega - exact.omega).max() < 20 * limit
 
 
 def test_full_scale_saturates_and_a_larger_base_does_not():

@@ -48,17 +48,6 @@ def test_agrees_with_solve_ivp(backlash_deg):
     assert np.ptp(exact[:, 0] - exact[:, 1]) > 10.0
 
 
-def test_resonates_where_two_inertias_do_and_keeps_the_energy():
-    n = 16000
-    found = step_through(n, load=mechanics.Load(mechanics.OFF, 0, 0), omega=(1.0, -J_M / J_L), damping=0.0)
-    spectrum = np.abs(np.fft.rfft((found[:, 0] - found[:, 1]) * np.hanning(n)))
-    peak = np.argmax(spectrum) / (n * T_S)
-    assert peak == pytest.approx(math.sqrt(K * (1.0 / J_M + 1.0 / J_L)) / (2.0 * math.pi), abs=1.0)
-    energy = 0.5 * (J_M * found[:, 0] ** 2 + J_L * found[:, 1] ** 2 + K * found[:, 2] ** 2)
-    assert np.ptp(energy[-2000:]) < 0.03 * energy[0]
-    assert energy[-2000:].mean() == pytest.approx(energy[:2000].mean(), rel=1e-3)
-
-
 def test_a_brake_holds_the_load_and_never_drives_it():
     brake = mechanics.Load(mechanics.TORQUE, 0.2, 0.0)
     found = step_through(3200, load=brake, omega=(30.0, 30.0), tau_coulomb=2e-3)

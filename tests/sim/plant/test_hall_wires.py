@@ -8,6 +8,9 @@ from protocol.signals import HallSwap
 from sim.plant import hall_wiring
 
 TABLES = {  # the inputs c b a for the sensors' codes c b a = 000 .. 111, written out by hand
+    ("hall_swap", HallSwap.A_B): ["000", "010", "001", "011", "100", "110", "101", "111"],
+    ("hall_swap", HallSwap.B_C): ["000", "001", "100", "101", "010", "011", "110", "111"],
+    ("hall_swap", HallSwap.C_A): ["000", "100", "010", "110", "001", "101", "011", "111"],
     ("hall_swap", HallSwap.A_ON_B): ["000", "010", "100", "110", "001", "011", "101", "111"],
     ("hall_swap", HallSwap.A_ON_C): ["000", "100", "001", "101", "010", "110", "011", "111"],
     ("hall_invert", 1): ["001", "000", "011", "010", "101", "100", "111", "110"],
