@@ -71,43 +71,29 @@ def test_what_leaves_the_band_at_the_end_or_stays_too_short_has_not_settled() ->
 # --- steps ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("y0", "y1"), [(0.0, 4.0), (1000.0, 500.0), (-2.0, 2.0)])
-def test_first_order_lag(y0: float, y1: float) -> None:
-    tau, t_step = 0.01, 0.0503
-    t = times(0.25, 16e3, start=0.02)
-    y = y0 + (y1 - y0) * np.where(t > t_step, 1.0 - np.exp(-(t - t_step) / tau), 0.0)
-    response = step_response(t, y, t_step, y0, y1, band=0.05)
-    assert response.delay == pytest.approx(-tau * math.log(0.9), abs=1e-6)
-    assert response.rise == pytest.approx(tau * math.log(9.0), abs=1e-6)
-    assert response.settling is not None
-    assert 0.0 <= response.settling - tau * math.log(20.0) < 1.0 / 16e3
-    assert np.abs(t - (t_step + response.settling)).min() < 1e-9  # it settles at a sample
-    assert (response.overshoot, response.peak) == (0.0, pytest.approx(y1, abs=1e-6 * abs(y1 - y0)))
-    assert response.steady_error == pytest.approx(0.0, abs=1e-5 * abs(y1 - y0))
-
-
 @pytest.mark.parametrize("zeta", [0.2, 0.5, 0.707])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_second_order_system(zeta: float, sign: float) -> None:
-    w, gain = 2.0 * math.pi * 50.0, 1.03  # settles 3 % beside what was commanded
+@pytest.mark.parametrize(("y0", "height"), [(0.0, 1.0), (1000.0, -500.0)])
+def test_second_order_system(zeta: float, y0: float, height: float) -> None:
+    w, gain, rate, t_step = 2.0 * math.pi * 50.0, 1.03, 20e3, 0.05  # settles 3 % beside what was commanded
     system = signal.TransferFunction([gain * w * w], [1.0, 2.0 * zeta * w, w * w])
-    t = times(0.4, 20e3)
-    y = sign * system.step(T=t)[1]
+    t = times(0.4, rate)
+    y = np.concatenate([np.zeros(round(t_step * rate)), system.step(T=t)[1]])
     damped = w * math.sqrt(1.0 - zeta**2)
 
     def exact(x: float) -> float:
         decay = math.exp(-zeta * w * x)
         return gain * (1.0 - decay * (math.cos(damped * x) + zeta * w / damped * math.sin(damped * x)))
 
-    response = step_response(t, y, 0.0, 0.0, sign, band=0.05)
+    start = 0.02
+    response = step_response(times(0.45, rate, start), y0 + height * y, start + t_step, y0, y0 + height, band=0.05)
     t10, t90 = (brentq(lambda x, level=level: exact(x) - level, 0.0, math.pi / damped) for level in (0.1, 0.9))
     peak = gain * (1.0 + math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2)))
     assert (response.delay, response.rise) == (pytest.approx(t10, abs=1e-6), pytest.approx(t90 - t10, abs=1e-6))
-    assert response.peak == pytest.approx(sign * peak, abs=1e-4)
+    assert response.peak == pytest.approx(y0 + height * peak, abs=1e-4 * abs(height))
     assert response.overshoot == pytest.approx(peak - 1.0, abs=1e-4)
-    assert response.steady_error == pytest.approx(sign * 0.03, abs=1e-5)
+    assert response.steady_error == pytest.approx(height * 0.03, abs=1e-5 * abs(height))
     assert response.settling is not None
-    assert abs(exact(response.settling - 1.5 / 20e3) - 1.0) > 0.05
+    assert abs(exact(response.settling - 1.5 / rate) - 1.0) > 0.05
     assert all(abs(exact(x) - 1.0) <= 0.05 for x in np.linspace(response.settling, 0.4, 2000))
 
 
@@ -188,21 +174,6 @@ def test_thd_of_known_harmonics(rest, seed, f, samples_a_period, periods, offset
     assert periods - 1.0 < known.periods <= periods + 1.5 / samples_a_period  # one sample may lack, half is rounded
 
 
-@settings(max_examples=6, deadline=None)
-@given(
-    rest=st.lists(st.floats(0.0, 0.1), min_size=19, max_size=19),
-    f=st.floats(5.0, 300.0),
-    samples_a_period=st.floats(41.0, 200.0),
-    periods=st.floats(3.2, 15.0),
-)
-def test_thd_finds_the_fundamental_itself(rest: list[float], f: float, samples_a_period: float, periods: float) -> None:
-    t = times(periods / f, f * samples_a_period, start=3.0)
-    y = 0.7 + wave(2 * math.pi * f * t, [1.0, *rest])
-    found = thd(t, y)
-    assert found.f == pytest.approx(f, rel=1e-9)
-    assert found.value == pytest.approx(math.sqrt(sum(a * a for a in rest)), abs=1e-8)
-
-
 def test_thd_is_the_fft_over_whole_periods() -> None:
     rate, f = 10e3, 50.0
     t = times(0.2149, rate)  # 10 periods of 200 samples, and part of one more
@@ -279,13 +250,6 @@ def test_a_sine_on_a_line_shows_its_amplitude(window: str, n: int) -> None:
     assert (found.amplitude[50], found.amplitude[0]) == (pytest.approx(3.0), pytest.approx(7.0))
     assert found.amplitude[53:].max() < 1e-9
     assert found.amplitude[1:48].max() < 1e-9
-
-
-@pytest.mark.parametrize(("window", "least"), [("hann", 0.848), ("rectangular", 0.636)])
-def test_a_sine_between_two_lines_shows_as_much_as_promised(window: str, least: float) -> None:
-    t = times(1.0, 10e3)
-    found = spectrum(t, np.sin(2 * math.pi * 1000.5 * t), window).amplitude.max()
-    assert found == pytest.approx(least, abs=2e-3)
 
 
 def test_spectrum_at_half_the_sample_rate_and_against_scipy() -> None:
