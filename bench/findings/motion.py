@@ -95,26 +95,26 @@ class SpeedHeld:
     def findings(self) -> Iterator[Finding]:
         """Speeds that were not held."""
         for asked in self._asked:
-            if words := self._wrong_speed(asked):
-                yield Finding("speed", words)
+            speed, current = _mean(asked.looks, 1), _mean(asked.looks, 2)
+            if asked.seconds < LONG_ENOUGH or not asked.looks or self._on_its_way(asked):
+                continue
+            if abs(speed - asked.speed_rpm) > self._off(asked):
+                amperes = "" if math.isnan(current) else f", with {current:.1f} A"
+                amperes += f" of {self._i_max:g} A (i_max)" if amperes and math.isfinite(self._i_max) else ""
+                turned = f"it turned at {speed:.0f} r/min by {self._by}{amperes}"
+                yield Finding("speed", f"{asked.speed_rpm:g} r/min were asked for, {turned}")
 
     def unverified(self) -> list[str]:
         """Speeds of which it was not seen whether they are held, each with the reason."""
-        slow = [
-            asked
-            for asked in self._asked  # whether such a speed still changes is noise
-            if asked.seconds >= LONG_ENOUGH and 0 < abs(asked.speed_rpm) <= self._off(asked)
-        ]
-        short = [
-            asked
-            for asked in self._asked
-            if asked not in slow and (asked.seconds < LONG_ENOUGH or self._on_its_way(asked))
-        ]
-        return [
-            f"whether {', '.join(f'{asked.speed_rpm:g}' for asked in which)} r/min are held ({why})"
-            for which, why in ((short, "too short a time"), (slow, "too slow to tell"))
-            if which
-        ]
+        short, slow = "too short a time", "too slow to tell"
+        unseen: dict[str, list[str]] = {short: [], slow: []}
+        for asked in self._asked:
+            told = asked.seconds >= LONG_ENOUGH
+            if told and 0 < abs(asked.speed_rpm) <= self._off(asked):  # whether such a speed still changes is noise
+                unseen[slow].append(f"{asked.speed_rpm:g}")
+            elif not told or self._on_its_way(asked):
+                unseen[short].append(f"{asked.speed_rpm:g}")
+        return [f"whether {', '.join(speeds)} r/min are held ({why})" for why, speeds in unseen.items() if speeds]
 
     def _off(self, asked: _Asked) -> float:
         """By how many r/min the mean speed may be off: at least by a Hall sector, where those tell it."""
@@ -124,16 +124,6 @@ class SpeedHeld:
         if self._by == BY_HALL and asked.looks:
             bound = max(bound, SECTOR_WIDTH / (self._n_p * RPM * sum(look[0] for look in asked.looks)))
         return bound
-
-    def _wrong_speed(self, asked: _Asked) -> str:
-        if asked.seconds < LONG_ENOUGH or not asked.looks or self._on_its_way(asked):
-            return ""
-        speed, current = _mean(asked.looks, 1), _mean(asked.looks, 2)
-        if abs(speed - asked.speed_rpm) <= self._off(asked):
-            return ""
-        amperes = "" if math.isnan(current) else f", with {current:.1f} A"
-        of = f" of {self._i_max:g} A (i_max)" if amperes and math.isfinite(self._i_max) else ""
-        return f"{asked.speed_rpm:g} r/min were asked for, it turned at {speed:.0f} r/min by {self._by}{amperes}{of}"
 
     def _on_its_way(self, asked: _Asked) -> bool:
         """Whether the speed still changes towards what was asked for."""

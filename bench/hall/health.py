@@ -28,8 +28,7 @@ from bench.signal.pulses import Pulses
 from bench.signal.reference import BackEmf, Turns
 from bench.signal.trace import SLOW, Trace
 from bench.signal.verdict import Verdict
-from bench.signal.waveforms.sectors import SECTORS
-from protocol.signals import SECTOR_OF_CODE
+from bench.signal.waveforms.sectors import steps_between
 
 
 @dataclass(frozen=True)
@@ -114,17 +113,11 @@ def _fastest(trace: Trace) -> float:
 
 
 def _codes(trace: Trace) -> Codes:
-    sector = np.array(SECTOR_OF_CODE)
-    leaves, enters = sector[:, None], sector
-    illegal = (leaves < 0) | (enters < 0)
-    neighbours = np.isin((enters - leaves) % SECTORS, (1, SECTORS - 1))
-    return Codes(
-        int(trace.codes[[0, 7]].sum()),
-        trace.samples,
-        int(trace.changed[illegal].sum()),
-        int(trace.changed[~illegal & ~neighbours].sum()),
-        int(trace.changed.sum()),
-    )
+    illegal = np.zeros((8, 8), bool)
+    illegal[[0, 7]] = illegal[:, [0, 7]] = True
+    far = np.abs(steps_between(*np.indices((8, 8)))) != 1.0
+    of = (int(trace.changed[which].sum()) for which in (illegal, ~illegal & far))
+    return Codes(int(trace.codes[[0, 7]].sum()), trace.samples, *of, int(trace.changed.sum()))
 
 
 def _thin(turns: Turns, measured: Measured) -> list[str]:

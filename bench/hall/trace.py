@@ -51,21 +51,17 @@ class Recorded:
         config, _ = self._run.drive_streams
         there = [channel.name for channel in config.channels]
         chosen = [name for name in (*wanted, reference_angle(config.channels)) if name in there]
-        edges, first, last = 0, None, 0
-        waiting: Capture | None = None
+        edges, first = 0, None
         for capture in captures(self._run, *self._part, chosen or there[:1]):
             edges += len(capture.edges)
-            if waiting is not None:
-                yield waiting
-            first, last = (int(capture.samples.tick[0]) if first is None else first), int(capture.samples.tick[-1])
-            waiting = replace(capture, edges=between(capture.edges, first, last))
+            tick = capture.samples.tick
+            first = int(tick[0]) if first is None else first
+            yield replace(capture, edges=between(capture.edges, first, int(tick[-1])))
         for words in self._run.damage[self._told :]:
             self._note(f"warning: {words}")
         self._told = len(self._run.damage)
         if not edges:
             raise self._nothing()
-        if waiting is not None:
-            yield waiting
 
     def _nothing(self) -> BenchError:
         why = "; ".join(self._run.damage) or "record both"

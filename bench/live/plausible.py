@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.device.client import Sink
 from bench.findings.finding import Finding
-from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Came, Currents, NotFinite, SpeedHeld, far_off
+from bench.findings.motion import BY_ENCODER, BY_ESTIMATE, BY_HALL, Currents, NotFinite, SpeedHeld, far_off
 from bench.findings.motor import FluxLinkage
 from bench.findings.pole_pairs import ComparedTurns
 from bench.findings.wiring import Wires
@@ -44,17 +44,9 @@ class Plausibility(Sink):
             self._omega = speed_channel(channels, parameters)
         i_max = parameters.get("i_max", math.inf)
         self._sectors = 0.0  # since the last chunk of samples
-        self._speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
+        self.speed, self._currents = SpeedHeld(self._by, self._n_p or 1, i_max), Currents(i_max)
         self._not_finite = NotFinite()
         self._turns, self._wires, self._flux = ComparedTurns(self._rate, self._n_p), Wires(), FluxLinkage(parameters)
-
-    def ask(self, speed_rpm: float, load_a: float = 0.0, title: str = "") -> None:
-        """From now on this speed is asked for, and this load."""
-        self._speed.ask(speed_rpm, load_a, title)
-
-    def came(self) -> list[Came]:
-        """What was asked for and what came, one by one."""
-        return self._speed.came()
 
     # -- sink ---------------------------------------------------------------------------------------------------
 
@@ -100,7 +92,7 @@ class Plausibility(Sink):
         if {"i_d", "i_q"} <= self._names:
             current = float(np.hypot(chunk.physical("i_d"), chunk.physical("i_q")).mean())
             i_q = float(chunk.physical("i_q").mean())
-        self._speed.add(seconds, omega, current, i_q)
+        self.speed.add(seconds, omega, current, i_q)
 
     # -- at the end ---------------------------------------------------------------------------------------------
 
@@ -109,7 +101,7 @@ class Plausibility(Sink):
         return [
             *self._not_finite.findings(),
             *self.causes(),
-            *self._speed.findings(),
+            *self.speed.findings(),
             *far_off(errors, self._rate),
             *self._currents.findings(),
         ]
@@ -137,5 +129,5 @@ class Plausibility(Sink):
         elif self._by == BY_ESTIMATE:
             unseen.append("speed, but for the drive's own estimate")
         else:
-            unseen += self._speed.unverified()
+            unseen += self.speed.unverified()
         return unseen
